@@ -97,8 +97,8 @@ os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "0")
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 # Without HOME, as under some job schedulers, Taichi ends the process.
 os.environ.setdefault("HOME", os.path.expanduser("~"))
-# For each decorated function of a module, Taichi asks `inspect` for the module that executes the import, which is not
-# found: without this entry, `inspect` searches all modules every time, 0.3 s per start.
+# For each decorated function of a module, Taichi asks `inspect` for the module that executes the import,
+# which is not found: without this entry, `inspect` searches all modules every time, 0.3 s per start.
 inspect.modulesbyfile.setdefault("<frozen importlib._bootstrap>", "_frozen_importlib")
 
 __all__ = [
@@ -196,11 +196,14 @@ __all__ = [
 
 @cache
 def _locations() -> dict[str, tuple[str, str]]:
-    """Module and attribute of each public name: the imports of this module that only type checkers execute."""
+    """Module and attribute of each public name: the imports of this module that only type checkers
+    execute."""
     source = inspect.getsource(sys.modules[__name__])
     (block,) = (node for node in ast.parse(source).body if isinstance(node, ast.If))
     imports = (node for node in block.body if isinstance(node, ast.ImportFrom))
-    return {each.asname or each.name: (str(node.module), each.name) for node in imports for each in node.names}
+    return {
+        each.asname or each.name: (str(node.module), each.name) for node in imports for each in node.names
+    }
 
 
 def __getattr__(name: str) -> Any:

@@ -21,7 +21,8 @@ def shown(value: object) -> str:
 
 
 def refuse_other(name: str, value: object, kinds: type | tuple[type, ...], expected: str) -> None:
-    """Raise GranflowError for a value that is of none of these types; `expected`: in words, with an example."""
+    """Raise GranflowError for a value that is of none of these types; `expected`: in words, with an
+    example."""
     if not isinstance(value, kinds):
         raise GranflowError(f"{name} is {shown(value)}, but must be {expected}.")
 
@@ -53,7 +54,8 @@ def items_of(name: str, value: Any, expected: str) -> list[Any]:
 
 
 def item_at(name: str, items: Sequence[_T], index: Any) -> _T:
-    """The item with an index, or those of a slice; raises GranflowError for another object or an absent index."""
+    """The item with an index, or those of a slice; raises GranflowError for another object or an absent
+    index."""
     if isinstance(index, slice):
         return items[index]  # type: ignore[return-value]
     refuse_other(f"the index of {name}", index, Integral, "a whole number")

@@ -1,9 +1,10 @@
 """Device functions of contact models: `ti.func` that imports the kernel language at the first compilation.
 
-Scenes are read, checked and documented without Taichi, whose import takes longer than all of that, but the record of a
-contact model contains its device functions. A device function may be a method: `self` is a constant of the
-compilation, so that `ti.static(self.x)` removes branches. Numbers of `self` would become literals, and each new value
-would be compiled again; device functions read them in `constants`, see `law.Law.parameters`.
+Scenes are read, checked and documented without Taichi, whose import takes longer than all of that, but the
+record of a contact model contains its device functions. A device function may be a method: `self` is a
+constant of the compilation, so that `ti.static(self.x)` removes branches. Numbers of `self` would become
+literals, and each new value would be compiled again; device functions read them in `constants`, see
+`law.Law.parameters`.
 """
 
 import re
@@ -44,7 +45,8 @@ class _CompiledFunction:
 
 
 def at_compile_time(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator for a Python function that a device function calls while it is compiled, with expressions as values."""
+    """Decorator for a Python function that a device function calls while it is compiled, with expressions as
+    values."""
     taichi = {"_is_taichi_function": True, "func": _CompiledFunction}
     quadrants = {"_is_quadrants_function": True, "wrapper": _CompiledFunction}
     vars(function).update(taichi | quadrants, _is_real_function=False)
@@ -90,9 +92,10 @@ def is_from_outside(owner: Any) -> bool:
 def reason_of(error: Exception, function: Callable[..., Any]) -> str:
     """Reason why a device function of a program cannot be compiled, without a final period.
 
-    error:     exception of the kernel language; its message contains the positions of all calls, outermost first
-    Returns:   `file:line: reason`, with the innermost position outside of granflow and the kernel language; that of the
-               definition if there is none
+    error:     exception of the kernel language; its message contains the positions of all calls, outermost
+               first
+    Returns:   `file:line: reason`, with the innermost position outside of granflow and the kernel language;
+               that of the definition if there is none
     """
     text = str(error)
     positions = [each for each in _POSITION.finditer(text) if not _is_library(each["file"])]
@@ -104,13 +107,16 @@ def reason_of(error: Exception, function: Callable[..., Any]) -> str:
     if rest.startswith("Traceback"):
         rest = rest.splitlines()[-1]
     rest = re.sub(r"^TypeError when calling `\w+`: ", "", rest)
-    rest = re.sub(r"Cannot find source code for Object: .*", "could not get source code", rest)  # of Quadrants
+    rest = re.sub(
+        r"Cannot find source code for Object: .*", "could not get source code", rest
+    )  # of Quadrants
     words = " ".join(re.sub(r"'Struct\d+' object", "the struct", rest).split()).rstrip(". ")
     return f"{where}{words or type(error).__name__}{_remedy(error, words)}"
 
 
 def _remedy(error: Exception, words: str) -> str:
-    """End of the sentence on a device function that cannot be compiled for the reason `words`; empty without remedy."""
+    """End of the sentence on a device function that cannot be compiled for the reason `words`; empty without
+    remedy."""
     if _UNDEFINED.search(words):
         return "; give numbers of the program in `parameters`"
     if words.endswith("could not get source code"):
@@ -142,7 +148,8 @@ def _compilation_error() -> type[FunctionError]:
         def __init__(self, text: str) -> None:
             super().__init__(text.strip().splitlines()[-1])
 
-    CompilationError.__module__, CompilationError.__qualname__ = FunctionError.__module__, FunctionError.__qualname__
+    CompilationError.__module__ = FunctionError.__module__
+    CompilationError.__qualname__ = FunctionError.__qualname__
     return CompilationError
 
 

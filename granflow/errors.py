@@ -6,7 +6,8 @@ from collections.abc import Iterable
 class GranflowError(Exception):
     """An error that the user can correct. The command line prints the message and exits with `exit_code`.
 
-    Exit codes: 2 invalid input or request, 3 aborted run (RunError), 4 files that cannot be written (OutputError).
+    Exit codes: 2 invalid input or request, 3 aborted run (RunError), 4 files that cannot be written
+    (OutputError).
 
     >>> try:
     ...     gf.read_run("none")
@@ -73,10 +74,11 @@ class RunError(GranflowError):
 
 
 class StopRun(Exception):
-    """An observer raises it to end the run at the present time; checkpoint and result are written as at the end.
+    """An observer raises it to end the run at the present time; checkpoint and result are written as at the
+    end.
 
-    All observers that are due at this time receive the snapshot before the run ends. `Simulation.run` then returns
-    normally, and the run can continue with the next call.
+    All observers that are due at this time receive the snapshot before the run ends. `Simulation.run` then
+    returns normally, and the run can continue with the next call.
 
     >>> def stop_if_full(snapshot):
     ...     if snapshot.totals["particle_count"] >= 1000:
@@ -85,10 +87,11 @@ class StopRun(Exception):
 
 
 class FunctionError(GranflowError):
-    """A function from Python, such as that of an observer, failed; the message gives its name and the simulated time.
+    """A function from Python, such as that of an observer, failed; the message gives its name and the
+    simulated time.
 
-    The original exception is `__cause__`. For a force or a contact model that cannot be compiled, the message gives the
-    function, its file and line, and the reason of the kernel language.
+    The original exception is `__cause__`. For a force or a contact model that cannot be compiled, the message
+    gives the function, its file and line, and the reason of the kernel language.
 
         try:
             simulation.run()

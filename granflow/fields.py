@@ -78,8 +78,12 @@ CONTACT_QUANTITIES = by_name(
         Quantity("wall", "", "1", "index of the wall in the scene, -1 between particles", file_type="int32"),
         Quantity("triangle", "", "1", "index of the triangle of a mesh wall, else -1", file_type="int32"),
         Quantity("position_i", "xi", "m", "center of particle i", "vector", "float64"),
-        Quantity("position_j", "xj", "m", "center of particle j, or contact point on the wall", "vector", "float64"),
-        Quantity("force", "F", "N", "total force on particle i, including viscous and friction force", "vector"),
+        Quantity(
+            "position_j", "xj", "m", "center of particle j, or contact point on the wall", "vector", "float64"
+        ),
+        Quantity(
+            "force", "F", "N", "total force on particle i, including viscous and friction force", "vector"
+        ),
         Quantity("normal_force", "Fn", "N", "repulsive force along the normal"),
         Quantity("tangential_force", "Ft", "N", "magnitude of the friction force"),
         Quantity("overlap", "delta", "m", "sum of the radii minus the distance of the centers"),
@@ -98,7 +102,10 @@ FIELD_QUANTITIES = by_name(
         Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
         Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
         Quantity(
-            "granular_temperature_of_frames", "", "m2/s2", "the same; in means over time without changes of V in time"
+            "granular_temperature_of_frames",
+            "",
+            "m2/s2",
+            "the same; in means over time without changes of V in time",
         ),
         Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
         Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
@@ -111,9 +118,17 @@ FIELD_QUANTITIES = by_name(
 WALL_ARRAY_QUANTITIES = by_name(
     (
         Quantity("wall", "", "1", "index of the wall in the scene", file_type="int32"),
-        Quantity("traction", "", "Pa", "force of the particles per area, with `output.wall_forces`", "vector"),
+        Quantity(
+            "traction", "", "Pa", "force of the particles per area, with `output.wall_forces`", "vector"
+        ),
         Quantity("pressure", "p", "Pa", "normal force of the particles per area, with `output.wall_forces`"),
-        Quantity("surface_velocity", "", "m/s", "velocity of a belt along the triangle, if a wall has one", "vector"),
+        Quantity(
+            "surface_velocity",
+            "",
+            "m/s",
+            "velocity of a belt along the triangle, if a wall has one",
+            "vector",
+        ),
     )
 )
 """Arrays of wall files, one entry per triangle."""
@@ -123,8 +138,12 @@ WALL_ARRAY_QUANTITIES = by_name(
 
 _INSTANT_METRICS = (
     Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),
-    Quantity("segregation_intensity", "I", "1", "intensity of segregation by volume: 1 segregated, 0 uniform"),
-    Quantity("segregation_intensity_random", "I_R", "1", "the same for a random mixture of the same particles"),
+    Quantity(
+        "segregation_intensity", "I", "1", "intensity of segregation by volume: 1 segregated, 0 uniform"
+    ),
+    Quantity(
+        "segregation_intensity_random", "I_R", "1", "the same for a random mixture of the same particles"
+    ),
     Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
     Quantity("angle_of_repose_error", "", "rad", "standard error of the slope"),
     Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
@@ -156,7 +175,11 @@ METRIC_QUANTITIES = by_name(
     (
         *_INSTANT_METRICS,
         *(
-            replace(each, name=f"{each.name}_mean", meaning=f"{each.meaning}, mean over the rows of the last stage")
+            replace(
+                each,
+                name=f"{each.name}_mean",
+                meaning=f"{each.meaning}, mean over the rows of the last stage",
+            )
             for each in _INSTANT_METRICS
         ),
     )
@@ -175,14 +198,15 @@ def _always(features: Any) -> bool:
 class FieldSpec(Quantity):
     """Definition of one property of the particles, a scalar or a vector.
 
-    Allocation, sorting, insertion, checkpoints and their validation, snapshots, VTU files and the memory estimate are
-    derived from it.
+    Allocation, sorting, insertion, checkpoints and their validation, snapshots, VTU files and the memory
+    estimate are derived from it.
 
     dtype:      type of the device field; None for a property without one
     condition:  function of the features of a plan: whether the field exists
-    block:      fields that follow each other with the same block are interleaved entry by entry, because kernels read
-                them together
-    sorted:     permuted with the particles at a neighbor-list rebuild; other fields are computed again after it
+    block:      fields that follow each other with the same block are interleaved entry by entry, because
+                kernels read them together
+    sorted:     permuted with the particles at a neighbor-list rebuild; other fields are computed again after
+                it
     saved:      in checkpoints
     displayed:  in particle files, if it is present
     default:    value of inserted particles, unless the insertion provides one
@@ -211,148 +235,362 @@ def _liquid(features: Any) -> bool:
 
 _CLUMP_FIELDS = (
     FieldSpec(
-        "clump", "", "1", "id of the first sphere of the clump, -1 for a single sphere; only in scenes with "
-        "clumps", file_type="int64", dtype="i32", condition=_clumps, default=-1,
+        "clump",
+        "",
+        "1",
+        "id of the first sphere of the clump, -1 for a single sphere; only in scenes with clumps",
+        file_type="int64",
+        dtype="i32",
+        condition=_clumps,
+        default=-1,
     ),
     FieldSpec(
-        "clump_size", "", "1", "number of spheres of the clump", file_type="int32", dtype="i32", condition=_clumps,
-        displayed=False, default=1,
+        "clump_size",
+        "",
+        "1",
+        "number of spheres of the clump",
+        file_type="int32",
+        dtype="i32",
+        condition=_clumps,
+        displayed=False,
+        default=1,
     ),
     FieldSpec(
-        "clump_mass", "M", "kg", "mass of the clump; of a single sphere its own", dtype="real", condition=_clumps,
-        block="clump", displayed=False,
+        "clump_mass",
+        "M",
+        "kg",
+        "mass of the clump; of a single sphere its own",
+        dtype="real",
+        condition=_clumps,
+        block="clump",
+        displayed=False,
     ),
     FieldSpec(
-        "clump_inertia", "I", "kg m2", "principal moments of inertia of the clump", "vector", dtype="real",
-        condition=_clumps, block="clump", displayed=False,
+        "clump_inertia",
+        "I",
+        "kg m2",
+        "principal moments of inertia of the clump",
+        "vector",
+        dtype="real",
+        condition=_clumps,
+        block="clump",
+        displayed=False,
     ),
     FieldSpec(
-        "clump_offset", "", "m", "center of the sphere relative to the center of mass, along the principal axes",
-        "vector", "float64", dtype="position", condition=_clumps, block="clump", displayed=False,
+        "clump_offset",
+        "",
+        "m",
+        "center of the sphere relative to the center of mass, along the principal axes",
+        "vector",
+        "float64",
+        dtype="position",
+        condition=_clumps,
+        block="clump",
+        displayed=False,
     ),
     FieldSpec(
-        "clump_position", "", "m", "center of mass of the clump", "vector", "float64", dtype="position",
-        condition=_clumps, block="clump", displayed=False,
+        "clump_position",
+        "",
+        "m",
+        "center of mass of the clump",
+        "vector",
+        "float64",
+        dtype="position",
+        condition=_clumps,
+        block="clump",
+        displayed=False,
     ),
     FieldSpec(
-        "clump_velocity", "", "m/s", "velocity of the center of mass; on the device half a step behind", "vector",
-        dtype="position", condition=_clumps, block="clump", displayed=False,
+        "clump_velocity",
+        "",
+        "m/s",
+        "velocity of the center of mass; on the device half a step behind",
+        "vector",
+        dtype="position",
+        condition=_clumps,
+        block="clump",
+        displayed=False,
     ),
     FieldSpec(
-        "clump_angular_momentum", "L", "kg m2/s", "angular momentum about the center of mass; on the device half a "
-        "step behind", "vector", dtype="position", condition=_clumps, block="clump", displayed=False,
+        "clump_angular_momentum",
+        "L",
+        "kg m2/s",
+        "angular momentum about the center of mass; on the device half a step behind",
+        "vector",
+        dtype="position",
+        condition=_clumps,
+        block="clump",
+        displayed=False,
     ),
     FieldSpec(
-        "orientation", "q", "1", "quaternion (w, x, y, z) of the rotation from the principal axes of the clump to the "
-        "axes of the scene", "quaternion", dtype="position", condition=_clumps, block="clump", default=0.0,
+        "orientation",
+        "q",
+        "1",
+        "quaternion (w, x, y, z) of the rotation from the principal axes of the clump to the "
+        "axes of the scene",
+        "quaternion",
+        dtype="position",
+        condition=_clumps,
+        block="clump",
+        default=0.0,
     ),
     FieldSpec(
-        "clump_position_at_rebuild", "", "m", "center of mass at the last neighbor-list rebuild", "vector", "float64",
-        in_snapshot=False, dtype="position", condition=_clumps, sorted=False, displayed=False,
+        "clump_position_at_rebuild",
+        "",
+        "m",
+        "center of mass at the last neighbor-list rebuild",
+        "vector",
+        "float64",
+        in_snapshot=False,
+        dtype="position",
+        condition=_clumps,
+        sorted=False,
+        displayed=False,
     ),
     FieldSpec(
-        "index_of_id", "", "1", "index of the particle with an id, since the last neighbor-list rebuild",
-        in_snapshot=False, dtype="i32", condition=_clumps, sorted=False, saved=False, displayed=False,
+        "index_of_id",
+        "",
+        "1",
+        "index of the particle with an id, since the last neighbor-list rebuild",
+        in_snapshot=False,
+        dtype="i32",
+        condition=_clumps,
+        sorted=False,
+        saved=False,
+        displayed=False,
     ),
-)  # fmt: skip
+)
 _LIQUID_FIELDS = (
     FieldSpec(
-        "liquid_film", "L", "m3", "volume of the liquid film; only with a cohesion model that transfers liquid",
-        file_type="float64", dtype="real", condition=_liquid, block="liquid",
+        "liquid_film",
+        "L",
+        "m3",
+        "volume of the liquid film; only with a cohesion model that transfers liquid",
+        file_type="float64",
+        dtype="real",
+        condition=_liquid,
+        block="liquid",
     ),
     FieldSpec(
-        "liquid_film_before", "L", "m3", "volume of the film before the forces of this step, from which bridges take "
-        "their part", in_snapshot=False, dtype="real", condition=_liquid, block="liquid", saved=False, displayed=False,
+        "liquid_film_before",
+        "L",
+        "m3",
+        "volume of the film before the forces of this step, from which bridges take their part",
+        in_snapshot=False,
+        dtype="real",
+        condition=_liquid,
+        block="liquid",
+        saved=False,
+        displayed=False,
     ),
-)  # fmt: skip
+)
 _PARTICLE_FIELDS = {
     field.name: field
     for field in (
         FieldSpec(
-            "position", "x", "m", "center of the sphere", "vector", "float64",
-            dtype="position", block="motion", displayed=False,
+            "position",
+            "x",
+            "m",
+            "center of the sphere",
+            "vector",
+            "float64",
+            dtype="position",
+            block="motion",
+            displayed=False,
         ),
         FieldSpec("radius", "R", "m", "radius of the sphere", dtype="real", block="motion"),
         FieldSpec("mass", "m", "kg", "mass of the sphere", dtype="real", block="motion", displayed=False),
         FieldSpec(
-            "velocity", "v", "m/s", "velocity of the center; on the device half a step behind", "vector",
-            dtype="real", block="motion",
+            "velocity",
+            "v",
+            "m/s",
+            "velocity of the center; on the device half a step behind",
+            "vector",
+            dtype="real",
+            block="motion",
         ),
         FieldSpec(
-            "angular_velocity", "w", "rad/s", "angular velocity; on the device half a step behind", "vector",
-            dtype="real", condition=_rotation, block="motion",
+            "angular_velocity",
+            "w",
+            "rad/s",
+            "angular velocity; on the device half a step behind",
+            "vector",
+            dtype="real",
+            condition=_rotation,
+            block="motion",
         ),
         FieldSpec(
-            "velocity_synchronized", "v", "m/s", "velocity at the time of the positions, for rate-dependent models",
-            "vector", in_snapshot=False, dtype="real", condition=lambda features: features.rate_dependent,
-            block="motion", displayed=False,
+            "velocity_synchronized",
+            "v",
+            "m/s",
+            "velocity at the time of the positions, for rate-dependent models",
+            "vector",
+            in_snapshot=False,
+            dtype="real",
+            condition=lambda features: features.rate_dependent,
+            block="motion",
+            displayed=False,
         ),
         FieldSpec(
-            "velocity_remainder", "", "m/s", "part of the velocity that float32 does not resolve", "vector",
-            in_snapshot=False, dtype="real", condition=lambda features: features.velocity_remainders,
-            block="remainder", displayed=False,
+            "velocity_remainder",
+            "",
+            "m/s",
+            "part of the velocity that float32 does not resolve",
+            "vector",
+            in_snapshot=False,
+            dtype="real",
+            condition=lambda features: features.velocity_remainders,
+            block="remainder",
+            displayed=False,
         ),
         FieldSpec(
-            "angular_velocity_remainder", "", "rad/s", "part of the angular velocity that float32 does not resolve",
-            "vector", in_snapshot=False, dtype="real", block="remainder", displayed=False,
+            "angular_velocity_remainder",
+            "",
+            "rad/s",
+            "part of the angular velocity that float32 does not resolve",
+            "vector",
+            in_snapshot=False,
+            dtype="real",
+            block="remainder",
+            displayed=False,
             condition=lambda features: features.velocity_remainders and features.rotation,
         ),
         FieldSpec(
-            "force", "F", "N", "total force, gravity included", "vector", dtype="real", block="force", sorted=False
+            "force",
+            "F",
+            "N",
+            "total force, gravity included",
+            "vector",
+            dtype="real",
+            block="force",
+            sorted=False,
         ),
         FieldSpec(
-            "torque", "M", "N m", "total torque about the center", "vector",
-            dtype="real", condition=_rotation, block="force", sorted=False, displayed=False,
+            "torque",
+            "M",
+            "N m",
+            "total torque about the center",
+            "vector",
+            dtype="real",
+            condition=_rotation,
+            block="force",
+            sorted=False,
+            displayed=False,
         ),
         FieldSpec(
-            "external_force", "", "N", "part of the force from functions of a program", "vector", in_snapshot=False,
-            dtype="real", condition=lambda features: features.external_forces, sorted=False, displayed=False,
+            "external_force",
+            "",
+            "N",
+            "part of the force from functions of a program",
+            "vector",
+            in_snapshot=False,
+            dtype="real",
+            condition=lambda features: features.external_forces,
+            sorted=False,
+            displayed=False,
         ),
         FieldSpec(
-            "damping_force", "", "N", "part of the force from the damping of all motion", "vector", in_snapshot=False,
-            dtype="real", condition=lambda features: features.damping != "none" and features.energy_budget,
-            sorted=False, displayed=False,
+            "damping_force",
+            "",
+            "N",
+            "part of the force from the damping of all motion",
+            "vector",
+            in_snapshot=False,
+            dtype="real",
+            condition=lambda features: features.damping != "none" and features.energy_budget,
+            sorted=False,
+            displayed=False,
         ),
         FieldSpec(
-            "damping_torque", "", "N m", "part of the torque from the damping of all motion", "vector",
-            in_snapshot=False, dtype="real", sorted=False, displayed=False,
-            condition=lambda features: features.damping != "none" and features.energy_budget and features.rotation,
+            "damping_torque",
+            "",
+            "N m",
+            "part of the torque from the damping of all motion",
+            "vector",
+            in_snapshot=False,
+            dtype="real",
+            sorted=False,
+            displayed=False,
+            condition=lambda features: (
+                features.damping != "none" and features.energy_budget and features.rotation
+            ),
         ),
         FieldSpec(
-            "position_at_rebuild", "x", "m", "position at the last neighbor-list rebuild", "vector", "float64",
-            in_snapshot=False, dtype="position", block="rebuild", sorted=False, displayed=False,
+            "position_at_rebuild",
+            "x",
+            "m",
+            "position at the last neighbor-list rebuild",
+            "vector",
+            "float64",
+            in_snapshot=False,
+            dtype="position",
+            block="rebuild",
+            sorted=False,
+            displayed=False,
         ),
         FieldSpec(
-            "reach", "", "m", "displacement since the last neighbor-list rebuild that makes the next one due",
-            in_snapshot=False, dtype="position", block="rebuild", displayed=False,
+            "reach",
+            "",
+            "m",
+            "displacement since the last neighbor-list rebuild that makes the next one due",
+            in_snapshot=False,
+            dtype="position",
+            block="rebuild",
+            displayed=False,
         ),
         FieldSpec("id", "i", "1", "number of the particle, unique in a run", file_type="int64", dtype="i32"),
         FieldSpec(
-            "material", "", "1", "index of the material in the scene; on the device, index in the plan",
-            file_type="int32", dtype="i32", condition=lambda features: not features.one_material,
+            "material",
+            "",
+            "1",
+            "index of the material in the scene; on the device, index in the plan",
+            file_type="int32",
+            dtype="i32",
+            condition=lambda features: not features.one_material,
         ),
         FieldSpec(
-            "fixed", "", "1", "1 for fixed particles; only in scenes with fixed particles", file_type="uint8",
-            dtype="i32", condition=lambda features: features.fixed_particles,
+            "fixed",
+            "",
+            "1",
+            "1 for fixed particles; only in scenes with fixed particles",
+            file_type="uint8",
+            dtype="i32",
+            condition=lambda features: features.fixed_particles,
         ),
         FieldSpec(
-            "coordination_number", "Z", "1", "number of contacts with other particles, evaluated for snapshots",
-            file_type="int32", dtype="i32", sorted=False, saved=False,
+            "coordination_number",
+            "Z",
+            "1",
+            "number of contacts with other particles, evaluated for snapshots",
+            file_type="int32",
+            dtype="i32",
+            sorted=False,
+            saved=False,
         ),
         FieldSpec(
-            "wall_contact_count", "", "1", "number of contacts with walls, evaluated for snapshots",
-            file_type="int32", dtype="i32", condition=lambda features: features.walls, sorted=False, saved=False,
+            "wall_contact_count",
+            "",
+            "1",
+            "number of contacts with walls, evaluated for snapshots",
+            file_type="int32",
+            dtype="i32",
+            condition=lambda features: features.walls,
+            sorted=False,
+            saved=False,
         ),
         *_CLUMP_FIELDS,
         *_LIQUID_FIELDS,
         FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
-        FieldSpec("insertion_time", "", "s", "simulated time of the insertion", file_type="float64", displayed=False),
+        FieldSpec(
+            "insertion_time", "", "s", "simulated time of the insertion", file_type="float64", displayed=False
+        ),
         FieldSpec("diameter", "d", "m", "diameter of the sphere, twice the radius", in_snapshot=False),
         FieldSpec("kinetic_energy", "Ek", "J", "translational kinetic energy, m v^2 / 2", in_snapshot=False),
     )
-}  # fmt: skip
+}
 PARTICLE_QUANTITIES: Mapping[str, FieldSpec] = MappingProxyType(_PARTICLE_FIELDS)
-"""Properties of the particles: device fields in the order of allocation, arrays of Snapshot.particles and of files.
+"""Properties of the particles: device fields in the order of allocation, arrays of Snapshot.particles and of
+files.
 
 Vectors are in the frame of the scene.
 """
@@ -366,15 +604,21 @@ _STATE_QUANTITIES = by_name(
         Quantity("inserted_count", "", "1", "particles inserted since the start"),
         Quantity("queued_count", "", "1", "particles due but queued for lack of space; only with insertion"),
         Quantity("deleted_count", "", "1", "particles deleted at the domain boundary or by outlets"),
-        Quantity("deleted_mass", "", "kg", "mass of the particles deleted at the domain boundary or by outlets"),
+        Quantity(
+            "deleted_mass", "", "kg", "mass of the particles deleted at the domain boundary or by outlets"
+        ),
         Quantity("contact_count", "Nc", "1", "contacts between particles and with walls, each counted once"),
         Quantity("wall_contact_count", "", "1", "contacts of particles with walls"),
         Quantity("kinetic_energy", "Ek", "J", "translational kinetic energy"),
         Quantity("rotational_energy", "Er", "J", "rotational kinetic energy"),
         Quantity("overlap_mean", "", "1", "mean overlap of the contacts over the radius"),
         Quantity("overlap_largest", "", "1", "largest overlap of the contacts over the radius"),
-        Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per mobile particle"),
-        Quantity("liquid_film_volume", "", "m3", "liquid in the films of the particles; only with liquid transfer"),
+        Quantity(
+            "coordination_number", "Z", "1", "mean number of contacts with particles per mobile particle"
+        ),
+        Quantity(
+            "liquid_film_volume", "", "m3", "liquid in the films of the particles; only with liquid transfer"
+        ),
         Quantity("liquid_bridge_volume", "", "m3", "liquid in the bridges; only with liquid transfer"),
         Quantity("shear_strain", "", "1", "shear strain of the box since the start"),
     )
@@ -386,7 +630,9 @@ ENERGY_BUDGET_QUANTITIES = by_name(
         Quantity("plastic_dissipation", "", "J", "energy dissipated by unloading steeper than loading"),
         Quantity("friction_dissipation", "", "J", "energy dissipated by sliding friction"),
         Quantity("rolling_dissipation", "", "J", "energy dissipated by rolling and twisting friction"),
-        Quantity("damping_dissipation", "", "J", "energy dissipated by damping: in contacts, and of all motion"),
+        Quantity(
+            "damping_dissipation", "", "J", "energy dissipated by damping: in contacts, and of all motion"
+        ),
         Quantity("wall_work", "", "J", "work of moving walls and belts on the particles"),
         Quantity(
             "boundary_work",
@@ -396,7 +642,9 @@ ENERGY_BUDGET_QUANTITIES = by_name(
         ),
         Quantity("external_work", "", "J", "work of the forces from functions of a program on the particles"),
         Quantity("free_wall_energy", "", "J", "kinetic energy of free walls"),
-        Quantity("free_wall_work", "", "J", "work of gravity, damping and the prescribed force on free walls"),
+        Quantity(
+            "free_wall_work", "", "J", "work of gravity, damping and the prescribed force on free walls"
+        ),
         Quantity("removed_energy", "", "J", "energy of deleted minus energy of inserted particles"),
         Quantity(
             "energy_error",
@@ -413,7 +661,12 @@ FLOW_METER_QUANTITIES = by_name(
     (
         Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),
         Quantity("flow_count", "", "1", "net number of particles through the meter since the start"),
-        Quantity("mass_flow", "", "kg/s", "mass flow rate: between rows in the time series, steady mean in the result"),
+        Quantity(
+            "mass_flow",
+            "",
+            "kg/s",
+            "mass flow rate: between rows in the time series, steady mean in the result",
+        ),
         Quantity(
             "residence_time",
             "",
@@ -442,20 +695,29 @@ INSERTION_QUANTITIES = by_name(
 """Numbers of each inserted particle group, in the result."""
 WALL_FORCE_QUANTITIES = by_name(
     (
-        Quantity("wall_force_x", "Fx", "N", "x component of the force of the particles on a wall, time average"),
+        Quantity(
+            "wall_force_x", "Fx", "N", "x component of the force of the particles on a wall, time average"
+        ),
         Quantity("wall_force_y", "Fy", "N", "y component"),
         Quantity("wall_force_z", "Fz", "N", "z component"),
-        Quantity("wall_torque_x", "Mx", "N m", "x component of the torque about the reference point of the wall"),
+        Quantity(
+            "wall_torque_x", "Mx", "N m", "x component of the torque about the reference point of the wall"
+        ),
         Quantity("wall_torque_y", "My", "N m", "y component"),
         Quantity("wall_torque_z", "Mz", "N m", "z component"),
-        Quantity("wall_pressure", "p", "Pa", "sum of the normal forces of the particles over the area of the wall"),
+        Quantity(
+            "wall_pressure", "p", "Pa", "sum of the normal forces of the particles over the area of the wall"
+        ),
         Quantity("wall_force", "F", "N", "magnitude of the mean force, in the result"),
         Quantity("wall_torque", "M", "N m", "magnitude of the mean torque, in the result"),
         Quantity("wall_force_largest", "", "N", "largest magnitude of the force in a row, in the result"),
         Quantity("wall_pressure_largest", "", "Pa", "largest pressure in a row, in the result"),
         *(
             Quantity(
-                f"wall_{name}_{axis}_last", "", unit, f"{axis} component of the {name} in the last row, in the result"
+                f"wall_{name}_{axis}_last",
+                "",
+                unit,
+                f"{axis} component of the {name} in the last row, in the result",
             )
             for name, unit in (("force", "N"), ("torque", "N m"))
             for axis in "xyz"
@@ -466,8 +728,15 @@ WALL_FORCE_QUANTITIES = by_name(
 """Numbers of each measured wall."""
 WALL_QUANTITIES = by_name(
     (
-        Quantity("wall_displacement", "", "m", "displacement of a controlled wall along its direction, of all motions"),
-        Quantity("wall_velocity", "", "m/s", "velocity of a controlled wall along its direction, of all motions"),
+        Quantity(
+            "wall_displacement",
+            "",
+            "m",
+            "displacement of a controlled wall along its direction, of all motions",
+        ),
+        Quantity(
+            "wall_velocity", "", "m/s", "velocity of a controlled wall along its direction, of all motions"
+        ),
     )
 )
 """Numbers of each controlled wall."""
@@ -478,10 +747,18 @@ RUN_QUANTITIES = by_name(
         Quantity("time_step", "dt", "s", "time step"),
         Quantity("rebuild_count", "", "1", "rebuilds of the neighbor list"),
         Quantity("wall_clock", "", "s", "wall-clock time of the whole run, including compilation"),
-        Quantity("steps_per_second", "", "1/s", "steps per second of computing time: without compilation and output"),
+        Quantity(
+            "steps_per_second",
+            "",
+            "1/s",
+            "steps per second of computing time: without compilation and output",
+        ),
         Quantity("particle_steps_per_second", "", "1/s", "particle-steps per second of computing time"),
         Quantity(
-            "steps_per_second_of_wall_clock", "", "1/s", "steps per second of `wall_clock`: with compilation and output"
+            "steps_per_second_of_wall_clock",
+            "",
+            "1/s",
+            "steps per second of `wall_clock`: with compilation and output",
         ),
     )
 )
@@ -491,7 +768,8 @@ RUN_QUANTITIES = by_name(
 def unit_of(name: str) -> str:
     """Return the unit of a number of a run; "" if it is dimensionless or unknown.
 
-    name:  name of a total or of a number of the run, or `QUANTITY.PART` as in `mass_flow.outlet` and `timings.forces`
+    name:  name of a total or of a number of the run, or `QUANTITY.PART` as in `mass_flow.outlet` and
+           `timings.forces`
     """
     base, _, part = name.partition(".")
     if base == "timings" and part:

@@ -1,6 +1,8 @@
-"""The kernel language: Taichi, or its fork Quadrants if the environment variable GRANFLOW_KERNELS is `quadrants`.
+"""The kernel language: Taichi, or its fork Quadrants if the environment variable GRANFLOW_KERNELS is
+`quadrants`.
 
-`ti` is that module, imported at its first use, because scenes are read without it. No other module imports either.
+`ti` is that module, imported at its first use, because scenes are read without it. No other module imports
+either.
 """
 
 import ast
@@ -34,17 +36,20 @@ def source_lines(function: Callable[..., Any]) -> tuple[list[str], int]:
     code = inspect.unwrap(function).__code__
     if not code.co_filename.startswith(PACKAGE):  # a file may change during the process, or there is none
         return inspect.getsourcelines(function)
-    lines, first = linecache.getlines(code.co_filename), code.co_firstlineno - 1
+    lines = linecache.getlines(code.co_filename)
+    first = code.co_firstlineno - 1
     return lines[first : end_of_function(lines, first)], code.co_firstlineno
 
 
 def end_of_function(lines: Sequence[str], first: int) -> int:
-    """Index after the last line of a function in formatted code: its body is indented further than its header.
+    """Index after the last line of a function in formatted code: its body is indented further than its
+    header.
 
     lines:  of the file
     first:  index of the first decorator, or of the header
     """
-    indentation, is_header = _indentation(lines[first]), True
+    indentation = _indentation(lines[first])
+    is_header = True
     end = first + 1
     for k in range(first, len(lines)):
         text = lines[k].strip()
@@ -75,7 +80,8 @@ def shorten_front_end(kernel_impl: Any, struct: Any) -> None:
 
 
 def set_member_class(struct: Any) -> None:
-    """Give a struct properties for its members, as `_register_members` of Taichi, which makes a class per struct."""
+    """Give a struct properties for its members, as `_register_members` of Taichi, which makes a class per
+    struct."""
     struct.__class__ = _member_class(struct.__class__, tuple(struct.keys))
 
 
@@ -88,7 +94,8 @@ def _member_class(base: Any, keys: tuple[str, ...]) -> type:
 
 
 def inside_class(patterns: Sequence[Pattern[str]], level_of_class_stackframe: int) -> bool:
-    """Whether a decorator is applied in a class body, as `_inside_class` of Taichi, which searches all modules.
+    """Whether a decorator is applied in a class body, as `_inside_class` of Taichi, which searches all
+    modules.
 
     patterns:                   of the statement that creates a class
     level_of_class_stackframe:  call frames from here to that statement
@@ -118,7 +125,8 @@ class TreePool:
         return nodes[0]
 
     def returning(self, transform: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Wraps `transform_tree` (tree, context), so that the tree of an inlined function returns to the pool.
+        """Wraps `transform_tree` (tree, context), so that the tree of an inlined function returns to the
+        pool.
 
         Trees of kernels and real functions lose their arguments in it; a failure ends with an exception.
         """
@@ -145,7 +153,9 @@ def _selected() -> Literal["taichi", "quadrants"]:
     """The kernel language in the environment. Raises GranflowError for an unknown one."""
     name = os.environ.get(VARIABLE) or "taichi"
     if name not in ("taichi", "quadrants"):
-        raise GranflowError(f"{VARIABLE} is {name}, but the kernel languages are taichi (default) and quadrants.")
+        raise GranflowError(
+            f"{VARIABLE} is {name}, but the kernel languages are taichi (default) and quadrants."
+        )
     return cast(Literal["taichi", "quadrants"], name)
 
 

@@ -24,10 +24,12 @@ from granflow.scene.reader import document_in, scene_in
 from granflow.visible_text import html_table, numbered, visible_line
 
 COPIES = "inputs"
-"""Folder in the output directory with the copies of input files that are not below the folder of the scene."""
+"""Folder in the output directory with the copies of input files that are not below the folder of the
+scene."""
 
 RESULTS = re.compile(r"(particles|contacts|walls)_\d+(\.\d+)?\.vtu|timeseries\.csv")
-"""Names of result files, which the run writes itself: copies of input files with such a name are in COPIES."""
+"""Names of result files, which the run writes itself: copies of input files with such a name are in
+COPIES."""
 
 
 class FrozenDict(dict[str, Any]):
@@ -60,10 +62,11 @@ def _frozen(value: Any) -> Any:
 class Scene(SceneInput):
     """A validated and resolved scene, ready for a run: SI units, all counts known, at scale 1. Immutable.
 
-    The arguments are the keys of a scene file. Values: numbers in SI units or text with units, lists, numpy arrays,
-    mappings, and blocks such as `granflow.Material` or `granflow.Cylinder`. Paths in the scene are relative to `folder`
-    (default: the working directory). `granflow.load_scene` reads a file. A copy with other values (`model_copy`) is
-    neither validated nor resolved. Raises SceneError with all problems, each with its key path.
+    The arguments are the keys of a scene file. Values: numbers in SI units or text with units, lists, numpy
+    arrays, mappings, and blocks such as `granflow.Material` or `granflow.Cylinder`. Paths in the scene are
+    relative to `folder` (default: the working directory). `granflow.load_scene` reads a file. A copy with
+    other values (`model_copy`) is neither validated nor resolved. Raises SceneError with all problems, each
+    with its key path.
 
     >>> import granflow as gf
     >>> scene = gf.Scene(
@@ -94,8 +97,9 @@ class Scene(SceneInput):
     def from_dict(cls, data: Mapping[str, Any], folder: str | os.PathLike[str] | None = None) -> "Scene":
         """The scene of a mapping with the keys of a scene file.
 
-        Values: numbers in SI units or text with units, lists, numpy arrays, mappings. Paths in the scene are relative
-        to `folder` (default: the working directory). Raises SceneError with all problems, each with its key path.
+        Values: numbers in SI units or text with units, lists, numpy arrays, mappings. Paths in the scene are
+        relative to `folder` (default: the working directory). Raises SceneError with all problems, each with
+        its key path.
         """
         if not isinstance(data, Mapping):
             raise SceneError(
@@ -121,11 +125,12 @@ class Scene(SceneInput):
         return scene
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the scene as YAML with all defaults, in SI units; `load_scene` reads an equal scene from the file.
+        """Write the scene as YAML with all defaults, in SI units; `load_scene` reads an equal scene from the
+        file.
 
-        Replaces an existing file. Mesh and particle files are not copied: their paths are relative to the folder of the
-        scene. Returns the path. Raises OutputError if the file cannot be written, and GranflowError if an input file of
-        the scene does not exist in the folder of `path`.
+        Replaces an existing file. Mesh and particle files are not copied: their paths are relative to the
+        folder of the scene. Returns the path. Raises OutputError if the file cannot be written, and
+        GranflowError if an input file of the scene does not exist in the folder of `path`.
 
         >>> import granflow as gf
         >>> scene = gf.load_scene("hopper.yaml", ["particles.beads.count=500"])
@@ -148,7 +153,8 @@ class Scene(SceneInput):
         return target
 
     def input_names(self) -> Iterator[tuple[str, str]]:
-        """Yield key and path of each mesh, motion and particle file; paths are relative to the folder of the scene."""
+        """Yield key and path of each mesh, motion and particle file; paths are relative to the folder of the
+        scene."""
         for name, wall in self.walls.items():
             if isinstance(wall, MeshWall):
                 yield f"walls.{name}.file", wall.file
@@ -186,7 +192,8 @@ class Scene(SceneInput):
         ]
 
     def problems_without_program(self) -> list[str]:
-        """One sentence for each group whose particles only a program adds; none if they come from an earlier run."""
+        """One sentence for each group whose particles only a program adds; none if they come from an earlier
+        run."""
         groups = self.particles if self.start_from is None else {}
         return [
             f"{self.locate('particles', name, 'insert', 'kind')}: particles.{name}.insert.kind is python: a Python "
@@ -205,17 +212,19 @@ class Scene(SceneInput):
         if precision is None:
             return self
         if precision not in get_args(Precision):
-            raise GranflowError(f"precision is {shown(precision)}; give one of {', '.join(get_args(Precision))}.")
+            raise GranflowError(
+                f"precision is {shown(precision)}; give one of {', '.join(get_args(Precision))}."
+            )
         return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})
 
 
 def copied_scene(scene: Scene, taken: dict[str, Path] | None = None) -> Scene:
     """The scene for its output directory, in which each input file has the path of its copy.
 
-    A path below the folder of the scene remains. Other files are copied to COPIES under their name, with a number if
-    another file has it. `taken`: files by the path of their copy, in lowercase; extended, for several scenes with one
-    output directory. The scene of an output directory is returned unchanged. Raises OSError for a path that cannot be
-    followed.
+    A path below the folder of the scene remains. Other files are copied to COPIES under their name, with a
+    number if another file has it. `taken`: files by the path of their copy, in lowercase; extended, for
+    several scenes with one output directory. The scene of an output directory is returned unchanged. Raises
+    OSError for a path that cannot be followed.
     """
     taken = {} if taken is None else taken
     names = dict.fromkeys(name for _, name in scene.input_names())
@@ -233,7 +242,9 @@ def copied_scene(scene: Scene, taken: dict[str, Path] | None = None) -> Scene:
 def _stays(name: str) -> bool:
     """Whether the copy of an input file has the same path in the output directory."""
     path = PurePath(name)
-    return not path.is_absolute() and not path.drive and ".." not in path.parts and not RESULTS.fullmatch(name)
+    return (
+        not path.is_absolute() and not path.drive and ".." not in path.parts and not RESULTS.fullmatch(name)
+    )
 
 
 def _free(wanted: PurePath, source: Path, taken: dict[str, Path]) -> str:
@@ -251,7 +262,9 @@ def _wall_with(wall: Wall, copies: Mapping[str, str]) -> Wall:
     changes: dict[str, Any] = {"file": copies[wall.file]} if isinstance(wall, MeshWall) else {}
     if any(_table(motion) in copies for motion in wall.motion):
         changes["motion"] = tuple(
-            motion.model_copy(update={"file": copies[name]}) if (name := _table(motion)) is not None else motion
+            motion.model_copy(update={"file": copies[name]})
+            if (name := _table(motion)) is not None
+            else motion
             for motion in wall.motion
         )
     return wall.model_copy(update=changes)
@@ -271,12 +284,14 @@ def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
 
 
 def program_version() -> str:
-    """Version of granflow and digest of the sources of its engine, which differ between commits of one version."""
+    """Version of granflow and digest of the sources of its engine, which differ between commits of one
+    version."""
     return f"granflow {version_of('granflow')} (engine {engine_digest()})"
 
 
 def identity_of(scene: Scene) -> str:
-    """SHA-256 of the version and the engine of granflow, the resolved scene, and the contents of the files it reads.
+    """SHA-256 of the version and the engine of granflow, the resolved scene, and the contents of the files it
+    reads.
 
     Without the contents of the run in `start_from`. Raises OSError for a file that cannot be read.
     """
@@ -296,8 +311,9 @@ def refuse_other_object(scene: object) -> None:
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """Read the scene in a YAML file and resolve it.
 
-    `path`: UTF-8 file of at most 4 MiB. The path in `start_from` is relative to the folder of the file. Each override,
-    "key.path=value", replaces or adds a value (YAML) before validation. The result is immutable and in SI units.
+    `path`: UTF-8 file of at most 4 MiB. The path in `start_from` is relative to the folder of the file. Each
+    override, "key.path=value", replaces or adds a value (YAML) before validation. The result is immutable and
+    in SI units.
 
     Raises SceneError with all problems in the order of the file, each with line and column, at most 100.
 
@@ -333,7 +349,8 @@ def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
 
 
 def _earlier_run(scene: Scene) -> Path:
-    """The directory in `start_from`, relative to the folder of the scene. Raises SceneError if it cannot be read."""
+    """The directory in `start_from`, relative to the folder of the scene. Raises SceneError if it cannot be
+    read."""
     try:
         return resolved(scene.folder / str(scene.start_from))
     except OSError as error:

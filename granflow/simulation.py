@@ -1,4 +1,5 @@
-"""The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and forces."""
+"""The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and
+forces."""
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -154,26 +155,29 @@ class Simulation:
     out:            directory for the files of the scene's output block; without it no files are written
     observers:      additional observers, such as `granflow.on_interval(interval, function)`
     progress:       display the progress
-    particles:      particles at the start, instead of those of the scene; groups of these particles are not inserted.
-                    `simulation.particles.add` takes arrays with fewer arguments
-    resume:         checkpoint, its file, or directory of the run whose newest checkpoint is used, from which to
-                    continue; forces and observers from Python must be given again, with the same names
+    particles:      particles at the start, instead of those of the scene; groups of these particles are not
+                    inserted. `simulation.particles.add` takes arrays with fewer arguments
+    resume:         checkpoint, its file, or directory of the run whose newest checkpoint is used, from which
+                    to continue; forces and observers from Python must be given again, with the same names
     allow_changes:  resume even if the scene has changes that are not permitted
     allow_long:     accept a run with an estimated duration of more than a year
     plan:           replaces the plan of the scene
     forces:         forces on particles from device functions
     overwrite:      replace an earlier run in `out` after the first frame of the new one
     communicator:   distributes the particles over MPI ranks; this process is the root
-    Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
-                    resumed, `out` contains an earlier run, or `particles` does not match the groups of the scene
+    Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot
+                    be resumed, `out` contains an earlier run, or `particles` does not match the groups of the
+                    scene
 
     `warnings`: sentences on the scene before the run, which `run` logs with those during the run.
     `is_stopped`: whether an observer has ended the last `run` or `step` with StopRun.
-    `particles`: `LiveParticles`; `walls`: `LiveWalls` by name; `forces`, `observers`: lists with `append` and `remove`.
+    `particles`: `LiveParticles`; `walls`: `LiveWalls` by name; `forces`, `observers`: lists with `append` and
+    `remove`.
 
     Simulations in use at the same time in one process must have the same architecture, precision and threads;
-    `free` ends the use. A simulation belongs to the thread that creates it; other threads may call `request_stop` and
-    read `time`, `step_count` and `stage`. Processes start with multiprocessing.get_context("spawn"), not by a fork.
+    `free` ends the use. A simulation belongs to the thread that creates it; other threads may call
+    `request_stop` and read `time`, `step_count` and `stage`. Processes start with
+    multiprocessing.get_context("spawn"), not by a fork.
     """
 
     def __init__(
@@ -198,9 +202,13 @@ class Simulation:
         refuse_other_object(scene)
         refuse_other("particles", particles, (ParticleData, NoneType), "arrays of granflow.ParticleData")
         refuse_other("plan", plan, (Plan, NoneType), "a plan of granflow.plan_for")
-        refuse_other("resume", resume, (Checkpoint, str, os.PathLike, NoneType), 'a directory, such as "out/hopper"')
+        refuse_other(
+            "resume", resume, (Checkpoint, str, os.PathLike, NoneType), 'a directory, such as "out/hopper"'
+        )
         out = None if out is None else path_of("out", out)
-        observers = items_of("observers", observers, "observers, such as granflow.on_interval(interval, function)")
+        observers = items_of(
+            "observers", observers, "observers, such as granflow.on_interval(interval, function)"
+        )
         forces = items_of("forces", forces, "granflow.ParticleForce")
         if communicator is not None:
             refuse_on_ranks(arch, forces, scene)
@@ -212,15 +220,29 @@ class Simulation:
             self.files = RunDirectory(out, scene, resume, overwrite)
             names = map(name_of, observers)
             begin = run_start(
-                scene, backend, particles, resume, forces, names, plan, communicator, allow_changes, allow_long
-            )  # fmt: skip
-            self.warnings, plan = begin.warnings, begin.plan
+                scene,
+                backend,
+                particles,
+                resume,
+                forces,
+                names,
+                plan,
+                communicator,
+                allow_changes,
+                allow_long,
+            )
+            self.warnings = begin.warnings
+            plan = begin.plan
             self.files.create()
             engine = engine_for(plan, backend, communicator, scene)
         from_scene = observers_for(plan, self.files.path, progress, self.files.writer, write_pieces(engine))
         self.observers = ObserverList(from_scene, observers)
-        self._state = RunState(engine, begin.insertion, self.observers, wall_clock, begin.earlier, begin.original)
-        self._loop, self._in_block, self.is_stopped = TimeLoop(self._state, self.files), False, False
+        self._state = RunState(
+            engine, begin.insertion, self.observers, wall_clock, begin.earlier, begin.original
+        )
+        self._loop = TimeLoop(self._state, self.files)
+        self._in_block = False
+        self.is_stopped = False
         self._is_running = False
         self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
         if begin.initial is not None:
@@ -237,7 +259,8 @@ class Simulation:
         self._is_created = True
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Set an attribute of the simulation itself. Raises AttributeError for others, which would have no effect."""
+        """Set an attribute of the simulation itself. Raises AttributeError for others, which would have no
+        effect."""
         if not (name.startswith("_") or name == "is_stopped" or "_is_created" not in vars(self)):
             remedy = REMEDIES.get(
                 name,
@@ -291,8 +314,8 @@ class Simulation:
     def snapshot(self, contacts: bool = False) -> Snapshot:
         """Return the current state as read-only arrays, particles ordered by id.
 
-        `contacts`: also evaluate the contacts. Before the first step, the first stage begins: its walls are placed and
-        its first particles inserted; the run gives the same results as without the snapshot.
+        `contacts`: also evaluate the contacts. Before the first step, the first stage begins: its walls are
+        placed and its first particles inserted; the run gives the same results as without the snapshot.
         """
         self._state.begin()
         self._loop.prepare()
@@ -300,19 +323,24 @@ class Simulation:
         return self.engine.snapshot(self.stage, frozenset(quantities))
 
     def run(
-        self, until: float | str | None = None, duration: float | str | None = None, within_stages: bool = False
+        self,
+        until: float | str | None = None,
+        duration: float | str | None = None,
+        within_stages: bool = False,
     ) -> Result:
-        """Run to the simulated time `until` [s], for a `duration` [s], or to the end of all stages; repeatable.
+        """Run to the simulated time `until` [s], for a `duration` [s], or to the end of all stages;
+        repeatable.
 
         Times are numbers in s, or text with a unit, such as "20 ms".
-        After the end of the last stage, `until` and `duration` continue it: its walls, motions and observers remain.
-        With `within_stages`, the run ends with the last stage instead.
+        After the end of the last stage, `until` and `duration` continue it: its walls, motions and observers
+        remain. With `within_stages`, the run ends with the last stage instead.
         `run()` completes the run: outside of a `with` block it ends with `close`.
 
         Returns:  numbers of the run so far; expectations of the scene are evaluated if its stages have ended
-        Raises:   GranflowError for times that are not finite or a negative duration, and if an observer or another
-                  thread calls it; RunError on an abort, FunctionError if a function from Python fails, OutputError if
-                  files cannot be written; before the last two, a checkpoint is written if possible
+        Raises:   GranflowError for times that are not finite or a negative duration, and if an observer or
+                  another thread calls it; RunError on an abort, FunctionError if a function from Python
+                  fails, OutputError if files cannot be written; before the last two, a checkpoint is written
+                  if possible
         """
         end = end_of_run(until, duration, self.time, self.time_step)
         with self._running("run"):
@@ -343,7 +371,8 @@ class Simulation:
             self._loop.save()
 
     def close(self) -> Result | None:
-        """Finish all files: last frames and rows, checkpoint, result. The simulation cannot continue to write files.
+        """Finish all files: last frames and rows, checkpoint, result. The simulation cannot continue to write
+        files.
 
         Returns the numbers of the run; None if no step was taken since the files were finished.
         """
@@ -354,7 +383,9 @@ class Simulation:
         self._in_block = True
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
         self._in_block = False
         if error is not None:
             self._session.abandon()
@@ -380,7 +411,9 @@ class Simulation:
         Also for other threads. Raises GranflowError if `error` is not an exception.
         """
         if not isinstance(error, BaseException):
-            raise GranflowError(f"request_stop takes an exception, such as KeyboardInterrupt(), not {error!r}.")
+            raise GranflowError(
+                f"request_stop takes an exception, such as KeyboardInterrupt(), not {error!r}."
+            )
         self._loop.stop_requested = error
         self._state.interrupt()
 
@@ -396,7 +429,8 @@ class Simulation:
 
     @contextmanager
     def _running(self, method: str) -> Iterator[None]:
-        """In the block, methods that advance or end the simulation are refused: an observer must not call them."""
+        """In the block, methods that advance or end the simulation are refused: an observer must not call
+        them."""
         refuse_other_thread(self._state.owner)
         if self._is_running:
             raise GranflowError(

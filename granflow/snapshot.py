@@ -7,7 +7,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from granflow.fields import CONTACT_QUANTITIES, ENERGY_BUDGET_QUANTITIES, PARTICLE_QUANTITIES, TOTAL_QUANTITIES
+from granflow.fields import (
+    CONTACT_QUANTITIES,
+    ENERGY_BUDGET_QUANTITIES,
+    PARTICLE_QUANTITIES,
+    TOTAL_QUANTITIES,
+)
 from granflow.visible_text import html_table, numbered, readable
 
 _T = TypeVar("_T")
@@ -98,14 +103,15 @@ class Snapshot:
     time:       simulated time [s]
     step:       number of completed steps; 0 in a frame from a file, which does not contain it
     stage:      name of the stage
-    particles:  requested arrays (n,) or (n, 3) of `PARTICLE_QUANTITIES`, ordered by id; empty if none are requested.
-                `material` and `group` are indices into those of the scene
+    particles:  requested arrays (n,) or (n, 3) of `PARTICLE_QUANTITIES`, ordered by id; empty if none are
+                requested. `material` and `group` are indices into those of the scene
     contacts:   arrays (c,) or (c, 3) of `CONTACT_QUANTITIES`, one entry per contact; None if not requested
     walls:      pose by name, in the order of the scene; empty if not requested
     totals:     numbers of `TOTAL_QUANTITIES`
-    impulses:   time integrals since the start for each measured wall (7,): force [N s], torque [N m s] and normal force
-                [N s] of the particles on the wall
-    collisions: numbers of collisions since the start by energy class (classes + 2,), for contacts with a "particle" and
+    impulses:   time integrals since the start for each measured wall (7,): force [N s], torque [N m s] and
+                normal force [N s] of the particles on the wall
+    collisions: numbers of collisions since the start by energy class (classes + 2,), for contacts with a
+    "particle" and
                 a "wall"; empty without `output.collision_energies`
 
     All arrays and mappings are read-only; an unknown name raises KeyError with those that exist.
@@ -144,7 +150,9 @@ class Snapshot:
         """One line: time [s], step, stage, number of particles and their arrays, contacts, walls."""
         count = max((len(values) for values in self.particles.values()), default=0)
         arrays = f" with {', '.join(self.particles)}" if self.particles else ""
-        contacts = "" if self.contacts is None else f", {len(next(iter(self.contacts.values()), ()))} contacts"
+        contacts = (
+            "" if self.contacts is None else f", {len(next(iter(self.contacts.values()), ()))} contacts"
+        )
         walls = f", {len(self.walls)} walls" if self.walls else ""
         step = f", step {self.step}" if self.step else ""
         stage = f", stage {self.stage}" if self.stage else ""
@@ -159,7 +167,9 @@ class Snapshot:
         ):
             for name, values in arrays.items():
                 unit = known[name].unit if name in known else "1"
-                rows.append((f"{kind}[{name!r}]", f"{values.shape}{_range(values)}{f' {unit}' * (unit != '1')}"))
+                rows.append(
+                    (f"{kind}[{name!r}]", f"{values.shape}{_range(values)}{f' {unit}' * (unit != '1')}")
+                )
         rows.append(("walls", ", ".join(self.walls) or "none"))
         for name, number in self.totals.items():
             unit = TOTAL_QUANTITIES[name].unit if name in TOTAL_QUANTITIES else "1"

@@ -26,8 +26,8 @@ KeyPath = tuple[str | int, ...]
 class Fault:
     """An invalid value at `path`; the message is "X is Y, but {reason}".
 
-    With `whole`, the message is "X {reason}". `messages.problem_at` adds the position and the period. The path of a
-    fault from `Model.faults` is relative to the model.
+    With `whole`, the message is "X {reason}". `messages.problem_at` adds the position and the period. The
+    path of a fault from `Model.faults` is relative to the model.
     """
 
     path: KeyPath
@@ -80,15 +80,23 @@ def _unit_table(text: str) -> dict[str, Fraction]:
 
 DIMENSIONS: dict[str, Dimension] = {
     "number": Dimension("a number", "0.5", _unit_table("% 1/100")),
-    "length": Dimension("a length", "4 mm", _unit_table("m 1, km 1e3, cm 1e-2, mm 1e-3, um 1e-6, µm 1e-6, nm 1e-9")),
-    "time": Dimension("a time", "10 ms", _unit_table("s 1, ms 1e-3, us 1e-6, µs 1e-6, ns 1e-9, min 60, h 3600")),
+    "length": Dimension(
+        "a length", "4 mm", _unit_table("m 1, km 1e3, cm 1e-2, mm 1e-3, um 1e-6, µm 1e-6, nm 1e-9")
+    ),
+    "time": Dimension(
+        "a time", "10 ms", _unit_table("s 1, ms 1e-3, us 1e-6, µs 1e-6, ns 1e-9, min 60, h 3600")
+    ),
     "velocity": Dimension(
         "a velocity", "3 m/s", _unit_table("m/s 1, cm/s 1e-2, mm/s 1e-3, km/h 1000/3600, m/min 1/60")
     ),
     "acceleration": Dimension(
-        "an acceleration", "9.81 m/s2", _unit_table(f"m/s2 1, m/s^2 1, m/s² 1, mm/s2 1e-3, g {_STANDARD_GRAVITY}")
+        "an acceleration",
+        "9.81 m/s2",
+        _unit_table(f"m/s2 1, m/s^2 1, m/s² 1, mm/s2 1e-3, g {_STANDARD_GRAVITY}"),
     ),
-    "angle": Dimension("an angle", "30 deg", {"rad": Fraction(1), "deg": _PI / 180, "°": _PI / 180, "turn": 2 * _PI}),
+    "angle": Dimension(
+        "an angle", "30 deg", {"rad": Fraction(1), "deg": _PI / 180, "°": _PI / 180, "turn": 2 * _PI}
+    ),
     "frequency": Dimension("a frequency", "25 Hz", _unit_table("Hz 1, kHz 1e3, 1/s 1, 1/min 1/60")),
     "angular_velocity": Dimension(
         "an angular velocity",
@@ -99,7 +107,9 @@ DIMENSIONS: dict[str, Dimension] = {
         "a pressure", "1 GPa", _unit_table("Pa 1, kPa 1e3, MPa 1e6, GPa 1e9, N/m2 1, N/mm2 1e6, bar 1e5")
     ),
     "density": Dimension(
-        "a density", "2500 kg/m3", _unit_table("kg/m3 1, kg/m^3 1, kg/m³ 1, g/cm3 1e3, g/cm^3 1e3, g/cm³ 1e3, t/m3 1e3")
+        "a density",
+        "2500 kg/m3",
+        _unit_table("kg/m3 1, kg/m^3 1, kg/m³ 1, g/cm3 1e3, g/cm^3 1e3, g/cm³ 1e3, t/m3 1e3"),
     ),
     "energy": Dimension(
         "an energy",
@@ -107,10 +117,14 @@ DIMENSIONS: dict[str, Dimension] = {
         _unit_table("J 1, kJ 1e3, mJ 1e-3, uJ 1e-6, µJ 1e-6, nJ 1e-9, pJ 1e-12, aJ 1e-18, zJ 1e-21"),
     ),
     "energy_density": Dimension(
-        "an energy density", "1e4 J/m3", _unit_table("J/m3 1, J/m^3 1, J/m³ 1, mJ/m3 1e-3, kJ/m3 1e3, MJ/m3 1e6")
+        "an energy density",
+        "1e4 J/m3",
+        _unit_table("J/m3 1, J/m^3 1, J/m³ 1, mJ/m3 1e-3, kJ/m3 1e3, MJ/m3 1e6"),
     ),
     "surface_energy": Dimension(
-        "a surface energy", "50 mJ/m2", _unit_table("J/m2 1, J/m^2 1, J/m² 1, mJ/m2 1e-3, uJ/m2 1e-6, N/m 1, mN/m 1e-3")
+        "a surface energy",
+        "50 mJ/m2",
+        _unit_table("J/m2 1, J/m^2 1, J/m² 1, mJ/m2 1e-3, uJ/m2 1e-6, N/m 1, mN/m 1e-3"),
     ),
     "volume": Dimension(
         "a volume",
@@ -121,9 +135,13 @@ DIMENSIONS: dict[str, Dimension] = {
     "torsion_stiffness": Dimension(
         "a twisting stiffness", "1 mNm/rad", _unit_table("Nm/rad 1, mNm/rad 1e-3, uNm/rad 1e-6, N*m/rad 1")
     ),
-    "torsion_damping": Dimension("a twisting dashpot", "1 uNms", _unit_table("Nms 1, mNms 1e-3, uNms 1e-6, N*m*s 1")),
+    "torsion_damping": Dimension(
+        "a twisting dashpot", "1 uNms", _unit_table("Nms 1, mNms 1e-3, uNms 1e-6, N*m*s 1")
+    ),
     "granular_temperature": Dimension(
-        "a granular temperature", "1e-4 m2/s2", _unit_table("m2/s2 1, m^2/s^2 1, J/kg 1, cm2/s2 1e-4, mm2/s2 1e-6")
+        "a granular temperature",
+        "1e-4 m2/s2",
+        _unit_table("m2/s2 1, m^2/s^2 1, J/kg 1, cm2/s2 1e-4, mm2/s2 1e-6"),
     ),
     "rate": Dimension("a rate", "800 1/s", _unit_table("1/s 1, /s 1, 1/min 1/60, 1/h 1/3600")),
     "mass": Dimension("a mass", "2 g", _unit_table("kg 1, g 1e-3, mg 1e-6, t 1e3")),
@@ -149,8 +167,8 @@ def dimension_of(name: str) -> Dimension:
 def to_si(text: str, dimension: str) -> float:
     """Convert text such as "4 mm" to an SI number of the given dimension; text without a unit is SI.
 
-    The product of number and factor is rounded once, so "4 mm" is the same float as 0.004. The result may be infinite
-    or NaN (".inf", ".nan", or a magnitude above 1e300).
+    The product of number and factor is rounded once, so "4 mm" is the same float as 0.004. The result may be
+    infinite or NaN (".inf", ".nan", or a magnitude above 1e300).
 
     Raises UnitError if the text is not a number, or the unit is unknown or of another dimension.
     """
@@ -223,19 +241,26 @@ def dimensions_with(unit: str) -> dict[str, Dimension]:
 
 
 def si_unit_of(unit: str) -> str:
-    """The SI unit that all dimensions of a unit have in common, "rad" for "deg"; empty for "%" and without a unit."""
-    units = [[name for name, factor in each.units.items() if factor == 1] for each in dimensions_with(unit).values()]
+    """The SI unit that all dimensions of a unit have in common, "rad" for "deg"; empty for "%" and without a
+    unit."""
+    units = [
+        [name for name, factor in each.units.items() if factor == 1]
+        for each in dimensions_with(unit).values()
+    ]
     common = [name for name in (units[0] if units else ()) if all(name in each for each in units)]
     return unit if unit in common else next(iter(common), "")
 
 
 def seconds_of(name: str, time: float | str) -> float:
-    """The argument `name` of a function in s, a number [s] or text with a unit ("1 ms"). Raises GranflowError."""
+    """The argument `name` of a function in s, a number [s] or text with a unit ("1 ms"). Raises
+    GranflowError."""
     try:
         if isinstance(time, str):
             return to_si(time, "time")
         if isinstance(time, bool) or not isinstance(time, Real):
-            raise GranflowError(f'{name} is {shown(time)}, but must be a number [s] or text with a unit ("1 ms").')
+            raise GranflowError(
+                f'{name} is {shown(time)}, but must be a number [s] or text with a unit ("1 ms").'
+            )
         return float(time)
     except UnitError as error:
         raise GranflowError(f"{name} is {time}, but {error}.") from None
@@ -254,7 +279,8 @@ def _factor(unit: str, dimension: str) -> Fraction:
 
 
 def _any_factor(unit: str) -> Fraction:
-    """Exact factor of a unit of any dimension. Raises UnitError if it is unknown, or differs between dimensions."""
+    """Exact factor of a unit of any dimension. Raises UnitError if it is unknown, or differs between
+    dimensions."""
     factors = {each.units[unit] for each in dimensions_with(unit).values()}
     if len(factors) == 1:
         return factors.pop()
@@ -263,7 +289,8 @@ def _any_factor(unit: str) -> Fraction:
 
 
 def _wrong_unit(unit: str, expected: Dimension) -> str:
-    """Message for a unit that does not belong to the expected dimension: its meaning, or the closest known unit."""
+    """Message for a unit that does not belong to the expected dimension: its meaning, or the closest known
+    unit."""
     matching = [each.noun for each in dimensions_with(unit).values()]
     if not expected.units or expected is DIMENSIONS["number"]:
         return f"{expected.noun} without a unit is expected, such as {expected.example}"
@@ -302,9 +329,10 @@ def whole_error(reason: str) -> PydanticCustomError:
 class Number:
     """Reads one number: a plain one in SI, or text with a unit of `dimension`; rejects values out of range.
 
-    `noun`: for messages, default is that of the dimension. `above`, `at_least`, `at_most`: bounds in SI units. `words`:
-    texts that are accepted in place of a number. `whole`: the number is an int without a unit. Used as metadata of a
-    pydantic field.
+    `noun`: for messages, default is that of the dimension. `above`, `at_least`, `at_most`: bounds in SI
+    units. `words`:
+    texts that are accepted in place of a number. `whole`: the number is an int without a unit. Used as
+    metadata of a pydantic field.
     """
 
     dimension: str = "number"
@@ -320,7 +348,8 @@ class Number:
     def read(self, value: Any) -> float | int | str:
         """Convert a value from the file to a number within the bounds (SI), or to one of the words.
 
-        Raises PydanticCustomError for another type, an unknown unit, a value that is not finite or out of bounds.
+        Raises PydanticCustomError for another type, an unknown unit, a value that is not finite or out of
+        bounds.
         """
         if isinstance(value, str) and value in self.words:
             return value
@@ -406,7 +435,9 @@ class Number:
         units = dimension_of(self.dimension).units
         if not self.whole:
             unit = "|".join(re.escape(name) for name in units) if units else ".*"
-            choices.append({"type": "string", "pattern": rf"^\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*({unit})?\s*$"})
+            choices.append(
+                {"type": "string", "pattern": rf"^\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*({unit})?\s*$"}
+            )
         if self.words:
             choices.append({"enum": list(self.words)})
         return {"anyOf": choices} if len(choices) > 1 else number
@@ -416,9 +447,11 @@ class Number:
 
 
 class GivenNumber(float):
-    """An SI number; `text`: as given; `unit`: that of the text, "" for a plain number; `exact`: before it is rounded.
+    """An SI number; `text`: as given; `unit`: that of the text, "" for a plain number; `exact`: before it is
+    rounded.
 
-    The exact number is that of the decimals: 1/10 for 0.1, and for "10 deg" 10 pi / 180 with pi in double precision.
+    The exact number is that of the decimals: 1/10 for 0.1, and for "10 deg" 10 pi / 180 with pi in double
+    precision.
     """
 
     text: str
@@ -468,7 +501,8 @@ def common_unit(values: Iterable[Any]) -> str:
 
 
 def mixed_units(values: Iterable[Any]) -> str:
-    """Why values are not of one dimension: units of different ones, or a unit with plain numbers other than 0; or "".
+    """Why values are not of one dimension: units of different ones, or a unit with plain numbers other than
+    0; or "".
 
     Values that are no numbers are ignored.
     """
@@ -481,11 +515,14 @@ def mixed_units(values: Iterable[Any]) -> str:
         if not dimensions_with(first).keys() & dimensions_with(each.unit).keys():
             return f"{first} and {each.unit} are units of different dimensions"
     plain = next((each for each in numbers if not each.unit and each != 0.0), None)
-    return "" if plain is None else f"{plain.text} has no unit; give all values in {first}, or all in SI units"
+    return (
+        "" if plain is None else f"{plain.text} has no unit; give all values in {first}, or all in SI units"
+    )
 
 
 def unit_conflict(given: str, expected: str) -> str:
-    """Why a value with the unit `given` is not one in `expected`, as "in rad, and mm is no unit of an angle"; or "".
+    """Why a value with the unit `given` is not one in `expected`, as "in rad, and mm is no unit of an angle";
+    or "".
 
     Without a known unit on both sides, there is no conflict.
     """
@@ -501,13 +538,15 @@ def in_unit(value: float, unit: str) -> float:
 
 
 def in_si(value: float, unit: str) -> float | str:
-    """An SI number as a value of a scene: text with the SI unit of the dimension of `unit`, so that it is checked."""
+    """An SI number as a value of a scene: text with the SI unit of the dimension of `unit`, so that it is
+    checked."""
     si_unit = si_unit_of(unit)
     return f"{float(value)!r} {si_unit}" if si_unit else float(value)
 
 
 def bound_faults(start: GivenNumber, stop: GivenNumber, scale: str) -> Iterator[Fault]:
-    """Faults of the bounds `from` and `to`: not ascending, of different units, or not positive on the scale "log"."""
+    """Faults of the bounds `from` and `to`: not ascending, of different units, or not positive on the scale
+    "log"."""
     if reason := mixed_units((start, stop)):
         yield Fault(("to",), reason)
     elif not start < stop:

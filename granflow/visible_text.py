@@ -1,9 +1,10 @@
-r"""Text for terminals, logs and pages: control, bidirectional and zero-width characters become visible escapes.
+r"""Text for terminals, logs and pages: control, bidirectional and zero-width characters become visible
+escapes.
 
-Titles, headers and file names are untrusted input: unescaped, ESC would control the terminal, and a right-to-left
-override would display another text than the file contains. `visible` replaces each such character by \x1b or \u202e;
-newlines and tabs remain. In messages, which are one line each, `visible_line` replaces newlines as well: a file name
-may contain one.
+Titles, headers and file names are untrusted input: unescaped, ESC would control the terminal, and a
+right-to-left override would display another text than the file contains. `visible` replaces each such
+character by \x1b or \u202e; newlines and tabs remain. In messages, which are one line each, `visible_line`
+replaces newlines as well: a file name may contain one.
 """
 
 import html
@@ -16,7 +17,8 @@ HIDDEN = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u070f\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"
     "\ufff9-\ufffb\ud800-\udfff\U000e0000-\U000e007f]"
 )
-"""Characters that are replaced: control, soft-hyphen, zero-width, bidirectional, surrogate and tag characters."""
+"""Characters that are replaced: control, soft-hyphen, zero-width, bidirectional, surrogate and tag
+characters."""
 
 
 def visible(text: object) -> str:
@@ -51,7 +53,8 @@ class VisibleFormatter(logging.Formatter):
 
 
 def readable(number: float) -> str:
-    """Return the text of a number: whole and large numbers in groups of three digits, others with four digits.
+    """Return the text of a number: whole and large numbers in groups of three digits, others with four
+    digits.
 
     Large: from 1e4 to 1e12, rounded to four significant digits.
     """
@@ -63,7 +66,8 @@ def readable(number: float) -> str:
 
 
 def in_degrees(number: float, unit: str) -> str:
-    """Return " (22.9 deg)" for an angle in the unit rad, to follow it in text; "" for other units and without a number.
+    """Return " (22.9 deg)" for an angle in the unit rad, to follow it in text; "" for other units and without
+    a number.
 
     Scenes take angles in degrees as well; files contain rad only.
     """
@@ -76,7 +80,8 @@ def numbered(count: int, noun: str) -> str:
 
 
 def distinct_endings(names: Sequence[Sequence[str]], least: int = 1) -> list[tuple[str, ...]]:
-    """The last parts of each name: as few as make all names different, but at least `least` if a name has so many."""
+    """The last parts of each name: as few as make all names different, but at least `least` if a name has so
+    many."""
     for count in range(least, max([least, *map(len, names)]) + 1):
         found = [tuple(name[-count:]) for name in names]
         if len(set(found)) == len(found):
@@ -90,7 +95,8 @@ def alternatives(names: Sequence[str]) -> str:
 
 
 def html_table(title: str, rows: Iterable[tuple[str, object]]) -> str:
-    """Return a table of labels and values with a heading as HTML, for notebooks; all texts are escaped and visible."""
+    """Return a table of labels and values with a heading as HTML, for notebooks; all texts are escaped and
+    visible."""
     cells = "".join(
         f'<tr><th style="text-align:left">{_escaped(label)}</th><td style="text-align:left">{_escaped(value)}</td></tr>'
         for label, value in rows

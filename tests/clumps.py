@@ -16,7 +16,9 @@ def clump_group(positions, centers=ROD, radius=0.002, orientation=None, material
     """
     positions = np.atleast_2d(np.asarray(positions, float))
     radii = np.broadcast_to(radius, len(centers))
-    spheres = [{"position": [*map(float, c)], "radius": float(r)} for c, r in zip(centers, radii, strict=True)]
+    spheres = [
+        {"position": [*map(float, c)], "radius": float(r)} for c, r in zip(centers, radii, strict=True)
+    ]
     clump = {"spheres": spheres} | ({} if orientation is None else {"orientation": orientation})
     given = {name: np.asarray(value, float).tolist() for name, value in more.items()}
     insertion = {"kind": "positions", "positions": positions.tolist()}

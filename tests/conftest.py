@@ -15,7 +15,8 @@ os.environ.setdefault("GRANFLOW_CACHE", str(CACHE / "kernels"))
 
 os.environ["PYTHONPYCACHEPREFIX"] = str(CACHE / "bytecode")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-"""Compiled modules for the subprocesses, also where the environment or the folder of the clone refuses them."""
+"""Compiled modules for the subprocesses, also where the environment or the folder of the clone refuses
+them."""
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 """Idle threads of numpy's linear algebra spin, at the cost of the other test processes."""

@@ -1,4 +1,5 @@
-"""Fuzzed scene files as bytes: shipped scenes with random changes of values, keys and parts, and random trees."""
+"""Fuzzed scene files as bytes: shipped scenes with random changes of values, keys and parts, and random
+trees."""
 
 import random
 from pathlib import Path
@@ -29,19 +30,101 @@ def paths_in(tree: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 
 ODD: list[Any] = [
-    *(None, True, False, "", " ", "auto", "none", "on", [], {}, [[]], [0, 0, 0], [1e30] * 3, {"a": 1}, "é", "\u2028"),
+    *(
+        None,
+        True,
+        False,
+        "",
+        " ",
+        "auto",
+        "none",
+        "on",
+        [],
+        {},
+        [[]],
+        [0, 0, 0],
+        [1e30] * 3,
+        {"a": 1},
+        "é",
+        "\u2028",
+    ),
     *(0, -1, 1, 2, 3.5, 1e-30, 1e30, -1e30, 1e-15, 1e15, 1e9, 2**31, 2**31 - 1, 2**63, 1e-4, 1e4, 10**500),
-    *map(Raw, [".nan", ".inf", "-.inf", "1e308", "1e-308", "1e400", "9" * 400, "9" * 4000, "0x" + "f" * 300, "1_000"]),
     *map(
-        Raw, ["012", "1:30", "2001-01-01", "yes", "~", "<<", "&a", "*a", "!!int 3", "!!python/object/apply:os.system"]
+        Raw,
+        [
+            ".nan",
+            ".inf",
+            "-.inf",
+            "1e308",
+            "1e-308",
+            "1e400",
+            "9" * 400,
+            "9" * 4000,
+            "0x" + "f" * 300,
+            "1_000",
+        ],
     ),
     *map(
-        Raw, ["&a [*a]", "{<<: {a: 1}}", "? [a]", "{[a]: 1}", "|", ">", "'", '"', '"\\ud800"', "\t", "%", "@", "`", "["]
+        Raw,
+        [
+            "012",
+            "1:30",
+            "2001-01-01",
+            "yes",
+            "~",
+            "<<",
+            "&a",
+            "*a",
+            "!!int 3",
+            "!!python/object/apply:os.system",
+        ],
     ),
     *map(
-        Raw, ["}", "- -", "a: b: c", "4 mm", "4 furlong", "1e30 m", "-3 GPa", "1e400 mm", "1 mm m", "nan mm", "inf s"]
+        Raw,
+        [
+            "&a [*a]",
+            "{<<: {a: 1}}",
+            "? [a]",
+            "{[a]: 1}",
+            "|",
+            ">",
+            "'",
+            '"',
+            '"\\ud800"',
+            "\t",
+            "%",
+            "@",
+            "`",
+            "[",
+        ],
     ),
-    *("/etc/passwd", "../../etc/passwd", "/dev/zero", "$(ls)", "{{ x }}", "x" * 100_000, "\x07", "\x85", "\ufeff"),
+    *map(
+        Raw,
+        [
+            "}",
+            "- -",
+            "a: b: c",
+            "4 mm",
+            "4 furlong",
+            "1e30 m",
+            "-3 GPa",
+            "1e400 mm",
+            "1 mm m",
+            "nan mm",
+            "inf s",
+        ],
+    ),
+    *(
+        "/etc/passwd",
+        "../../etc/passwd",
+        "/dev/zero",
+        "$(ls)",
+        "{{ x }}",
+        "x" * 100_000,
+        "\x07",
+        "\x85",
+        "\ufeff",
+    ),
     *(
         [[i] for i in range(3)],
         [None],
@@ -85,7 +168,8 @@ def copied(tree: Any) -> Any:
 
 
 def mutated_file(rng: random.Random) -> bytes:
-    """A shipped scene with one to four random changes of its tree, and in 15 % of the files one change of its bytes."""
+    """A shipped scene with one to four random changes of its tree, and in 15 % of the files one change of its
+    bytes."""
     tree = copied(rng.choice(SCENES))
     for _ in range(rng.choice([1, 1, 1, 2, 2, 3, 4])):
         changed_once(tree, rng)
@@ -96,7 +180,9 @@ def mutated_file(rng: random.Random) -> bytes:
 def changed_once(tree: Any, rng: random.Random) -> None:
     """Apply one random change at a random path of the tree."""
     path = rng.choice(paths_in(tree))
-    parent, key, value = at(tree, path[:-1]), path[-1], at(tree, path)
+    parent = at(tree, path[:-1])
+    key = path[-1]
+    value = at(tree, path)
     change = rng.choice(
         [
             replaced_by_odd_value,
@@ -161,7 +247,14 @@ def renamed(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
         parent.reverse()
         return
     del parent[key]
-    names = [str(key)[:-1], str(key) * 2, "", str(key).upper(), rng.choice(paths_in(rng.choice(SCENES)))[-1], "é-é"]
+    names = [
+        str(key)[:-1],
+        str(key) * 2,
+        "",
+        str(key).upper(),
+        rng.choice(paths_in(rng.choice(SCENES)))[-1],
+        "é-é",
+    ]
     parent[rng.choice(names)] = value
 
 
@@ -218,7 +311,12 @@ def scalar(value: Any) -> str:
     if isinstance(value, Raw):
         return value
     if isinstance(value, str):
-        plain = value and all(c.isalnum() or c in "_-./ " for c in value) and value[0].isalnum() and value[-1] != " "
+        plain = (
+            value
+            and all(c.isalnum() or c in "_-./ " for c in value)
+            and value[0].isalnum()
+            and value[-1] != " "
+        )
         return value if plain else '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
@@ -255,13 +353,18 @@ def structure():
 
 def text_of(tree):
     """The bytes of a file with this tree."""
-    return (written(tree, random.Random(0)) if isinstance(tree, dict | list) else str(tree)).encode("utf-8", "replace")
+    return (written(tree, random.Random(0)) if isinstance(tree, dict | list) else str(tree)).encode(
+        "utf-8", "replace"
+    )
 
 
 def hypothesis_files(count):
-    """`count` files: random trees, scenes with a random tree in place of one value, random text and random bytes."""
+    """`count` files: random trees, scenes with a random tree in place of one value, random text and random
+    bytes."""
     grafted = st.builds(graft, st.sampled_from(SCENES), st.integers(0, 10**6), structure())
-    return drawn(st.one_of(structure().map(text_of), grafted.map(text_of), st.text().map(text_of), st.binary()), count)
+    return drawn(
+        st.one_of(structure().map(text_of), grafted.map(text_of), st.text().map(text_of), st.binary()), count
+    )
 
 
 def drawn(files, count):
@@ -270,7 +373,11 @@ def drawn(files, count):
 
     @seed(6)
     @settings(
-        max_examples=count, database=None, deadline=None, phases=[Phase.generate], suppress_health_check=HealthCheck
+        max_examples=count,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=HealthCheck,
     )
     @given(files)
     def collect(raw):

@@ -25,7 +25,8 @@ OPEN_MPI = {
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
     "OMPI_MCA_mpi_yield_when_idle": "1",
 }
-"""Variables with which Open MPI starts more ranks than cores, also for root in a container; idle ranks yield."""
+"""Variables with which Open MPI starts more ranks than cores, also for root in a container; idle ranks
+yield."""
 
 
 def environment():
@@ -46,6 +47,9 @@ def alone(*arguments, seconds=250):
 
 
 def is_open_mpi():
-    """Whether mpirun is that of Open MPI, which kills the ranks about a second after it has received a signal."""
-    done = subprocess.run([MPIRUN, "--version"], capture_output=True, text=True, timeout=60, env=environment())
+    """Whether mpirun is that of Open MPI, which kills the ranks about a second after it has received a
+    signal."""
+    done = subprocess.run(
+        [MPIRUN, "--version"], capture_output=True, text=True, timeout=60, env=environment()
+    )
     return "Open MPI" in done.stdout

@@ -2,8 +2,8 @@
 
 python rank_runs.py SCENE FILE alone|ranks|threads|small|failing|failing_root|failing_start
 
-threads: ranks with two threads each; small: with arrays that must grow; failing: with a fault in all ranks but the
-root; failing_root: in the root; failing_start: at the start of all ranks but the root
+threads: ranks with two threads each; small: with arrays that must grow; failing: with a fault in all ranks
+but the root; failing_root: in the root; failing_start: at the start of all ranks but the root
 """
 
 import sys
@@ -47,10 +47,12 @@ def main(name, path, kind):
     if kind == "small":
         plan_module.MIN_PARTICLES = plan_module.MIN_LIST_ENTRIES = 64
         plan_module.neighbors_per_particle = lambda _count, _skin: 0.5
-        ranks.BALANCE, ranks.GHOST_LAYERS = 0.1, 0.0
+        ranks.BALANCE = 0.1
+        ranks.GHOST_LAYERS = 0.0
     threads = 1
     if kind == "threads":
-        workers.SINGLE_WORKER_PARTICLES, threads = 0, 2
+        workers.SINGLE_WORKER_PARTICLES = 0
+        threads = 2
     rank_rebuild.MIGRATION_INTERVAL = 2  # every other rebuild keeps the particles
     communicator = Communicator()
     Recorded.rank_here = communicator.rank
@@ -67,7 +69,8 @@ def main(name, path, kind):
 
 
 def faulty_engine(kind):
-    """The class of an engine with a fault at the start or within a command, in the root or in all other ranks."""
+    """The class of an engine with a fault at the start or within a command, in the root or in all other
+    ranks."""
 
     class FaultyEngine(RankEngine):
         def __init__(self, plan, backend, communicator, scene):
@@ -87,13 +90,20 @@ def faulty_engine(kind):
 def save(path, simulation):
     """Run to the end and write particles, totals, wall impulses, contact histories and counts."""
     simulation.run()
-    last, engine = simulation.snapshot(contacts=True), simulation.engine
+    last = simulation.snapshot(contacts=True)
+    engine = simulation.engine
     kinds = ("particles", "contacts", "totals", "impulses", "collisions")
-    arrays = {f"{kind}.{name}": np.asarray(value) for kind in kinds for name, value in getattr(last, kind).items()}
+    arrays = {
+        f"{kind}.{name}": np.asarray(value) for kind in kinds for name, value in getattr(last, kind).items()
+    }
     counts = {f"exits.{face}": count for face, count in engine.accounting.exits.items()}
     counts |= {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
     if isinstance(engine, ObservedEngine):
-        counts |= {"growths": engine.timing.growth_count, "migrations": engine.migrations(), "owned": engine.owned()}
+        counts |= {
+            "growths": engine.timing.growth_count,
+            "migrations": engine.migrations(),
+            "owned": engine.owned(),
+        }
     np.savez(path, **arrays, **histories(engine), **{name: np.array(value) for name, value in counts.items()})
     simulation.free()
 

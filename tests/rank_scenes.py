@@ -47,7 +47,8 @@ def with_models(given):
 
 
 def with_law(normal, rolling, cohesion, options, restitution=0.5, **material):
-    """The bed with a normal, a rolling and a cohesion model; `options` are the values that these models require."""
+    """The bed with a normal, a rolling and a cohesion model; `options` are the values that these models
+    require."""
     contact = {"normal": normal, "tangential": "mindlin", "rolling": rolling, "cohesion": cohesion}
     pair = {"friction": 0.4, "rolling_friction": 0.1, "restitution": restitution} | options
     return with_models({"contact": contact, "pair": pair, "materials": {"glass": SOFT | material}})
@@ -69,7 +70,12 @@ def inserted():
 def periodic():
     """The bed without side walls in a box that is periodic along x and y."""
     walls = {name: wall for name, wall in box(0.042).items() if name.endswith("z")}
-    domain = {"min": [0.0, 0.0, -0.01], "max": [0.042, 0.042, 0.05], "periodic": ["x", "y"], "on_exit": "error"}
+    domain = {
+        "min": [0.0, 0.0, -0.01],
+        "max": [0.042, 0.042, 0.05],
+        "periodic": ["x", "y"],
+        "on_exit": "error",
+    }
     return bed(3000, walls=walls, domain=domain)
 
 
@@ -105,7 +111,9 @@ def with_mesh():
     points, corners = cube()
     write(Path("cube.ply"), 0.02 * points + [0.011, 0.011, -0.0185], corners)
     turning = {"kind": "rotation", "point": [0.021, 0.021, 0.0], "axis": [0, 0, 1], "angular_velocity": 40.0}
-    walls = box(0.042) | {"cube": {"shape": "mesh", "file": "cube.ply", "material": "glass", "motion": turning}}
+    walls = box(0.042) | {
+        "cube": {"shape": "mesh", "file": "cube.ply", "material": "glass", "motion": turning}
+    }
     return bed(3000, walls=walls)
 
 
@@ -123,8 +131,16 @@ def on_belt():
         "kind": "surface_velocity", "velocity": [2.0, 0.5, 0.0], "ramp_duration": 1e-3, "initial_velocity": [0, 1, 0]
     }  # fmt: skip
     turning = {"kind": "rotation", "point": [0.0, 0.021, 0.021], "axis": [1, 0, 0], "angular_velocity": 50.0}
-    walls["low_x"]["motion"] = [turning, {"kind": "surface_velocity", "velocity": [0.0, 1.0, 0.0], "start": 5e-4}]
-    table = {"kind": "table", "direction": [-1, 0, 0], "times": [0, 1e-3, 2e-3], "displacements": [0, 2e-4, 1e-4]}
+    walls["low_x"]["motion"] = [
+        turning,
+        {"kind": "surface_velocity", "velocity": [0.0, 1.0, 0.0], "start": 5e-4},
+    ]
+    table = {
+        "kind": "table",
+        "direction": [-1, 0, 0],
+        "times": [0, 1e-3, 2e-3],
+        "displacements": [0, 2e-4, 1e-4],
+    }
     walls["high_x"]["motion"] = table
     return bed(3000, walls=walls)
 
@@ -135,7 +151,8 @@ def sheared():
 
 
 def uneven():
-    """125 particles in contact beside 125 without, in a long box: ranks with equal costs have unequal counts."""
+    """125 particles in contact beside 125 without, in a long box: ranks with equal costs have unequal
+    counts."""
     dense = 0.01 * 0.99 * (np.argwhere(np.ones((5, 5, 5))) + 0.55)
     dilute = 0.01 * (2.0 * np.argwhere(np.ones((5, 5, 5))) + [6.5, 0.5, 0.5])
     walls = box(0.101)

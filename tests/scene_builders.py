@@ -14,9 +14,13 @@ SOFT = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
 
 
 def particle_group(positions, diameter=0.01, material="glass", **more):
-    """A group of particles at positions (n, 3) [m]; `velocity` and `angular_velocity` as in scenes, or as arrays."""
+    """A group of particles at positions (n, 3) [m]; `velocity` and `angular_velocity` as in scenes, or as
+    arrays."""
     positions = np.atleast_2d(np.asarray(positions, dtype=float))
-    given = {name: np.asarray(value, dtype=float).tolist() for name, value in (more | {"diameter": diameter}).items()}
+    given = {
+        name: np.asarray(value, dtype=float).tolist()
+        for name, value in (more | {"diameter": diameter}).items()
+    }
     insertion = {"kind": "positions", "positions": positions.tolist()}
     return {"material": material, "count": len(positions), "insert": insertion} | given
 
@@ -35,9 +39,11 @@ def moving_lattice(counts, largest, speed):
 
 
 def build_scene(groups, walls=None, pair=None, **parts):
-    """A scene of groups and walls, without gravity; `pair` applies to all pairs of materials that `pairs` lacks.
+    """A scene of groups and walls, without gravity; `pair` applies to all pairs of materials that `pairs`
+    lacks.
 
-    `rolling`, `normal`, `domain`, `run`, `numerics`, `materials` and other keys replace the defaults given here.
+    `rolling`, `normal`, `domain`, `run`, `numerics`, `materials` and other keys replace the defaults given
+    here.
     """
     walls = walls or {}
     used = dict.fromkeys(part["material"] for part in [*groups.values(), *walls.values()])
@@ -113,7 +119,9 @@ def box(size, material="glass"):
 def vibrating_box(size):
     """The walls of `box`, whose floor vibrates with 1 mm at 60 Hz."""
     walls = box(size)
-    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
+    walls["low_z"] |= {
+        "motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
+    }
     return walls
 
 
@@ -147,10 +155,12 @@ def times(snapshots):
 
 
 def neighbors_of(engine):
-    """For each neighbor-list entry: id of the owner, id of the partner (-1 - wall), whether both share a chunk."""
+    """For each neighbor-list entry: id of the owner, id of the partner (-1 - wall), whether both share a
+    chunk."""
     state = engine.state
     begin, end = (f.to_numpy()[: state.count] for f in (state.neighbors.list_begin, state.neighbors.list_end))
-    partner, ids = state.neighbors.partner.to_numpy(), state.particles.id.to_numpy()
+    partner = state.neighbors.partner.to_numpy()
+    ids = state.particles.id.to_numpy()
     found = []
     for i in range(state.count):
         for j in partner[begin[i] : end[i]]:

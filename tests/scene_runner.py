@@ -29,7 +29,8 @@ REDUCED_HEAP = (
 
 
 def run_shipped_scene(name, out, interval=1e3, overrides=()):
-    """Frames (snapshots of particles) of a shipped scene, every `interval` [s], and the unsatisfied expectations."""
+    """Frames (snapshots of particles) of a shipped scene, every `interval` [s], and the unsatisfied
+    expectations."""
     frames = []
     observer = on_interval(interval, frames.append, wants=("particles",))
     scene = load_scene(SCENES / f"{name}.yaml", ["output.interval=1000 s", *overrides])

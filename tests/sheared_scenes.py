@@ -11,7 +11,8 @@ SIZE = 0.04
 
 
 def sheared_gas(height=0.0, duration=0.01, sizes=(0.0065, 0.0065), output=None, chunk_size=16, **run):
-    """Particles with the velocity profile of the shear about the center of the box, shifted by `height` [m] along y.
+    """Particles with the velocity profile of the shear about the center of the box, shifted by `height` [m]
+    along y.
 
     With a chunk size of 16 the neighbor lists contain pairs within a chunk and pairs across two chunks.
     """

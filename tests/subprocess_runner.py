@@ -1,4 +1,5 @@
-"""Runs functions of test modules in a separate Python process: other precisions, other thread counts, second runs."""
+"""Runs functions of test modules in a separate Python process: other precisions, other thread counts, second
+runs."""
 
 import inspect
 import json
@@ -29,18 +30,22 @@ def in_subprocess(function, *arguments, seconds=200):
 
 
 def each_in_subprocess(function, calls, seconds=200):
-    """The results of a function for each tuple of arguments, one after the other in one process; see in_subprocess.
+    """The results of a function for each tuple of arguments, one after the other in one process; see
+    in_subprocess.
 
     Runs with other numbers of threads or precisions restart Taichi; the process saves their imports.
     """
     call = json.dumps([sys.path, inspect.getfile(function), function.__name__, calls])
-    done = subprocess.run([sys.executable, "-c", PROGRAM, call], capture_output=True, text=True, timeout=seconds)
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, call], capture_output=True, text=True, timeout=seconds
+    )
     if done.returncode:
         raise RuntimeError(f"{function.__name__} failed in a subprocess:\n{done.stderr[-3000:]}")
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def restore_interrupts():
-    """A `preexec_fn`: background processes of a shell ignore SIGINT, those of nohup SIGHUP, and a run inherits that."""
+    """A `preexec_fn`: background processes of a shell ignore SIGINT, those of nohup SIGHUP, and a run
+    inherits that."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -1,4 +1,5 @@
-"""tools/dev.py: installed packages, reuse of an environment, and error messages. The tests download nothing."""
+"""tools/dev.py: installed packages, reuse of an environment, and error messages. The tests download
+nothing."""
 
 import ast
 import importlib.util
@@ -15,7 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture
 def dev(tmp_path, monkeypatch):
-    """The script, loaded from a copy of the project; `dev.calls` records the commands instead of executing them."""
+    """The script, loaded from a copy of the project; `dev.calls` records the commands instead of executing
+    them."""
     (tmp_path / "tools").mkdir()
     for name in ("tools/dev.py", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, tmp_path / name)

@@ -35,7 +35,9 @@ def functions():
 
 
 def test_source_lines_equal_those_of_inspect():
-    compared = [function for function in functions() if source_lines(function) == inspect.getsourcelines(function)]
+    compared = [
+        function for function in functions() if source_lines(function) == inspect.getsourcelines(function)
+    ]
     assert len(compared) == len(list(functions())) > 200
 
 
@@ -73,7 +75,8 @@ def test_syntax_trees_are_used_again_without_earlier_results_and_never_twice_at_
     def transform(tree, context):
         call = tree.body[0].body[0].value
         seen.append((tree, hasattr(call, "ptr") or hasattr(call.func, "caller")))
-        call.ptr, call.func.caller = 1, 2
+        call.ptr = 1
+        call.func.caller = 2
         if context.depth:
             inner(SimpleNamespace(depth=context.depth - 1, is_kernel=False, is_real_function=False))
 

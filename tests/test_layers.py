@@ -59,7 +59,8 @@ STUDIES_IMPORT = {
     "granflow.units",
     "granflow.visible_text",
 }
-"""Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and `granflow.scene.blocks`."""
+"""Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and
+`granflow.scene.blocks`."""
 FUNCTION_NODES = (ast.FunctionDef, ast.AsyncFunctionDef)
 TAICHI_DECORATORS = {"func", "kernel", "real_func", "pyfunc"}
 
@@ -162,7 +163,10 @@ def uses_kernel_language(name):
     sources = {"granflow.kernel_language", "granflow.device_functions"}
     froms = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module in sources]
     attributes = [ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)]
-    return any(alias.name == "ti" for node in froms for alias in node.names) or "kernel_language.ti" in attributes
+    return (
+        any(alias.name == "ti" for node in froms for alias in node.names)
+        or "kernel_language.ti" in attributes
+    )
 
 
 def test_taichi_modules_do_not_postpone_annotations():
@@ -197,10 +201,13 @@ def test_package_inits_only_re_export(name):
 
 
 def test_host_functions_of_the_taichi_layers_are_annotated():
-    """The linter enforces annotations in the other layers; only functions compiled by Taichi may omit types."""
+    """The linter enforces annotations in the other layers; only functions compiled by Taichi may omit
+    types."""
 
     def runs_in_taichi(node):
-        return any(ast.unparse(d).split("(")[0].split(".")[-1] in TAICHI_DECORATORS for d in node.decorator_list)
+        return any(
+            ast.unparse(d).split("(")[0].split(".")[-1] in TAICHI_DECORATORS for d in node.decorator_list
+        )
 
     def is_annotated(node):
         named = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]

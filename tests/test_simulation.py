@@ -13,15 +13,19 @@ from granflow.particles.insertion import initial_particles
 def falling(**more):
     """Two particles above a floor."""
     groups = {"balls": particle_group([[0.0, 0.0, 0.02], [0.02, 0.0, 0.02]], velocity=[0.0, 0.0, -1.0])}
-    return build_scene(groups, walls={"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}, run={"duration": 1e-3}, **more)
+    return build_scene(
+        groups, walls={"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}, run={"duration": 1e-3}, **more
+    )
 
 
 def test_steps_equal_a_run_to_the_same_time(taichi_f64):
-    stepped, ran = Simulation(falling()), Simulation(falling())
+    stepped = Simulation(falling())
+    ran = Simulation(falling())
     for count in (1, 4):
         stepped.step(count)
     ran.run(until=5 * ran.time_step)
-    first, second = stepped.snapshot(), ran.snapshot()
+    first = stepped.snapshot()
+    second = ran.snapshot()
     assert first.step == second.step == 5
     np.testing.assert_array_equal(first.particles["position"], second.particles["position"])
     stepped.free()

@@ -1,7 +1,8 @@
 """Run the adversarial cases and write docs/pages/reference/invalid_inputs.md.
 
 python tools/adversarial.py                 runs all cases and writes the page
-python tools/adversarial.py NAME ...        runs the cases whose names contain NAME; keeps the other lines of the page
+python tools/adversarial.py NAME ...        runs the cases whose names contain NAME; keeps the other lines of
+the page
 """
 
 import argparse
@@ -10,7 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-# The package tests/adversarial has the name of this file, so that the folder of this file must not be on the path.
+# The package tests/adversarial has the name of this file, so that the folder of this file must not be on the
+# path.
 sys.path[0] = str(Path(__file__).resolve().parent.parent / "tests")
 
 
@@ -18,7 +20,9 @@ def main() -> int:
     """Runs the cases, prints one line for each and writes the page; returns 1 if a case fails."""
     from adversarial.page import CASES, PAGE, page_of, page_text
 
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", help="parts of case names; default: all cases")
     parser.add_argument("--jobs", type=int, default=1, help="number of cases that run simultaneously (1)")
     options = parser.parse_args()

@@ -2,9 +2,9 @@
 
     python tools/banned_words.py [ROOT]        one line per hit; exit code 1 if there is a hit
 
-The words and their replacements are in banned_words.tsv. Rules for names apply to parts of identifiers: the parts of
-`loadStateDict` and `load_state_dict` are load, state and dict. Rules for text apply to the comments and strings of
-Python files, and to pages and scenes.
+The words and their replacements are in banned_words.tsv. Rules for names apply to parts of identifiers: the
+parts of `loadStateDict` and `load_state_dict` are load, state and dict. Rules for text apply to the comments
+and strings of Python files, and to pages and scenes.
 """
 
 import io
@@ -50,7 +50,8 @@ class Hit(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Replacements of banned name parts and of banned phrases, and a pattern that matches any of the phrases."""
+    """Replacements of banned name parts and of banned phrases, and a pattern that matches any of the
+    phrases."""
 
     names: dict[str, str]
     phrases: dict[str, str]
@@ -68,7 +69,8 @@ def rules() -> Rules:
 
 
 def pattern_of(phrases: dict[str, str]) -> re.Pattern[str]:
-    """Pattern of any phrase as whole words; a space of a phrase matches any white space, including line breaks."""
+    """Pattern of any phrase as whole words; a space of a phrase matches any white space, including line
+    breaks."""
     longest_first = sorted(phrases, key=len, reverse=True)
     alternatives = "|".join(r"\s+".join(map(re.escape, phrase.split())) for phrase in longest_first)
     return re.compile(rf"(?<![\w-])(?:{alternatives})(?!\w)", re.IGNORECASE)

@@ -5,9 +5,11 @@
     python tools/bench.py --phases                         time per phase and the limits of this machine
     python tools/bench.py --ranks --peers liggghts,lammps  as the first, also granflow on MPI ranks
     python tools/bench.py --page                           write tools/benchmark/README.md, and the table of
-                                                           docs/pages/guides/parallel.md, from the newest results
+                                                           docs/pages/guides/parallel.md, from the newest
+                                                           results
 
-Each measurement runs in a separate process. Nothing is installed: for a missing code, the package is reported.
+Each measurement runs in a separate process. Nothing is installed: for a missing code, the package is
+reported.
 """
 
 import argparse
@@ -105,17 +107,31 @@ def skins(text: str) -> dict[str, float]:
         pairs = [each.split("=") for each in text.split(",")]
         return {name.strip(): 1e-3 * float(value) for name, value in pairs}
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text} does not have the form granflow=0.2,lammps=0.5 (in mm).") from None
+        raise argparse.ArgumentTypeError(
+            f"{text} does not have the form granflow=0.2,lammps=0.5 (in mm)."
+        ) from None
 
 
 def arguments() -> argparse.Namespace:
     """Parsed command line; --quick changes the defaults."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     add = parser.add_argument
     add("--peers", type=peer_names, default=[], help="codes to compare with: any of liggghts,lammps,yade")
     add("--phases", action="store_true", help="measure the time of each phase of granflow")
-    add("--page", nargs="?", const="", metavar="NAME", help="write the page from the results NAME (newest in f64)")
-    add("--quick", action="store_true", help="about two minutes: up to 50 000 particles, two threads, one round")
+    add(
+        "--page",
+        nargs="?",
+        const="",
+        metavar="NAME",
+        help="write the page from the results NAME (newest in f64)",
+    )
+    add(
+        "--quick",
+        action="store_true",
+        help="about two minutes: up to 50 000 particles, two threads, one round",
+    )
     add("--sizes", type=int, nargs="*", help=f"particles in a bed ({' '.join(map(str, SIZES))})")
     add("--no-hopper", dest="hopper", action="store_false", help="skip the hopper")
     add("--laws", nargs="+", choices=LAWS, help="contact models of granflow (all); peers use Hertz-Mindlin")

@@ -4,9 +4,9 @@
     python tools/contention.py --bed BED.npz --root CHECKOUT      the same with another checkout of granflow
     python tools/contention.py --size 3000                        settle a bed first
 
-Columns: `fixed 1` and `fixed 2` use a constant number of workers, `auto` is a run without --threads. Rows: the number
-of competing processes; `pair` is the slower of two simultaneous runs, `one core` a run on one core. Each rate is
-measured over two seconds, after a warm-up of one second.
+Columns: `fixed 1` and `fixed 2` use a constant number of workers, `auto` is a run without --threads. Rows:
+the number of competing processes; `pair` is the slower of two simultaneous runs, `one core` a run on one
+core. Each rate is measured over two seconds, after a warm-up of one second.
 """
 
 import argparse
@@ -40,7 +40,8 @@ def child(bed: str, mode: str) -> None:
     engine.advance(1)
     rates = []
     for seconds in (WARM_UP, MEASURED):
-        began, before = time.perf_counter(), engine.step_count
+        began = time.perf_counter()
+        before = engine.step_count
         while time.perf_counter() - began < seconds:
             engine.advance(5)
         rates.append((engine.step_count - before) / (time.perf_counter() - began))
@@ -113,7 +114,9 @@ def table(found: dict[str, dict[str, float]]) -> str:
 
 def main() -> None:
     """Measures the rates and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     add = parser.add_argument
     add("--bed", type=Path, metavar="FILE", help="a settled bed (npz)")
     add("--size", type=int, default=3_000, help="particles of the bed to settle without --bed (3000)")

@@ -80,7 +80,9 @@ def refuse_what_cannot_work() -> None:
     """Stops with one sentence if this Python is not supported or .venv was made by another program."""
     version = sys.version_info[:2]
     if not OLDEST <= version <= NEWEST:
-        available = [name for name in (f"python3.{minor}" for minor in range(13, 9, -1)) if shutil.which(name)]
+        available = [
+            name for name in (f"python3.{minor}" for minor in range(13, 9, -1)) if shutil.which(name)
+        ]
         remedy = "run this script with " + (available[0] if available else "one of these versions")
         span = f"{dotted(OLDEST)} to {dotted(NEWEST)}"
         stop(f"granflow needs Python {span}, but this is {dotted(version)}: {remedy}.")
@@ -128,7 +130,9 @@ def make_environment() -> None:
             f"sudo apt install python{dotted(sys.version_info[:2])}-venv), then try again."
         )
     if ENVIRONMENT.is_symlink():
-        stop(f"{ENVIRONMENT} is a link to the environment of another checkout: remove the link, then try again.")
+        stop(
+            f"{ENVIRONMENT} is a link to the environment of another checkout: remove the link, then try again."
+        )
     shutil.rmtree(str(ENVIRONMENT), ignore_errors=True)
     ENVIRONMENT.mkdir(exist_ok=True)
     STAMP.write_text(UNFINISHED + "\n")

@@ -1,8 +1,10 @@
-"""Equal restitution, different dissipation: columns of spheres on a floor, and a shaken box, with every normal model.
+"""Equal restitution, different dissipation: columns of spheres on a floor, and a shaken box, with every
+normal model.
 
     python tools/dissipation_study.py [--box-seconds 1.0]
 
-Prints the kinetic energy that a column of N touching spheres keeps in an impact, and the power that a shaken bed draws.
+Prints the kinetic energy that a column of N touching spheres keeps in an impact, and the power that a shaken
+bed draws.
 """
 
 import argparse
@@ -62,7 +64,9 @@ def kept_energy(normal: dict[str, object], count: int, speed: float = 0.5) -> tu
 
 def shaken_box(normal: dict[str, object], count: int, seconds: float) -> dict[str, float]:
     """Power [W] of a box of 40 mm x 20 mm, and its dissipation by kind [W], after five periods."""
-    side, depth, height = 0.04, 0.02, 0.2
+    side = 0.04
+    depth = 0.02
+    height = 0.2
     motion = {"kind": "vibration", "direction": [0, 0, 1], "gamma": GAMMA, "frequency": FREQUENCY}
     usual = {"shape": "plane", "material": "glass", "motion": [motion]}
     faces = {

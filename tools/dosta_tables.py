@@ -1,10 +1,12 @@
-"""Scenes of the drum and the penetration test of Dosta et al. (2024) with the published initial particle positions.
+"""Scenes of the drum and the penetration test of Dosta et al. (2024) with the published initial particle
+positions.
 
-    python tools/dosta_tables.py FOLDER --out out/dosta      writes drum.yaml, penetration.yaml and particle tables
-    granflow run out/dosta/drum.yaml
+    python tools/dosta_tables.py FOLDER --out out/dosta      writes drum.yaml, penetration.yaml and particle
+    tables granflow run out/dosta/drum.yaml
 
-FOLDER holds Drum_PartCoordinates.txt and Penetration_25KParticles.txt of the open data of the paper's MercuryDPM entry
-(columns radius, x, y, z in m). The scenes are those in scenes/dosta2024; the drum has its full size.
+FOLDER holds Drum_PartCoordinates.txt and Penetration_25KParticles.txt of the open data of the paper's
+MercuryDPM entry (columns radius, x, y, z in m). The scenes are those in scenes/dosta2024; the drum has its
+full size.
 """
 
 import argparse
@@ -36,9 +38,13 @@ def split(table: Path, out: Path, name: str) -> dict[float, str]:
 
 
 def write(name: str, groups: dict[str, float], overrides: list[str], table: Path, out: Path) -> Path:
-    """Writes a scene whose `groups`, each with one radius [m], have the positions of the table; returns its path."""
-    files, path = split(table, out, name), out / f"{name}.yaml"
-    path.write_text(load_scene(SCENES / f"{name}.yaml", [*overrides, "expect=[]"]).to_yaml(), encoding="utf-8")
+    """Writes a scene whose `groups`, each with one radius [m], have the positions of the table; returns its
+    path."""
+    files = split(table, out, name)
+    path = out / f"{name}.yaml"
+    path.write_text(
+        load_scene(SCENES / f"{name}.yaml", [*overrides, "expect=[]"]).to_yaml(), encoding="utf-8"
+    )
     placed = [
         f"particles.{group}={{material: {BEADS[radius]}, insert: {{kind: file, file: {files[radius]}}}}}"
         for group, radius in groups.items()
@@ -49,7 +55,9 @@ def write(name: str, groups: dict[str, float], overrides: list[str], table: Path
 
 def main() -> None:
     """Writes both scenes."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, default=Path("out/dosta"))
     options = parser.parse_args()

@@ -1,11 +1,12 @@
 """Bitwise regression check: hashes of the last frame of shortened versions of six scenes.
 
-    python tools/frame_hashes.py --out before.json          runs each scene in f64 and mixed, on one and two threads
-    python tools/frame_hashes.py --compare before.json      runs them again and reports each frame that differs
+    python tools/frame_hashes.py --out before.json          runs each scene in f64 and mixed, on one and two
+    threads python tools/frame_hashes.py --compare before.json      runs them again and reports each frame
+    that differs
 
-Each array of a frame has its own SHA-256; the comparison uses the set of hashes, so that an array may be renamed. A
-frame of one thread must equal the frame of two. Hashes depend on the processor and its math library: compare on one
-machine only. Takes about ten minutes on two cores.
+Each array of a frame has its own SHA-256; the comparison uses the set of hashes, so that an array may be
+renamed. A frame of one thread must equal the frame of two. Hashes depend on the processor and its math
+library: compare on one machine only. Takes about ten minutes on two cores.
 """
 
 import argparse
@@ -38,7 +39,11 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="write the hashes to this JSON file")
     parser.add_argument("--compare", type=Path, help="compare with the hashes of this JSON file")
     options = parser.parse_args()
-    found = {f"{scene} {precision}": hashes_of(scene, precision) for scene in SCENES for precision in ("f64", "mixed")}
+    found = {
+        f"{scene} {precision}": hashes_of(scene, precision)
+        for scene in SCENES
+        for precision in ("f64", "mixed")
+    }
     if options.out:
         options.out.write_text(json.dumps(found, indent=1) + "\n")
     if not options.compare:
@@ -46,7 +51,9 @@ def main() -> int:
     reference = json.loads(options.compare.read_text())
     different = [name for name in found if Counter(found[name].values()) != Counter(reference[name].values())]
     for name in different:
-        changed = sorted(array for array, value in found[name].items() if value not in reference[name].values())
+        changed = sorted(
+            array for array, value in found[name].items() if value not in reference[name].values()
+        )
         print(f"{name}: arrays differ: {', '.join(changed) or 'their number'}")
     print(f"{len(found) - len(different)} of {len(found)} frames are identical")
     return int(bool(different))
@@ -65,7 +72,14 @@ def last_frame(scene: str, precision: str, threads: int) -> dict[str, str]:
     """Hashes by array name of the last frame of one run."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
-        command = [sys.executable, "-m", "granflow", "run", str(ROOT / "scenes" / f"{scene}.yaml"), *SCENES[scene]]
+        command = [
+            sys.executable,
+            "-m",
+            "granflow",
+            "run",
+            str(ROOT / "scenes" / f"{scene}.yaml"),
+            *SCENES[scene],
+        ]
         command += ["--out", str(out), "--precision", precision, "--threads", str(threads)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
         frame = meshio.read(max(out.glob("particles_*.vtu")))

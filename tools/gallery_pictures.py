@@ -1,6 +1,7 @@
 """Renders the gallery pictures and films of the documentation from finished runs of the shipped scenes.
 
-python tools/gallery_pictures.py out/hopper out/drum ...     writes docs/pages/gallery/NAME.jpg and NAME.mp4 for each
+python tools/gallery_pictures.py out/hopper out/drum ...     writes docs/pages/gallery/NAME.jpg and NAME.mp4
+for each
 
 A directory has the name of its scene; `dosta2024_drum` is the scene dosta2024/drum.
 """
@@ -24,7 +25,18 @@ JPEG_QUALITY = 85
 FILM_SIZE = "400x300"
 FILM_SECONDS, FILM_RATE = 5.0, 20
 """Duration of a film [s], and its largest number of pictures per second."""
-FILM_CODING = ["-c:v", "libx264", "-preset", "veryslow", "-crf", "32", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+FILM_CODING = [
+    "-c:v",
+    "libx264",
+    "-preset",
+    "veryslow",
+    "-crf",
+    "32",
+    "-pix_fmt",
+    "yuv420p",
+    "-movflags",
+    "+faststart",
+]
 """Arguments of ffmpeg: 50 to 250 kB for a film."""
 STILL = ("--frame", "0.9s", "0.8s")
 """Arguments of OPTIONS that films do not have."""
@@ -56,7 +68,8 @@ def render(directory: Path) -> None:
     PICTURES.mkdir(exist_ok=True)
     options = OPTIONS[directory.name]
     with tempfile.TemporaryDirectory() as folder:
-        image, film = Path(folder) / "picture.png", Path(folder) / "film.mp4"
+        image = Path(folder) / "picture.png"
+        film = Path(folder) / "film.mp4"
         granflow_render(directory, image, [*options, "--size", SIZE])
         Image.open(image).convert("RGB").save(PICTURES / f"{directory.name}.jpg", quality=JPEG_QUALITY)
         moving = [each for each in options if each not in STILL]

@@ -9,12 +9,12 @@ If a command may take at most ten minutes, run it in parts:
     python tools/gpu_check.py --part correctness --precisions f64 --minutes 9
     python tools/gpu_check.py --part bench --precisions f64 --minutes 9
 
-Correctness: collisions with all contact models against closed forms, momentum, bitwise reproducibility, scenes with
-walls, rain and friction, and trajectories of a bed against those of the CPU in f64. Speed: settled beds of 1e4 to 1e7
-particles, and the memory bandwidth of the device measured in the same process.
+Correctness: collisions with all contact models against closed forms, momentum, bitwise reproducibility,
+scenes with walls, rain and friction, and trajectories of a bed against those of the CPU in f64. Speed:
+settled beds of 1e4 to 1e7 particles, and the memory bandwidth of the device measured in the same process.
 
-Each job runs in a separate process; the file is written after each job, so that results are kept if a later job fails.
-Exit code 0: all checks passed; 1: a check failed; 2: the device is not available.
+Each job runs in a separate process; the file is written after each job, so that results are kept if a later
+job fails. Exit code 0: all checks passed; 1: a check failed; 2: the device is not available.
 """
 
 import argparse
@@ -50,7 +50,8 @@ QUICK_SIZES = (10_000, 100_000, 1_000_000)
 PROFILED_SIZE = 1_000_000
 """The largest bed of at most this size is also run with the kernel profiler."""
 MARGIN = 10.0
-"""Largest deviation from the trajectory of the CPU, in deviations caused by initial displacements of one rounding."""
+"""Largest deviation from the trajectory of the CPU, in deviations caused by initial displacements of one
+rounding."""
 LONGEST_JOB = 900.0
 """Time limit of a job [s]."""
 ABSENT = 2
@@ -93,7 +94,8 @@ class Run:
         return str(path)
 
     def job(self, job: str, environment: dict[str, str] | None = None, **order: Any) -> Any:
-        """Runs a job in a separate process and returns its answer. Raises Failed if it fails or exceeds the time."""
+        """Runs a job in a separate process and returns its answer. Raises Failed if it fails or exceeds the
+        time."""
         limit = min(LONGEST_JOB, self.budget.left)
         if limit <= 0.0:
             raise Failed("no time is left")
@@ -130,8 +132,15 @@ class Run:
 def check_all(run: Run) -> None:
     """Runs all checks in each precision."""
     for precision in run.options.precisions:
-        check(run, precision, "collisions", lambda p: run.job("collisions", arch=run.options.arch, precision=p))
-        check(run, precision, "momentum", lambda p: run.job("momentum", **job_arguments(run, p), bed_file=run.bed_file))
+        check(
+            run, precision, "collisions", lambda p: run.job("collisions", arch=run.options.arch, precision=p)
+        )
+        check(
+            run,
+            precision,
+            "momentum",
+            lambda p: run.job("momentum", **job_arguments(run, p), bed_file=run.bed_file),
+        )
         check(run, precision, "vibrated box", lambda p: vibrated_box_twice(run, p))
         check(run, precision, "scenes", lambda p: run.job("scenes", arch=run.options.arch, precision=p))
         check(run, precision, "agreement with the CPU", lambda p: agreement(run, p))
@@ -144,7 +153,13 @@ def check(run: Run, precision: str, group: str, records: Callable[[str], list[di
         found = records(precision)
     except Failed as failure:
         found = [
-            {"name": f"{group} did not run", "value": None, "limit": None, "passed": False, "message": str(failure)}
+            {
+                "name": f"{group} did not run",
+                "value": None,
+                "limit": None,
+                "passed": False,
+                "message": str(failure),
+            }
         ]
     run.result["checks"] += [{"group": group, "precision": precision, **each} for each in found]
     run.write()
@@ -172,11 +187,23 @@ def vibrated_box_twice(run: Run, precision: str) -> list[dict[str, Any]]:
 def agreement(run: Run, precision: str) -> list[dict[str, Any]]:
     """Compares an agitated bed with the CPU in f64; the tolerance follows from a displaced initial state."""
     moved = checks.displacement(precision, run.bed_file)
-    here, reference, disturbed = (run.folder / f"{name}.npz" for name in (f"here-{precision}", "cpu", f"moved-{moved}"))
+    here, reference, disturbed = (
+        run.folder / f"{name}.npz" for name in (f"here-{precision}", "cpu", f"moved-{moved}")
+    )
     common: dict[str, Any] = {"bed_file": run.bed_file}
     if not reference.exists():
-        run.job("trajectory", arch="cpu", precision="f64", out=str(reference), moved=0.0, chunk_size=None, **common)
-    run.job("trajectory", arch="cpu", precision="f64", out=str(disturbed), moved=moved, chunk_size=None, **common)
+        run.job(
+            "trajectory",
+            arch="cpu",
+            precision="f64",
+            out=str(reference),
+            moved=0.0,
+            chunk_size=None,
+            **common,
+        )
+    run.job(
+        "trajectory", arch="cpu", precision="f64", out=str(disturbed), moved=moved, chunk_size=None, **common
+    )
     run.job("trajectory", **job_arguments(run, precision), out=str(here), moved=0.0, chunk_size=1, **common)
     return checks.agreement(here, reference, disturbed, MARGIN)
 
@@ -202,7 +229,8 @@ def bench(
     spent: dict[str, tuple[int, float]],
     environment: dict[str, str] | None = None,
 ) -> None:
-    """Benchmarks one bed if memory and time suffice; `spent`: size and time [s] of the last bed by precision."""
+    """Benchmarks one bed if memory and time suffice; `spent`: size and time [s] of the last bed by
+    precision."""
     what = f"{size} particles in {precision}" + (" by kernel" if environment else "")
     try:
         why = exceeds_memory(run, size, precision) or exceeds_time(run, size, spent.get(precision))
@@ -221,7 +249,8 @@ def bench(
 
 def exceeds_memory(run: Run, size: int, precision: str) -> str | None:
     """Message if the bed exceeds the free memory of the device, else None."""
-    free, largest = run.result["device"]["memory_free"], run.result["device"]["largest_buffer"]
+    free = run.result["device"]["memory_free"]
+    largest = run.result["device"]["largest_buffer"]
     needed, longest = speed.bytes_needed(run.bed_file, size, precision, run.options.arch != "cpu")
     if largest is not None and longest > largest:
         return f"a field of {longest / 1e9:.1f} GB exceeds the largest buffer of {largest / 1e9:.1f} GB"
@@ -262,7 +291,12 @@ def main() -> int:
         return 0
     options = arguments()
     with tempfile.TemporaryDirectory() as folder:
-        result: dict[str, Any] = {"kind": "gpu_check", "arch": options.arch, "machine": machine(), "finished": False}
+        result: dict[str, Any] = {
+            "kind": "gpu_check",
+            "arch": options.arch,
+            "machine": machine(),
+            "finished": False,
+        }
         result |= {"command": sys.argv[1:], "checks": [], "points": [], "profiles": [], "left_out": []}
         run = Run(options, Path(folder), Budget(60.0 * options.minutes), result)
         try:
@@ -278,7 +312,10 @@ def main() -> int:
 def carry_out(run: Run) -> int:
     """Runs both parts or the requested one; returns 1 if a check failed."""
     device = run.result["device"]
-    print(f"{run.options.arch}: {device['name']}, driver {device['driver']}; results in {run.options.out}", flush=True)
+    print(
+        f"{run.options.arch}: {device['name']}, driver {device['driver']}; results in {run.options.out}",
+        flush=True,
+    )
     run.write()
     try:
         if run.options.part != "bench":
@@ -297,7 +334,9 @@ def carry_out(run: Run) -> int:
 
 def arguments() -> argparse.Namespace:
     """Parsed command line; --quick changes the defaults."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     add = parser.add_argument
     add("--arch", choices=("cuda", "vulkan", "cpu"), default="cuda", help="architecture (cuda)")
     add("--part", choices=("correctness", "bench", "all"), default="all", help="part to run (all)")
@@ -311,11 +350,18 @@ def arguments() -> argparse.Namespace:
     )
     add("--minutes", type=float, default=60.0, help="time budget in minutes (60)")
     add("--seconds", type=float, help="measured time of each bed in s (6)")
-    add("--out", type=Path, metavar="FILE.json", help="file of the results (out/gpu_check-ARCH-DATE-TIME.json)")
+    add(
+        "--out",
+        type=Path,
+        metavar="FILE.json",
+        help="file of the results (out/gpu_check-ARCH-DATE-TIME.json)",
+    )
     options = parser.parse_args()
     defaults = {"sizes": list(SIZES), "precisions": list(PRECISIONS), "seconds": 6.0}
     defaults["out"] = Path("out") / f"gpu_check-{options.arch}-{datetime.now():%Y-%m-%d-%H%M}.json"
-    for key, value in (defaults | ({"sizes": list(QUICK_SIZES), "seconds": 2.0} if options.quick else {})).items():
+    for key, value in (
+        defaults | ({"sizes": list(QUICK_SIZES), "seconds": 2.0} if options.quick else {})
+    ).items():
         if getattr(options, key) is None:
             setattr(options, key, value)
     return options

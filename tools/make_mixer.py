@@ -1,4 +1,5 @@
-"""Writes the stirrer of scenes/mixer.yaml: a shaft with two pairs of pitched blades, closed surfaces in one file.
+"""Writes the stirrer of scenes/mixer.yaml: a shaft with two pairs of pitched blades, closed surfaces in one
+file.
 
     python tools/make_mixer.py scenes/meshes/stirrer.stl
 
@@ -17,12 +18,14 @@ LEVELS = ((7.5, 0.0), (19.0, 90.0))
 """Height of the center of each pair of blades [mm], and direction of its first blade [degrees]."""
 
 QUADS = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-"""Faces of a box with corners 0 to 3 at the bottom and 4 to 7 at the top, counterclockwise seen from outside."""
+"""Faces of a box with corners 0 to 3 at the bottom and 4 to 7 at the top, counterclockwise seen from
+outside."""
 
 
 def turn(axis: str, degrees: float) -> np.ndarray:
     """Rotation matrix (3, 3) about the x or the z axis, right-handed."""
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    c = np.cos(np.radians(degrees))
+    s = np.sin(np.radians(degrees))
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]] if axis == "x" else [[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 
@@ -44,8 +47,14 @@ def shaft() -> tuple[np.ndarray, np.ndarray]:
     corners = np.vstack([part + [0, 0, z] for z in (SHAFT_BOTTOM, SHAFT_TOP) for part in (ring, middle)])
     faces = []
     for i in range(SHAFT_SIDES):
-        j, up = (i + 1) % SHAFT_SIDES, SHAFT_SIDES + 1
-        faces += [(i, j, j + up), (i, j + up, i + up), (SHAFT_SIDES, j, i), (SHAFT_SIDES + up, i + up, j + up)]
+        j = (i + 1) % SHAFT_SIDES
+        up = SHAFT_SIDES + 1
+        faces += [
+            (i, j, j + up),
+            (i, j + up, i + up),
+            (SHAFT_SIDES, j, i),
+            (SHAFT_SIDES + up, i + up, j + up),
+        ]
     return corners, np.array(faces)
 
 
@@ -59,7 +68,9 @@ def stirrer(pitch: float) -> meshio.Mesh:
 
 def main() -> None:
     """Writes the mesh."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("file", type=Path, help="STL, OBJ, PLY or VTK file to write")
     parser.add_argument(
         "--pitch", type=float, default=45.0, help="pitch of the blades, in degrees from the vertical (45)"

@@ -4,7 +4,8 @@
     python tools/meshes.py mixer mixer.stl --paddles 6 --tilt 45
     python tools/meshes.py hopper hopper.stl --outlet 0.01
 
-Screw and mixer rotate about the x axis and start at x = 0; the axis of the hopper is z, its outlet is at the origin.
+Screw and mixer rotate about the x axis and start at x = 0; the axis of the hopper is z, its outlet is at the
+origin.
 """
 
 import argparse
@@ -22,7 +23,9 @@ Surface = tuple[np.ndarray, np.ndarray]
 def patch(grid: np.ndarray, around: bool = False) -> Surface:
     """Triangles on a grid (m, n, 3) of points; with `around` the last column is connected to the first."""
     rows, columns = grid.shape[:2]
-    row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns if around else columns - 1), indexing="ij")
+    row, column = np.meshgrid(
+        np.arange(rows - 1), np.arange(columns if around else columns - 1), indexing="ij"
+    )
     number = (row * columns + column).reshape(-1)
     following = (row * columns + (column + 1) % columns).reshape(-1)
     lower = np.stack([number, following, following + columns], axis=1)
@@ -40,10 +43,12 @@ def joined(surfaces: Sequence[Surface]) -> Surface:
 def revolved(profile: np.ndarray, facets: int) -> Surface:
     """Surface of revolution about the x axis of a line through points (m, 2) of (radius, height).
 
-    The centers of the facets have the given radius. Triangles without area, at points on the axis, are omitted.
+    The centers of the facets have the given radius. Triangles without area, at points on the axis, are
+    omitted.
     """
     angle = 2.0 * np.pi * (np.arange(facets) + 0.5) / facets
-    radius, height = profile[:, :1] / np.cos(np.pi / facets), profile[:, 1:]
+    radius = profile[:, :1] / np.cos(np.pi / facets)
+    height = profile[:, 1:]
     grid = np.stack(np.broadcast_arrays(height, radius * np.cos(angle), radius * np.sin(angle)), axis=-1)
     points, corners = patch(grid, around=True)
     sides = points[corners[:, 1:]] - points[corners[:, :1]]
@@ -63,7 +68,10 @@ def screw(options: argparse.Namespace) -> Surface:
     radius = np.linspace(options.shaft, options.radius, options.rings + 1)[None, :]
     edge = [x[:, None], radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]]
     return joined(
-        [shaft(options.shaft, options.length, options.facets), patch(np.stack(np.broadcast_arrays(*edge), -1))]
+        [
+            shaft(options.shaft, options.length, options.facets),
+            patch(np.stack(np.broadcast_arrays(*edge), -1)),
+        ]
     )
 
 
@@ -75,14 +83,16 @@ def paddle(options: argparse.Namespace, x: float, angle: float) -> Surface:
     section = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ across
     ends = [0.5 * options.shaft, options.radius]
     corner_grid = np.array([[[u, v, r] for u, v in section] for r in ends])
-    radial, azimuthal = np.array([0.0, np.cos(angle), np.sin(angle)]), np.array([0.0, -np.sin(angle), np.cos(angle)])
+    radial = np.array([0.0, np.cos(angle), np.sin(angle)])
+    azimuthal = np.array([0.0, -np.sin(angle), np.cos(angle)])
     grid = np.array([x, 0.0, 0.0]) + corner_grid @ np.array([[1.0, 0.0, 0.0], azimuthal, radial])
     points, sides = patch(grid, around=True)
     return points, np.concatenate([sides, [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]]])
 
 
 def mixer(options: argparse.Namespace) -> Surface:
-    """Paddle mixer: a shaft with equally spaced paddles, each rotated by 90 degrees relative to the previous one."""
+    """Paddle mixer: a shaft with equally spaced paddles, each rotated by 90 degrees relative to the previous
+    one."""
     positions = options.length * (np.arange(options.paddles) + 0.5) / options.paddles
     paddles = [paddle(options, x, 0.5 * np.pi * n) for n, x in enumerate(positions)]
     return joined([shaft(options.shaft, options.length, options.facets), *paddles])
@@ -120,7 +130,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Parser of the command line: the kind of mesh, a file, and the parameters of the kind."""
-    command_line = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    command_line = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     kinds = command_line.add_subparsers(required=True, metavar="KIND")
     for make, defaults in KINDS.items():
         subparser = kinds.add_parser(

@@ -1,7 +1,8 @@
-"""Mutation test: inserts one error at a time into a copy of the source and runs the tests that must detect it.
+"""Mutation test: inserts one error at a time into a copy of the source and runs the tests that must detect
+it.
 
-python tools/mutate.py                  all mutations of tools/mutations.py, one line each; exit code 1 if one survives
-python tools/mutate.py "unit N/cm"      only the given mutations
+python tools/mutate.py                  all mutations of tools/mutations.py, one line each; exit code 1 if one
+survives python tools/mutate.py "unit N/cm"      only the given mutations
 python tools/mutate.py --check          only checks that the text of each mutation occurs once in its file
 """
 
@@ -48,7 +49,9 @@ def copy_to(folder: Path, root: Path = ROOT) -> Path:
     for name in PARTS:
         source = root / name
         if source.is_dir():
-            shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__", ".pytest_cache"))
+            shutil.copytree(
+                source, folder / name, ignore=shutil.ignore_patterns("__pycache__", ".pytest_cache")
+            )
         elif source.is_file():
             shutil.copy2(source, folder / name)
     return folder
@@ -59,7 +62,9 @@ def pytest_code(copy: Path, tests: Sequence[str], kernels: Path) -> int | None:
     environment = os.environ | {"PYTHONPATH": str(copy), "GRANFLOW_CACHE": str(kernels)}
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
     try:
-        return subprocess.run(command, cwd=copy, env=environment, capture_output=True, timeout=LONGEST).returncode
+        return subprocess.run(
+            command, cwd=copy, env=environment, capture_output=True, timeout=LONGEST
+        ).returncode
     except subprocess.TimeoutExpired:
         return None
 
@@ -79,8 +84,8 @@ def mutated(copy: Path, mutation: Mutation) -> Iterator[None]:
 def write_later(path: Path, text: str) -> None:
     """Replaces the text and sets a time of change 1 s or more after the previous one.
 
-    Python takes stored bytecode as valid if the size of the source and its time of change in whole seconds agree;
-    two mutations of equal length within one second would otherwise run the code of the first.
+    Python takes stored bytecode as valid if the size of the source and its time of change in whole seconds
+    agree; two mutations of equal length within one second would otherwise run the code of the first.
     """
     later = path.stat().st_mtime + 1.0
     path.write_text(text, encoding="utf-8")
@@ -132,9 +137,13 @@ def report(copy: Path, mutation: Mutation, kernels: Path) -> tuple[str, str]:
 
 def main() -> int:
     """Runs the mutations; returns 1 if one is not killed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", help="names of mutations; default: all")
-    parser.add_argument("--check", action="store_true", help="only check that the mutations apply to the source")
+    parser.add_argument(
+        "--check", action="store_true", help="only check that the mutations apply to the source"
+    )
     parser.add_argument("--jobs", type=int, default=2, help="number of copies tested simultaneously (2)")
     options = parser.parse_args()
     unknown = sorted(set(options.names) - {each.name for each in MUTATIONS})

@@ -1,4 +1,5 @@
-"""The mutations of tools/mutate.py: a text of the source, an erroneous replacement, and the tests that must fail."""
+"""The mutations of tools/mutate.py: a text of the source, an erroneous replacement, and the tests that must
+fail."""
 
 from dataclasses import dataclass
 
@@ -32,7 +33,9 @@ MUTATIONS = (
     # Units
     Mutation("unit N/cm", "granflow/scene/schema/units.py", "N/cm 100", "N/cm 10", (UNITS,)),
     Mutation("unit GPa", "granflow/scene/schema/units.py", "GPa 1e9", "GPa 1e6", (UNITS,)),
-    Mutation("unit rpm", "granflow/scene/schema/units.py", '"rpm": 2 * _PI / 60', '"rpm": _PI / 60', (UNITS,)),
+    Mutation(
+        "unit rpm", "granflow/scene/schema/units.py", '"rpm": 2 * _PI / 60', '"rpm": _PI / 60', (UNITS,)
+    ),
     Mutation("unit t/h", "granflow/scene/schema/units.py", "t/h 1000/3600", "t/h 1/3600", (UNITS,)),
     Mutation("unit pJ", "granflow/scene/schema/units.py", "pJ 1e-12", "pJ 1e-9", (UNITS,)),
     # Theory and limits of the plan
@@ -166,7 +169,11 @@ MUTATIONS = (
         (ENERGY,),
     ),
     Mutation(
-        "moment of inertia", "granflow/engine/accounting.py", "inertia = 0.4 * mass", "inertia = 0.5 * mass", (ENERGY,)
+        "moment of inertia",
+        "granflow/engine/accounting.py",
+        "inertia = 0.4 * mass",
+        "inertia = 0.5 * mass",
+        (ENERGY,),
     ),
     Mutation(
         "work of walls",

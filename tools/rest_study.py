@@ -1,4 +1,5 @@
-"""Heap of particles at rest: kinetic energy and creep with and without rest damping, for the page of the model zhou.
+"""Heap of particles at rest: kinetic energy and creep with and without rest damping, for the page of the
+model zhou.
 
     python tools/rest_study.py [--seconds 10] [--out docs/pages/assets/rest.png]
 
@@ -26,7 +27,11 @@ def scene(normal: object, rolling: str, seconds: float) -> gf.Scene:
     floor = [[DIAMETER * i, DIAMETER * j, 0.0] for i in range(-6, 7) for j in range(-6, 7)]
     layers = ((7, 0), (6, 1), (5, 2), (5, 3), (4, 4), (4, 5), (3, 6))
     pyramid = [
-        [1.05 * DIAMETER * (i - 0.5 * (side - 1)), 1.05 * DIAMETER * (j - 0.5 * (side - 1)), DIAMETER * (1.1 + layer)]
+        [
+            1.05 * DIAMETER * (i - 0.5 * (side - 1)),
+            1.05 * DIAMETER * (j - 0.5 * (side - 1)),
+            DIAMETER * (1.1 + layer),
+        ]
         for side, layer in layers
         for i in range(side)
         for j in range(side)
@@ -43,7 +48,8 @@ def scene(normal: object, rolling: str, seconds: float) -> gf.Scene:
             "contact": {"normal": normal, "tangential": "mindlin", "rolling": rolling},
             "particles": {
                 "floor": usual | {"fixed": True, "insert": {"kind": "positions", "positions": floor}},
-                "heap": usual | {"insert": {"kind": "positions", "positions": (np.array(pyramid) + shifts).tolist()}},
+                "heap": usual
+                | {"insert": {"kind": "positions", "positions": (np.array(pyramid) + shifts).tolist()}},
             },
             "domain": {"min": [-0.2, -0.2, -0.05], "max": [0.2, 0.2, 0.2], "on_exit": "delete"},
             "run": {"duration": seconds, "velocity_max": 1.0},
@@ -54,8 +60,10 @@ def scene(normal: object, rolling: str, seconds: float) -> gf.Scene:
 
 
 def measure(heap: gf.Scene, seconds: float, samples: int) -> dict[str, np.ndarray]:
-    """Times [s], kinetic energies [J] of translation and rotation, and largest speed [radii/s] over each interval."""
-    rows, before = [], None
+    """Times [s], kinetic energies [J] of translation and rotation, and largest speed [radii/s] over each
+    interval."""
+    rows = []
+    before = None
     with gf.Simulation(heap) as simulation:
         for _ in range(samples):
             simulation.run(duration=seconds / samples)

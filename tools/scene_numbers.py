@@ -1,9 +1,11 @@
-"""Computes the numbers of docs/pages/scenes.md that are not in the result tables of a run from its output files.
+"""Computes the numbers of docs/pages/scenes.md that are not in the result tables of a run from its output
+files.
 
 python tools/scene_numbers.py column out/column_collapse     aspect ratio, run-out
 python tools/scene_numbers.py drum out/drum                  particles per quadrant over time
-python tools/scene_numbers.py ball out/penetration           height and penetration depth of the ball over time
-python tools/scene_numbers.py silo out/silo_large_orifice    remaining particles over time, early and late flow
+python tools/scene_numbers.py ball out/penetration           height and penetration depth of the ball over
+time python tools/scene_numbers.py silo out/silo_large_orifice    remaining particles over time, early and
+late flow
 """
 
 import argparse
@@ -46,7 +48,8 @@ def top_of(frame: Frame) -> float:
 
 
 def edge_of(position: np.ndarray, radius: np.ndarray, covered: float = COVERED) -> float:
-    """Radius [m] of a round deposit about the z axis at which the covered share of the floor falls below `covered`.
+    """Radius [m] of a round deposit about the z axis at which the covered share of the floor falls below
+    `covered`.
 
     The share is computed in rings of one mean diameter from the particles with centers in the ring, including
     particles above one another, and interpolated between the outer edges of the rings.
@@ -91,7 +94,8 @@ def opening(folder: Path) -> float:
 
 def quadrants(position: np.ndarray) -> np.ndarray:
     """Particle counts (4,) in x < 0, z >= 0; x >= 0, z >= 0; x < 0, z < 0; x >= 0, z < 0."""
-    right, below = position[:, 0] >= 0, position[:, 2] < 0
+    right = position[:, 0] >= 0
+    below = position[:, 2] < 0
     return np.bincount(2 * below + right, minlength=4)
 
 
@@ -109,7 +113,9 @@ def drum(folder: Path) -> str:
 
 def ball(folder: Path) -> str:
     """Lowest point of the largest particle over time, and its depth below the initial surface of the bed."""
-    lines, surface, depths = [f"{'time [s]':>8} {'lowest point [mm]':>18} {'depth [mm]':>11}"], None, []
+    lines = [f"{'time [s]':>8} {'lowest point [mm]':>18} {'depth [mm]':>11}"]
+    surface = None
+    depths = []
     for frame in frames(folder):
         largest = int(frame.radius.argmax())
         if frame.radius[largest] < 2 * np.median(frame.radius):
@@ -127,7 +133,9 @@ def silo(folder: Path) -> str:
     """Remaining particles over time, and the flow in both halves of the steady part of the discharge."""
     columns = gf.read_run(folder).timeseries_arrays
     discharge = columns["stage"] == "discharge"
-    time, remaining, out = (columns[name][discharge] for name in ("time", "particle_count", "flow_count.outlet"))
+    time, remaining, out = (
+        columns[name][discharge] for name in ("time", "particle_count", "flow_count.outlet")
+    )
     lines = [
         f"{time[i] - time[0]:6.2f} s: {remaining[i]:.0f} remaining"
         for i in range(0, len(time), max(len(time) // 12, 1))
@@ -147,7 +155,9 @@ KINDS: dict[str, Callable[[Path], str]] = {"column": column, "drum": drum, "ball
 
 def main() -> None:
     """Prints the numbers of one run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("folder", type=Path)
     options = parser.parse_args()

@@ -1,12 +1,13 @@
-"""Writes the tables of docs/pages/scenes.md between markers from stored numbers; the tables are not edited by hand.
+"""Writes the tables of docs/pages/scenes.md between markers from stored numbers; the tables are not edited by
+hand.
 
 python tools/scene_table.py                     write the tables into docs/pages/scenes.md
 python tools/scene_table.py --check             exit code 1 if the tables differ from the stored numbers
 python tools/scene_table.py --record out/mixer  first store the numbers of a finished run from its result.json
 
-docs/scenes_comparisons.yaml contains the published and the measured values of the comparisons, with date and commit of
-the measurement. docs/scenes_results.json contains the results of the shipped scenes for the quantities of their
-`expect`, with date and commit.
+docs/scenes_comparisons.yaml contains the published and the measured values of the comparisons, with date and
+commit of the measurement. docs/scenes_results.json contains the results of the shipped scenes for the
+quantities of their `expect`, with date and commit.
 """
 
 import argparse
@@ -29,11 +30,20 @@ from granflow.load import Scene, load
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, SCENES = ROOT / "docs" / "pages" / "scenes.md", ROOT / "scenes"
 COMPARISONS, RESULTS = ROOT / "docs" / "scenes_comparisons.yaml", ROOT / "docs" / "scenes_results.json"
-COLUMNS = ("scene", "what should be seen", "granflow", "published or theory", "deviation", "run time", "measured")
+COLUMNS = (
+    "scene",
+    "what should be seen",
+    "granflow",
+    "published or theory",
+    "deviation",
+    "run time",
+    "measured",
+)
 
 
 def names() -> list[str]:
-    """Names of the shipped scenes, without sweeps and calibrations: paths relative to scenes/ without suffix."""
+    """Names of the shipped scenes, without sweeps and calibrations: paths relative to scenes/ without
+    suffix."""
     return sorted(scene_paths())
 
 
@@ -98,14 +108,17 @@ def written(text: str) -> str:
     for name, table in TABLES.items():
         begin, end = f"<!-- {name}: written by tools/scene_table.py -->\n", f"<!-- end of {name} -->\n"
         if begin not in text or end not in text:
-            raise ValueError(f"{PAGE.name} lacks the markers of the table {name}: {begin.strip()} and {end.strip()}")
+            raise ValueError(
+                f"{PAGE.name} lacks the markers of the table {name}: {begin.strip()} and {end.strip()}"
+            )
         before, _, rest = text.partition(begin)
         text = before + begin + "\n" + "\n".join(table()) + "\n\n" + end + rest.partition(end)[2]
     return text
 
 
 def record(folder: Path) -> None:
-    """Stores the numbers of a finished run of a shipped scene. Raises ValueError for other scenes and runs."""
+    """Stores the numbers of a finished run of a shipped scene. Raises ValueError for other scenes and
+    runs."""
     run = read_run(folder)
     if run.result is None:
         raise ValueError(f"{folder} has no result.json: give the directory of a finished run.")
@@ -129,7 +142,9 @@ def shipped(scene: Scene) -> tuple[str, Scene]:
         other = load(SCENES / f"{name}.yaml")
         if (other.title, other.expect) == (scene.title, scene.expect):
             return name, other
-    raise ValueError(f"{scene.title} is not a shipped scene with its original expectations: run it without --set.")
+    raise ValueError(
+        f"{scene.title} is not a shipped scene with its original expectations: run it without --set."
+    )
 
 
 def git(*arguments: str) -> str:
@@ -141,16 +156,22 @@ def git(*arguments: str) -> str:
 
 def main() -> int:
     """Writes or checks the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--check", action="store_true", help="only compare the tables")
-    parser.add_argument("--record", nargs="+", type=Path, default=[], metavar="OUT", help="folders of finished runs")
+    parser.add_argument(
+        "--record", nargs="+", type=Path, default=[], metavar="OUT", help="folders of finished runs"
+    )
     options = parser.parse_args()
     for folder in options.record:
         record(folder)
     before = PAGE.read_text(encoding="utf-8")
     after = written(before)
     if options.check:
-        print("The tables are up to date." if before == after else f"{PAGE}: run python tools/scene_table.py.")
+        print(
+            "The tables are up to date." if before == after else f"{PAGE}: run python tools/scene_table.py."
+        )
         return int(before != after)
     PAGE.write_text(after, encoding="utf-8")
     return 0

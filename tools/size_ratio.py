@@ -1,10 +1,11 @@
-"""Cost of polydispersity: neighbor-list rebuilds with one cell grid per size class and with one grid for all sizes.
+"""Cost of polydispersity: neighbor-list rebuilds with one cell grid per size class and with one grid for all
+sizes.
 
     python tools/size_ratio.py [--count 20000] [--ratios 1 2 3 5 10 20] [--rounds 3]
 
-Each bed has equal masses of its sizes, which increase by a factor of about two, periodic sides and a floor. Both
-methods start from the same settled state and are measured in turn on one thread. The table shows the smallest CPU time
-of all rounds.
+Each bed has equal masses of its sizes, which increase by a factor of about two, periodic sides and a floor.
+Both methods start from the same settled state and are measured in turn on one thread. The table shows the
+smallest CPU time of all rounds.
 """
 
 import argparse
@@ -59,7 +60,8 @@ def scene_of(ratio: float, count: int) -> Scene:
 
 def settled_beds(ratio: float, count: int) -> tuple[Simulation, Simulation]:
     """The same settled bed twice: with one grid per size class, and with one grid."""
-    scene, threshold = scene_of(ratio, count), size_classes.CLASSES_FROM_RATIO
+    scene = scene_of(ratio, count)
+    threshold = size_classes.CLASSES_FROM_RATIO
     size_classes.CLASSES_FROM_RATIO = 1.0 + 1e-9
     by_class = Simulation(scene, threads=1)
     by_class.run()
@@ -72,9 +74,11 @@ def settled_beds(ratio: float, count: int) -> tuple[Simulation, Simulation]:
 
 def cpu_seconds(simulation: Simulation) -> tuple[float, float]:
     """CPU time [s] of one rebuild, and of one step without rebuild."""
-    stepper, began = simulation.engine.stepper, time.process_time()
+    stepper = simulation.engine.stepper
+    began = time.process_time()
     stepper.rebuild_neighbor_lists(0)
-    rebuild, rebuilds_before = time.process_time() - began, stepper.timing.rebuild_count
+    rebuild = time.process_time() - began
+    rebuilds_before = stepper.timing.rebuild_count
     stepper.forces(history_step=0.0)
     stepping = time.process_time()
     simulation.engine.advance(STEPS)
@@ -90,7 +94,8 @@ def row(ratio: float, count: int, rounds: int) -> str:
         cpu_seconds(simulation)
     times = np.array([[cpu_seconds(simulation) for simulation in both] for _ in range(rounds)]).min(axis=0)
     (rebuild, step), (rebuild_one_grid, step_one_grid) = times.tolist()
-    classes, contacts = len(both[0].plan.size_classes), both[0].snapshot().totals["contact_count"]
+    classes = len(both[0].plan.size_classes)
+    contacts = both[0].snapshot().totals["contact_count"]
     speedup = (rebuild_one_grid + STEPS_PER_REBUILD * step_one_grid) / (rebuild + STEPS_PER_REBUILD * step)
     rate = count / (rebuild / STEPS_PER_REBUILD + step) / 1e6
     for simulation in both:
@@ -104,7 +109,9 @@ def row(ratio: float, count: int, rounds: int) -> str:
 
 def main() -> None:
     """Prints the table, each row when it is measured."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=20_000, help="particles in a bed (20000)")
     parser.add_argument(
         "--ratios",
@@ -115,8 +122,12 @@ def main() -> None:
     )
     parser.add_argument("--rounds", type=int, default=3, help="rounds (3)")
     options = parser.parse_args()
-    print(f"{options.count} particles, CPU time in us per particle; one rebuild every {STEPS_PER_REBUILD} steps:")
-    print("| sizes | classes | contacts | rebuild, one grid | per class | speedup | step | M steps/s | total speedup |")
+    print(
+        f"{options.count} particles, CPU time in us per particle; one rebuild every {STEPS_PER_REBUILD} steps:"
+    )
+    print(
+        "| sizes | classes | contacts | rebuild, one grid | per class | speedup | step | M steps/s | total speedup |"
+    )
     print("|---|---|---|---|---|---|---|---|---|")
     for ratio in options.ratios:
         print(row(ratio, options.count, options.rounds), flush=True)

@@ -1,11 +1,12 @@
 """Time from the start of granflow to its first step, with an empty and with a filled kernel cache, by stage.
 
-    python tools/start_time.py                 two particles and a bed of 50 000, each cold and three times warm
-    python tools/start_time.py --out FILE.json
+    python tools/start_time.py                 two particles and a bed of 50 000, each cold and three times
+    warm python tools/start_time.py --out FILE.json
 
 Each start is a separate process; each scene has a separate cache folder (GRANFLOW_CACHE). The measured run is
-`Simulation.run` to the end of one step, with all files written and closed. Modules are compiled to bytecode before, as
-pip does: where the environment prevents that (PYTHONDONTWRITEBYTECODE), each start takes 0.7 s more.
+`Simulation.run` to the end of one step, with all files written and closed. Modules are compiled to bytecode
+before, as pip does: where the environment prevents that (PYTHONDONTWRITEBYTECODE), each start takes 0.7 s
+more.
 """
 
 import argparse
@@ -60,7 +61,11 @@ def child(scene: str, out: str) -> None:
     simulation.run(until=simulation.plan.time_step)
     times.append(time.time())
     used = resource.getrusage(resource.RUSAGE_SELF)
-    answer = {"moments": times, "compile": simulation.engine.timing.compile, "cpu": used.ru_utime + used.ru_stime}
+    answer = {
+        "moments": times,
+        "compile": simulation.engine.timing.compile,
+        "cpu": used.ru_utime + used.ru_stime,
+    }
     print(json.dumps(answer))
 
 
@@ -108,7 +113,12 @@ def measure(folder: Path) -> dict[str, Any]:
     import_seconds()  # writes the bytecode
     bed = folder / "bed.yaml"
     bed.write_text(BED)
-    result: dict[str, Any] = {"kind": "start", "machine": machine(), "imports": import_seconds(), "starts": []}
+    result: dict[str, Any] = {
+        "kind": "start",
+        "machine": machine(),
+        "imports": import_seconds(),
+        "starts": [],
+    }
     for name, scene in (("two spheres", SMALL), ("50 000 spheres", bed)):
         cache = folder / f"cache of {name}"
         for number in range(1 + WARM_STARTS):
@@ -122,9 +132,7 @@ def line(found: dict[str, Any]) -> str:
     """One start as a line of text."""
     stages = ", ".join(f"{stage} {found[stage]:.2f}" for stage in STAGES)
     kernels = f"{found['kernels_compiled']} kernels compiled, {found['kernels_in_cache']} in the cache"
-    return (
-        f"{found['scene']:>14} {found['state']}: {found['total']:.2f} s ({stages}; cpu {found['cpu']:.2f}); {kernels}"
-    )
+    return f"{found['scene']:>14} {found['state']}: {found['total']:.2f} s ({stages}; cpu {found['cpu']:.2f}); {kernels}"
 
 
 def main() -> None:
@@ -132,7 +140,9 @@ def main() -> None:
     if sys.argv[1:2] == ["--child"]:
         child(*sys.argv[2:4])
         return
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", metavar="FILE", type=Path, help="JSON file of the results")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -24,8 +24,8 @@ PRECISIONS = ("f64", "f32", "mixed")
 def add_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argparse.ArgumentParser:
     """Add a verb and return its parser.
 
-    `verbs`: subparsers of argparse; `verb`: function (options) -> exit code, which names the verb; `summary`: help text
-    in lowercase without a period.
+    `verbs`: subparsers of argparse; `verb`: function (options) -> exit code, which names the verb; `summary`:
+    help text in lowercase without a period.
     """
     parser = verbs.add_parser(verb.__name__, help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.set_defaults(verb=verb)
@@ -51,9 +51,13 @@ def check_output_file(path: Path | None, types: Sequence[str], directory: Path) 
     if path is None:
         return
     if path.is_dir():
-        raise GranflowError(f"--out {path} is a directory; give a file, such as {path / f'picture{types[0]}'}.")
+        raise GranflowError(
+            f"--out {path} is a directory; give a file, such as {path / f'picture{types[0]}'}."
+        )
     if path.suffix not in types:
-        raise GranflowError(f"--out {path} is not of a supported type; the name must end in {' or '.join(types)}.")
+        raise GranflowError(
+            f"--out {path} is not of a supported type; the name must end in {' or '.join(types)}."
+        )
     if not path.exists():
         return
     from granflow.runs.read_run import SCENE, Run
@@ -63,13 +67,20 @@ def check_output_file(path: Path | None, types: Sequence[str], directory: Path) 
     inputs = [] if not (directory / SCENE).exists() or run.scene_problem else [*input_files(run.scene)]
     for key, name in inputs:
         if name.exists() and path.samefile(name):
-            raise GranflowError(f"--out {path} is {key} of the run, which must not be replaced; give another file.")
+            raise GranflowError(
+                f"--out {path} is {key} of the run, which must not be replaced; give another file."
+            )
 
 
 def add_overrides(parser: argparse.ArgumentParser, text: str) -> None:
     """Add --set, which can be repeated; `text`: its effect."""
     parser.add_argument(
-        "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[], help=f"{text}; repeatable"
+        "--set",
+        dest="overrides",
+        metavar="KEY.PATH=VALUE",
+        action="append",
+        default=[],
+        help=f"{text}; repeatable",
     )
 
 
@@ -79,7 +90,9 @@ def add_out(parser: argparse.ArgumentParser, default: str, content: str = "") ->
     parser.add_argument("--out", metavar="DIR", type=Path, help=text)
 
 
-def add_machine(parser: argparse.ArgumentParser, default_precision: str = "the precision of the scene") -> None:
+def add_machine(
+    parser: argparse.ArgumentParser, default_precision: str = "the precision of the scene"
+) -> None:
     """Add --arch and --precision; `default_precision`: text on the default of --precision."""
     parser.add_argument(
         "--arch",
@@ -94,7 +107,9 @@ def add_machine(parser: argparse.ArgumentParser, default_precision: str = "the p
 
 def add_allow_long(parser: argparse.ArgumentParser) -> None:
     """Add --allow-long."""
-    parser.add_argument("--allow-long", action="store_true", help="accept a run estimated to take more than a year")
+    parser.add_argument(
+        "--allow-long", action="store_true", help="accept a run estimated to take more than a year"
+    )
 
 
 def add_mpi(parser: argparse.ArgumentParser) -> None:
@@ -136,12 +151,15 @@ def simulated_time(text: str) -> float:
 def thread_count(text: str) -> int:
     """Convert --threads for argparse: a whole number, at least 1. Raises ArgumentTypeError."""
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a number of threads; give a whole number of at least 1")
+        raise argparse.ArgumentTypeError(
+            f"{text} is not a number of threads; give a whole number of at least 1"
+        )
     return int(text)
 
 
 def count(text: str) -> int:
-    """Convert a number of jobs or trials for argparse: a whole number, at least 1. Raises ArgumentTypeError."""
+    """Convert a number of jobs or trials for argparse: a whole number, at least 1. Raises
+    ArgumentTypeError."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text} is not a valid number; give a whole number of at least 1")
     return int(text)
@@ -155,11 +173,14 @@ def load(options: argparse.Namespace) -> "Scene":
     from granflow.load import load as load_scene
 
     precision = getattr(options, "precision", None)
-    return load_scene(options.scene, [*options.overrides, *([f"run.precision={precision}"] if precision else [])])
+    return load_scene(
+        options.scene, [*options.overrides, *([f"run.precision={precision}"] if precision else [])]
+    )
 
 
 def load_runnable(options: argparse.Namespace) -> "Scene":
-    """Read the scene of a run, as `load`. Raises SceneError also for a group whose particles a program adds."""
+    """Read the scene of a run, as `load`. Raises SceneError also for a group whose particles a program
+    adds."""
     scene = load(options)
     scene.refuse_program()
     return scene
@@ -188,7 +209,8 @@ EXIT_TERMINATED = 143
 
 
 def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool = False) -> None:
-    """Print text; control characters in titles, names and file headers become visible. The only `print` of the CLI.
+    """Print text; control characters in titles, names and file headers become visible. The only `print` of
+    the CLI.
 
     `file`: stdout by default; `flush`: write at once.
     """
@@ -227,8 +249,11 @@ def warn(sentences: Iterable[str]) -> None:
 
 
 def say_checked(path: Path, warnings: Sequence[str], remark: str = "") -> int:
-    """Print that the scene at `path` has no errors and how many warnings, then the warnings; return the exit code 0."""
-    count = f"no errors, {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else "no problems found"
+    """Print that the scene at `path` has no errors and how many warnings, then the warnings; return the exit
+    code 0."""
+    count = (
+        f"no errors, {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else "no problems found"
+    )
     say(f"{path}: {count}{remark}.", flush=True)
     warn(warnings)
     return 0
@@ -242,14 +267,16 @@ def warned(sentences: Iterable[str]) -> list[str]:
 
 
 def exit_code_of(stop: KeyboardInterrupt) -> int:
-    """Return the exit code that shells report for a process ended by that signal: 128 plus the signal number."""
+    """Return the exit code that shells report for a process ended by that signal: 128 plus the signal
+    number."""
     return EXIT_TERMINATED if isinstance(stop, Terminated) else EXIT_INTERRUPTED
 
 
 def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
     """Write the files of a study; without matplotlib, write only those that do not need it, with a message.
 
-    `write`: function (directory, *numbers), which may raise GranflowError after it has written the other files.
+    `write`: function (directory, *numbers), which may raise GranflowError after it has written the other
+    files.
     """
     try:
         write(out, *numbers)
@@ -306,7 +333,9 @@ def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) 
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(visible(title)), title_justify="left", show_header=any(heads), box=None, pad_edge=False)
+    table = Table(
+        title=Text(visible(title)), title_justify="left", show_header=any(heads), box=None, pad_edge=False
+    )
     for column, head in enumerate(heads):
         table.add_column(visible(head), justify="left" if column == 0 else "right", no_wrap=column > 0)
     for row in rows:

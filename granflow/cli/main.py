@@ -44,10 +44,10 @@ from granflow.visible_text import visible
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    0 completed; 1 completed, but an expectation of the scene is not satisfied; 2 input error (scene, command line,
-    files); 3 aborted, with a diagnosis; 4 stopped because files could not be written; 130 interrupted (Ctrl-C);
-    143 terminated (SIGTERM); 141 the reader of stdout closed the pipe, as `head` does. After a closed pipe, `run` and
-    `resume` continue.
+    0 completed; 1 completed, but an expectation of the scene is not satisfied; 2 input error (scene, command
+    line, files); 3 aborted, with a diagnosis; 4 stopped because files could not be written; 130 interrupted
+    (Ctrl-C); 143 terminated (SIGTERM); 141 the reader of stdout closed the pipe, as `head` does. After a
+    closed pipe, `run` and `resume` continue.
     """
     try:
         with standard_streams() as output:
@@ -61,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _verb(options: argparse.Namespace) -> int:
     """Run the verb with signal handling and return its exit code.
 
-    GranflowError, errors of files and interrupts are printed without a traceback; all other exceptions propagate.
+    GranflowError, errors of files and interrupts are printed without a traceback; all other exceptions
+    propagate.
     """
     try:
         refuse_low_memory_limit()
@@ -70,15 +71,20 @@ def _verb(options: argparse.Namespace) -> int:
     except GranflowError as error:
         return print_refusal(error)
     except MemoryError:
-        return print_error("not enough memory: use fewer particles, or raise the memory limit of the process.")
+        return print_error(
+            "not enough memory: use fewer particles, or raise the memory limit of the process."
+        )
     except ImportError as error:
-        return print_error(f"a library cannot be loaded ({error}): install granflow again, or raise memory limits.")
+        return print_error(
+            f"a library cannot be loaded ({error}): install granflow again, or raise memory limits."
+        )
     except KeyboardInterrupt as stop:
         return print_error("interrupted.", exit_code_of(stop))
 
 
 def _print_file_error(error: OSError) -> int:
-    """Print an error of the operating system that concerns a file, and return exit code 2; raise it again otherwise."""
+    """Print an error of the operating system that concerns a file, and return exit code 2; raise it again
+    otherwise."""
     if error.filename is None:
         raise error
     return print_error(f"{error.filename}: {_reason_of(error)}.")

@@ -1,8 +1,9 @@
 """SIGINT (Ctrl-C) and SIGTERM: handlers that take effect within a second, in every verb and at any time.
 
-Before a run has begun, the handler raises an exception at once. During a run it requests a stop: the run completes the
-launch in progress (LAUNCH_SECONDS, or one step if that is longer), writes a checkpoint and ends. While C++ code
-compiles a kernel no Python handler runs, so the default action of the operating system ends the process instead.
+Before a run has begun, the handler raises an exception at once. During a run it requests a stop: the run
+completes the launch in progress (LAUNCH_SECONDS, or one step if that is longer), writes a checkpoint and
+ends. While C++ code compiles a kernel no Python handler runs, so the default action of the operating system
+ends the process instead.
 """
 
 import errno
@@ -24,7 +25,8 @@ from granflow.runs.time_loop import stop_of
 # The memory limit of the process (`ulimit -v`), below which libraries do not end.
 
 LEAST = 512 * 2**20
-"""Smallest limit [bytes]. OpenBLAS, which numpy calls, repeats a failed allocation forever; a run needs 2 GB."""
+"""Smallest limit [bytes]. OpenBLAS, which numpy calls, repeats a failed allocation forever; a run needs 2
+GB."""
 
 
 def refuse_low_memory_limit() -> None:
@@ -44,15 +46,16 @@ def refuse_low_memory_limit() -> None:
 # A short start: without work of Python that a start does not need.
 
 PAUSE = 5.0
-"""Time [s] without garbage collection after a start: the first collections examine all objects of the start."""
+"""Time [s] without garbage collection after a start: the first collections examine all objects of the
+start."""
 
 
 @contextmanager
 def quick_start() -> Iterator[None]:
     """In the block, no garbage collection, and no search for pydantic plugins in all installed packages.
 
-    Nearly all objects of a start remain in use, so that some 400 collections, a tenth of its time, find little. The
-    collection begins PAUSE after the block.
+    Nearly all objects of a start remain in use, so that some 400 collections, a tenth of its time, find
+    little. The collection begins PAUSE after the block.
     """
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     was_enabled = gc.isenabled()
@@ -84,8 +87,8 @@ ENDED = "granflow: ended at once."
 class StopSignals:
     """Handles stop signals while a verb runs.
 
-    `request`: function (exception) that requests that a run stops; without it the handler raises the exception.
-    `message`: what is still completed, for the case that the stop takes longer than GRACE.
+    `request`: function (exception) that requests that a run stops; without it the handler raises the
+    exception. `message`: what is still completed, for the case that the stop takes longer than GRACE.
     """
 
     def __init__(self) -> None:
@@ -176,17 +179,20 @@ def stop_signals() -> Iterator[None]:
     from granflow.engine import compilation
 
     _current = signals = StopSignals()
-    around, compilation.around = compilation.around, signals.default_action
+    around = compilation.around
+    compilation.around = signals.default_action
     signals.install()
     try:
         yield
     finally:
         signals.restore()
-        compilation.around, _current = around, None
+        compilation.around = around
+        _current = None
 
 
 def pass_stops_to(stop: Callable[[int], None]) -> None:
-    """On a rank that is not the root, call `stop` with the number of each stop signal: the root ends the run."""
+    """On a rank that is not the root, call `stop` with the number of each stop signal: the root ends the
+    run."""
     if _current is not None:
         _current.pass_to(stop)
 
@@ -194,7 +200,8 @@ def pass_stops_to(stop: Callable[[int], None]) -> None:
 @contextmanager
 def deferred_to_event(message: str = DEFERRED) -> Iterator[tuple[threading.Event, list[KeyboardInterrupt]]]:
     """In the block, a stop signal sets the event and appends its exception to the list; see `deferred_to`."""
-    stop, signals = threading.Event(), list[KeyboardInterrupt]()
+    stop = threading.Event()
+    signals = list[KeyboardInterrupt]()
 
     def request(error: KeyboardInterrupt) -> None:
         signals.append(error)
@@ -206,17 +213,21 @@ def deferred_to_event(message: str = DEFERRED) -> Iterator[tuple[threading.Event
 
 @contextmanager
 def deferred_to(request: Callable[[KeyboardInterrupt], None], message: str = DEFERRED) -> Iterator[None]:
-    """In the block, the first stop signal calls `request` with the exception to raise later; the second one raises.
+    """In the block, the first stop signal calls `request` with the exception to raise later; the second one
+    raises.
 
-    `message`: printed if the stop takes longer than GRACE. Without `stop_signals` around it, the block has no effect.
+    `message`: printed if the stop takes longer than GRACE. Without `stop_signals` around it, the block has no
+    effect.
     """
     if _current is not None:
-        _current.request, _current.message = request, message
+        _current.request = request
+        _current.message = message
     try:
         yield
     finally:
         if _current is not None:
-            _current.request, _current.message = None, DEFERRED
+            _current.request = None
+            _current.message = DEFERRED
 
 
 # stdout and stderr whose reader may close the pipe: `granflow explain SCENE | head`.
@@ -228,8 +239,9 @@ EXIT_PIPE = 141
 class Output:
     """Reaction to a failed write to a standard stream.
 
-    If `needed`, the command ends: silently with EXIT_PIPE when the reader closed the pipe, otherwise with the OSError.
-    If not, the command continues and its output is dropped: lost progress lines must not end a simulation.
+    If `needed`, the command ends: silently with EXIT_PIPE when the reader closed the pipe, otherwise with the
+    OSError. If not, the command continues and its output is dropped: lost progress lines must not end a
+    simulation.
     """
 
     needed = True
@@ -237,7 +249,8 @@ class Output:
     def failed(self, error: OSError, name: str) -> None:
         """Handle the first failed write to the stream `name`.
 
-        If `needed`, raises SystemExit(EXIT_PIPE) for a closed pipe, and OSError with the name of the stream otherwise.
+        If `needed`, raises SystemExit(EXIT_PIPE) for a closed pipe, and OSError with the name of the stream
+        otherwise.
         """
         if not self.needed:
             return
@@ -255,7 +268,9 @@ class _Stream(io.FileIO):
 
     def __init__(self, stream: TextIO, output: Output) -> None:
         super().__init__(stream.fileno(), "w", closefd=False)
-        self._shown_name, self._output, self._lost = stream.name, output, False
+        self._shown_name = stream.name
+        self._output = output
+        self._lost = False
 
     def write(self, data: Any, /) -> int:
         """Write `data` to the stream, or drop it after a failed write; return the number of bytes.
@@ -275,8 +290,8 @@ class _Stream(io.FileIO):
 def standard_streams() -> Iterator[Output]:
     """Handle failed writes to stdout and stderr by `Output.failed`; the block may set `needed`.
 
-    Both streams are replaced in the block and restored at the end. Streams of notebooks, tests and the Windows console
-    are not replaced.
+    Both streams are replaced in the block and restored at the end. Streams of notebooks, tests and the
+    Windows console are not replaced.
     """
     output = Output()
     names = [name for name in ("stdout", "stderr") if _is_process_stream(name)]
@@ -297,7 +312,8 @@ def standard_streams() -> Iterator[Output]:
 
 
 def _is_process_stream(name: str) -> bool:
-    """Return whether a stream is that of the process: not of a notebook or test, nor the console of Windows."""
+    """Return whether a stream is that of the process: not of a notebook or test, nor the console of
+    Windows."""
     stream = getattr(sys, name)
     console = sys.platform == "win32" and stream is not None and stream.isatty()
     return stream is not None and stream is getattr(sys, f"__{name}__") and not console
@@ -308,9 +324,12 @@ def _wrapped(stream: TextIO, output: Output) -> io.TextIOWrapper:
     stream.flush()
     buffer = io.BufferedWriter(_Stream(stream, output))
     return io.TextIOWrapper(
-        buffer, stream.encoding, stream.errors, line_buffering=getattr(stream, "line_buffering", False),
+        buffer,
+        stream.encoding,
+        stream.errors,
+        line_buffering=getattr(stream, "line_buffering", False),
         write_through=getattr(stream, "write_through", False),
-    )  # fmt: skip
+    )
 
 
 def _replace(name: str, stream: TextIO) -> None:

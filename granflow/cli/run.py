@@ -110,13 +110,16 @@ def _scenes_of(source: Path) -> list[Path]:
 
 
 def path_of(name: str) -> Path:
-    """Path of a shipped scene, such as hopper or verification/incline. Raises GranflowError for an unknown name."""
+    """Path of a shipped scene, such as hopper or verification/incline. Raises GranflowError for an unknown
+    name."""
     from granflow.scene.model import suggestion_or_list
 
     paths = example_paths()
     known = name.removesuffix(".yaml")
     if known not in paths:
-        raise GranflowError(f"{name} is not one of the shipped scenes. {suggestion_or_list(known, paths, 'scenes')}")
+        raise GranflowError(
+            f"{name} is not one of the shipped scenes. {suggestion_or_list(known, paths, 'scenes')}"
+        )
     return paths[known]
 
 
@@ -132,10 +135,16 @@ def add_examples(verbs: Any) -> None:
 
 def add_example(verbs: Any) -> None:
     """Add `granflow example` and its arguments."""
-    parser = add_verb(verbs, example, "copy a scene that is part of the package, with its meshes and particle files")
+    parser = add_verb(
+        verbs, example, "copy a scene that is part of the package, with its meshes and particle files"
+    )
     parser.add_argument("name", metavar="NAME", help="name of the scene, such as hopper")
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path(), help="directory of the copies (default: working directory)"
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path(),
+        help="directory of the copies (default: working directory)",
     )
 
 
@@ -145,7 +154,8 @@ def add_example(verbs: Any) -> None:
 
 
 def explain(options: argparse.Namespace) -> int:
-    """`granflow explain`: print features, defaults, time step, memory and run time, or the cost of each feature.
+    """`granflow explain`: print features, defaults, time step, memory and run time, or the cost of each
+    feature.
 
     Raises GranflowError for options that require --measure.
     """
@@ -175,7 +185,11 @@ def measure(options: argparse.Namespace, scene: Any) -> int:
     found = feature_costs(
         scene, options.arch, options.threads, options.until, lambda message: say(f"{message} ...", flush=True)
     )
-    show_table(f"{scene.title}: cost of a step, as in the scene and with one feature switched", HEADS, cost_rows(found))
+    show_table(
+        f"{scene.title}: cost of a step, as in the scene and with one feature switched",
+        HEADS,
+        cost_rows(found),
+    )
     say(*remarks(found), sep="\n")
     if options.out is not None:
         write_feature_costs(options.out, found, scene.title)
@@ -184,7 +198,8 @@ def measure(options: argparse.Namespace, scene: Any) -> int:
 
 
 def use_fresh_kernel_cache() -> None:
-    """Use an empty temporary kernel cache in this process, so that compilation takes as long as the first time.
+    """Use an empty temporary kernel cache in this process, so that compilation takes as long as the first
+    time.
 
     Sets the environment variable of the cache; must be called before Taichi is initialized.
     """
@@ -198,7 +213,9 @@ def use_fresh_kernel_cache() -> None:
 def add_explain(verbs: Any) -> None:
     """Add `granflow explain` and its arguments."""
     parser = add_scene_verb(
-        verbs, explain, "print features with their reasons, defaults, the time step and its limit, the memory estimate"
+        verbs,
+        explain,
+        "print features with their reasons, defaults, the time step and its limit, the memory estimate",
     )
     parser.add_argument(
         "--measure",
@@ -206,7 +223,10 @@ def add_explain(verbs: Any) -> None:
         help="measure the cost of each feature instead of printing the plan: time per step with and without it",
     )
     parser.add_argument(
-        "--until", metavar="T", type=simulated_time, help="with --measure: simulated time to run before the measurement"
+        "--until",
+        metavar="T",
+        type=simulated_time,
+        help="with --measure: simulated time to run before the measurement",
     )
     parser.add_argument(
         "--threads",
@@ -214,7 +234,9 @@ def add_explain(verbs: Any) -> None:
         type=thread_count,
         help="with --measure: CPU threads (default: cores available to this process)",
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="with --measure: write the table as CSV and Markdown")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="with --measure: write the table as CSV and Markdown"
+    )
     add_machine(parser)
 
 
@@ -264,13 +286,16 @@ class RankStop:
 
     def applied_to(self, engine: "RankEngine") -> "RankEngine":
         """The engine of this rank, with the request that came before it."""
-        self._engine, engine.stepper.interrupted = engine, self._number
+        self._engine = engine
+        engine.stepper.interrupted = self._number
         return engine
 
 
 def threads_per_rank(communicator: "Communicator") -> int:
-    """CPU threads of each rank: its cores if mpirun has bound it to some, otherwise a part of those of the machine."""
-    cores, ranks = allowed_cores(), communicator.local_size()
+    """CPU threads of each rank: its cores if mpirun has bound it to some, otherwise a part of those of the
+    machine."""
+    cores = allowed_cores()
+    ranks = communicator.local_size()
     return max(cores // ranks if cores == os.cpu_count() else cores, 1)
 
 
@@ -308,8 +333,8 @@ These keys may change, with --set or in scene_as_run.yaml; a change of any other
 def resume(options: argparse.Namespace) -> int:
     """`granflow resume`: continue from the newest intact checkpoint, bit-identical to an uninterrupted run.
 
-    Raises GranflowError if the directory does not exist, is locked by another run, contains no usable checkpoint, or if
-    the scene has changes that are not permitted.
+    Raises GranflowError if the directory does not exist, is locked by another run, contains no usable
+    checkpoint, or if the scene has changes that are not permitted.
     """
     out: Path = options.directory
     if not out.is_dir():
@@ -342,9 +367,17 @@ def _resume_locked(options: argparse.Namespace, out: Path, communicator: "Commun
     checkpoint = checkpoint_to_resume(out, options.from_start, printed, communicator is not None)
     scene = scene_to_resume(options, checkpoint)
     simulation = Simulation(
-        scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
-        allow_changes=options.allow_changes, allow_long=options.allow_long, overwrite=True, communicator=communicator,
-    )  # fmt: skip
+        scene,
+        arch=options.arch,
+        threads=options.threads,
+        out=out,
+        progress=True,
+        resume=checkpoint,
+        allow_changes=options.allow_changes,
+        allow_long=options.allow_long,
+        overwrite=True,
+        communicator=communicator,
+    )
     if not (simulation.observers.rows_intact or options.allow_changes):
         raise GranflowError(
             f"{out / 'timeseries.csv'} lacks rows that were written before the checkpoint: restore the file, or "
@@ -355,12 +388,15 @@ def _resume_locked(options: argparse.Namespace, out: Path, communicator: "Commun
     return run_to_end(simulation, scene, out, options.until, printed)
 
 
-def say_start(simulation: "Simulation", scene: "Scene", checkpoint: "Checkpoint", until: float | None) -> None:
+def say_start(
+    simulation: "Simulation", scene: "Scene", checkpoint: "Checkpoint", until: float | None
+) -> None:
     """Print the checkpoint and its time, and whether no step is left; `until`: end of the run [s] or None.
 
     Raises GranflowError if `until` is before the checkpoint, or after the end of a complete run.
     """
-    time, step = simulation.time, simulation.time_step
+    time = simulation.time
+    step = simulation.time_step
     if until is not None and until < time - step:
         raise GranflowError(
             f"--until is {until:.6g} s, but {checkpoint.path} is at {time:.6g} s: give a later time, or omit --until."
@@ -381,7 +417,8 @@ def extension(scene: "Scene", checkpoint: "Checkpoint", until: float) -> str:
     """Instruction that extends a complete run to the time `until` [s]."""
     if not scene.stages:
         return f"extend it with --set run.duration={until:.6g}s"
-    index, stage = len(scene.stages) - 1, scene.stages[-1]
+    index = len(scene.stages) - 1
+    stage = scene.stages[-1]
     if stage.duration is None:  # one of its conditions is satisfied
         return f"add a stage after {stage.name} in {checkpoint.path.with_name(SCENE)}"
     began = checkpoint.saved["stage_progress"]["stage_times"][stage.name][0]
@@ -393,9 +430,9 @@ def checkpoint_to_resume(
 ) -> "Checkpoint | None":
     """Return the newest intact checkpoint, or None to run from the start.
 
-    Without `from_start`, a run without a checkpoint starts from the beginning only if the directory has no results;
-    otherwise raises GranflowError. `on_ranks`: each rank reads its part of the particles later. Damaged checkpoints
-    and a restored previous run cause warnings on stderr, which are added to `printed`.
+    Without `from_start`, a run without a checkpoint starts from the beginning only if the directory has no
+    results; otherwise raises GranflowError. `on_ranks`: each rank reads its part of the particles later.
+    Damaged checkpoints and a restored previous run cause warnings on stderr, which are added to `printed`.
     """
     from granflow.io.checkpoint import newest_checkpoint
     from granflow.runs.run_directory import restore_previous_run, results_in
@@ -412,7 +449,9 @@ def checkpoint_to_resume(
             f"from the start, use granflow resume {out} --from-start."
         )
     if checkpoint is None and (out / SCENE).exists():
-        printed += warned([f"{out} contains neither a checkpoint nor results: the run begins from the start."])
+        printed += warned(
+            [f"{out} contains neither a checkpoint nor results: the run begins from the start."]
+        )
     return checkpoint
 
 
@@ -428,7 +467,8 @@ def _resumed_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
 
 
 def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None") -> "Scene":
-    """Return the resolved scene, or that of the checkpoint if the file is missing, with the overrides applied.
+    """Return the resolved scene, or that of the checkpoint if the file is missing, with the overrides
+    applied.
 
     Raises GranflowError if neither exists.
     """
@@ -446,10 +486,11 @@ def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None"
 def run_to_end(
     simulation: "Simulation", scene: "Scene", out: Path, until: float | None, printed: Sequence[str] = ()
 ) -> int:
-    """Print the number of warnings and the warnings, run with signal handling, print numbers; return the exit code.
+    """Print the number of warnings and the warnings, run with signal handling, print numbers; return the exit
+    code.
 
-    `until`: simulated time at which the run ends [s], or None. `printed`: warnings on stderr so far, which run.log and
-    result.json contain too. Returns 1 if an expectation is not satisfied, 130 or 143
+    `until`: simulated time at which the run ends [s], or None. `printed`: warnings on stderr so far, which
+    run.log and result.json contain too. Returns 1 if an expectation is not satisfied, 130 or 143
     after a stop signal.
     """
     say_checked(scene.path, simulation.warnings)
@@ -470,7 +511,8 @@ def run_to_end(
 
 def stopped_where(simulation: "Simulation", out: Path) -> str:
     """Return a sentence with the time [s] at which a run stopped and that of its last checkpoint."""
-    at, saved = f"stopped at {simulation.time:.6g} s", simulation.files.checkpoint_time
+    at = f"stopped at {simulation.time:.6g} s"
+    saved = simulation.files.checkpoint_time
     if saved == simulation.time:
         return f"{at}; granflow resume {out} continues. {out} contains the run up to this time."
     if saved is None:
@@ -481,7 +523,8 @@ def stopped_where(simulation: "Simulation", out: Path) -> str:
 @contextmanager
 def warnings_shown(shown: Collection[str]) -> Iterator[None]:
     """In the block, print the warnings of the log to stderr, except those in `shown`."""
-    logger, handler = logging.getLogger("granflow"), logging.StreamHandler()
+    logger = logging.getLogger("granflow")
+    handler = logging.StreamHandler()
     handler.setLevel(logging.WARNING)
     handler.addFilter(lambda record: record.levelno == logging.WARNING and record.getMessage() not in shown)
     handler.setFormatter(VisibleFormatter("granflow: warning: %(message)s"))
@@ -494,29 +537,46 @@ def warnings_shown(shown: Collection[str]) -> Iterator[None]:
 
 def add_resume(verbs: Any) -> None:
     """Add `granflow resume` and its arguments; the help text ends with the keys that may change."""
-    summary = "continue a stopped or killed run, bit-identical to an uninterrupted one, or extend a completed run"
+    summary = (
+        "continue a stopped or killed run, bit-identical to an uninterrupted one, or extend a completed run"
+    )
     parser = verbs.add_parser(
-        "resume", help=summary, description=summary[0].upper() + summary[1:] + ".", epilog=CHANGES,
+        "resume",
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=CHANGES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("directory", metavar="DIR", type=Path, help="directory of the run")
     parser.add_argument(
-        "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
+        "--set",
+        dest="overrides",
+        metavar="KEY.PATH=VALUE",
+        action="append",
+        default=[],
         help="override a value that may change, such as --set walls.gate.vanishes_at=1.2s; repeatable",
-    )  # fmt: skip
-    parser.add_argument(
-        "--allow-changes", action="store_true", help="continue even if the scene or the time series has changed"
     )
     parser.add_argument(
-        "--from-start", action="store_true",
+        "--allow-changes",
+        action="store_true",
+        help="continue even if the scene or the time series has changed",
+    )
+    parser.add_argument(
+        "--from-start",
+        action="store_true",
         help="run the scene from the start, without a checkpoint; replaces the results",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--until", metavar="T", type=simulated_time,
+        "--until",
+        metavar="T",
+        type=simulated_time,
         help="stop at this simulated time, such as 0.2s, not before that of the checkpoint",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--threads", metavar="N", type=thread_count, help="CPU threads (default: cores available to this process)"
+        "--threads",
+        metavar="N",
+        type=thread_count,
+        help="CPU threads (default: cores available to this process)",
     )
     add_mpi(parser)
     add_allow_long(parser)
@@ -525,10 +585,12 @@ def add_resume(verbs: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """`granflow run`: simulate a scene, write the results to a directory, and print the numbers and expectations.
+    """`granflow run`: simulate a scene, write the results to a directory, and print the numbers and
+    expectations.
 
-    Returns the exit code of `run_to_end`. Raises SceneError for a group without particles, and GranflowError if the
-    directory contains an earlier run, unless --overwrite is given, or if the launch does not match --mpi.
+    Returns the exit code of `run_to_end`. Raises SceneError for a group without particles, and GranflowError
+    if the directory contains an earlier run, unless --overwrite is given, or if the launch does not match
+    --mpi.
     """
     pass
     from granflow.parallel.launch import refuse_without_mpi_flag
@@ -558,9 +620,15 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
         from granflow.simulation import Simulation
 
         simulation = Simulation(
-            scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long,
-            communicator=communicator, overwrite=options.overwrite,
-        )  # fmt: skip
+            scene,
+            arch=options.arch,
+            threads=options.threads,
+            out=out,
+            progress=True,
+            allow_long=options.allow_long,
+            communicator=communicator,
+            overwrite=options.overwrite,
+        )
         simulation.warnings.extend(restitution_warnings(scene, simulation.plan))
     with locked(out):
         # another process may have used the directory in the meantime
@@ -571,8 +639,8 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
 def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
     """Check the output directory of a new run; print and return warnings about it.
 
-    Raises GranflowError if it contains an earlier run, unless `overwrite` is set and the scene reads no file from it.
-    The new run replaces the earlier one after its first frame.
+    Raises GranflowError if it contains an earlier run, unless `overwrite` is set and the scene reads no file
+    from it. The new run replaces the earlier one after its first frame.
     """
     from granflow.io.files import locked
     from granflow.runs.run_directory import refuse_inputs_inside, restore_previous_run, results_in
@@ -596,8 +664,8 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
 def check(options: argparse.Namespace) -> int:
     """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run.
 
-    The first line has the number of warnings, which follow on stderr. Returns 0; raises SceneError with the problems.
-    If the particles do not fit into the memory, their packing is not checked.
+    The first line has the number of warnings, which follow on stderr. Returns 0; raises SceneError with the
+    problems. If the particles do not fit into the memory, their packing is not checked.
     """
     scene = load(options)
     from granflow.particles.insertion import initial_particles, inserters
@@ -638,7 +706,8 @@ def restitution_warnings(scene: "Scene", plan: "Plan") -> list[str]:
 def schema(options: argparse.Namespace) -> int:
     """`granflow schema`: print the JSON Schema of scene files (draft 2020-12), for editors.
 
-    `granflow schema KEY.PATH`: print the reference of a key or block. Raises GranflowError for an unknown key.
+    `granflow schema KEY.PATH`: print the reference of a key or block. Raises GranflowError for an unknown
+    key.
     """
     if options.key is not None:
         from granflow.scene.reference import reference_of
@@ -655,7 +724,8 @@ def schema(options: argparse.Namespace) -> int:
 
 
 def cache(options: argparse.Namespace) -> int:
-    """`granflow cache`: print the directory of compiled kernels, their number and size [MB]; --clear deletes them."""
+    """`granflow cache`: print the directory of compiled kernels, their number and size [MB]; --clear deletes
+    them."""
     from granflow.engine.backend import CACHE_VARIABLE as VARIABLE
     from granflow.engine.backend import cache_contents, cache_folder, clear_cache
 
@@ -670,7 +740,9 @@ def add_check(verbs: Any) -> None:
     """Add `granflow check` and its arguments."""
     parser = add_scene_verb(verbs, check, "report all errors of a scene without running it")
     add_allow_long(parser)
-    parser.add_argument("--mpi", action="store_true", help="for a run on MPI ranks, each with a part of the particles")
+    parser.add_argument(
+        "--mpi", action="store_true", help="for a run on MPI ranks, each with a part of the particles"
+    )
 
 
 def add_run(verbs: Any) -> None:
@@ -678,9 +750,14 @@ def add_run(verbs: Any) -> None:
     parser = add_scene_verb(verbs, run, "run a simulation and write the results as files for ParaView")
     add_allow_long(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: out/SCENE)")
-    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s")
     parser.add_argument(
-        "--threads", metavar="N", type=thread_count, help="CPU threads (default: cores available to this process)"
+        "--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s"
+    )
+    parser.add_argument(
+        "--threads",
+        metavar="N",
+        type=thread_count,
+        help="CPU threads (default: cores available to this process)",
     )
     parser.add_argument(
         "--overwrite",
@@ -696,16 +773,22 @@ def add_schema(verbs: Any) -> None:
     summary = "print the reference of a scene key or block, or the JSON Schema of scene files for editors"
     parser = verbs.add_parser("schema", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument(
-        "key", metavar="KEY.PATH", nargs="?",
+        "key",
+        metavar="KEY.PATH",
+        nargs="?",
         help="key such as run.time_step, walls.rectangle.sides or motion.servo; a block lists its keys; "
         "scene: the first level; without it, the JSON Schema",
-    )  # fmt: skip
+    )
     parser.set_defaults(verb=schema)
 
 
 def add_cache(verbs: Any) -> None:
     """Add `granflow cache` and its argument."""
-    summary = "print the path of the kernel cache (compiled kernels, reused to shorten the start of later runs)"
+    summary = (
+        "print the path of the kernel cache (compiled kernels, reused to shorten the start of later runs)"
+    )
     parser = verbs.add_parser("cache", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("--clear", action="store_true", help="delete the compiled kernels; the next run compiles again")
+    parser.add_argument(
+        "--clear", action="store_true", help="delete the compiled kernels; the next run compiles again"
+    )
     parser.set_defaults(verb=cache)

@@ -1,10 +1,11 @@
-"""A worker process of sweeps and calibrations: carries out commands one after the other, with kernels in memory.
+"""A worker process of sweeps and calibrations: carries out commands one after the other, with kernels in
+memory.
 
     python -m granflow.cli.run_worker IDLE_SECONDS
 
-Each line of stdin is a JSON list: file for the messages, arguments of granflow. After a command whose exit code is one
-of REUSABLE, the worker writes the code to stdout and waits for the next line; otherwise it ends with the code. It also
-ends with stdin, and after IDLE_SECONDS without a command.
+Each line of stdin is a JSON list: file for the messages, arguments of granflow. After a command whose exit
+code is one of REUSABLE, the worker writes the code to stdout and waits for the next line; otherwise it ends
+with the code. It also ends with stdin, and after IDLE_SECONDS without a command.
 """
 
 import json
@@ -20,7 +21,8 @@ REUSABLE = (0, 1, 2)
 
 def main(idle_seconds: float) -> int:
     """Carry out the commands of stdin and return the exit code of the process."""
-    requests, answers = FileIO(os.dup(0)), FileIO(os.dup(1), "w")
+    requests = FileIO(os.dup(0))
+    answers = FileIO(os.dup(1), "w")
     with open(os.devnull, "r+b", buffering=0) as nothing:
         os.dup2(nothing.fileno(), 0)
         os.dup2(nothing.fileno(), 1)
@@ -48,7 +50,8 @@ def _read(requests: FileIO, lines: "Queue[bytes]") -> None:
 
 
 def _command(messages: str, arguments: list[str]) -> int:
-    """Carry out a command with its messages in a file and return its exit code; an exception ends the process."""
+    """Carry out a command with its messages in a file and return its exit code; an exception ends the
+    process."""
     from granflow.cli.main import main as run
 
     with open(messages, "wb", buffering=0) as file:

@@ -1,7 +1,7 @@
 """`granflow analyze`: computes metrics and fields of a completed run.
 
-The frames of the run are read; nothing is simulated. The run must have written particles, and contacts for some
-quantities.
+The frames of the run are read; nothing is simulated. The run must have written particles, and contacts for
+some quantities.
 """
 
 import argparse
@@ -42,15 +42,17 @@ MAX_ROWS = 20
 def analyze(options: argparse.Namespace) -> int:
     """`granflow analyze`: compute metrics and fields of a completed run from its frames.
 
-    Writes `metrics.csv` and VTU files, and prints at most MAX_ROWS rows, the last one included. Raises GranflowError if
-    the directory is not that of a run, or if --out is that directory.
+    Writes `metrics.csv` and VTU files, and prints at most MAX_ROWS rows, the last one included. Raises
+    GranflowError if the directory is not that of a run, or if --out is that directory.
     """
     from granflow.load import load
     from granflow.studies.analyze import analyze as analyze_run
 
     scene_path = options.directory / "scene_as_run.yaml"
     if not scene_path.is_file():
-        raise GranflowError(f"{options.directory} is not the directory of a run: it contains no scene_as_run.yaml.")
+        raise GranflowError(
+            f"{options.directory} is not the directory of a run: it contains no scene_as_run.yaml."
+        )
     out = options.out or options.directory / "analysis"
     if out.resolve() == options.directory.resolve():
         raise GranflowError(
@@ -69,7 +71,11 @@ def _cell(name: str, value: float | str) -> str:
     """Text of a value of the column `name`; of an angle with degrees."""
     from granflow.fields import unit_of
 
-    return value if isinstance(value, str) else f"{value:.4g}" + in_degrees(value, unit_of(name.partition(" [")[0]))
+    return (
+        value
+        if isinstance(value, str)
+        else f"{value:.4g}" + in_degrees(value, unit_of(name.partition(" [")[0]))
+    )
 
 
 def add_analyze(verbs: Any) -> None:
@@ -78,7 +84,9 @@ def add_analyze(verbs: Any) -> None:
     parser = add_verb(verbs, analyze, summary)
     parser.add_argument("directory", metavar="OUT", type=Path, help="directory of the run")
     add_out(parser, "OUT/analysis")
-    add_overrides(parser, "metric or field to compute, such as 'output.metrics.heap={kind: repose, surface: cone}'")
+    add_overrides(
+        parser, "metric or field to compute, such as 'output.metrics.heap={kind: repose, surface: cone}'"
+    )
 
 
 # `granflow plot`: columns of time series over time or over each other, of one or more runs.
@@ -90,7 +98,8 @@ TYPES = (".png", ".svg", ".pdf", ".html")
 def plot(options: argparse.Namespace) -> int:
     """`granflow plot`: write an image or a page with curves of time series; without --y, list the columns.
 
-    Raises GranflowError for a file without rows, an unknown column or stage, and a type of file that is not supported.
+    Raises GranflowError for a file without rows, an unknown column or stage, and a type of file that is not
+    supported.
     """
     from granflow.studies.plot import default_path, panels_of, series_of, write_plot
 
@@ -102,7 +111,9 @@ def plot(options: argparse.Namespace) -> int:
         return 0
     titles = {"x_title": options.x_label, "y_title": options.y_label}
     given = {name: text for name, text in titles.items() if text is not None}
-    panels = [replace(panel, **given) for panel in panels_of(options.sources, options.x, options.y, options.stages)]
+    panels = [
+        replace(panel, **given) for panel in panels_of(options.sources, options.x, options.y, options.stages)
+    ]
     out = options.out or default_path(options.sources[0], options.x, options.y)
     write_plot(out, panels, options.log, f"Time series of {', '.join(map(str, options.sources))}")
     say(f"Written to {out}")
@@ -114,27 +125,37 @@ def add_plot(verbs: Any) -> None:
     summary = "plot columns of time series over time or over each other, of one or more runs"
     parser = add_verb(verbs, plot, summary)
     parser.add_argument(
-        "sources", metavar="RUN", type=Path, nargs="+",
+        "sources",
+        metavar="RUN",
+        type=Path,
+        nargs="+",
         help="directory of a run, or a CSV file with times such as OUT/analysis/metrics.csv or "
         "OUT/collision_energies.csv; of the latter, --x energy draws the distribution at the end",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--y", metavar="COLUMN", nargs="+", default=[],
+        "--y",
+        metavar="COLUMN",
+        nargs="+",
+        default=[],
         help="columns, or arithmetic expressions of columns in SI units such as 'wall_pressure.lid / 1e3'; one plot "
         "for each unit (default: list the columns of the first RUN)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--x", metavar="COLUMN", default="time",
+        "--x",
+        metavar="COLUMN",
+        default="time",
         help="horizontal axis: a column or an expression, such as 'wall_displacement.lid / 0.05' (default: time)",
-    )  # fmt: skip
+    )
     parser.add_argument("--x-label", metavar="TEXT", help="title of the horizontal axis")
     parser.add_argument("--y-label", metavar="TEXT", help="title of the vertical axis")
     parser.add_argument("--stages", metavar="NAME", nargs="+", default=[], help="only rows of these stages")
     parser.add_argument("--log", choices=("x", "y", "xy"), default="", help="axes with a logarithmic scale")
     parser.add_argument(
-        "--out", metavar="FILE", type=Path,
+        "--out",
+        metavar="FILE",
+        type=Path,
         help="image .png, .svg or .pdf, or interactive page .html (default: plot_Y_over_X.png in the first RUN)",
-    )  # fmt: skip
+    )
 
 
 # `granflow render`: images and films of a run.
@@ -144,11 +165,13 @@ def add_plot(verbs: Any) -> None:
 FITS = ("all", "particles", "domain")
 """Values of --fit."""
 SMALLEST, LARGEST, MOST_PIXELS = 200, 10_000, 50_000_000
-"""Smallest and largest width and height of an image [pixels], and most pixels: 2.4 GB of memory, half a minute."""
+"""Smallest and largest width and height of an image [pixels], and most pixels: 2.4 GB of memory, half a
+minute."""
 ZOOMS, RATES = (0.01, 1000.0), (0.01, 1000.0)
 """Smallest and largest magnification, and frames per second of an animation."""
 PROGRESS_INTERVAL, FIRST_REPORT = 5.0, 3
-"""Shortest time [s] between two reports of the progress of an animation, and the frame after the first of them."""
+"""Shortest time [s] between two reports of the progress of an animation, and the frame after the first of
+them."""
 STOPPING = "granflow: stopping: the frame in progress is completed; a second signal ends the command at once."
 """Message if an animation needs longer to stop."""
 
@@ -156,8 +179,8 @@ STOPPING = "granflow: stopping: the frame in progress is completed; a second sig
 def render(options: argparse.Namespace) -> int:
     """`granflow render`: write frames of a run as PNG images, or all frames as an MP4 film.
 
-    Prints the paths. Raises GranflowError if the directory contains no frames, or for one output file with several
-    images.
+    Prints the paths. Raises GranflowError if the directory contains no frames, or for one output file with
+    several images.
     """
     from granflow.studies.render.frames import frames_of, selected_frames
     from granflow.studies.render.render import PictureStyle, write_pictures
@@ -180,14 +203,23 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
 
     The duration is the number of frames over --fps [1/s].
     """
-    from granflow.studies.render.render import missing_for_film, name_of, pictures, speed_of, write_film, write_pictures
+    from granflow.studies.render.render import (
+        missing_for_film,
+        name_of,
+        pictures,
+        speed_of,
+        write_film,
+        write_pictures,
+    )
 
     missing = missing_for_film()
     if missing:
         paths = write_pictures(options.directory, frames, style)
         say(f"{len(paths)} images from {paths[0]} to {paths[-1]}")
         return print_error(f"An animation requires {missing}, which is not installed: pip install {missing}")
-    path = options.out or options.directory / "pictures" / f"{name_of(style).replace('picture', 'film', 1)}.mp4"
+    path = (
+        options.out or options.directory / "pictures" / f"{name_of(style).replace('picture', 'film', 1)}.mp4"
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     with deferred_to_event(STOPPING) as (stop, signals):
         drawn = with_progress(pictures(options.directory, frames, style, options.fps), len(frames), stop)
@@ -221,18 +253,23 @@ def with_progress(pictures: "Iterator[np.ndarray]", count: int, stop: Event) -> 
         if number == 1:
             began = now  # the first picture includes imports and the scan of all frames
         elif number == FIRST_REPORT or (number > FIRST_REPORT and now - told > PROGRESS_INTERVAL):
-            told, remaining = now, (now - began) / (number - 1) * (count - number)
+            told = now
+            remaining = (now - began) / (number - 1) * (count - number)
             say(f"{number} of {count} frames, about {remaining:.0f} s remaining", flush=True)
 
 
 def pixel_size(text: str) -> tuple[int, int]:
-    """Convert --size, such as 1600x1200, for argparse: width and height [pixels], rounded down to even numbers.
+    """Convert --size, such as 1600x1200, for argparse: width and height [pixels], rounded down to even
+    numbers.
 
-    Video codecs require even numbers. Raises ArgumentTypeError below SMALLEST, and above LARGEST or MOST_PIXELS.
+    Video codecs require even numbers. Raises ArgumentTypeError below SMALLEST, and above LARGEST or
+    MOST_PIXELS.
     """
     words = re.fullmatch(r"([0-9]{1,9})x([0-9]{1,9})", text)
     width, height = (int(word) for word in words.groups()) if words else (0, 0)
-    if not (SMALLEST <= min(width, height) and max(width, height) <= LARGEST and width * height <= MOST_PIXELS):
+    if not (
+        SMALLEST <= min(width, height) and max(width, height) <= LARGEST and width * height <= MOST_PIXELS
+    ):
         raise argparse.ArgumentTypeError(
             f"{text[:40]} is not a valid size; give width and height in pixels, from {SMALLEST} to {LARGEST}, and "
             f"at most {MOST_PIXELS // 10**6} million pixels in total, such as 1600x1200"
@@ -260,11 +297,15 @@ def number_from(limits: tuple[float, float], text: str) -> float:
     except ValueError:
         number = 0.0
     if not limits[0] <= number <= limits[1]:
-        raise argparse.ArgumentTypeError(f"{text[:40]} is not a number from {limits[0]:g} to {limits[1]:g}, such as 2")
+        raise argparse.ArgumentTypeError(
+            f"{text[:40]} is not a number from {limits[0]:g} to {limits[1]:g}, such as 2"
+        )
     return number
 
 
-FRAME = "last, first, a number, a time such as 0.4s, several of these separated by commas, or all (default: last)"
+FRAME = (
+    "last, first, a number, a time such as 0.4s, several of these separated by commas, or all (default: last)"
+)
 COLOR = "particle array, such as velocity, velocity.z, force, radius, coordination_number (default: velocity)"
 VIEW = "iso, front, side, top, or the direction to the viewer, such as --view=1,-2,0.8 (default: iso)"
 """Help texts of --frame, --color and --view."""
@@ -290,7 +331,11 @@ def add_render(verbs: Any) -> None:
     add("--color", default="velocity", metavar="NAME", help=COLOR)
     limits = "limits of the color scale in SI units (default: from the frames)"
     add("--range", type=number_pair, metavar="LOW,HIGH", dest="limits", help=limits)
-    add("--chains", action="store_true", help="draw contacts as tubes whose thickness and color show the normal force")
+    add(
+        "--chains",
+        action="store_true",
+        help="draw contacts as tubes whose thickness and color show the normal force",
+    )
     add("--view", default="iso", metavar="V", help=VIEW)
     add(
         "--zoom",
@@ -326,8 +371,12 @@ def report(options: argparse.Namespace) -> int:
 
 def add_report(verbs: Any) -> None:
     """Add `granflow report` and its arguments."""
-    summary = "write one self-contained page about a run: interactive plots, flow, energies, plan, timings, images"
+    summary = (
+        "write one self-contained page about a run: interactive plots, flow, energies, plan, timings, images"
+    )
     parser = add_verb(verbs, report, summary)
-    parser.add_argument("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
+    parser.add_argument(
+        "directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper"
+    )
     parser.add_argument("--out", metavar="FILE", type=Path, help="output file (default: DIR/report.html)")
     parser.add_argument("--no-pictures", action="store_true", help="omit images")

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 def accuracy(options: argparse.Namespace) -> int:
     """`granflow accuracy`: measure error against run time, for binary collisions or for a scene.
 
-    Writes a page, CSV files and figures, prints a recommendation and returns 0. Raises GranflowError for a target
-    outside (0, 1), or for options that require a scene.
+    Writes a page, CSV files and figures, prints a recommendation and returns 0. Raises GranflowError for a
+    target outside (0, 1), or for options that require a scene.
     """
     if not 0.0 < options.target < 1.0:
         raise GranflowError(f"--target is {options.target:g}, but must be between 0 and 1, such as 0.01.")
@@ -100,7 +100,9 @@ def _scene(options: argparse.Namespace) -> int:
     task = SceneTask(options.scene, tuple(options.overrides), options.until)
     reductions = [] if options.all_particles else reduced_counts(task.scene())
     if reductions:
-        say(f"Reduced scene for a run time of minutes: {', '.join(reductions)}; --all-particles runs the full scene.")
+        say(
+            f"Reduced scene for a run time of minutes: {', '.join(reductions)}; --all-particles runs the full scene."
+        )
     out = options.out or Path("out") / f"accuracy_{options.scene.stem}"
     kept = out / "accuracy_runs.json"
     try:
@@ -127,7 +129,11 @@ def add_accuracy(verbs: Any) -> None:
     add_out(parser, "out/accuracy or out/accuracy_SCENE")
     add("--target", metavar="ERROR", type=float, default=0.01, help="target relative error (default: 0.01)")
     add("--full", action="store_true", help="more time steps, repetitions and seeds, and a finer reference")
-    add("--all-particles", action="store_true", help="run the scene with all its particles, which may take hours")
+    add(
+        "--all-particles",
+        action="store_true",
+        help="run the scene with all its particles, which may take hours",
+    )
     add("--until", metavar="T", type=simulated_time, help="stop the scene at this simulated time")
     add_overrides(parser, "override a value of the scene")
 
@@ -142,14 +148,15 @@ def beverloo(options: argparse.Namespace) -> int:
 
         W = C rho sqrt(g) d^2.5 (D/d - k)^n
 
-    W: mass flow rate [kg/s], rho: bulk density [kg/m3], D: orifice, d: particle diameter [m]; n = 5/2 or free. (W. A.
-    Beverloo et al., Chem. Eng. Sci. 15 (1961) 260.)
+    W: mass flow rate [kg/s], rho: bulk density [kg/m3], D: orifice, d: particle diameter [m]; n = 5/2 or
+    free. (W. A. Beverloo et al., Chem. Eng. Sci. 15 (1961) 260.)
     """
     from granflow.studies.beverloo import beverloo_rows, fit_beverloo, read_discharges
 
     data = read_discharges(options.paths)
     given = (data, options.diameter, options.bulk_density, options.gravity)
-    fits, heads = [fit_beverloo(*given)], ["exponent 5/2"]
+    fits = [fit_beverloo(*given)]
+    heads = ["exponent 5/2"]
     if len(set(data.orifice)) > len(("C", "k", "exponent")):
         fits.append(fit_beverloo(*given, exponent=None))
         heads.append("exponent free")
@@ -176,19 +183,24 @@ def add_beverloo(verbs: Any) -> None:
 
 
 def calibrate(options: argparse.Namespace) -> int:
-    """`granflow calibrate`: carry out the trials that have not ended, and write best values, scenes and a page.
+    """`granflow calibrate`: carry out the trials that have not ended, and write best values, scenes and a
+    page.
 
-    Returns 0 if the best trial meets all targets within their tolerances, 1 otherwise, and 130 or 143 after a stop
-    signal; the same command then continues the calibration.
+    Returns 0 if the best trial meets all targets within their tolerances, 1 otherwise, and 130 or 143 after a
+    stop signal; the same command then continues the calibration.
     """
     from granflow.studies.calibration.calibrate import read_calibration, run_calibration
 
     study = read_calibration(options.file)
     out = options.out or Path("out") / study.name
     with deferred_to_event() as (stop, signals):
-        result = run_calibration(study, out, options.jobs, options.threads, stop, lambda line: say(line, flush=True))
+        result = run_calibration(
+            study, out, options.jobs, options.threads, stop, lambda line: say(line, flush=True)
+        )
     if signals and isinstance(signals[0], KeyboardInterrupt):
-        return print_error("stopped; repeat the command to continue the calibration.", exit_code_of(signals[0]))
+        return print_error(
+            "stopped; repeat the command to continue the calibration.", exit_code_of(signals[0])
+        )
     if result is None:
         return print_error("no trial was completed, so there are no best values; see trials.csv.", 1)
     show_calibration(result)
@@ -197,10 +209,13 @@ def calibrate(options: argparse.Namespace) -> int:
 
 
 def show_calibration(result: "CalibrationResult") -> None:
-    """Print best values and targets, parameters that cannot be identified, noise, and conflicts of targets."""
+    """Print best values and targets, parameters that cannot be identified, noise, and conflicts of
+    targets."""
     rows = [(each.name, *each.shown) for each in result.parameters]
     show_table(
-        f"Best values, loss {result.loss:.4g}", ("", "best trial", "optimum of the fit", "standard deviation"), rows
+        f"Best values, loss {result.loss:.4g}",
+        ("", "best trial", "optimum of the fit", "standard deviation"),
+        rows,
     )
     targets = [(each.name, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
     show_table("Targets", ("", "measured", "simulated", "deviation / tolerance"), targets)
@@ -228,9 +243,10 @@ def add_calibrate(verbs: Any) -> None:
 def compare(options: argparse.Namespace) -> int:
     """`granflow compare`: run the scene with each contact model; print the table and assess linear springs.
 
-    One subdirectory of the output directory per run, one page for all. Runs of the same comparison that have ended are
-    not repeated, unless --overwrite is given. Raises GranflowError if the directory contains other runs, unless
-    --overwrite is given. Returns 130 or 143 after a stop signal; the same command then continues the comparison.
+    One subdirectory of the output directory per run, one page for all. Runs of the same comparison that have
+    ended are not repeated, unless --overwrite is given. Raises GranflowError if the directory contains other
+    runs, unless --overwrite is given. Returns 130 or 143 after a stop signal; the same command then continues
+    the comparison.
     """
     from granflow.studies.compare.runs import law_names
 
@@ -244,12 +260,22 @@ def compare(options: argparse.Namespace) -> int:
 
     try:
         found = compare(
-            scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
-            say_progress, prepare, options.overwrite,
-        )  # fmt: skip
+            scene,
+            laws,
+            out,
+            options.arch,
+            options.reference_velocity,
+            options.until,
+            options.full,
+            say_progress,
+            prepare,
+            options.overwrite,
+        )
     except KeyboardInterrupt as stop:
         remedy = "repeat the command to continue"
-        return print_error(f"stopped; the runs that have ended are kept in {out}, {remedy}.", exit_code_of(stop))
+        return print_error(
+            f"stopped; the runs that have ended are kept in {out}, {remedy}.", exit_code_of(stop)
+        )
     show_table(scene.title, heads(found.runs, is_short=True), as_text(found.rows))
     for note in (stage_note(found), *notes_on(found)):
         say(note)
@@ -319,15 +345,17 @@ def add_stability(verbs: Any) -> None:
     parser = add_verb(verbs, stability, summary)
     add_out(parser, "out/stability")
     parser.add_argument(
-        "--full", action="store_true",
+        "--full",
+        action="store_true",
         help="run all Young's moduli, particle radii and radius ratios (default: about half of them)",
-    )  # fmt: skip
+    )
 
 
 def collide(options: argparse.Namespace) -> int:
     """`granflow collide`: simulate one head-on collision and compare it with closed-form results.
 
-    Prints a table, or JSON in SI units. Raises GranflowError for an unknown material, contact model or option.
+    Prints a table, or JSON in SI units. Raises GranflowError for an unknown material, contact model or
+    option.
     """
     from granflow.studies.collide import collide as collide_once
 
@@ -360,8 +388,8 @@ def restitution(options: argparse.Namespace) -> int:
 def fit(options: argparse.Namespace) -> int:
     """`granflow fit`: fit sigma and psi of Eq. 12 (Zhou 2011) to measured impact velocities and restitutions.
 
-    The limit velocity [m/s] is given, from the material (Eq. 11), or fitted. Raises GranflowError if the result would
-    overwrite the data, or if the data are invalid.
+    The limit velocity [m/s] is given, from the material (Eq. 11), or fitted. Raises GranflowError if the
+    result would overwrite the data, or if the data are invalid.
     """
     from granflow.studies.fit import fit as fitted
     from granflow.studies.fit import fit_rows, limit_from_materials, read_measurements, write_fit
@@ -370,7 +398,11 @@ def fit(options: argparse.Namespace) -> int:
     if options.data.resolve() == (out / "fit.csv").resolve():
         raise GranflowError(f"{options.data} would be overwritten by the result fit.csv: give another --out.")
     data = read_measurements(options.data)
-    limit = limit_from_materials(options.material, options.material2) if options.material else options.limit_velocity
+    limit = (
+        limit_from_materials(options.material, options.material2)
+        if options.material
+        else options.limit_velocity
+    )
     found = fitted(data, limit)
     title = f"Zhou (2011), Eq. 12, fitted to {len(data)} rows of {options.data}"
     show_table(title, ("", "value", "error", "unit"), fit_rows(found))
@@ -394,8 +426,8 @@ def paper(options: argparse.Namespace) -> int:
 def validate(options: argparse.Namespace) -> int:
     """`granflow validate`: compare published numbers and closed forms with simulations, on one page.
 
-    Writes the page as HTML and Markdown, and its data as JSON. Returns 1 if a deviation exceeds the allowed one where
-    the reference applies.
+    Writes the page as HTML and Markdown, and its data as JSON. Returns 1 if a deviation exceeds the allowed
+    one where the reference applies.
     """
     from granflow.studies.validation.report import write_validation
 
@@ -403,7 +435,9 @@ def validate(options: argparse.Namespace) -> int:
     cases = write_validation(out, options.quick, say_progress, options.peers)
     failed = [each for each in cases if each.status == "fail"]
     for each in (each for each in cases if each.status != "pass"):
-        say(f"{each.status}: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} {each.unit}")
+        say(
+            f"{each.status}: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} {each.unit}"
+        )
     passed = sum(each.status == "pass" for each in cases)
     say(f"{passed} of {len(cases)} cases pass. Open {out / 'validation.html'} in a browser.")
     return 1 if failed else 0
@@ -414,32 +448,52 @@ def add_collide(verbs: Any) -> None:
 
     Quantities are in SI units or have a unit, such as 25.4mm; --diameter2 and --wall exclude each other.
     """
-    parser = add_verb(verbs, collide, "simulate one head-on collision and compare it with closed-form results")
-    add, length, velocity = parser.add_argument, quantity("length"), quantity("velocity")
+    parser = add_verb(
+        verbs, collide, "simulate one head-on collision and compare it with closed-form results"
+    )
+    add = parser.add_argument
+    length = quantity("length")
+    velocity = quantity("velocity")
     add("--law", default="zhou", help="normal contact model (default: zhou)")
     add(
-        "--set", dest="settings", metavar="KEY=VALUE", action="append", default=[],
+        "--set",
+        dest="settings",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
         help="option of the contact model, such as --law thornton --set yield_ratio=2.8; repeatable",
-    )  # fmt: skip
+    )
     add("--material", required=True, metavar="PRESET", help="material, such as stainless_316")
     add("--diameter", required=True, type=length, help="diameter of the sphere, such as 25.4mm")
     add("--velocity", required=True, type=velocity, help="impact velocity, such as 0.5 (m/s)")
-    add("--material2", metavar="PRESET", help="material of the other sphere or of the wall (default: the same)")
+    add(
+        "--material2",
+        metavar="PRESET",
+        help="material of the other sphere or of the wall (default: the same)",
+    )
     partner = parser.add_mutually_exclusive_group()
     partner.add_argument("--diameter2", type=length, help="diameter of the other sphere (default: the same)")
     partner.add_argument("--wall", action="store_true", help="collide with a wall instead of a sphere")
-    add("--restitution", type=quantity("number"), help="requested restitution, 0 to 1 (default: from the material)")
     add(
-        "--steps-per-contact", metavar="N", type=float,
+        "--restitution",
+        type=quantity("number"),
+        help="requested restitution, 0 to 1 (default: from the material)",
+    )
+    add(
+        "--steps-per-contact",
+        metavar="N",
+        type=float,
         help="time steps per expected contact duration (default: from the automatic time step)",
-    )  # fmt: skip
+    )
     add("--json", action="store_true", help="print JSON in SI units")
     add_machine(parser, "f64")
 
 
 def add_restitution(verbs: Any) -> None:
     """Add `granflow restitution` and its arguments."""
-    summary = "print requested and simulated restitution for each pair of materials at the time step of the scene"
+    summary = (
+        "print requested and simulated restitution for each pair of materials at the time step of the scene"
+    )
     parser = add_scene_verb(verbs, restitution, summary)
     add_out(parser, "out/SCENE", "CSV and PNG")
     add_machine(parser)
@@ -450,12 +504,16 @@ def add_fit(verbs: Any) -> None:
 
     Exactly one of --material, --limit-velocity and --fit-limit determines the limit velocity.
     """
-    parser = add_verb(verbs, fit, "fit sigma and psi of the restitution curve (Zhou 2011, Eq. 12) to measurements")
+    parser = add_verb(
+        verbs, fit, "fit sigma and psi of the restitution curve (Zhou 2011, Eq. 12) to measurements"
+    )
     columns = "table with the columns velocity [m/s] and restitution, optionally deviation or weight"
     parser.add_argument("data", metavar="DATA.csv", type=Path, help=columns)
     known = parser.add_mutually_exclusive_group(required=True)
     add = known.add_argument
-    add("--material", metavar="PRESET", help="compute the limit velocity of this material (Zhou 2011, Eq. 11)")
+    add(
+        "--material", metavar="PRESET", help="compute the limit velocity of this material (Zhou 2011, Eq. 11)"
+    )
     add("--limit-velocity", type=quantity("velocity"), help="limit velocity, such as 340 m/s")
     add("--fit-limit", action="store_true", help="also fit the limit velocity")
     second = "with --material: material of the second body (default: the same)"
@@ -490,8 +548,8 @@ BATCH_SYSTEMS = ("slurm", "pbs", "lsf", "sge")
 def sweep(options: argparse.Namespace) -> int:
     """`granflow sweep`: carry out the runs of a sweep that have not ended, and write tables and a page.
 
-    Returns 0 if all runs are done and meet their expectations, 1 otherwise, and 130 or 143 after a stop signal; the
-    same command then continues the sweep.
+    Returns 0 if all runs are done and meet their expectations, 1 otherwise, and 130 or 143 after a stop
+    signal; the same command then continues the sweep.
     """
     from granflow.studies.sweep.sweep import SweepStopped, read_sweep, run_sweep
 
@@ -509,13 +567,17 @@ def sweep(options: argparse.Namespace) -> int:
         )
     statuses = [row.outcome.status for row in table.rows]
     show_table(
-        f"{len(statuses)} points", ("status", "points"), [(s, str(statuses.count(s))) for s in dict.fromkeys(statuses)]
+        f"{len(statuses)} points",
+        ("status", "points"),
+        [(s, str(statuses.count(s))) for s in dict.fromkeys(statuses)],
     )
     for reason in dict.fromkeys(row.outcome.reason for row in table.rows if row.outcome.reason):
         say(reason)
     warned = [row for row in table.rows if row.warnings]
     if warned:
-        say(f"{len(warned)} of {len(statuses)} points have warnings, see sweep.csv; the first: {warned[0].warnings}")
+        say(
+            f"{len(warned)} of {len(statuses)} points have warnings, see sweep.csv; the first: {warned[0].warnings}"
+        )
     say(f"Written to {out / 'sweep.csv'}; open {out / 'sweep.html'} in a browser.")
     return 0 if table.is_complete else 1
 
@@ -539,12 +601,19 @@ def add_sweep(verbs: Any) -> None:
     parser.add_argument("file", metavar="SWEEP.yaml", type=Path, help="sweep file")
     add_out(parser, "out/SWEEP")
     add = parser.add_argument
-    add("--jobs", metavar="N", type=count, help="simultaneous runs (default: cores / threads, or those of the workers)")
+    add(
+        "--jobs",
+        metavar="N",
+        type=count,
+        help="simultaneous runs (default: cores / threads, or those of the workers)",
+    )
     add("--threads", metavar="T", type=thread_count, default=1, help="CPU threads of each run (default: 1)")
     add("--arch", choices=ARCHITECTURES, default="cpu", help="compute device or backend (default: cpu)")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://10.0.0.1:8786")
-    where.add_argument("--scheduler-file", metavar="FILE", type=Path, help="file with the address of a Dask scheduler")
+    where.add_argument(
+        "--scheduler-file", metavar="FILE", type=Path, help="file with the address of a Dask scheduler"
+    )
     for name in BATCH_SYSTEMS:
         text = f"start workers as {name.upper()} jobs with this profile"
         where.add_argument(f"--{name}", metavar="PROFILE.yaml", type=Path, help=text)

@@ -1,10 +1,11 @@
-"""Sub-step corrections for first contact, turning point and separation, which rarely coincide with a time level.
+"""Sub-step corrections for first contact, turning point and separation, which rarely coincide with a time
+level.
 
-The leapfrog scheme applies the force at one time level over the whole step around it, which is second order if the
-force is smooth. The force is not smooth at first contact (dashpot), at the maximum overlap where unloading starts, and
-at the overlap where it ends. Uncorrected, these points cost one order of convergence, or most of the accuracy of a
-small restitution. Each function here replaces the value at the time level by the mean over the step or by the exact
-extremum.
+The leapfrog scheme applies the force at one time level over the whole step around it, which is second order
+if the force is smooth. The force is not smooth at first contact (dashpot), at the maximum overlap where
+unloading starts, and at the overlap where it ends. Uncorrected, these points cost one order of convergence,
+or most of the accuracy of a small restitution. Each function here replaces the value at the time level by the
+mean over the step or by the exact extremum.
 """
 
 import ast
@@ -23,10 +24,12 @@ from granflow.device_functions import at_compile_time, ti
 
 
 def run_time_branches(function: Callable[..., Any]) -> Iterator[str]:
-    """`file:line` of each `if` and `while` statement of a method whose condition is known only when the kernel runs.
+    """`file:line` of each `if` and `while` statement of a method whose condition is known only when the
+    kernel runs.
 
-    Conditions of `self`, of constants and of `ti.static` are known when it is compiled. A vectorized loop with another
-    branch crashes the compiler. The global device functions that the method calls are searched, too.
+    Conditions of `self`, of constants and of `ti.static` are known when it is compiled. A vectorized loop
+    with another branch crashes the compiler. The global device functions that the method calls are searched,
+    too.
 
     Raises ValueError for a function without source.
     """
@@ -37,7 +40,9 @@ def run_time_branches(function: Callable[..., Any]) -> Iterator[str]:
     for node in ast.walk(definition):
         if isinstance(node, ast.If | ast.While) and variables & set(_names(node.test)):
             yield f"{getsourcefile(source)}:{first + node.lineno - 1}"
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id != source.__name__:
+        elif (
+            isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id != source.__name__
+        ):
             called = source.__globals__.get(node.func.id)
             if getattr(called, "_is_taichi_function", False):
                 yield from run_time_branches(called)
@@ -157,20 +162,25 @@ def _logarithm(x):
     x = m 2^e,   1/sqrt(2) <= m < sqrt(2)
     ln x = e ln 2 + 2 artanh(s),   s = (m - 1)/(m + 1),   artanh(s) = s + s^3/3 + s^5/5 + ...
     """
-    m, e = x, ti.cast(0.0, ti.f64)
+    m = x
+    e = ti.cast(0.0, ti.f64)
     for bits in ti.static(EXPONENT_BITS):
         if m < ti.static(2.0 ** (1 - bits)):
-            m, e = m * ti.static(2.0**bits), e - bits
+            m = m * ti.static(2.0**bits)
+            e = e - bits
         if m >= ti.static(2.0**bits):
-            m, e = m * ti.static(2.0**-bits), e + bits
+            m = m * ti.static(2.0**-bits)
+            e = e + bits
     if m > ti.static(2.0**0.5):
-        m, e = 0.5 * m, e + 1.0
+        m = 0.5 * m
+        e = e + 1.0
     above = m - 1.0
     below, below_error = _two_sum(ti.cast(1.0, ti.f64), m)  # of the same exponent, if m is larger
     s = above / below
     product, product_error = _two_product(s, below)
     s_error = ((above - product) - product_error - s * below_error) / below
-    squared, series = s * s, ti.cast(0.0, ti.f64)
+    squared = s * s
+    series = ti.cast(0.0, ti.f64)
     for n in ti.static(range(SERIES_OF_LOG, 0, -1)):
         series = squared * (ti.static(1.0 / (2 * n + 1)) + series)
     high, error = _two_sum(e * LN2_HIGH, 2.0 * s)
@@ -216,8 +226,9 @@ def power_f64(x, y):
 
 
 TOUCHING = 1.0 + 1e-6
-"""Largest overlap of the first step of a contact over the travel in this step: a contact whose surfaces touch exactly
-at a time level has no force there, and the overlap of the next level is that travel, but for rounding."""
+"""Largest overlap of the first step of a contact over the travel in this step: a contact whose surfaces touch
+exactly at a time level has no force there, and the overlap of the next level is that travel, but for
+rounding."""
 
 
 @ti.func
@@ -226,10 +237,11 @@ def turning_point(largest, force, mass_eff, time_step, overlap_rate_half):
 
         d(t) = dn + vn t - a t^2 / 2      =>      dmax = dn + vn^2 / (2 a)
 
-    `largest` is the overlap dn of the previous step, `force` the force there, a = force / M the deceleration of the
-    isolated pair, `overlap_rate_half` the overlap rate half a step later, so that vn = overlap_rate_half + a dt / 2.
-    The deceleration differs if other contacts act on the pair; vn is therefore limited to half a step from the turning
-    point, so that the maximum overlap increases by at most a dt^2 / 8.
+    `largest` is the overlap dn of the previous step, `force` the force there, a = force / M the deceleration
+    of the isolated pair, `overlap_rate_half` the overlap rate half a step later, so that vn =
+    overlap_rate_half + a dt / 2. The deceleration differs if other contacts act on the pair; vn is therefore
+    limited to half a step from the turning point, so that the maximum overlap increases by at most a dt^2 /
+    8.
     """
     deceleration = force / mass_eff
     half_step_change = 0.5 * deceleration * time_step
@@ -253,11 +265,12 @@ def mean_above(above, rate, time_step):
 
 
 def build_step_mean(power: float) -> Any:
-    """Device function (overlap, rate, time_step) -> (overlap_at, weight): mean of d^power over the step, 0 for d < 0.
+    """Device function (overlap, rate, time_step) -> (overlap_at, weight): mean of d^power over the step, 0
+    for d < 0.
 
-    The mean is weight overlap_at^power. In the first step of a contact, which also covers the time since first contact,
-    or since the surfaces touched at the previous time level, it is the integral over [0, d + h/2]; later the mean over
-    [d - h/2, d + h/2] to second order (h = |d'| dt):
+    The mean is weight overlap_at^power. In the first step of a contact, which also covers the time since
+    first contact, or since the surfaces touched at the previous time level, it is the integral over [0, d +
+    h/2]; later the mean over [d - h/2, d + h/2] to second order (h = |d'| dt):
 
         (d + h/2)^(p + 1) / ((p + 1) h)            d^p (1 + p (p - 1) / 24 (h/d)^2)
     """
@@ -304,5 +317,6 @@ def reference_turning_point(
     half_step_change = 0.5 * deceleration * time_step
     return float(
         largest
-        + np.clip(overlap_rate_half + half_step_change, -half_step_change, half_step_change) ** 2 / (2.0 * deceleration)
+        + np.clip(overlap_rate_half + half_step_change, -half_step_change, half_step_change) ** 2
+        / (2.0 * deceleration)
     )

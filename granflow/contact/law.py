@@ -1,11 +1,13 @@
-"""Interface of all contact models: what a scene requests, contact history, and the base of the laws of all slots.
+"""Interface of all contact models: what a scene requests, contact history, and the base of the laws of all
+slots.
 
-A law is an immutable object with the options of one scene. Its device functions (`ti.func`) take and return values
-only; `constants`, `contact` and `history` are structs:
+A law is an immutable object with the options of one scene. Its device functions (`ti.func`) take and return
+values only; `constants`, `contact` and `history` are structs:
 
     constants  `constant_names` of the law, for the pair of materials, and `parameters` of the law
     history    `history` of the law: numbers, or 3-vectors, kept from first contact to separation
-    contact    radius_eff [m], mass_eff [kg], time_step [s], overlap [m], overlap_rate [m/s], positive during approach
+    contact    radius_eff [m], mass_eff [kg], time_step [s], overlap [m], overlap_rate [m/s], positive during
+               approach
 
 Tangential and rolling laws read more, see `surface_law`.
 """
@@ -50,7 +52,8 @@ class HistoryField:
     name:         name in the history struct, and of the array of contact files
     description:  for `granflow explain` and the documentation
     unit:         SI unit, "1" if dimensionless
-    size:         1 for a number; 3 for a vector, which changes its sign if the particles of the pair are exchanged
+    size:         1 for a number; 3 for a vector, which changes its sign if the particles of the pair are
+                  exchanged
     in_output:    whether snapshots and contact files contain it
     """
 
@@ -63,9 +66,11 @@ class HistoryField:
 
 @dataclass(frozen=True)
 class ContactState:
-    """Arguments of a reference implementation for one contact and step, in SI units; members as in the structs.
+    """Arguments of a reference implementation for one contact and step, in SI units; members as in the
+    structs.
 
-    constants:  pair constants by name; a reference implementation reads the parameters of the law in the law itself
+    constants:  pair constants by name; a reference implementation reads the parameters of the law in the law
+                itself
     """
 
     constants: SimpleNamespace
@@ -88,7 +93,10 @@ class Law(DeviceObject):
     """Limitations of the model, in one sentence."""
     required: ClassVar[tuple[str, ...]] = ()
     """Functions that every model of a slot defines."""
-    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {"stored_energy": ("number",), "lost_energy": ("number",)}
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "stored_energy": ("number",),
+        "lost_energy": ("number",),
+    }
     """Kinds of the values of each device function: number, vector or history."""
     constant_names: ClassVar[tuple[str, ...]] = ()
 
@@ -97,7 +105,8 @@ class Law(DeviceObject):
         return f"the contact model {self.name}"
 
     def refuse_result(self, name: str, result: Any) -> None:
-        """Raise TypeError if a device function returned other values than `returns`, or a history of other fields."""
+        """Raise TypeError if a device function returned other values than `returns`, or a history of other
+        fields."""
         expected = self.returns.get(name)
         if expected is None:
             return
@@ -108,7 +117,9 @@ class Law(DeviceObject):
             raise TypeError(f"{name} must return ({', '.join(expected)}), not ({found})")
         for value, kind in zip(values, expected, strict=True):
             if kind == "history" and set(value.keys) != set(self.history_names):
-                raise TypeError(f"{name} must return the history with its fields ({', '.join(self.history_names)})")
+                raise TypeError(
+                    f"{name} must return the history with its fields ({', '.join(self.history_names)})"
+                )
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Law":
@@ -117,10 +128,11 @@ class Law(DeviceObject):
 
     @property
     def structure(self) -> "Law":
-        """The law with the signs of its numbers in their place: laws of equal structure share compiled kernels.
+        """The law with the signs of its numbers in their place: laws of equal structure share compiled
+        kernels.
 
-        Device functions of granflow read numbers in `parameters` only. Those of a program may read them in `self`,
-        where they are literals of the kernel, so that its laws are their own structure.
+        Device functions of granflow read numbers in `parameters` only. Those of a program may read them in
+        `self`, where they are literals of the kernel, so that its laws are their own structure.
         """
         return self if is_from_outside(self) else _with_signs(self)
 
@@ -143,7 +155,8 @@ class Law(DeviceObject):
     def parameters(self) -> Mapping[str, float]:
         """Numbers of the scene that are the same for all pairs, in SI units, by their names in `constants`.
 
-        The names depend on the features of the model only, so that laws that differ in numbers share compiled kernels.
+        The names depend on the features of the model only, so that laws that differ in numbers share compiled
+        kernels.
         """
         return {}
 
@@ -179,10 +192,12 @@ def _kind(value: Any) -> str:
 
 @dataclass(frozen=True)
 class CohesionLaw(Law):
-    """A cohesion model: an attraction in addition to any normal model; it does not press the surfaces together.
+    """A cohesion model: an attraction in addition to any normal model; it does not press the surfaces
+    together.
 
-    `force` has no branch, as for a normal model. A model that acts at a distance also gets negative overlaps, down to
-    minus its `range`; its first history field is above 0 as long as the contact keeps its history without overlap.
+    `force` has no branch, as for a normal model. A model that acts at a distance also gets negative overlaps,
+    down to minus its `range`; its first history field is above 0 as long as the contact keeps its history
+    without overlap.
     """
 
     required = ("force",)
@@ -190,11 +205,13 @@ class CohesionLaw(Law):
     at_distance: ClassVar[bool] = False
     """True for a model that acts without overlap, such as a liquid bridge."""
     transfers_liquid: ClassVar[bool] = False
-    """True for a model whose bridges take liquid from films on the particles; `form` gets the volume of a new one."""
+    """True for a model whose bridges take liquid from films on the particles; `form` gets the volume of a new
+    one."""
 
     @property
     def range(self) -> float:
-        """Largest distance [m] between the surfaces at which the model acts; 0 for a model that requires overlap."""
+        """Largest distance [m] between the surfaces at which the model acts; 0 for a model that requires
+        overlap."""
         return 0.0
 
     @property
@@ -221,7 +238,8 @@ class CohesionLaw(Law):
 
     @ti.func
     def form(self, constants, contact, history, volume):
-        """The history after a bridge of a volume [m3] has formed; its first field is the volume of the bridge."""
+        """The history after a bridge of a volume [m3] has formed; its first field is the volume of the
+        bridge."""
 
     @ti.func
     def stored_energy(self, constants, contact, history):
@@ -230,7 +248,8 @@ class CohesionLaw(Law):
 
     @ti.func
     def lost_energy(self, constants, contact, history):
-        """Dissipated energy [J] that is a function of the history alone; of an open contact at minus the range."""
+        """Dissipated energy [J] that is a function of the history alone; of an open contact at minus the
+        range."""
         return 0.0 * contact.overlap
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
@@ -245,9 +264,9 @@ class CohesionLaw(Law):
 class NormalLaw(Law):
     """A normal contact model.
 
-    The first two constants are the effective moduli E and G [Pa]. The first history field is positive from the first
-    step of a contact on. Closed forms describe a binary collision of a pair at an approach velocity [m/s] with the
-    effective radius [m] and mass [kg].
+    The first two constants are the effective moduli E and G [Pa]. The first history field is positive from
+    the first step of a contact on. Closed forms describe a binary collision of a pair at an approach velocity
+    [m/s] with the effective radius [m] and mass [kg].
     """
 
     required = ("force", "stored_energy", "phase_durations", "unloading_stiffness")
@@ -270,7 +289,8 @@ class NormalLaw(Law):
 
     @property
     def softer_after_slow_onset(self) -> bool:
-        """Whether a contact that begins slowly remains softer than a Hertz contact when it is loaded later."""
+        """Whether a contact that begins slowly remains softer than a Hertz contact when it is loaded
+        later."""
         return False
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
@@ -288,15 +308,18 @@ class NormalLaw(Law):
 
     @property
     def reloading_damping(self) -> float:
-        """Damping ratio, with the unloading tangent, of contacts that are compressed again without having separated."""
+        """Damping ratio, with the unloading tangent, of contacts that are compressed again without having
+        separated."""
         return 0.0
 
     def unloading_number(self, pair: PairMaterial) -> float:
-        """Largest K dt^2/M + 2 c dt/M of a bounded unloading tangent K and its damping c, by default theta^2."""
+        """Largest K dt^2/M + 2 c dt/M of a bounded unloading tangent K and its damping c, by default
+        theta^2."""
         return self.unloading_angle**2
 
     def unresolved_unloading(self, pair: PairMaterial) -> float:
-        """If the ratio of unloading to loading duration is below this value, the time step need not resolve unloading.
+        """If the ratio of unloading to loading duration is below this value, the time step need not resolve
+        unloading.
 
         The model then bounds its own tangent.
         """
@@ -321,8 +344,8 @@ class NormalLaw(Law):
     def prepare(self, constants, contact, history):
         """History after rare operations with branches, such as the initialization of a contact.
 
-        Evaluated before `force`, so that `force` remains branch-free arithmetic that the compiler can vectorize over
-        contacts.
+        Evaluated before `force`, so that `force` remains branch-free arithmetic that the compiler can
+        vectorize over contacts.
         """
         return history
 
@@ -374,10 +397,13 @@ class NormalLaw(Law):
         overlap_rate: float,
         history: np.ndarray,
     ) -> tuple[float, np.ndarray]:
-        """Normal force [N] and history from the reference implementation, with constants and history as arrays."""
+        """Normal force [N] and history from the reference implementation, with constants and history as
+        arrays."""
         named = SimpleNamespace(**dict(zip(self.constant_names, constants, strict=False)))
         before = dict(zip(self.history_names, history, strict=False))
-        state = ContactState(named, radius_eff, mass_eff, time_step, overlap, overlap_rate, SimpleNamespace(**before))
+        state = ContactState(
+            named, radius_eff, mass_eff, time_step, overlap, overlap_rate, SimpleNamespace(**before)
+        )
         force, changed = self.reference(state)
         return float(force), np.array(list((before | dict(changed)).values()) or history)
 
@@ -387,16 +413,23 @@ class NormalLaw(Law):
         """Loading and unloading durations [s]."""
         raise NotImplementedError
 
-    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def unloading_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
         """Largest tangent stiffness [N/m] in a binary collision."""
         raise NotImplementedError
 
-    def stable_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def stable_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
         """Tangent stiffness [N/m] at the maximum overlap of a confined particle; it bounds the time step."""
         return self.unloading_stiffness(pair, radius_eff, mass_eff, velocity)
 
-    def loading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Normal tangent stiffness [N/m] at the maximum overlap; 4 G/E times it is the tangential stiffness."""
+    def loading_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
+        """Normal tangent stiffness [N/m] at the maximum overlap; 4 G/E times it is the tangential
+        stiffness."""
         return self.stable_stiffness(pair, radius_eff, mass_eff, velocity)
 
     def overlap_max(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
@@ -413,10 +446,11 @@ class NormalLaw(Law):
     ) -> tuple[float, float]:
         """Largest tangent stiffness [N/m] and viscosity [N s/m] at the maximum overlap, loading or unloading.
 
-        A servo wall, which reacts to the force, must react more slowly than these change the force. A contact of the
-        restitution 0 stops the particle in one step: M/dt.
+        A servo wall, which reacts to the force, must react more slowly than these change the force. A contact
+        of the restitution 0 stops the particle in one step: M/dt.
         """
-        arguments, rate = (pair, radius_eff, mass_eff, velocity), mass_eff / time_step
+        arguments = (pair, radius_eff, mass_eff, velocity)
+        rate = mass_eff / time_step
         stiffness = self.unloading_stiffness(*arguments)
         if self.limits_restitution:
             stiffness = min(stiffness, self.unloading_angle**2 * rate / time_step)
@@ -484,7 +518,8 @@ Option: TypeAlias = Amount | Choice
 
 @dataclass(frozen=True)
 class PairOption:
-    """A key of `pairs` that a contact model requires; the model is compiled only if a pair has a value other than 0.
+    """A key of `pairs` that a contact model requires; the model is compiled only if a pair has a value other
+    than 0.
 
     key:     name of the key
     amount:  meaning and limits of the value, which has no default
@@ -509,7 +544,9 @@ WORK_OF_ADHESION = PairOption(
     Amount(
         "work of adhesion w [J/m2]: energy per area that separates the two surfaces; twice the surface energy of equal "
         "materials",
-        *("50 mJ/m2", "surface_energy", "a work of adhesion"),
+        "50 mJ/m2",
+        "surface_energy",
+        "a work of adhesion",
         at_least=0,
     ),
     "give it in J/m2, or 0 to disable cohesion",
@@ -522,14 +559,15 @@ WORK_OF_ADHESION = PairOption(
 # In addition to the members of `contact` for all models, see `law`, the struct has for the first particle
 # of the pair:
 #
-#     normal, normal_half  unit normal n toward the first particle now, and normal p at the half step, the time of the
-#                          velocities, divided by its component along n: p . n = 1
+#     normal, normal_half  unit normal n toward the first particle now, and normal p at the half step, the
+#                          time of the velocities, divided by its component along n: p . n = 1
 #     normal_load          force [N] that presses the surfaces together: normal force without attraction
 #     stiffness            no-slip tangential stiffness [N/m]
 #     stiffness_ratio      ratio of the previous to the present stiffness
-#     slip, slip_rate      relative tangential displacement in this step [m], and velocity [m/s], in the present contact
-#                          plane; tangential laws
-#     normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential and twisting laws
+#     slip, slip_rate      relative tangential displacement in this step [m], and velocity [m/s], in the
+#                          present contact plane; tangential laws
+#     normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential and twisting
+#                          laws
 #     rolling_rate         relative angular velocity [rad/s] at the half step; rolling and twisting laws
 #     inertia_eff          effective moment of inertia [kg m2]; rolling laws
 #     longest_time_step    longest time step of the run [s]; rolling laws
@@ -540,7 +578,8 @@ WORK_OF_ADHESION = PairOption(
 # slip, rolling or twist.
 
 SurfaceState: TypeAlias = SimpleNamespace
-"""Arguments of a reference implementation: the members of `contact`, and `constants` and `history` by name."""
+"""Arguments of a reference implementation: the members of `contact`, and `constants` and `history` by
+name."""
 
 
 @ti.func
@@ -549,8 +588,9 @@ def in_contact_plane(vector, normal, normal_half):
 
         u - (u . n) p
 
-    The rotation from the plane at the half step, whose normal is p, to that of n is a projection along p, with a
-    relative error of the square of the angle between them; the component along p vanishes in it as well.
+    The rotation from the plane at the half step, whose normal is p, to that of n is a projection along p,
+    with a relative error of the square of the angle between them; the component along p vanishes in it as
+    well.
     """
     return vector - vector.dot(normal) * normal_half
 
@@ -562,7 +602,8 @@ def reference_in_contact_plane(vector: np.ndarray, contact: SurfaceState) -> np.
 
 @dataclass(frozen=True)
 class TangentialLaw(Law):
-    """A tangential contact model. An option `stiffness` [N/m] replaces that of the normal model in the time step."""
+    """A tangential contact model. An option `stiffness` [N/m] replaces that of the normal model in the time
+    step."""
 
     required = ("force", "present_force", "limit")
     returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
@@ -579,7 +620,8 @@ class TangentialLaw(Law):
 
     @ti.func
     def force(self, constants, contact, history):
-        """Tangential force [N] on the first particle, the history, and the energy dissipated in this step [J]."""
+        """Tangential force [N] on the first particle, the history, and the energy dissipated in this step
+        [J]."""
 
     @ti.func
     def stored_energy(self, constants, contact, history):
@@ -604,7 +646,10 @@ class TorqueLaw(Law):
     """A model of torques on the first particle of a pair; the opposite torques act on the second."""
 
     required = ("torque",)
-    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {**Law.returns, "torque": ("vector", "history", "number")}
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **Law.returns,
+        "torque": ("vector", "history", "number"),
+    }
 
     @ti.func
     def torque(self, constants, contact, history):
@@ -629,8 +674,8 @@ class RollingLaw(TorqueLaw):
 class TwistingLaw(TorqueLaw):
     """A twisting model, with torques about the normal.
 
-    It reads `history` and `contact` for its stored energy, of which only `overlap`, `radius_eff`, `mass_eff` and
-    `stiffness` are known.
+    It reads `history` and `contact` for its stored energy, of which only `overlap`, `radius_eff`, `mass_eff`
+    and `stiffness` are known.
     """
 
     @property
@@ -642,7 +687,8 @@ class TwistingLaw(TorqueLaw):
 # Record of a contact model: what a scene, the schema, messages and documentation derive from it.
 
 RestitutionInput: TypeAlias = Literal["number or fit", "positive number", "nothing"]
-"""Form of `restitution` that a model requires of a pair; "nothing" if restitution follows from the materials."""
+"""Form of `restitution` that a model requires of a pair; "nothing" if restitution follows from the
+materials."""
 SLOTS: Mapping[str, type[Law]] = {
     "normal": NormalLaw,
     "tangential": TangentialLaw,
@@ -662,7 +708,8 @@ class ContactModel:
     options:       keys of the model in `contact`, in addition to its name
     pair_options:  keys of `pairs` that the model requires
     restitution:   form of the restitution that a normal model requires of a pair
-    example:       options of a common variant, for studies of single collisions; given if options are required
+    example:       options of a common variant, for studies of single collisions; given if options are
+                   required
     """
 
     law: type[Law]

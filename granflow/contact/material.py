@@ -45,7 +45,8 @@ class VelocityRestitution:
     limit_velocity: float
 
     def __call__(self, velocity: float | np.ndarray) -> np.ndarray:
-        """Restitution coefficient at an approach velocity [m/s] >= 0, any shape; float64 of the same shape."""
+        """Restitution coefficient at an approach velocity [m/s] >= 0, any shape; float64 of the same
+        shape."""
         speed = np.asarray(velocity, dtype=float)
         below = np.minimum(speed, np.nextafter(self.limit_velocity, 0.0))
         e = np.exp(-self.sigma * (below / (self.limit_velocity - below)) ** self.psi)
@@ -65,7 +66,8 @@ class PairMaterial:
     modulus_eff: float
     shear_modulus_eff: float
     restitution: float | VelocityRestitution | None
-    """Number or function of velocity. None if the pair gives none; the model then derives it from the materials."""
+    """Number or function of velocity. None if the pair gives none; the model then derives it from the
+    materials."""
     friction: float
     yield_strength: float | None = None
     """Yield strength of the softer material [Pa]; None if neither material has one."""

@@ -35,13 +35,20 @@ def models(slot: str) -> Mapping[str, ContactModel]:
 
 def pair_options() -> dict[str, PairOption]:
     """The keys of `pairs` that any model requires."""
-    return {option.key: option for slot in _MODELS.values() for model in slot.values() for option in model.pair_options}
+    return {
+        option.key: option
+        for slot in _MODELS.values()
+        for model in slot.values()
+        for option in model.pair_options
+    }
 
 
 def models_with(key: str) -> dict[str, list[str]]:
     """Slots and names of the models that require a key of `pairs`."""
     found = {
-        slot: [name for name, model in named.items() if any(option.key == key for option in model.pair_options)]
+        slot: [
+            name for name, model in named.items() if any(option.key == key for option in model.pair_options)
+        ]
         for slot, named in _MODELS.items()
     }
     return {slot: names for slot, names in found.items() if names}
@@ -58,7 +65,9 @@ def _problems(model: ContactModel) -> Iterator[str]:
     if not any(issubclass(model.law, base) for base in SLOTS.values()):
         yield f"its law must be a subclass of {', '.join(base.__name__ for base in SLOTS.values())}"
         return
-    missing = [name for name in ("name", "source", "limits") if not isinstance(getattr(model.law, name, None), str)]
+    missing = [
+        name for name in ("name", "source", "limits") if not isinstance(getattr(model.law, name, None), str)
+    ]
     if missing:
         yield f"its law has no {' and no '.join(missing)}"
     elif not _NAME.fullmatch(model.name) or model.name == "none":

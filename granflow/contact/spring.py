@@ -32,9 +32,12 @@ class BinaryCollision(Protocol):
 
 
 class ClosedFormCollision:
-    """Base class of the models that return a `BinaryCollision`; precedes `NormalLaw` in their list of bases."""
+    """Base class of the models that return a `BinaryCollision`; precedes `NormalLaw` in their list of
+    bases."""
 
-    def collision(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> BinaryCollision:
+    def collision(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> BinaryCollision:
         """Closed form of a collision of a pair."""
         raise NotImplementedError
 
@@ -44,7 +47,9 @@ class ClosedFormCollision:
         """Loading and unloading durations [s]."""
         return self.collision(pair, radius_eff, mass_eff, velocity).durations()
 
-    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def unloading_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
         """Tangent stiffness at the start of unloading [N/m]."""
         return self.collision(pair, radius_eff, mass_eff, velocity).unloading_stiffness
 
@@ -60,7 +65,9 @@ STIFFNESS = Choice(
     keyed={
         "reference_velocity": Amount(
             "approach velocity [m/s] at which the spring stores the same energy as a Hertz contact",
-            *("1 m/s", "velocity", "a speed"),
+            "1 m/s",
+            "velocity",
+            "a speed",
             above=0,
         ),
         "value": Amount(
@@ -87,8 +94,8 @@ class Spring(DeviceObject):
 
     value:               constant stiffness [N/m], or None
     reference_velocity:  velocity [m/s] in Eq. 19; None: the impact velocity of each contact
-    velocity_floor:      smallest velocity [m/s] in Eq. 19 per contact, because the stiffness would be zero for a
-                         contact that forms at rest
+    velocity_floor:      smallest velocity [m/s] in Eq. 19 per contact, because the stiffness would be zero
+                         for a contact that forms at rest
     """
 
     value: float | None
@@ -100,7 +107,9 @@ class Spring(DeviceObject):
         """Spring from the option `stiffness`; the floor is MIN_VELOCITY_SHARE of the largest velocity."""
         given: str | Mapping[str, float] = request.options["stiffness"]
         keyed: Mapping[str, float] = {} if isinstance(given, str) else given
-        return cls(keyed.get("value"), keyed.get("reference_velocity"), MIN_VELOCITY_SHARE * request.velocity_max)
+        return cls(
+            keyed.get("value"), keyed.get("reference_velocity"), MIN_VELOCITY_SHARE * request.velocity_max
+        )
 
     @property
     def parameters(self) -> Mapping[str, float]:
@@ -117,16 +126,20 @@ class Spring(DeviceObject):
         return self.reference_velocity is not None
 
     def stiffness(self, modulus: float, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Stiffness [N/m] in a collision with the effective modulus [Pa], radius [m] and mass [kg] and velocity."""
+        """Stiffness [N/m] in a collision with the effective modulus [Pa], radius [m] and mass [kg] and
+        velocity."""
         if self.value is not None:
             return self.value
-        speed = max(velocity, self.velocity_floor) if self.reference_velocity is None else self.reference_velocity
+        speed = (
+            max(velocity, self.velocity_floor) if self.reference_velocity is None else self.reference_velocity
+        )
         return float(theory.equivalent_spring(theory.hertz_stiffness(modulus, radius_eff), mass_eff, speed))
 
 
 @dataclass(frozen=True)
 class SpringLaw(NormalLaw):
-    """Base class of normal models with a linear spring, whose stiffness is a history field unless it is a number."""
+    """Base class of normal models with a linear spring, whose stiffness is a history field unless it is a
+    number."""
 
     spring: Spring
     tangential_stiffness_grows = False
@@ -134,7 +147,11 @@ class SpringLaw(NormalLaw):
     @property
     def spring_history(self) -> tuple[HistoryField, ...]:
         """History field of the spring; empty if the stiffness is a number."""
-        return () if self.spring.value is not None else (HistoryField("spring_stiffness", "spring stiffness", "N/m"),)
+        return (
+            ()
+            if self.spring.value is not None
+            else (HistoryField("spring_stiffness", "spring stiffness", "N/m"),)
+        )
 
     @property
     def prepares(self) -> bool:
@@ -174,16 +191,23 @@ class SpringLaw(NormalLaw):
     def tangential_stiffness(self, constants, contact, history):
         """Mindlin's ratio 4 G / E times K [N/m]."""
         return (
-            4.0 * constants.shear_modulus_eff / constants.modulus_eff * self.stiffness_of(constants, contact, history)
+            4.0
+            * constants.shear_modulus_eff
+            / constants.modulus_eff
+            * self.stiffness_of(constants, contact, history)
         )
 
-    def loading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def loading_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
         """Stiffness K [N/m] in a collision of a pair."""
         return self.spring.stiffness(pair.modulus_eff, radius_eff, mass_eff, velocity)
 
     def overlap_max(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Maximum overlap [m] of the undamped spring, v sqrt(M / K)."""
-        return velocity * float(np.sqrt(mass_eff / self.loading_stiffness(pair, radius_eff, mass_eff, velocity)))
+        return velocity * float(
+            np.sqrt(mass_eff / self.loading_stiffness(pair, radius_eff, mass_eff, velocity))
+        )
 
     def reference_stiffness(self, contact: ContactState) -> tuple[float, dict[str, float]]:
         """Reference implementation of `prepare` and `stiffness_of`: stiffness [N/m] and its history field."""

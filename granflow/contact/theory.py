@@ -1,8 +1,9 @@
 """Closed forms of Zhou (2011) for one binary collision, in numpy float64.
 
-Symbols as in the paper (Theor. Appl. Mech. Lett. 1, 041006, doi 10.1063/2.1104106): `e` restitution coefficient, `k`
-Hertz stiffness [N/m^1.5], `M` effective mass [kg], `v` approach velocity [m/s], `x` ratio of residual to maximum
-overlap, `y = 1 - x`. Arguments of the type Number broadcast; equation numbers are those of the paper.
+Symbols as in the paper (Theor. Appl. Mech. Lett. 1, 041006, doi 10.1063/2.1104106): `e` restitution
+coefficient, `k` Hertz stiffness [N/m^1.5], `M` effective mass [kg], `v` approach velocity [m/s], `x` ratio of
+residual to maximum overlap, `y = 1 - x`. Arguments of the type Number broadcast; equation numbers are those
+of the paper.
 """
 
 import math
@@ -43,7 +44,8 @@ def recovery(e: Number) -> np.ndarray:
     if np.any((e < 0.0) | (e > 1.0)):
         raise ValueError("a restitution coefficient must be in [0, 1]")
     number: Number = e if e.ndim else float(e)  # floats are ten times faster than 0-d arrays
-    first, share = 0.8 * number**2, 0.2 * number**3
+    first = 0.8 * number**2
+    share = 0.2 * number**3
     y = first
     for _ in range(80):
         y = first + share * y**2.5
@@ -51,7 +53,8 @@ def recovery(e: Number) -> np.ndarray:
 
 
 def residual_closed_form(e: Number) -> np.ndarray:
-    """Ratio x of residual to maximum overlap by the closed form of the paper (Eq. 9), within 1.2 % of the root.
+    """Ratio x of residual to maximum overlap by the closed form of the paper (Eq. 9), within 1.2 % of the
+    root.
 
     x = 1 - (4/5) e^2 - (c/5) e^8 / (1 - (1 - c) e) + e^16 (1 - e),   c = (4/5)^2.5
     """
@@ -137,7 +140,8 @@ def unloading_duration(e: float) -> float:
 
 @cache
 def _quadrature() -> tuple[np.ndarray, np.ndarray]:
-    """120 Gauss nodes and weights on [-1, 1]; cached, because their computation dominates the time of a plan."""
+    """120 Gauss nodes and weights on [-1, 1]; cached, because their computation dominates the time of a
+    plan."""
     return leggauss(120)
 
 
@@ -155,9 +159,11 @@ def equivalent_spring(k: Number, mass: Number, velocity: Number) -> Number:
 
 
 def least_restitution(k: Number, mass: Number, largest: Number, time_step: Number, angle: Number) -> Number:
-    """Smallest restitution at a time step, not from the paper: the unloading tangent is at most angle^2 M / dt^2.
+    """Smallest restitution at a time step, not from the paper: the unloading tangent is at most angle^2 M /
+    dt^2.
 
-    The tangent is close to k sqrt(dmax) / (0.8 e^2), so e^2 = 1.25 k sqrt(dmax) dt^2 / (angle^2 M). May exceed 1.
+    The tangent is close to k sqrt(dmax) / (0.8 e^2), so e^2 = 1.25 k sqrt(dmax) dt^2 / (angle^2 M). May
+    exceed 1.
 
     largest:    maximum overlap dmax [m]
     time_step:  dt [s]
@@ -167,7 +173,8 @@ def least_restitution(k: Number, mass: Number, largest: Number, time_step: Numbe
 
 
 def damping_ratio_for(e: float) -> float:
-    """Damping ratio of a linear spring-dashpot without attraction for restitution e (Schwager & Poeschel 2007).
+    """Damping ratio of a linear spring-dashpot without attraction for restitution e (Schwager & Poeschel
+    2007).
 
     The contact ends when the force reaches zero, not when the overlap does. For zeta < 1,
 

@@ -1,4 +1,5 @@
-"""Abort codes and messages: the particle or the bodies in contact, the time, the likely cause and the remedies."""
+"""Abort codes and messages: the particle or the bodies in contact, the time, the likely cause and the
+remedies."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -97,8 +98,8 @@ class ContactPair:
 # Cause and remedies of an overlap above the limit: an impact, a static load, a pressing wall, or cohesion.
 
 AT_REST_SHARE = 0.01
-"""Kinetic over total energy of a contact below which its load is static: an impact that ends there reaches at most
-1.004 times the limit, because 1 - (limit / dmax)^2.5 of its energy is kinetic at the limit."""
+"""Kinetic over total energy of a contact below which its load is static: an impact that ends there reaches at
+most 1.004 times the limit, because 1 - (limit / dmax)^2.5 of its energy is kinetic at the limit."""
 COHESIVE_SHARE = 0.5
 """Attraction over repulsion above which cohesion is the cause of an overlap."""
 GROWTH = 1.25
@@ -106,23 +107,31 @@ GROWTH = 1.25
 SUDDEN = 2.0
 """Largest force of a weight over its static force: the bed is still settling when the run stops."""
 EXPLAINED = 0.5
-"""Smallest share of an overlap that the largest static overlap under the weight and the walls must explain."""
+"""Smallest share of an overlap that the largest static overlap under the weight and the walls must
+explain."""
 TOLERANCE = 1.01
-"""Velocity over the planned one up to which an impact is as planned: it follows from the energy of a coarse step."""
+"""Velocity over the planned one up to which an impact is as planned: it follows from the energy of a coarse
+step."""
 SPEED_MARGIN = 1.2
 """Factor from an observed velocity to the recommended `velocity_max`."""
 
 
 def overlap_cause(pair: ContactPair, plan: Plan) -> str:
-    """Sentences on the cause of an overlap above the limit, with the remedies that follow from the contact model.
+    """Sentences on the cause of an overlap above the limit, with the remedies that follow from the contact
+    model.
 
-    The moduli are those at which the same impact or load stays below the limit, see `forecast.advice`. For static loads
-    the largest of the observed force, the weight of all particles and the walls counts: the load may still increase.
+    The moduli are those at which the same impact or load stays below the limit, see `forecast.advice`. For
+    static loads the largest of the observed force, the weight of all particles and the walls counts: the load
+    may still increase.
     """
     touching = TouchingPair(
-        "", (pair.first.material, pair.second.material), plan.pair(pair.first.material, pair.second.material),
-        pair.radius, pair.radius_eff, pair.mass_eff,
-    )  # fmt: skip
+        "",
+        (pair.first.material, pair.second.material),
+        plan.pair(pair.first.material, pair.second.material),
+        pair.radius,
+        pair.radius_eff,
+        pair.mass_eff,
+    )
     attraction = attraction_share(plan.laws, touching, pair.overlap * pair.radius)
     if attraction > COHESIVE_SHARE:
         return _cohesion(touching, plan, attraction)
@@ -137,7 +146,9 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
 
 def _impact(touching: TouchingPair, plan: Plan, velocity: float, largest: float) -> str:
     """Cause and remedy of an impact at `velocity` [m/s], which reaches the overlap over radius `largest`."""
-    remedy = _moduli(touching, plan, lambda pair: impact_overlap(plan.laws, pair, velocity, plan.max_overlap), largest)
+    remedy = _moduli(
+        touching, plan, lambda pair: impact_overlap(plan.laws, pair, velocity, plan.max_overlap), largest
+    )
     cause = f"This overlap results from an impact at {velocity:.3g} m/s, which reaches {largest:.3g} of the radius"
     if velocity <= TOLERANCE * plan.velocity_max:
         return f"{cause}: {remedy}."
@@ -151,8 +162,8 @@ def _impact(touching: TouchingPair, plan: Plan, velocity: float, largest: float)
 def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
     """Cause and remedy of an overlap that no impact of the two bodies alone explains.
 
-    A static load, if the weight or a wall explains at least EXPLAINED of the overlap; otherwise other particles that
-    press in motion, such as those that land on a bed or slide down in a drum.
+    A static load, if the weight or a wall explains at least EXPLAINED of the overlap; otherwise other
+    particles that press in motion, such as those that land on a bed or slide down in a drum.
     """
     weight = BedPressure("weight", "", contact.weight, max(3.0 * plan.particle_capacity, 1.0))
     by_weight = SUDDEN * weight.largest_force(2.0 * touching.radius)
@@ -168,7 +179,11 @@ def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
         return _moving_load(remedy, by_load)
     pressing = by_wall > by_weight
     names = ", ".join(f"walls.{each.name}" for each in plan.controlled_motions if each.force > 0.0)
-    cause = f"the static pressure of {names}" if pressing else "a static load, such as the weight above these particles"
+    cause = (
+        f"the static pressure of {names}"
+        if pressing
+        else "a static load, such as the weight above these particles"
+    )
     less = ", lower the pressure" if pressing else ""
     return f"its cause is {cause}: {remedy}{less}."
 
@@ -182,7 +197,8 @@ def _fixed_stiffness(plan: Plan) -> str:
 
 
 def _moving_load(remedy: str, by_load: float) -> str:
-    """Cause and remedy of an overlap that weight and walls do not explain; `by_load`: their overlap over the radius."""
+    """Cause and remedy of an overlap that weight and walls do not explain; `by_load`: their overlap over the
+    radius."""
     return (
         f"weight and walls at rest explain only an overlap of {by_load:.2g} of the radius, so its cause is not a "
         "static load, but other particles or a moving wall that press on this contact, as particles do that land on a "
@@ -205,8 +221,11 @@ def _cohesion(touching: TouchingPair, plan: Plan, attraction: float) -> str:
     return f"Its cause is cohesion, {attraction:.2g} of the repulsion: lower {keys}, or {remedy}."
 
 
-def _moduli(touching: TouchingPair, plan: Plan, overlap: Callable[[TouchingPair], float], expected: float) -> str:
-    """Instruction that sets the moduli at which the overlap is below the limit, or raises the limit if that is allowed.
+def _moduli(
+    touching: TouchingPair, plan: Plan, overlap: Callable[[TouchingPair], float], expected: float
+) -> str:
+    """Instruction that sets the moduli at which the overlap is below the limit, or raises the limit if that
+    is allowed.
 
     `expected`: overlap over the radius without a change.
     """
@@ -221,12 +240,14 @@ def _moduli(touching: TouchingPair, plan: Plan, overlap: Callable[[TouchingPair]
 
 
 OVERLAP_MARGIN = 1.4
-"""Limit of the overlap that lets an aborted run continue, over the overlap at the abort: it still increases."""
+"""Limit of the overlap that lets an aborted run continue, over the overlap at the abort: it still
+increases."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """Insertion, or change of walls, during a run. `stage`: name of the stage; `appeared`: names of the new walls."""
+    """Insertion, or change of walls, during a run. `stage`: name of the stage; `appeared`: names of the new
+    walls."""
 
     stage: str
     appeared: tuple[str, ...]
@@ -249,7 +270,8 @@ class Diagnosis:
     begun: bool
     """True if a step was taken; false if only the initial forces were computed."""
     change: Change | None
-    """The change after which the forces were computed; None if a step was taken since then, or before the first one."""
+    """The change after which the forces were computed; None if a step was taken since then, or before the
+    first one."""
 
 
 def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
@@ -306,7 +328,8 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 
 def _change_cause(change: Change, wall: str, plan: Plan) -> str:
-    """Sentence on a particle that is in a wall since an insertion, or since the wall exists; `wall`: as in messages."""
+    """Sentence on a particle that is in a wall since an insertion, or since the wall exists; `wall`: as in
+    messages."""
     name = next((name for name in change.appeared if wall == f"wall {name}"), None)
     if name is None:
         return (
@@ -331,7 +354,9 @@ def _force(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
         f"than 30 times the force at the overlap limit numerics.max_overlap {plan.max_overlap:g}."
     )
     if diagnosis.pair is None:
-        return _advice(diagnosis.time_step, f"{description} Likely cause: a velocity far above run.velocity_max")
+        return _advice(
+            diagnosis.time_step, f"{description} Likely cause: a velocity far above run.velocity_max"
+        )
     cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
         diagnosis.time_step, "Likely cause: a viscous or cohesive force far above the elastic force"
     )
@@ -378,7 +403,8 @@ def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Position that the precision does not resolve."""
-    precision, position = plan.precision, diagnosis.body.position or (0.0, 0.0, 0.0)
+    precision = plan.precision
+    position = diagnosis.body.position or (0.0, 0.0, 0.0)
     farthest = max(map(abs, position))
     better = " Use --precision mixed, or" if precision == "f32" else " Use"
     return (
@@ -400,7 +426,9 @@ def _liquid(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Displacement of a force-controlled wall in one step above the limit."""
     kind = next(
-        controlled.kind for controlled in plan.controlled_motions if diagnosis.body.name == f"wall {controlled.name}"
+        controlled.kind
+        for controlled in plan.controlled_motions
+        if diagnosis.body.name == f"wall {controlled.name}"
     )
     slower = "Lower its velocity_max." if kind == "servo" else "Increase its mass or damping."
     limit = plan.wall_travel_limit
@@ -431,12 +459,11 @@ def _relative_motion(pair: ContactPair) -> str:
 
 
 def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | None:
-    """The likely cause if it is a time step that is too long, or an impact above the planned `velocity_max`."""
+    """The likely cause if it is a time step that is too long, or an impact above the planned
+    `velocity_max`."""
     velocity_remedy = f"set run.velocity_max to {SPEED_MARGIN * pair.impact_velocity:.3g} m/s"
     if time_step > pair.stable_step:
-        description = (
-            f"The time step {time_step:.3g} s exceeds the stable step {pair.stable_step:.3g} s of this contact"
-        )
+        description = f"The time step {time_step:.3g} s exceeds the stable step {pair.stable_step:.3g} s of this contact"
         return f"{description}: lower run.time_step, or remove it and {velocity_remedy}."
     if pair.impact_velocity > plan.velocity_max:
         description = (
@@ -448,7 +475,8 @@ def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | Non
 
 
 def _advice(time_step: float, cause: str) -> str:
-    """Cause and remedies if the time step is stable for the contact and the impact is not above `velocity_max`."""
+    """Cause and remedies if the time step is stable for the contact and the impact is not above
+    `velocity_max`."""
     return f"{cause}. Lower run.time_step (now {time_step:.3g} s), or check for particles that overlap initially."
 
 
@@ -466,7 +494,18 @@ _REASONS = {
 
 # Diagnoses an aborted run on the host: finds the particles or walls that exceeded the limit.
 
-FIELDS = ("id", "radius", "mass", "position", "position_at_rebuild", "velocity", "force", "material", "fixed", "clump")
+FIELDS = (
+    "id",
+    "radius",
+    "mass",
+    "position",
+    "position_at_rebuild",
+    "velocity",
+    "force",
+    "material",
+    "fixed",
+    "clump",
+)
 """Particle fields that the diagnosis reads."""
 TINY_MASS = 1e-300
 """Mass [kg] of unused array entries."""
@@ -491,7 +530,9 @@ class CandidatePairs:
 
 
 @np.errstate(all="ignore")  # velocities may be infinite
-def diagnose(code: int, particle: int, state: State, time: float, step_taken: bool, change: Change | None) -> Diagnosis:
+def diagnose(
+    code: int, particle: int, state: State, time: float, step_taken: bool, change: Change | None
+) -> Diagnosis:
     """Diagnosis of an abort, with the contact pair of the largest overlap; None without a contact.
 
     code:        abort code, see `limits`
@@ -500,24 +541,32 @@ def diagnose(code: int, particle: int, state: State, time: float, step_taken: bo
     step_taken:  true if a step was taken; false if only the initial forces were computed
     change:      insertion or change of walls since which no step was taken, or None
 
-    Runs on the host in float64. For a position that is not finite or a displacement above its limit, only contacts of
-    this particle one step earlier are considered.
+    Runs on the host in float64. For a position that is not finite or a displacement above its limit, only
+    contacts of this particle one step earlier are considered.
     """
     if code == ABORT_WALL:
-        return Diagnosis(ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken, None)
+        return Diagnosis(
+            ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken, None
+        )
     arrays = copy_to_host(state, FIELDS, 0, state.capacities.particles)
-    arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
+    arrays = {
+        name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()
+    }
     if code == ABORT_OVERLAP and step_taken and change is None:
         # The forces belong to the present positions, one step ahead of the time.
         mass = np.maximum(arrays["mass"], TINY_MASS)
-        arrays["velocity"] += 0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
+        arrays["velocity"] += (
+            0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
+        )
         time += state.clock.time_step
     found = np.flatnonzero(arrays["id"] == particle)
     index = int(found[0])  # a deleted particle is directly behind the others
     body = _body(state.plan, arrays, index)
     candidates = _candidate_pairs(code, state, arrays, time)
     involved = (candidates.owner == index) | (candidates.partner == index)
-    considered = involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT, ABORT_FORCE) else np.ones_like(involved)
+    considered = (
+        involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT, ABORT_FORCE) else np.ones_like(involved)
+    )
     share = np.where(considered & (candidates.overlap > 0.0), candidates.overlap, 0.0)
     pair = _contact_pair(state.plan, arrays, candidates, int(share.argmax())) if share.any() else None
     return Diagnosis(ABORT_REASONS[code], body, pair, state.clock.time_step, step_taken, change)
@@ -533,7 +582,8 @@ def _fastest_wall(state: State) -> Body:
 
 def _body(plan: Plan, arrays: dict[str, np.ndarray], index: int) -> Body:
     """One particle as messages describe it; `index` in device order."""
-    velocity, material = arrays["velocity"][index], arrays["material"][index] if "material" in arrays else 0
+    velocity = arrays["velocity"][index]
+    material = arrays["material"][index] if "material" in arrays else 0
     clump = arrays["clump"][index] if "clump" in arrays else -1
     return Body(
         f"particle {arrays['id'][index]}{f' of clump {clump}' if clump >= 0 else ''}",
@@ -551,25 +601,28 @@ def _vector(values: np.ndarray) -> tuple[float, float, float]:
 def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], time: float) -> CandidatePairs:
     """All candidate pairs at their present positions; after a jump, at the positions before it."""
     owner, _list_index, partner = candidate_pairs(state)
-    position, velocity = arrays["position"], arrays["velocity"]
+    position = arrays["position"]
+    velocity = arrays["velocity"]
     if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT, ABORT_FORCE):
         position = position - state.clock.time_step * velocity
         position = np.where(np.isfinite(position), position, arrays["position_at_rebuild"])
     partner_index = np.maximum(partner, 0)
-    branch = position[owner] - state.plan.periodic_box.at(time).nearest_images(position[partner_index], position[owner])
+    branch = position[owner] - state.plan.periodic_box.at(time).nearest_images(
+        position[partner_index], position[owner]
+    )
     distance = np.linalg.norm(branch, axis=1)
     overlap = arrays["radius"][owner] + arrays["radius"][partner_index] - distance
     normal = branch / np.maximum(distance, 1e-3 * arrays["radius"][owner])[:, None]
-    surface_velocity, smaller = (
-        velocity[partner_index],
-        np.minimum(arrays["radius"][owner], arrays["radius"][partner_index]),
-    )
+    surface_velocity = velocity[partner_index]
+    smaller = np.minimum(arrays["radius"][owner], arrays["radius"][partner_index])
     face = -1 - partner
     partner[partner < 0] = -1 - walls_of(state, partner[partner < 0])
     for index in range(len(state.plan.walls)):
         of_wall = partner == -1 - index
         points = state.plan.periodic_box.wrap(position[owner[of_wall]])
-        gap, normal[of_wall], surface_velocity[of_wall] = _wall_gaps(state, index, face[of_wall], points, time)
+        gap, normal[of_wall], surface_velocity[of_wall] = _wall_gaps(
+            state, index, face[of_wall], points, time
+        )
         smaller[of_wall] = arrays["radius"][owner[of_wall]]
         overlap[of_wall] = smaller[of_wall] - gap
     approach = -np.sum((velocity[owner] - surface_velocity) * normal, axis=1)
@@ -587,11 +640,10 @@ def _wall_gaps(
     time:     [s]
     Returns:  gap (n,) [m] or FAR_AWAY, unit normal (n, 3), velocity (n, 3) [m/s]
     """
-    shape, wall_pose = state.plan.walls[index].shape, pose(state.wall_motions[index], np.array([time]))
-    rotation, center = (
-        wall_pose.rotation[0],
-        wall_pose.offset[0] + wall_pose.pivot + controlled_displacements(state)[index],
-    )
+    shape = state.plan.walls[index].shape
+    wall_pose = pose(state.wall_motions[index], np.array([time]))
+    rotation = wall_pose.rotation[0]
+    center = wall_pose.offset[0] + wall_pose.pivot + controlled_displacements(state)[index]
     velocity = wall_pose.velocity[0] + controlled_velocities(state)[index]
     local = (points - center) @ rotation + wall_pose.pivot
     if isinstance(shape, Mesh):
@@ -602,12 +654,18 @@ def _wall_gaps(
     return gap, normal @ rotation.T, velocity + np.cross(wall_pose.angular_velocity[0], points - center)
 
 
-def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: CandidatePairs, worst: int) -> ContactPair:
+def _contact_pair(
+    plan: Plan, arrays: dict[str, np.ndarray], candidates: CandidatePairs, worst: int
+) -> ContactPair:
     """The worst candidate pair, and the longest time step that is stable for its present state."""
-    owner, partner = int(candidates.owner[worst]), int(candidates.partner[worst])
+    owner = int(candidates.owner[worst])
+    partner = int(candidates.partner[worst])
     first = _body(plan, arrays, owner)
-    radius, mass = float(arrays["radius"][owner]), float(arrays["mass"][owner])
-    radius_eff, mass_eff, smaller = radius, mass, radius
+    radius = float(arrays["radius"][owner])
+    mass = float(arrays["mass"][owner])
+    radius_eff = radius
+    mass_eff = mass
+    smaller = radius
     if partner >= 0:
         second = _body(plan, arrays, partner)
         radius_eff = radius * arrays["radius"][partner] / (radius + arrays["radius"][partner])
@@ -616,28 +674,48 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
         smaller = min(radius, float(arrays["radius"][partner]))
     else:
         wall = plan.walls[-1 - partner]
-        second = Body(f"wall {wall.name}", plan.materials[wall.material], _vector(candidates.surface[worst]), None)
-    overlap, approach = float(candidates.overlap[worst]), float(candidates.approach[worst])
+        second = Body(
+            f"wall {wall.name}", plan.materials[wall.material], _vector(candidates.surface[worst]), None
+        )
+    overlap = float(candidates.overlap[worst])
+    approach = float(candidates.approach[worst])
     material = plan.pair_materials[first.material, second.material]
     touching = TouchingPair("", (first.material, second.material), material, smaller, radius_eff, mass_eff)
     velocity = impact_velocity(plan.laws, touching, overlap * smaller, approach)
     material_solid = plan.solids[first.material]
     pair_case = PairCase(
-        "", material, radius_eff, mass_eff, radius, smaller, material_solid, _contact_count(candidates, owner, partner)
+        "",
+        material,
+        radius_eff,
+        mass_eff,
+        radius,
+        smaller,
+        material_solid,
+        _contact_count(candidates, owner, partner),
     )
     stable = stable_step(pair_case, plan.law, velocity)
     return ContactPair(
-        first, second, overlap, approach, velocity, stable, smaller, radius_eff, mass_eff,
+        first,
+        second,
+        overlap,
+        approach,
+        velocity,
+        stable,
+        smaller,
+        radius_eff,
+        mass_eff,
         _weight_pressure(plan, arrays),
-    )  # fmt: skip
+    )
 
 
 def _weight_pressure(plan: Plan, arrays: dict[str, np.ndarray]) -> float:
-    """Pressure [Pa] of the weight of all mobile particles, those not inserted yet included, on the present bed.
+    """Pressure [Pa] of the weight of all mobile particles, those not inserted yet included, on the present
+    bed.
 
     The section of the bed is that of its bounding box across gravity; 0 without gravity or mobile particles.
     """
-    gravity, mobile = np.array(plan.gravity), (mobility_mask(arrays) > 0.0) & (arrays["mass"] > TINY_MASS)
+    gravity = np.array(plan.gravity)
+    mobile = (mobility_mask(arrays) > 0.0) & (arrays["mass"] > TINY_MASS)
     magnitude = float(np.linalg.norm(gravity))
     if not magnitude or not mobile.any():
         return 0.0
@@ -652,6 +730,7 @@ def _contact_count(candidates: CandidatePairs, *ends: int) -> int:
     """Number of contacts of the body that has more, of `ends` (negative: wall, not counted)."""
     touching = candidates.overlap > 0.0
     pairs = {
-        (min(ends), max(ends)) for ends in zip(candidates.owner[touching], candidates.partner[touching], strict=True)
+        (min(ends), max(ends))
+        for ends in zip(candidates.owner[touching], candidates.partner[touching], strict=True)
     }
     return max(sum(end in pair for pair in pairs) for end in ends if end >= 0)

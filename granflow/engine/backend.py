@@ -45,7 +45,8 @@ def found() -> bool:
 
 def watch() -> None:
     """Notice fields and arrays that are allocated from now on; once per process."""
-    builder, program = ti.FieldsBuilder, ti._lib.core.Program
+    builder = ti.FieldsBuilder
+    program = ti._lib.core.Program
     builder._finalize = _watched_builder(builder._finalize)
     program.create_ndarray = _watched(program.create_ndarray)
 
@@ -83,7 +84,8 @@ LOCKS = {"taichi": "ticache.lock", "quadrants": "kernel_compilation_manager/qdca
 TEMPORARY = "granflow_kernels_"
 """Prefix of a temporary folder for one process, deleted at its end."""
 STALE_LOCK = 60.0
-"""Age [s] of an abandoned lock. Taichi holds its lock briefly; the lock of a killed process would disable the cache."""
+"""Age [s] of an abandoned lock. Taichi holds its lock briefly; the lock of a killed process would disable the
+cache."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,8 @@ class CacheContents:
 
 
 def cache_folder() -> Path:
-    """The folder in GRANFLOW_CACHE as an absolute path, or granflow/kernels in the cache folder of the platform."""
+    """The folder in GRANFLOW_CACHE as an absolute path, or granflow/kernels in the cache folder of the
+    platform."""
     named = os.environ.get(CACHE_VARIABLE)
     if named:
         return Path(named).expanduser().absolute()
@@ -107,7 +110,8 @@ def cache_folder() -> Path:
 def usable_folder() -> Path:
     """The cache folder, created if necessary. If it is not writable: a warning, and a temporary folder.
 
-    The caller deletes a temporary folder, whose name begins with TEMPORARY. A lock older than STALE_LOCK is removed.
+    The caller deletes a temporary folder, whose name begins with TEMPORARY. A lock older than STALE_LOCK is
+    removed.
 
     Taichi without any cache folder crashes at the end of a process that has compiled many kernels (SIGSEGV).
     """
@@ -120,8 +124,9 @@ def usable_folder() -> Path:
     if not writable:
         logging.getLogger("granflow").warning(
             "granflow: %s cannot be written, so kernels are compiled again in every run. Set %s to another folder.",
-            folder, CACHE_VARIABLE,
-        )  # fmt: skip
+            folder,
+            CACHE_VARIABLE,
+        )
         return Path(tempfile.mkdtemp(prefix=TEMPORARY))
     with suppress(OSError):
         lock = folder / LOCKS[LANGUAGE]
@@ -133,11 +138,14 @@ def usable_folder() -> Path:
 def cache_contents() -> CacheContents:
     """Number of kernels and size of the folder; zeros without a folder."""
     files = _files()
-    return CacheContents(sum(any(map(path.match, PATTERNS.values())) for path in files), sum(map(_size, files)))
+    return CacheContents(
+        sum(any(map(path.match, PATTERNS.values())) for path in files), sum(map(_size, files))
+    )
 
 
 def clear_cache() -> CacheContents:
-    """Delete the files of both kernel languages in the folder and no others; returns their number and size."""
+    """Delete the files of both kernel languages in the folder and no others; returns their number and
+    size."""
     removed = cache_contents()
     for path in _files():
         path.unlink(missing_ok=True)
@@ -163,7 +171,8 @@ def _size(path: Path) -> int:
 # Vulkan devices and drivers of this machine, read through the Vulkan loader.
 
 MESA_MINIMUM = (25, 0)
-"""First version of Mesa with a correct llvmpipe; 22.3 skips statements after an inner loop with two atomics."""
+"""First version of Mesa with a correct llvmpipe; 22.3 skips statements after an inner loop with two
+atomics."""
 CPU_TYPE = 4
 """VkPhysicalDeviceType of a device that is a CPU."""
 API_VERSION = 1 << 22 | 1 << 12
@@ -171,12 +180,17 @@ API_VERSION = 1 << 22 | 1 << 12
 FEATURE_COUNT, FLOAT64, INT64 = 55, 39, 40
 """Number of entries of VkPhysicalDeviceFeatures, and indices of shaderFloat64 and shaderInt64."""
 INSTANCE_INFO, PROPERTIES_2, MEMORY_2, LIMITS, DRIVER_PROPERTIES, BUDGET = (
-    *(1, 1000059001, 1000059006, 1000168000, 1000196000),
+    1,
+    1000059001,
+    1000059006,
+    1000168000,
+    1000196000,
     1000237000,
 )
 """VkStructureType of the structures."""
 MEMORY_TYPES, MEMORY_HEAPS, DEVICE_LOCAL = 32, 16, 1
-"""Lengths of the arrays of VkPhysicalDeviceMemoryProperties, and flag of a heap in the memory of the device."""
+"""Lengths of the arrays of VkPhysicalDeviceMemoryProperties, and flag of a heap in the memory of the
+device."""
 ADDRESSED = 2**32
 """Largest buffer [bytes]: kernels address the fields of a run, which are in one buffer, with 32 bits."""
 
@@ -315,7 +329,8 @@ def vulkan_devices() -> list[VulkanDevice]:
     if loader is None:
         return []
     application = _ApplicationInfo(api=API_VERSION)
-    info, instance = _InstanceInfo(kind=INSTANCE_INFO, application=ctypes.pointer(application)), ctypes.c_void_p()
+    info = _InstanceInfo(kind=INSTANCE_INFO, application=ctypes.pointer(application))
+    instance = ctypes.c_void_p()
     if loader.vkCreateInstance(ctypes.byref(info), None, ctypes.byref(instance)):
         return []
     try:
@@ -325,7 +340,8 @@ def vulkan_devices() -> list[VulkanDevice]:
 
 
 def used_device(devices: Sequence[VulkanDevice]) -> VulkanDevice | None:
-    """The device that kernels run on: the first GPU, or the first device without a GPU; None without a device."""
+    """The device that kernels run on: the first GPU, or the first device without a GPU; None without a
+    device."""
     return min(devices, key=lambda device: device.on_cpu, default=None)
 
 
@@ -358,7 +374,8 @@ def _device(loader: Any, handle: ctypes.c_void_p) -> VulkanDevice:
     loader.vkGetPhysicalDeviceFeatures(handle, features)
     text = f"{driver.name.decode(errors='replace')} {driver.info.decode(errors='replace')}"
     has_64_bit, (total, free) = bool(features[FLOAT64] and features[INT64]), _memory(loader, handle)
-    name, on_cpu = found.name.decode(errors="replace"), found.type == CPU_TYPE
+    name = found.name.decode(errors="replace")
+    on_cpu = found.type == CPU_TYPE
     return VulkanDevice(name, text, on_cpu, has_64_bit, total, free, int(limits.allocation) or ADDRESSED)
 
 
@@ -410,7 +427,13 @@ class Backend:
     @property
     def types(self) -> dict[str, Any]:
         """Taichi types by the names of `granflow.fields.DeviceType`."""
-        return {"position": self.position_real, "real": self.real, "f64": ti.f64, "i32": ti.i32, "i64": ti.i64}
+        return {
+            "position": self.position_real,
+            "real": self.real,
+            "f64": ti.f64,
+            "i32": ti.i32,
+            "i64": ti.i64,
+        }
 
     @property
     def on_cpu(self) -> bool:
@@ -447,8 +470,8 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         granflow.start("cpu", precision="mixed", threads=2)
 
     threads:  CPU threads; None: as many as this process may use
-    Raises:   GranflowError if the architecture is absent or lacks float64, or if Taichi runs with other settings and
-              `state_cache.restart` is not possible
+    Raises:   GranflowError if the architecture is absent or lacks float64, or if Taichi runs with other
+              settings and `state_cache.restart` is not possible
     """
     global _started
     refuse_forked_process()
@@ -494,7 +517,8 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
 
 
 def stop() -> None:
-    """Stop Taichi, if it runs; all fields and compiled kernels are lost. `start` numbers new fields from 0 again."""
+    """Stop Taichi, if it runs; all fields and compiled kernels are lost. `start` numbers new fields from 0
+    again."""
     global _started
     if _started is not None:
         ti.reset()
@@ -507,7 +531,8 @@ def running() -> Backend | None:
 
 
 def is_used() -> bool:
-    """Whether fields have been allocated since the start, so that new ones have other numbers than the first."""
+    """Whether fields have been allocated since the start, so that new ones have other numbers than the
+    first."""
     return bool(ti.lang.impl.get_runtime().prog.get_snode_tree_size())
 
 
@@ -541,22 +566,25 @@ def _stop_and_remove(folder: Path) -> None:
 def _position_in_source(context: Any, node: Any) -> str:
     """File and line of a syntax tree node for error messages; replaces the function of Taichi.
 
-    The function of Taichi formats the source line of every node of every kernel, needed or not: 0.5 s per start.
+    The function of Taichi formats the source line of every node of every kernel, needed or not: 0.5 s per
+    start.
     """
     line = f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
     return line + context.src[node.lineno - 1] + "\n"
 
 
 def _no_traceback(stacklevel: int = 1) -> str:
-    """Replaces the function of Taichi that formats the call stack of each field: it reads some 60 source files."""
+    """Replaces the function of Taichi that formats the call stack of each field: it reads some 60 source
+    files."""
     return ""
 
 
 def _init(workers: int, **options: Any) -> None:
     """Start Taichi with a pool of `workers` threads, without its messages.
 
-    The number of threads is part of the key of compiled kernels, but only limits how many threads of the pool a loop
-    uses. After the start of the pool it is therefore set to MOST_THREADS, so that all pools use the same kernels.
+    The number of threads is part of the key of compiled kernels, but only limits how many threads of the pool
+    a loop uses. After the start of the pool it is therefore set to MOST_THREADS, so that all pools use the
+    same kernels.
 
     Raises GranflowError if Taichi cannot allocate memory.
     """
@@ -566,11 +594,14 @@ def _init(workers: int, **options: Any) -> None:
             ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS
         except RuntimeError as error:
             reason = str(error).rpartition("] ")[2].rstrip(". ")
-            raise GranflowError(f"Taichi cannot start: {reason}. Raise the memory limit of the process.") from None
+            raise GranflowError(
+                f"Taichi cannot start: {reason}. Raise the memory limit of the process."
+            ) from None
 
 
 def _resolved(arch: Arch) -> str | None:
-    """The architecture, or the first one that this machine supports for "gpu"; None without support for it."""
+    """The architecture, or the first one that this machine supports for "gpu"; None without support for
+    it."""
     for name in ("cuda", "vulkan") if arch == "gpu" else (arch,):
         if name == "cpu" or getattr(ti._lib.core, f"with_{name}")():
             return name
@@ -618,7 +649,8 @@ def is_running_with(arch: Arch, precision: Precision, threads: int | None) -> bo
 
 def _refusal(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> GranflowError:
     """The error if Taichi runs with other settings."""
-    before, now = _settings(running.arch, running.precision, running.threads), _settings(arch, precision, threads)
+    before = _settings(running.arch, running.precision, running.threads)
+    now = _settings(arch, precision, threads)
     if found():
         return GranflowError(
             f"Taichi runs in this process on {before}, and a restart would destroy the fields that your program has "

@@ -1,8 +1,8 @@
 """Batched particle contacts for CPUs: gather values into columns, evaluate the forces, scatter the results.
 
-The loop over the columns has no branch and no indirect address, so that the compiler vectorizes it: four (float64) or
-eight (float32) contacts per instruction. The loops before and after it contain the indirect addresses and the
-branches. A batch holds a few neighbor lists, so that the columns remain in the cache.
+The loop over the columns has no branch and no indirect address, so that the compiler vectorizes it: four
+(float64) or eight (float32) contacts per instruction. The loops before and after it contain the indirect
+addresses and the branches. A batch holds a few neighbor lists, so that the columns remain in the cache.
 """
 
 from typing import Any
@@ -11,7 +11,12 @@ from granflow.engine.box import build_image_velocity, build_minimum_image
 from granflow.engine.codes import ABORT_OVERLAP
 from granflow.engine.contact import build_count_collision
 from granflow.engine.history import build_add_plastic_loss, build_end_contact
-from granflow.engine.liquid import build_distant_force, build_form_bridge, build_return_liquid, transfers_liquid
+from granflow.engine.liquid import (
+    build_distant_force,
+    build_form_bridge,
+    build_return_liquid,
+    transfers_liquid,
+)
 from granflow.engine.pair import (
     build_boundary_work,
     build_constants,
@@ -52,7 +57,9 @@ def build_add_to_sums(state: State) -> Any:
 
     Writes:  force, torque; or the sums of the batch, see `holds_sums`
     """
-    batch, particles, exact = state.batch, state.particles, holds_sums(state)
+    batch = state.batch
+    particles = state.particles
+    exact = holds_sums(state)
 
     @ti.func
     def add_to_sums(worker, i, first, component: ti.template(), terms):
@@ -75,21 +82,30 @@ def build_add_to_sums(state: State) -> Any:
 def build_collect(state: State) -> Any:
     """Device function that adds the contacts of one neighbor list to the batch.
 
-    Arguments: worker, chunk, i, first entry of the batch, first and last particle of the chunk, pose, time step.
+    Arguments: worker, chunk, i, first entry of the batch, first and last particle of the chunk, pose, time
+    step.
 
-    Returns the end of the entries. Candidate pairs without contact are overwritten by the next entry; open contacts
-    end.
+    Returns the end of the entries. Candidate pairs without contact are overwritten by the next entry; open
+    contacts end.
 
     Reads:   position, radius, neighbor lists, in_contact
-    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort; with a model that acts
-             at a distance, sums
+    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort; with a model
+             that acts at a distance, sums
     """
-    particles, neighbors, control, batch = state.particles, state.neighbors, state.control, state.batch
-    real, has_history = state.backend.real, bool(neighbors.history)
-    in_contact, end_contact = build_in_contact(real), build_end_contact(state)
-    effective, minimum_image = build_effective(state, False), build_minimum_image(state)
-    pair_constants, add_plastic_loss = build_pair_constants(state), build_add_plastic_loss(state)
-    max_overlap, acts_at_distance = state.parameter("max_overlap"), state.plan.laws.acts_at_distance
+    particles = state.particles
+    neighbors = state.neighbors
+    control = state.control
+    batch = state.batch
+    real = state.backend.real
+    has_history = bool(neighbors.history)
+    in_contact = build_in_contact(real)
+    end_contact = build_end_contact(state)
+    effective = build_effective(state, False)
+    minimum_image = build_minimum_image(state)
+    pair_constants = build_pair_constants(state)
+    add_plastic_loss = build_add_plastic_loss(state)
+    max_overlap = state.parameter("max_overlap")
+    acts_at_distance = state.plan.laws.acts_at_distance
     attract = _build_attract(state) if acts_at_distance else None
 
     @ti.func
@@ -106,7 +122,9 @@ def build_collect(state: State) -> Any:
 
     @ti.func
     def collect(worker, chunk, i, begin, first, last, pose, dt):
-        position, radius, overlap_ratio = particles.position[i], particles.radius[i], max_overlap()
+        position = particles.position[i]
+        radius = particles.radius[i]
+        overlap_ratio = max_overlap()
         end = begin
         for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
             j = neighbors.partner[list_index]
@@ -118,7 +136,8 @@ def build_collect(state: State) -> Any:
             batch.radius_partner[worker, end] = radius_partner
             for axis in ti.static(range(3)):
                 batch.branch[axis][worker, end] = branch[axis]
-            square, reach = branch.dot(branch), radius + radius_partner
+            square = branch.dot(branch)
+            reach = radius + radius_partner
             near = in_contact(square, reach)
             end += ti.cast(near, ti.i32)
             radius_min = ti.select(radius < radius_partner, radius, radius_partner)
@@ -135,27 +154,27 @@ def build_collect(state: State) -> Any:
 
 
 def _build_attract(state: State) -> Any:
-    """Device function: attraction of a pair without overlap, one at a time; ends the contact beyond the range.
+    """Device function: attraction of a pair without overlap, one at a time; ends the contact beyond the
+    range.
 
-    Arguments: worker, chunk, i, j, list index, branch vector and sum of the radii [m], first and last particle of the
-    chunk, pose, time step. The force is rounded for the exact sums.
+    Arguments: worker, chunk, i, j, list index, branch vector and sum of the radii [m], first and last
+    particle of the chunk, pose, time step. The force is rounded for the exact sums.
 
     Reads:   radius, mass, history, pair_constants, law_parameters
     Writes:  sums of the batch, history, in_contact, losses, boundary_work, liquid_film
     """
-    features, to_grid, shift = (
-        state.plan.features,
-        build_to_grid(state.backend.real),
-        state.parameter("shift", FORCE),
-    )
-    add_to_sums, return_liquid = build_add_to_sums(state), build_return_liquid(state)
-    distant_force, add_boundary_work = build_distant_force(state, False), build_boundary_work(state)
-    end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
-    pair_constants, effective, has_history = (
-        build_pair_constants(state),
-        build_effective(state, False),
-        bool(state.neighbors.history),
-    )
+    features = state.plan.features
+    to_grid = build_to_grid(state.backend.real)
+    shift = state.parameter("shift", FORCE)
+    add_to_sums = build_add_to_sums(state)
+    return_liquid = build_return_liquid(state)
+    distant_force = build_distant_force(state, False)
+    add_boundary_work = build_boundary_work(state)
+    end_contact = build_end_contact(state)
+    add_plastic_loss = build_add_plastic_loss(state)
+    pair_constants = build_pair_constants(state)
+    effective = build_effective(state, False)
+    has_history = bool(state.neighbors.history)
 
     @ti.func
     def attract(worker, chunk, i, j, list_index, branch, contact_distance, first, last, pose, dt):
@@ -183,21 +202,26 @@ def _build_attract(state: State) -> Any:
 
 
 def build_gather(state: State) -> Any:
-    """Device function (worker, chunk, end, pose, time_step): gather velocities, masses and histories into columns.
+    """Device function (worker, chunk, end, pose, time_step): gather velocities, masses and histories into
+    columns.
 
     Evaluates `NormalLaw.prepare` and forms bridges, which have branches, so that `evaluate` has none.
 
     Reads:   velocity, velocity_synchronized, angular_velocity, radius, mass, history
     Writes:  columns of the batch, liquid_film
     """
-    plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
-    features, stored, pair_number = plan.features, state.neighbors.history, build_pair_number(state)
-    slots, law_prepares = list(stored), plan.laws.normal.prepares
-    image_velocity, contact_mass, prepare = (
-        build_image_velocity(state),
-        build_contact_mass(state),
-        _build_prepare(state),
-    )
+    plan = state.plan
+    particles = state.particles
+    control = state.control
+    batch = state.batch
+    features = plan.features
+    stored = state.neighbors.history
+    pair_number = build_pair_number(state)
+    slots = list(stored)
+    law_prepares = plan.laws.normal.prepares
+    image_velocity = build_image_velocity(state)
+    contact_mass = build_contact_mass(state)
+    prepare = _build_prepare(state)
     liquid = transfers_liquid(state)
     with_bridge = _build_with_bridge(state) if liquid else None
 
@@ -214,14 +238,18 @@ def build_gather(state: State) -> Any:
     @ti.func
     def gather(worker, chunk, end, pose, dt):
         for entry in range(end):
-            i, j, list_index = batch.owner[worker, entry], batch.partner[worker, entry], batch.list_index[worker, entry]
+            i = batch.owner[worker, entry]
+            j = batch.partner[worker, entry]
+            list_index = batch.list_index[worker, entry]
             batch.radius[worker, entry] = particles.radius[i]
             velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, pose)
             velocity_rel = velocity_rel_half
             store_vector(batch.velocity_rel_half, worker, entry, velocity_rel_half)
             if ti.static(features.rate_dependent):
                 velocity_rel = (
-                    particles.velocity_synchronized[i] - particles.velocity_synchronized[j] - image_velocity(i, j, pose)
+                    particles.velocity_synchronized[i]
+                    - particles.velocity_synchronized[j]
+                    - image_velocity(i, j, pose)
                 )
                 store_vector(batch.velocity_rel, worker, entry, velocity_rel)
             batch.mass[worker, entry] = contact_mass(i)
@@ -239,18 +267,26 @@ def build_gather(state: State) -> Any:
 @ti.func
 def branch_of(batch: ti.template(), worker, entry):
     """Branch vector [m] of an entry of the batch."""
-    return ti.Vector([batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]])
+    return ti.Vector(
+        [batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]]
+    )
 
 
 def _build_with_bridge(state: State) -> Any:
-    """Device function (worker, chunk, entry, i, j, components) -> components of the cohesion history, with a bridge.
+    """Device function (worker, chunk, entry, i, j, components) -> components of the cohesion history, with a
+    bridge.
 
     Reads:   branch vector of the batch, radius, mass, liquid_film_before, pair_constants, law_parameters
     Writes:  liquid_film
     """
-    laws, particles, batch, effective = state.plan.laws, state.particles, state.batch, build_effective(state, False)
-    form_bridge, pair_constants = build_form_bridge(state), build_pair_constants(state)
-    history_of, vector_of = build_slot_history(laws, "cohesion"), build_slot_vector(laws, "cohesion")
+    laws = state.plan.laws
+    particles = state.particles
+    batch = state.batch
+    effective = build_effective(state, False)
+    form_bridge = build_form_bridge(state)
+    pair_constants = build_pair_constants(state)
+    history_of = build_slot_history(laws, "cohesion")
+    vector_of = build_slot_vector(laws, "cohesion")
 
     @ti.func
     def with_bridge(worker, chunk, entry, i, j, components):
@@ -263,22 +299,29 @@ def _build_with_bridge(state: State) -> Any:
 
 
 def _build_prepare(state: State) -> Any:
-    """Device function (worker, entry, i, j, relative velocity [m/s], normal history, time_step) -> normal history.
+    """Device function (worker, entry, i, j, relative velocity [m/s], normal history, time_step) -> normal
+    history.
 
     Evaluates the branches of the normal model.
 
     Reads:  branch vector of the batch, radius, mass, pair_constants, law_parameters
     """
-    plan, particles, batch, law = state.plan, state.particles, state.batch, state.plan.laws.normal
+    plan = state.plan
+    particles = state.particles
+    batch = state.batch
+    law = state.plan.laws.normal
     pair_constants = build_pair_constants(state)
-    history_of, vector_of = build_slot_history(plan.laws, "normal"), build_slot_vector(plan.laws, "normal")
-    contact_mass, longest_time_step = build_contact_mass(state), state.parameter("longest_time_step")
+    history_of = build_slot_history(plan.laws, "normal")
+    vector_of = build_slot_vector(plan.laws, "normal")
+    contact_mass = build_contact_mass(state)
+    longest_time_step = state.parameter("longest_time_step")
 
     @ti.func
     def prepare(worker, entry, i, j, velocity_rel, vector, dt):
         branch = branch_of(batch, worker, entry)
         distance = ti.sqrt(branch.dot(branch))
-        radius, radius_partner = particles.radius[i], particles.radius[j]
+        radius = particles.radius[i]
+        radius_partner = particles.radius[j]
         contact = ti.Struct(
             radius_eff=effective_value(radius, radius_partner),
             mass_eff=effective_value(contact_mass(i), contact_mass(j)),
@@ -297,12 +340,10 @@ def build_batched_forces(state: State) -> Any:
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
     Writes:  force, torque, history, losses, liquid_film, abort, batch of the worker
     """
-    collect, gather, evaluate, scatter = (
-        build_collect(state),
-        build_gather(state),
-        _build_evaluate(state),
-        _build_scatter(state),
-    )
+    collect = build_collect(state)
+    gather = build_gather(state)
+    evaluate = _build_evaluate(state)
+    scatter = _build_scatter(state)
 
     @ti.func
     def batched_forces(worker, chunk, first, last, pose, dt):
@@ -320,11 +361,14 @@ def build_batched_forces(state: State) -> Any:
 
 
 def _build_load(state: State) -> Any:
-    """Device functions (worker, entry) that load vectors, bodies, angular velocities and history from the columns.
+    """Device functions (worker, entry) that load vectors, bodies, angular velocities and history from the
+    columns.
 
     Reads:  columns of the batch
     """
-    batch, real, sizes = state.batch, state.backend.real, state.plan.history
+    batch = state.batch
+    real = state.backend.real
+    sizes = state.plan.history
 
     @ti.func
     def load_vector(columns: ti.template(), worker, entry, count: ti.template()):
@@ -336,9 +380,12 @@ def _build_load(state: State) -> Any:
 
     @ti.func
     def load_bodies(worker, entry):
-        radius, radius_partner = batch.radius[worker, entry], batch.radius_partner[worker, entry]
-        mass, mass_partner = batch.mass[worker, entry], batch.mass_partner[worker, entry]
-        inertia, inertia_partner = 0.4 * mass * radius * radius, 0.4 * mass_partner * radius_partner * radius_partner
+        radius = batch.radius[worker, entry]
+        radius_partner = batch.radius_partner[worker, entry]
+        mass = batch.mass[worker, entry]
+        mass_partner = batch.mass_partner[worker, entry]
+        inertia = 0.4 * mass * radius * radius
+        inertia_partner = 0.4 * mass_partner * radius_partner * radius_partner
         return ti.Struct(
             radius_eff=effective_value(radius, radius_partner),
             mass_eff=effective_value(mass, mass_partner),
@@ -361,20 +408,27 @@ def _build_load(state: State) -> Any:
 
 
 def _build_evaluate(state: State) -> Any:
-    """Function (worker, end, time_step): force and torque of all entries, column by column; results replace the inputs.
+    """Function (worker, end, time_step): force and torque of all entries, column by column; results replace
+    the inputs.
 
-    The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones.
-    Forces and torques are rounded for the exact sums, losses are in their units. It is a separate function
-    (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
+    The force replaces the branch vector, the torques replace the angular velocities, the new histories the
+    old ones. Forces and torques are rounded for the exact sums, losses are in their units. It is a separate
+    function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
 
     Reads:   columns of the batch, pair_constants, law_parameters
     Writes:  columns of the batch
     """
-    plan, control, batch, real = state.plan, state.control, state.batch, state.backend.real
-    features, constant_count = plan.features, plan.pair_constants.shape[1]
-    sphere_kinematics, pair_force = build_sphere_kinematics(plan), build_pair_force(plan, True)
+    plan = state.plan
+    control = state.control
+    batch = state.batch
+    real = state.backend.real
+    features = plan.features
+    constant_count = plan.pair_constants.shape[1]
+    sphere_kinematics = build_sphere_kinematics(plan)
+    pair_force = build_pair_force(plan, True)
     load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
-    constants_of, store_results = build_constants(plan.laws), _build_store_results(state)
+    constants_of = build_constants(plan.laws)
+    store_results = _build_store_results(state)
     longest_time_step, shift_of, per_unit = (
         state.parameter(name) for name in ("longest_time_step", "shift", "per_unit")
     )
@@ -392,8 +446,11 @@ def _build_evaluate(state: State) -> Any:
 
     @ti.real_func
     def evaluate(worker: ti.i32, end: ti.i32, dt: real):
-        shared, parameters = control.pair_constants[0], control.law_parameters[0]
-        longest, shift, units = longest_time_step(), shift_of(), per_unit()
+        shared = control.pair_constants[0]
+        parameters = control.law_parameters[0]
+        longest = longest_time_step()
+        shift = shift_of()
+        units = per_unit()
         for entry in range(end):
             row = shared
             if ti.static(not features.one_material):
@@ -417,14 +474,18 @@ def _build_store_results(state: State) -> Any:
 
     Writes:  columns of the batch
     """
-    plan, batch, to_grid = state.plan, state.batch, build_to_grid(state.backend.real)
+    plan = state.plan
+    batch = state.batch
+    to_grid = build_to_grid(state.backend.real)
     slots = [(slot, build_slot_vector(plan.laws, slot)) for slot in plan.history]
 
     @ti.func
     def store_results(worker, entry, found, shift, units):
         store_vector(batch.branch, worker, entry, to_grid(found.force, shift[FORCE]))
         store_vector(batch.angular_velocity, worker, entry, to_grid(found.torque, shift[TORQUE]))
-        store_vector(batch.angular_velocity_partner, worker, entry, to_grid(found.torque_partner, shift[TORQUE]))
+        store_vector(
+            batch.angular_velocity_partner, worker, entry, to_grid(found.torque_partner, shift[TORQUE])
+        )
         for slot, vector_of in ti.static(slots):
             store_vector(batch.history[slot], worker, entry, vector_of(member(found.history, slot)))
         if ti.static(plan.features.energy_budget):
@@ -434,18 +495,27 @@ def _build_store_results(state: State) -> Any:
 
 
 def _build_scatter(state: State) -> Any:
-    """Device function (worker, chunk, end, first, last, pose, time_step): add forces and write the histories back.
+    """Device function (worker, chunk, end, first, last, pose, time_step): add forces and write the histories
+    back.
 
     Forces are added to both partners, if the second is in this chunk.
 
     Reads:   columns of the batch
     Writes:  force, torque or sums of the batch; history, in_contact, losses, boundary_work, collisions
     """
-    plan, neighbors, control, batch = state.plan, state.neighbors, state.control, state.batch
-    features, history, slots = plan.features, neighbors.history, list(neighbors.history)
-    list_shares, add_boundary_work = build_list_shares(state), build_boundary_work(state)
-    add_to_sums, loss_count = build_add_to_sums(state), len(LOSSES)
-    pair_kinematics, effective = build_pair_kinematics(state, False), build_effective(state, False)
+    plan = state.plan
+    neighbors = state.neighbors
+    control = state.control
+    batch = state.batch
+    features = plan.features
+    history = neighbors.history
+    slots = list(neighbors.history)
+    list_shares = build_list_shares(state)
+    add_boundary_work = build_boundary_work(state)
+    add_to_sums = build_add_to_sums(state)
+    loss_count = len(LOSSES)
+    pair_kinematics = build_pair_kinematics(state, False)
+    effective = build_effective(state, False)
     count_collision = build_count_collision(state, False)
 
     @ti.func
@@ -473,7 +543,9 @@ def _build_scatter(state: State) -> Any:
             force = ti.cast(vector_of(batch.branch, worker, entry), ti.f64)
             add_to_sums(worker, i, first, 0, force)
             if ti.static(features.rotation):
-                add_to_sums(worker, i, first, 3, ti.cast(vector_of(batch.angular_velocity, worker, entry), ti.f64))
+                add_to_sums(
+                    worker, i, first, 3, ti.cast(vector_of(batch.angular_velocity, worker, entry), ti.f64)
+                )
             if j >= first and j < last:
                 add_to_sums(worker, j, first, 0, -force)
                 if ti.static(features.rotation):

@@ -1,9 +1,9 @@
 """Periodic box: minimum image, wrapping and image velocity.
 
-Positions are wrapped into the box in the step in which they leave it: the rounding of a coordinate depends on its size,
-so that wrapping at rebuilds would make the bits depend on the rebuilds. In a sheared box (Lees-Edwards) the image above
-moves with an offset and a velocity, and the image below with the opposite ones; both are stored by pose, as wall
-positions are.
+Positions are wrapped into the box in the step in which they leave it: the rounding of a coordinate depends on
+its size, so that wrapping at rebuilds would make the bits depend on the rebuilds. In a sheared box
+(Lees-Edwards) the image above moves with an offset and a velocity, and the image below with the opposite
+ones; both are stored by pose, as wall positions are.
 """
 
 from typing import Any
@@ -27,7 +27,8 @@ def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
 
 
 def build_image_index(state: State) -> Any:
-    """Device function (one, other): 1 if the image of `other` above is nearest to `one`, -1 if that below, else 0.
+    """Device function (one, other): 1 if the image of `other` above is nearest to `one`, -1 if that below,
+    else 0.
 
     Above and below refer to the gradient axis of a sheared box. Points are in m, inside the box.
     """
@@ -36,29 +37,36 @@ def build_image_index(state: State) -> Any:
 
     @ti.func
     def image_index(one, other):
-        branch, half = one[gradient] - other[gradient], 0.5 * width()[gradient]
+        branch = one[gradient] - other[gradient]
+        half = 0.5 * width()[gradient]
         return ti.cast(branch > half, ti.i32) - ti.cast(branch < -half, ti.i32)
 
     return image_index
 
 
 def build_minimum_image(state: State) -> Any:
-    """Device function (one, other, pose): branch vector [m] from `other` to `one` by the minimum image convention.
+    """Device function (one, other, pose): branch vector [m] from `other` to `one` by the minimum image
+    convention.
 
     Exchanged points give exactly the opposite vector. Without periodic axes it is the plain difference.
 
     Reads:  image_offset
     """
-    real, periodic_box = state.backend.position_real, state.plan.periodic_box
-    width, sheared = state.parameter("box_width"), periodic_box.image_motion is not None
+    real = state.backend.position_real
+    periodic_box = state.plan.periodic_box
+    width = state.parameter("box_width")
+    sheared = periodic_box.image_motion is not None
     flow, _ = _lees_edwards_axes(periodic_box)
-    image_index, offset = build_image_index(state) if sheared else None, state.control.image_offset
+    image_index = build_image_index(state) if sheared else None
+    offset = state.control.image_offset
 
     @ti.func
     def minimum_image(one, other, pose):
-        branch, widths = one - other, width()
+        branch = one - other
+        widths = width()
         if ti.static(sheared):
-            # The flow axis needs rounding: with the offset, the distance can be more than one and a half widths.
+            # The flow axis needs rounding: with the offset, the distance can be more than one and a half
+            # widths.
             branch[flow] = branch[flow] - ti.cast(image_index(one, other), real) * offset[pose]
             branch[flow] = branch[flow] - widths[flow] * ti.round(branch[flow] / widths[flow])
         for axis in ti.static([axis for axis in periodic_box.axes if not sheared or axis != flow]):
@@ -73,13 +81,16 @@ def build_minimum_image(state: State) -> Any:
 
 
 def build_shift_by_images(state: State) -> Any:
-    """Device function (point, n, pose): position [m] of a point relative to the n-th image box along the gradient.
+    """Device function (point, n, pose): position [m] of a point relative to the n-th image box along the
+    gradient.
 
     The point itself in a box without shear.
 
     Reads:  image_offset
     """
-    real, periodic_box, offset = state.backend.position_real, state.plan.periodic_box, state.control.image_offset
+    real = state.backend.position_real
+    periodic_box = state.plan.periodic_box
+    offset = state.control.image_offset
     sheared = periodic_box.image_motion is not None
     flow, gradient = _lees_edwards_axes(periodic_box)
     width = state.parameter("box_width")
@@ -103,8 +114,11 @@ def build_image_velocity(state: State) -> Any:
 
     Reads:  position, image_speed
     """
-    real, position, periodic_box = state.backend.real, state.particles.position, state.plan.periodic_box
-    sheared, speed = periodic_box.image_motion is not None, state.control.image_speed
+    real = state.backend.real
+    position = state.particles.position
+    periodic_box = state.plan.periodic_box
+    sheared = periodic_box.image_motion is not None
+    speed = state.control.image_speed
     flow, _ = _lees_edwards_axes(periodic_box)
     image_index = build_image_index(state) if sheared else None
 
@@ -124,11 +138,14 @@ def build_wrap_position(state: State) -> Any:
     Coordinates along axes that are not periodic are unchanged.
     """
     periodic_axes = state.plan.periodic_box.axes
-    low, width = state.parameter("domain_low"), state.parameter("box_width")
+    low = state.parameter("domain_low")
+    width = state.parameter("box_width")
 
     @ti.func
     def wrap_position(point):
-        wrapped, lows, widths = point, low(), width()
+        wrapped = point
+        lows = low()
+        widths = width()
         for axis in ti.static(periodic_axes):
             wrapped[axis] = point[axis] - widths[axis] * ti.floor((point[axis] - lows[axis]) / widths[axis])
         return wrapped
@@ -139,17 +156,21 @@ def build_wrap_position(state: State) -> Any:
 def build_near_image(state: State) -> Any:
     """Device function (point in the box, number, reach [m]) -> (image of the point [m], whether it is near).
 
-    Numbers are 0 to 3^n - 1 for n periodic axes; number 0 is the point itself. An image is near if the point is within
-    `reach` of each boundary that it has crossed.
+    Numbers are 0 to 3^n - 1 for n periodic axes; number 0 is the point itself. An image is near if the point
+    is within `reach` of each boundary that it has crossed.
     """
     periodic_axes = state.plan.periodic_box.axes
-    low, width = state.parameter("domain_low"), state.parameter("box_width")
+    low = state.parameter("domain_low")
+    width = state.parameter("box_width")
 
     @ti.func
     def near_image(point, number, reach):
-        image, is_near, rest = point, True, number
+        image = point
+        is_near = True
+        rest = number
         for axis in ti.static(periodic_axes):
-            height, across = point[axis] - low()[axis], width()[axis]
+            height = point[axis] - low()[axis]
+            across = width()[axis]
             if rest % 3 == 1:
                 image[axis] = point[axis] + across
                 is_near = is_near and height < reach
@@ -163,22 +184,30 @@ def build_near_image(state: State) -> Any:
 
 
 def build_wrap(state: State) -> Any:
-    """Device function (chunk, i, pose, time_step): wrap a particle into the box; its energy gain is boundary work.
+    """Device function (chunk, i, pose, time_step): wrap a particle into the box; its energy gain is boundary
+    work.
 
         W = -m g . (x' - x) + m (v'^2 - v^2) / 2        at the time of the positions
 
     Reads:   position, velocity, mass, force, image_offset, image_speed
     Writes:  position, position_at_rebuild, velocity, velocity_synchronized, boundary_work
     """
-    plan, particles, axes = state.plan, state.particles, state.plan.periodic_box.axes
-    wrap_position, sheared = build_wrap_position(state), plan.periodic_box.image_motion is not None
+    plan = state.plan
+    particles = state.particles
+    axes = state.plan.periodic_box.axes
+    wrap_position = build_wrap_position(state)
+    sheared = plan.periodic_box.image_motion is not None
     cross_boundary = _build_cross_boundary(state) if sheared else None
-    add_energy_gain, clumps = build_add_energy_gain(state), plan.features.clumps
-    low, width = state.parameter("domain_low"), state.parameter("box_width")
+    add_energy_gain = build_add_energy_gain(state)
+    clumps = plan.features.clumps
+    low = state.parameter("domain_low")
+    width = state.parameter("box_width")
 
     @ti.func
     def is_outside(point):
-        outside, lows, widths = False, low(), width()
+        outside = False
+        lows = low()
+        widths = width()
         for axis in ti.static(axes):
             outside = outside | (ti.floor((point[axis] - lows[axis]) / widths[axis]) != 0.0)
         return outside
@@ -215,8 +244,11 @@ def build_add_energy_gain(state: State) -> Any:
     Reads:   velocity, mass, force
     Writes:  boundary_work
     """
-    particles, control, sheared = state.particles, state.control, state.plan.periodic_box.image_motion is not None
-    gravity, per_unit = state.parameter("gravity"), state.parameter("per_unit", ENERGY)
+    particles = state.particles
+    control = state.control
+    sheared = state.plan.periodic_box.image_motion is not None
+    gravity = state.parameter("gravity")
+    per_unit = state.parameter("per_unit", ENERGY)
 
     @ti.func
     def add_energy_gain(chunk, i, shift, velocity_shift, dt):
@@ -228,7 +260,8 @@ def build_add_energy_gain(state: State) -> Any:
             )
             velocity_shift_f64 = ti.cast(velocity_shift, ti.f64)
             gained += mass * (
-                0.5 * velocity_shift_f64.dot(velocity_shift_f64) - velocity_synchronous.dot(velocity_shift_f64)
+                0.5 * velocity_shift_f64.dot(velocity_shift_f64)
+                - velocity_synchronous.dot(velocity_shift_f64)
             )
         add_energy(control.boundary_work, chunk, 0, 1, SHARES, ti.cast(per_unit(), ti.f64) * gained)
 
@@ -236,22 +269,22 @@ def build_add_energy_gain(state: State) -> Any:
 
 
 def _build_cross_boundary(state: State) -> Any:
-    """Device function (point, pose): point [m] wrapped across the sheared faces, and decrease of its velocity [m/s].
+    """Device function (point, pose): point [m] wrapped across the sheared faces, and decrease of its velocity
+    [m/s].
 
     Reads:  image_offset, image_speed
     """
-    real, control, low, width = (
-        state.backend.real,
-        state.control,
-        state.parameter("domain_low"),
-        state.parameter("box_width"),
-    )
+    real = state.backend.real
+    control = state.control
+    low = state.parameter("domain_low")
+    width = state.parameter("box_width")
     flow, gradient = _lees_edwards_axes(state.plan.periodic_box)
 
     @ti.func
     def cross_boundary(point, pose):
         image_count = ti.floor((point[gradient] - low()[gradient]) / width()[gradient])
-        wrapped, velocity_shift = point, ti.Vector.zero(real, 3)
+        wrapped = point
+        velocity_shift = ti.Vector.zero(real, 3)
         wrapped[gradient] = point[gradient] - width()[gradient] * image_count
         wrapped[flow] = point[flow] - image_count * control.image_offset[pose]
         velocity_shift[flow] = ti.cast(image_count, real) * control.image_speed[pose]
@@ -267,7 +300,9 @@ def upload_offsets(state: State, step: int) -> None:
 
     Writes:  image_offset, image_speed
     """
-    periodic_box, clock, control = state.plan.periodic_box, state.clock, state.control
+    periodic_box = state.plan.periodic_box
+    clock = state.clock
+    control = state.control
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
     position_real = np.float32 if state.backend.precision == "f32" else np.float64
     real = np.float64 if state.backend.precision == "f64" else np.float32

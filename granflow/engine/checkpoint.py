@@ -1,9 +1,10 @@
 """Saves and restores the device state that determines how a run continues, bit for bit.
 
-The state consists of the particles with velocities half a step behind, the histories of their contacts, and sums; all
-in the order of the ids, so that it does not depend on threads, chunks or MPI ranks. Saving rebuilds and evaluates
-nothing, so that a checkpoint does not influence the run. Restoring repeats the last rebuild of the neighbor lists, with
-the positions of that time: the next one is then due at the same step as in the run that continues without interruption.
+The state consists of the particles with velocities half a step behind, the histories of their contacts, and
+sums; all in the order of the ids, so that it does not depend on threads, chunks or MPI ranks. Saving rebuilds
+and evaluates nothing, so that a checkpoint does not influence the run. Restoring repeats the last rebuild of
+the neighbor lists, with the positions of that time: the next one is then due at the same step as in the run
+that continues without interruption.
 """
 
 from collections.abc import Sequence
@@ -37,7 +38,8 @@ class RankFileWriter(Protocol):
     """Writes the particles of MPI ranks; each rank has a copy."""
 
     def write(self, rank: int, count: int, saved: SavedState) -> dict[str, Any]:
-        """Write `saved_particles` of a rank, which are `count`; returns the entry of the checkpoint. Raises OSError."""
+        """Write `saved_particles` of a rank, which are `count`; returns the entry of the checkpoint. Raises
+        OSError."""
 
 
 def rank_file_entries(engine: Engine, writer: RankFileWriter, kept: bool = False) -> list[dict[str, Any]]:
@@ -59,7 +61,8 @@ def _write_rank_file(engine: Engine, rank: int, writer: RankFileWriter, kept: bo
 
 
 def keep_particles(engine: Engine) -> None:
-    """Keep a copy of the particles on the host, on each MPI rank, for a later checkpoint of the present state."""
+    """Keep a copy of the particles on the host, on each MPI rank, for a later checkpoint of the present
+    state."""
     engine.on_each_rank(_keep_particles)
 
 
@@ -85,8 +88,9 @@ def saved_particles(engine: Engine, kept: bool = False) -> SavedState:
 def saved_state(engine: Engine) -> SavedState:
     """The state of the engine that determines how it continues, without the data of the scene.
 
-    Nested dictionaries of numbers and numpy arrays; particle arrays (n,) or (n, 3) in the order of the ids; contacts as
-    `Histories`, with histories by the slots of the contact models. On MPI ranks, the particles of the root only.
+    Nested dictionaries of numbers and numpy arrays; particle arrays (n,) or (n, 3) in the order of the ids;
+    contacts as `Histories`, with histories by the slots of the contact models. On MPI ranks, the particles of
+    the root only.
     """
     return saved_sums_and_clocks(engine) | saved_particles(engine)
 
@@ -114,8 +118,8 @@ def restore_state(
     saved:    result of `saved_state`. Without `clock_at_rebuild`, a rebuild must follow after a change
     motions:  motions of each wall
     files:    files of MPI ranks with further particles; None if `saved` contains all
-    Raises:   GranflowError if the scene needs other arrays than the saved state has, or has other force-controlled
-              motions, or a file is invalid
+    Raises:   GranflowError if the scene needs other arrays than the saved state has, or has other
+              force-controlled motions, or a file is invalid
     """
     rest = {name: value for name, value in saved.items() if name not in ("particles", "contacts")}
     engine.restore(rest, host_particles(engine.state, saved), motions, files)
@@ -129,10 +133,11 @@ def restore_state(
 def with_plan(engine: Engine, plan: Plan) -> Engine:
     """An engine that continues with another plan: the same one if its kernels and capacities suffice.
 
-    plan:  equal to that of the engine in time step, chunk size, materials and contact laws; its walls are those of the
-           engine, changed, and others behind them
+    plan:  equal to that of the engine in time step, chunk size, materials and contact laws; its walls are
+           those of the engine, changed, and others behind them
 
-    Otherwise the given engine is freed, and kernels are compiled as necessary. The run continues with the same bits.
+    Otherwise the given engine is freed, and kernels are compiled as necessary. The run continues with the
+    same bits.
     """
     same_size = plan.particle_capacity == engine.plan.particle_capacity
     same_walls = len(plan.walls) == len(engine.plan.walls)
@@ -141,7 +146,9 @@ def with_plan(engine: Engine, plan: Plan) -> Engine:
         engine.state.walls.fill_joints(plan)
         return engine
     refuse_changes(engine)
-    saved, motions, backend = saved_state(engine), engine.state.wall_motions, engine.state.backend
+    saved = saved_state(engine)
+    motions = engine.state.wall_motions
+    backend = engine.state.backend
     saved["contacts"]["partner"] = renumbered(saved["contacts"]["partner"], engine.plan, plan)
     saved["walls_present"] += [False] * (len(plan.walls) - len(engine.plan.walls))
     motions = (*motions, *((),) * (len(plan.walls) - len(motions)))
@@ -153,9 +160,11 @@ def with_plan(engine: Engine, plan: Plan) -> Engine:
 
 
 def renumbered(partner: np.ndarray, before: Plan, now: Plan) -> np.ndarray:
-    """Numbers of contact partners (m,) in another plan, whose walls are those of the plan `before` and others.
+    """Numbers of contact partners (m,) in another plan, whose walls are those of the plan `before` and
+    others.
 
-    Walls w have the number -1 - w, triangles follow the walls: -1 - (number of walls) - t. Particles are at least 0.
+    Walls w have the number -1 - w, triangles follow the walls: -1 - (number of walls) - t. Particles are at
+    least 0.
     """
     first_triangle = -1 - len(before.walls)
     return np.where(partner <= first_triangle, partner - (len(now.walls) - len(before.walls)), partner)
@@ -168,9 +177,11 @@ def refuse_changes(engine: Engine) -> None:
 
 
 def _fitted(saved: dict[str, Any], plan: Plan) -> dict[str, Any]:
-    """The saved state with the arrays of another plan: new ones are zero, longer ones are padded with zeros."""
+    """The saved state with the arrays of another plan: new ones are zero, longer ones are padded with
+    zeros."""
     particles, sums, dynamics = (
-        saved_arrays(arrays) for arrays in (particle_arrays(plan), sum_arrays(plan), wall_dynamics_arrays(plan))
+        saved_arrays(arrays)
+        for arrays in (particle_arrays(plan), sum_arrays(plan), wall_dynamics_arrays(plan))
     )
     count = saved["particle_count"]
     fitted = {"particles": {}, "energy_budget": {}, "wall_dynamics": dict(saved["wall_dynamics"])}

@@ -1,18 +1,20 @@
 """Clumps on the device: rigid bodies whose spheres are particles.
 
-Each sphere has a copy of the state of its clump: center of mass, velocity, angular momentum L in the frame of the scene
-and orientation, a unit quaternion q. Each copy is integrated with the same operations, from the forces on all spheres
-in the order of their ids, so that all copies have the same bits, and no sphere writes to another one.
+Each sphere has a copy of the state of its clump: center of mass, velocity, angular momentum L in the frame of
+the scene and orientation, a unit quaternion q. Each copy is integrated with the same operations, from the
+forces on all spheres in the order of their ids, so that all copies have the same bits, and no sphere writes
+to another one.
 
 Leapfrog form of velocity Verlet, with the torque M about the center of mass and the principal moments I:
 
     v(t + dt/2) = v(t - dt/2) + dt F(t) / m          x(t + dt) = x(t) + dt v(t + dt/2)
     L(t + dt/2) = L(t - dt/2) + dt M(t)              q(t + dt): rotation with this angular momentum
 
-The rotation is split into rotations about the principal axes e_k, each with an angular velocity L . e_k / I_k, which it
-does not change (Dullweber, Leimkuhler & McLachlan, J. Chem. Phys. 107 (1997) 5840), here in a symmetric sequence
-z y x x y z of half steps. Half a step turns by 2 atan(dt L . e_k / (4 I_k)) instead of dt L . e_k / (2 I_k): a function
-of L . e_k, so that the step remains symplectic and of second order, without trigonometric functions. L is exact.
+The rotation is split into rotations about the principal axes e_k, each with an angular velocity L . e_k /
+I_k, which it does not change (Dullweber, Leimkuhler & McLachlan, J. Chem. Phys. 107 (1997) 5840), here in a
+symmetric sequence z y x x y z of half steps. Half a step turns by 2 atan(dt L . e_k / (4 I_k)) instead of dt
+L . e_k / (2 I_k): a function of L . e_k, so that the step remains symplectic and of second order, without
+trigonometric functions. L is exact.
 """
 
 from collections.abc import Mapping
@@ -32,8 +34,15 @@ from granflow.kernel_language import ti
 # sphere.
 
 CLUMP_MOTION = (
-    *("id", "clump", "clump_mass", "clump_inertia", "clump_offset", "clump_position", "clump_velocity"),
-    *("clump_angular_momentum", "orientation"),
+    "id",
+    "clump",
+    "clump_mass",
+    "clump_inertia",
+    "clump_offset",
+    "clump_position",
+    "clump_velocity",
+    "clump_angular_momentum",
+    "orientation",
 )
 """Fields that determine motion and energy of clumps; absent without clumps."""
 ROTATION_SHARE = "clump_rotation_share"
@@ -42,23 +51,25 @@ Arrays = dict[str, np.ndarray]
 
 
 def of_clumps(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    """The arrays with position and velocity of the clump for its spheres, and ROTATION_SHARE; unchanged without clumps.
+    """The arrays with position and velocity of the clump for its spheres, and ROTATION_SHARE; unchanged
+    without clumps.
 
     The share of a sphere is its mass over that of the clump.
     """
     if "clump" not in arrays:
         return arrays
     in_clump = arrays["clump"][:, None] >= 0
-    momentum, share = (
-        arrays["clump_angular_momentum"].astype(float),
-        arrays["mass"] / arrays["clump_mass"].astype(float),
-    )
-    moving = {name: np.where(in_clump, arrays[f"clump_{name}"], arrays[name]) for name in ("position", "velocity")}
+    momentum = arrays["clump_angular_momentum"].astype(float)
+    share = arrays["mass"] / arrays["clump_mass"].astype(float)
+    moving = {
+        name: np.where(in_clump, arrays[f"clump_{name}"], arrays[name]) for name in ("position", "velocity")
+    }
     return {**arrays, **moving, ROTATION_SHARE: share * np.sum(momentum * angular_velocity(arrays), axis=1)}
 
 
 def angular_velocity(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Angular velocities (n, 3) [rad/s] of the clumps, in the frame of the scene: w = R (R^T L / I); 0 without one."""
+    """Angular velocities (n, 3) [rad/s] of the clumps, in the frame of the scene: w = R (R^T L / I); 0
+    without one."""
     rotation = matrices(arrays["orientation"].astype(float))
     along = np.einsum("nji,nj->ni", rotation, arrays["clump_angular_momentum"].astype(float))
     inertia = arrays["clump_inertia"].astype(float)
@@ -67,7 +78,8 @@ def angular_velocity(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def angular_momentum(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Angular momenta (n, 3) [kg m2/s] of the clumps, in the frame of the scene: L = R I R^T w; 0 without one.
+    """Angular momenta (n, 3) [kg m2/s] of the clumps, in the frame of the scene: L = R I R^T w; 0 without
+    one.
 
     arrays:  angular_velocity, orientation, clump_inertia
     """
@@ -83,7 +95,8 @@ def arms(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def synchronized_clumps(arrays: Mapping[str, np.ndarray], half: float, gravity: np.ndarray) -> Arrays:
-    """Motion of clumps at the time of the positions, for their spheres; rows of single spheres are meaningless.
+    """Motion of clumps at the time of the positions, for their spheres; rows of single spheres are
+    meaningless.
 
         v(t) = v(t - dt/2) + dt/2 (F / m + g),   L(t) = L(t - dt/2) + dt/2 M
 
@@ -94,9 +107,12 @@ def synchronized_clumps(arrays: Mapping[str, np.ndarray], half: float, gravity: 
     """
     if "clump" not in arrays:
         return {}
-    arm, force = arms(arrays), arrays["force"].astype(float)
+    arm = arms(arrays)
+    force = arrays["force"].astype(float)
     force, torque = _sums(arrays, force), _sums(arrays, arrays["torque"] + np.cross(arm, force))
-    velocity = arrays["clump_velocity"] + half * (force / arrays["clump_mass"].astype(float)[:, None] + gravity)
+    velocity = arrays["clump_velocity"] + half * (
+        force / arrays["clump_mass"].astype(float)[:, None] + gravity
+    )
     momentum = arrays["clump_angular_momentum"] + half * torque
     spin = angular_velocity({**arrays, "clump_angular_momentum": momentum})
     return {
@@ -114,7 +130,9 @@ def _sums(arrays: Mapping[str, np.ndarray], vectors: np.ndarray) -> np.ndarray:
     first = np.flatnonzero(np.r_[True, clump[1:] != clump[:-1]]) if len(clump) else np.zeros(0, np.int64)
     lengths = np.diff(np.r_[first, len(clump)])
     found = np.empty_like(vectors)
-    found[order] = np.repeat(np.add.reduceat(vectors[order], first, axis=0), lengths, axis=0) if len(clump) else 0.0
+    found[order] = (
+        np.repeat(np.add.reduceat(vectors[order], first, axis=0), lengths, axis=0) if len(clump) else 0.0
+    )
     return found
 
 
@@ -124,14 +142,19 @@ def in_order(axis: ti.template(), first, second, third):
     return (
         ti.Vector([first, second, third])
         if ti.static(axis == 0)
-        else (ti.Vector([third, first, second]) if ti.static(axis == 1) else ti.Vector([second, third, first]))
+        else (
+            ti.Vector([third, first, second]) if ti.static(axis == 1) else ti.Vector([second, third, first])
+        )
     )
 
 
 @ti.func
 def principal_axis(q, axis: ti.template()):
     """|q|^2 times a principal axis of a clump with the quaternion q = (w, x, y, z)."""
-    w, u, v, t = q[0], q[1 + axis], q[1 + (axis + 1) % 3], q[1 + (axis + 2) % 3]
+    w = q[0]
+    u = q[1 + axis]
+    v = q[1 + (axis + 1) % 3]
+    t = q[1 + (axis + 2) % 3]
     return in_order(axis, w * w + u * u - v * v - t * t, 2.0 * (u * v + w * t), 2.0 * (u * t - w * v))
 
 
@@ -143,11 +166,15 @@ def scaled_rotation(q):
 
 @ti.func
 def turned(q, axis: ti.template(), tangent):
-    """q after a rotation about a principal axis e by an angle with this tangent of its half: q (1 + tangent e).
+    """q after a rotation about a principal axis e by an angle with this tangent of its half: q (1 + tangent
+    e).
 
     The result is sqrt(1 + tangent^2) times as long as q.
     """
-    w, u, v, t = q[0], q[1 + axis], q[1 + (axis + 1) % 3], q[1 + (axis + 2) % 3]
+    w = q[0]
+    u = q[1 + axis]
+    v = q[1 + (axis + 1) % 3]
+    t = q[1 + (axis + 2) % 3]
     e = in_order(axis, u + tangent * w, v + tangent * t, t - tangent * v)
     return ti.Vector([w - tangent * u, e[0], e[1], e[2]])
 
@@ -155,27 +182,33 @@ def turned(q, axis: ti.template(), tangent):
 @ti.func
 def half_turned(q, momentum, inertia, dt, axes: ti.template()):
     """A unit quaternion q after rotations of dt/2 about the principal axes in the given order."""
-    found, square, quarter = q, q.dot(q), 0.25 * dt / inertia
+    found = q
+    square = q.dot(q)
+    quarter = 0.25 * dt / inertia
     for axis in ti.static(axes):
         tangent = quarter[axis] * principal_axis(found, axis).dot(momentum) / square
-        found, square = turned(found, axis, tangent), square * (1.0 + tangent * tangent)
+        found = turned(found, axis, tangent)
+        square = square * (1.0 + tangent * tangent)
     return found / ti.sqrt(found.dot(found))
 
 
 @ti.func
 def angular_velocity_of(rotation, momentum, inertia):
-    """Angular velocity [rad/s] in the frame of the scene of a clump with a rotation matrix R: R (R^T L / I)."""
+    """Angular velocity [rad/s] in the frame of the scene of a clump with a rotation matrix R: R (R^T L /
+    I)."""
     return rotation @ ((rotation.transpose() @ momentum) / inertia)
 
 
 def build_clump_sums(state: State) -> Any:
-    """Device function (i, rotation matrix) -> (force [N], torque [N m] about the center of mass) of the clump of i.
+    """Device function (i, rotation matrix) -> (force [N], torque [N m] about the center of mass) of the clump
+    of i.
 
     Sums over all contacts of its spheres.
 
     Reads:  force, torque, clump, clump_size, clump_offset, index_of_id
     """
-    particles, real = state.particles, state.backend.position_real
+    particles = state.particles
+    real = state.backend.position_real
 
     @ti.func
     def clump_sums(i, rotation):
@@ -192,30 +225,39 @@ def build_clump_sums(state: State) -> Any:
 
 
 def build_move_clump(state: State) -> Any:
-    """Device function (i, pose, time_step) -> displacement [m] of sphere i: kick and drift of its copy of the clump.
+    """Device function (i, pose, time_step) -> displacement [m] of sphere i: kick and drift of its copy of the
+    clump.
 
-    The velocity of a sphere is its displacement over the time step; its angular velocity is that of the clump at the
-    half step. In a periodic box the center of mass is wrapped, but not yet the sphere.
+    The velocity of a sphere is its displacement over the time step; its angular velocity is that of the clump
+    at the half step. In a periodic box the center of mass is wrapped, but not yet the sphere.
 
     Reads:   as `build_clump_sums`; orientation, clump_mass, clump_inertia
     Writes:  clump_position, clump_velocity, clump_angular_momentum, orientation, position, velocity,
              velocity_synchronized, angular_velocity, boundary_work
     """
-    particles, features, real = state.particles, state.plan.features, state.backend.real
-    exact, gravity, clump_sums = state.backend.position_real, state.parameter("gravity"), build_clump_sums(state)
+    particles = state.particles
+    features = state.plan.features
+    real = state.backend.real
+    exact = state.backend.position_real
+    gravity = state.parameter("gravity")
+    clump_sums = build_clump_sums(state)
     set_position = _build_set_position(state)
 
     @ti.func
     def move_clump(chunk, i, pose, dt):
-        step, offset, q = ti.cast(dt, exact), particles.clump_offset[i], particles.orientation[i]
+        step = ti.cast(dt, exact)
+        offset = particles.clump_offset[i]
+        q = particles.orientation[i]
         rotation = scaled_rotation(q)
         force, torque = clump_sums(i, rotation)
         inertia = ti.cast(particles.clump_inertia[i], exact)
         kick = step * (force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact))
-        velocity, momentum = particles.clump_velocity[i] + kick, particles.clump_angular_momentum[i] + step * torque
+        velocity = particles.clump_velocity[i] + kick
+        momentum = particles.clump_angular_momentum[i] + step * torque
         q_half = half_turned(q, momentum, inertia, step, (2, 1, 0))
         q_new = half_turned(q_half, momentum, inertia, step, (0, 1, 2))
-        rotation_half, rotation_new = scaled_rotation(q_half), scaled_rotation(q_new)
+        rotation_half = scaled_rotation(q_half)
+        rotation_new = scaled_rotation(q_new)
         arm = rotation_new @ offset
         displacement = step * velocity + (arm - rotation @ offset)
         particles.clump_velocity[i], particles.clump_angular_momentum[i] = velocity, momentum
@@ -234,15 +276,17 @@ def build_move_clump(state: State) -> Any:
 def _build_set_position(state: State) -> Any:
     """Device function: move the center of mass, and place the sphere at an arm from it.
 
-    Arguments: chunk, i, displacement of the center of mass [m], arm [m], displacement of the sphere [m], pose,
-    time_step. In a periodic box the sphere is placed at the image nearest to its displaced position.
+    Arguments: chunk, i, displacement of the center of mass [m], arm [m], displacement of the sphere [m],
+    pose, time_step. In a periodic box the sphere is placed at the image nearest to its displaced position.
 
     Reads:   position, clump_position
     Writes:  position, clump_position, boundary_work
     """
-    particles, features = state.particles, state.plan.features
+    particles = state.particles
+    features = state.plan.features
     periodic = features.periodic != "none"
-    wrap_position, minimum_image = build_wrap_position(state), build_minimum_image(state)
+    wrap_position = build_wrap_position(state)
+    minimum_image = build_minimum_image(state)
     add_energy_gain = build_add_energy_gain(state)
 
     @ti.func
@@ -269,14 +313,19 @@ def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> A
 
     Reads, writes:  as `build_move_clump`, and as `engine.integrate.build_integrate`
     """
-    particles, periodic = state.particles, state.plan.features.periodic != "none"
-    chunk_size, step_limit = state.parameter("chunk_size"), state.parameter("travel_limit_squared")
-    move_clump, wrap = build_move_clump(state), build_wrap(state) if periodic else None
+    particles = state.particles
+    periodic = state.plan.features.periodic != "none"
+    chunk_size = state.parameter("chunk_size")
+    step_limit = state.parameter("travel_limit_squared")
+    move_clump = build_move_clump(state)
+    wrap = build_wrap(state) if periodic else None
     per_unit = state.parameter("per_unit")
 
     @ti.func
     def integrate_clumps(chunk, count, pose, dt):
-        size, step_squared_limit, units = chunk_size(), step_limit(), per_unit()
+        size = chunk_size()
+        step_squared_limit = step_limit()
+        units = per_unit()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
             if particles.clump[i] >= 0:
                 step = move_clump(chunk, i, pose, dt).norm_sqr()
@@ -296,7 +345,9 @@ def build_kick_clump(state: State) -> Any:
     Reads:   as `build_clump_sums`; orientation, clump_mass
     Writes:  clump_velocity, clump_angular_momentum
     """
-    particles, exact, gravity = state.particles, state.backend.position_real, state.parameter("gravity")
+    particles = state.particles
+    exact = state.backend.position_real
+    gravity = state.parameter("gravity")
     clump_sums = build_clump_sums(state)
 
     @ti.func
@@ -304,7 +355,9 @@ def build_kick_clump(state: State) -> Any:
         force, torque = clump_sums(i, scaled_rotation(particles.orientation[i]))
         kick = force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact)
         particles.clump_velocity[i] = particles.clump_velocity[i] + ti.cast(time, exact) * kick
-        particles.clump_angular_momentum[i] = particles.clump_angular_momentum[i] + ti.cast(time, exact) * torque
+        particles.clump_angular_momentum[i] = (
+            particles.clump_angular_momentum[i] + ti.cast(time, exact) * torque
+        )
 
     return kick_clump
 

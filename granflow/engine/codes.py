@@ -1,11 +1,14 @@
 """Codes and limits that kernels and host share."""
 
-ABORT_FORCE, ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = range(1, 8)
+ABORT_FORCE, ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = (
+    range(1, 8)
+)
 ABORT_LIQUID = 8
-"""Codes: a contact force above the range of the sums, a displacement per step above the limit, a position that is not
-finite, an overlap above the limit, a particle outside a domain with `on_exit: error` (set by the host), a
-force-controlled wall above its displacement limit, a particle so far from the origin that the precision does not
-resolve its position (set by the host), and a film from which bridges have taken more liquid than it had."""
+"""Codes: a contact force above the range of the sums, a displacement per step above the limit, a position
+that is not finite, an overlap above the limit, a particle outside a domain with `on_exit: error` (set by the
+host), a force-controlled wall above its displacement limit, a particle so far from the origin that the
+precision does not resolve its position (set by the host), and a film from which bridges have taken more
+liquid than it had."""
 ABORT_REASONS = {
     ABORT_FORCE: "force",
     ABORT_DISPLACEMENT: "displacement",

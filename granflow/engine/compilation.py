@@ -13,7 +13,8 @@ around: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 def in_context(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """Wraps `Program.compile_kernel` of Quadrants, which calls it once per kernel: every call is in `around`."""
+    """Wraps `Program.compile_kernel` of Quadrants, which calls it once per kernel: every call is in
+    `around`."""
 
     def compile_in_context(*arguments: Any) -> Any:
         with around():
@@ -23,7 +24,8 @@ def in_context(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def guarded(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """Wraps `Program.compile_kernel` of Taichi, so that the first call per kernel runs in the context `around`.
+    """Wraps `Program.compile_kernel` of Taichi, so that the first call per kernel runs in the context
+    `around`.
 
     compile_kernel:  function (program, configuration, capabilities, kernel)
     Returns:         function with the same arguments and result

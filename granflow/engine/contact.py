@@ -46,15 +46,19 @@ from granflow.plan.capacities import DAMPING, ENERGY, FRICTION, LOSSES, ROLLING,
 
 
 def build_count_collision(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, list index, j, bodies, overlap rate at the half step): count a contact that begins.
+    """Device function (chunk, list index, j, bodies, overlap rate at the half step): count a contact that
+    begins.
 
     Without collision energies it does nothing. It precedes `write_history`, which marks the contact.
 
     Reads:   in_contact, collision_edges
     Writes:  collisions
     """
-    control, neighbors, list_shares = state.control, state.neighbors, build_list_shares(state)
-    wanted, rows = state.plan.features.collision_energies, state.capacities.wall_rows
+    control = state.control
+    neighbors = state.neighbors
+    list_shares = build_list_shares(state)
+    wanted = state.plan.features.collision_energies
+    rows = state.capacities.wall_rows
     classes = state.capacities.energy_classes
     first = classes if with_wall else 0
 
@@ -62,19 +66,24 @@ def build_count_collision(state: State, with_wall: bool) -> Any:
     def count_collision(chunk, list_index, j, bodies, overlap_rate):
         if ti.static(wanted):
             if neighbors.in_contact[list_index] == NO_CONTACT:
-                velocity, number = ti.cast(ti.max(overlap_rate, 0.0), ti.f64), first
+                velocity = ti.cast(ti.max(overlap_rate, 0.0), ti.f64)
+                number = first
                 energy = 0.5 * ti.cast(bodies.mass_eff, ti.f64) * (velocity * velocity)
                 for edge in range(classes - 1):
                     number += ti.cast(energy >= control.collision_edges[edge], ti.i32)
-                ti.atomic_add(control.collisions[chunk % rows, number][0], ti.cast(list_shares(chunk, j), ti.i64))
+                ti.atomic_add(
+                    control.collisions[chunk % rows, number][0], ti.cast(list_shares(chunk, j), ti.i64)
+                )
 
     return count_collision
 
 
 def collision_counts(state: State) -> dict[str, np.ndarray]:
-    """Numbers of collisions since the start by kind of the partner, "particle" or "wall": arrays (classes,) int64.
+    """Numbers of collisions since the start by kind of the partner, "particle" or "wall": arrays (classes,)
+    int64.
 
-    The first class is below the smallest edge, the last one above the largest. Empty without collision energies.
+    The first class is below the smallest edge, the last one above the largest. Empty without collision
+    energies.
     """
     if state.control.collisions is None:
         return {}
@@ -97,15 +106,22 @@ def collision_counts(state: State) -> dict[str, np.ndarray]:
 
 
 def build_add_to_accounting(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, j, pose, normal, result of the pair force, time_step): losses, work and wall forces.
+    """Device function (chunk, i, j, pose, normal, result of the pair force, time_step): losses, work and wall
+    forces.
 
     Writes:  losses, wall_work_ahead, boundary_work, impulses, wall_force
     """
-    features, wall_of, wall_power = state.plan.features, build_wall_of(state), _build_wall_power(state)
-    control, list_shares, add_boundary_work = state.control, build_list_shares(state), build_boundary_work(state)
-    per_unit, longest_time_step = state.parameter("per_unit", ENERGY), state.parameter("longest_time_step")
+    features = state.plan.features
+    wall_of = build_wall_of(state)
+    wall_power = _build_wall_power(state)
+    control = state.control
+    list_shares = build_list_shares(state)
+    add_boundary_work = build_boundary_work(state)
+    per_unit = state.parameter("per_unit", ENERGY)
+    longest_time_step = state.parameter("longest_time_step")
     moving = with_wall and features.moving_walls
-    measured, loss_count = with_wall and features.wall_forces, len(LOSSES)
+    measured = with_wall and features.wall_forces
+    loss_count = len(LOSSES)
     force_controlled = with_wall and features.force_controlled_walls
     add_impulse = build_add_impulse(state) if measured else None
     _clear, add_wall_force = build_add_wall_force(state) if force_controlled else (None, None)
@@ -118,8 +134,10 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def add_wall_work(chunk, i, j, pose, normal, found, dt):
-        half, half_ahead = 0.5 * per_unit() * dt, 0.5 * per_unit() * normal_time_step(dt, longest_time_step())
-        shares, work_ahead = list_shares(chunk, j), half_ahead * wall_power(i, j, pose, pose + 1, normal, found)
+        half = 0.5 * per_unit() * dt
+        half_ahead = 0.5 * per_unit() * normal_time_step(dt, longest_time_step())
+        shares = list_shares(chunk, j)
+        work_ahead = half_ahead * wall_power(i, j, pose, pose + 1, normal, found)
         work = half * wall_power(i, j, pose, pose, normal, found)
         add_energy(control.losses, chunk, WALL_WORK, loss_count, shares, work)
         add_energy(control.losses, chunk, WALL_WORK, loss_count, shares, work_ahead)
@@ -144,11 +162,14 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
 def _build_wall_power(state: State) -> Any:
     """Device function: power of prescribed wall motion and surface velocity on particle i [W].
 
-    Arguments: i, j, pose, index of the step at whose middle the velocity is, normal, result of the pair force.
+    Arguments: i, j, pose, index of the step at whose middle the velocity is, normal, result of the pair
+    force.
 
     Reads:  position, velocities of walls
     """
-    geometry, wall_of, real = WallGeometry(state), build_wall_of(state), state.backend.real
+    geometry = WallGeometry(state)
+    wall_of = build_wall_of(state)
+    real = state.backend.real
 
     @ti.func
     def wall_power(i, j, pose, step, normal, found):
@@ -167,7 +188,8 @@ def build_clear_wall_work_ahead(state: State) -> Any:
 
     Writes:  wall_work_ahead
     """
-    ahead, exists = state.control.wall_work_ahead, state.control.wall_work_ahead is not None
+    ahead = state.control.wall_work_ahead
+    exists = state.control.wall_work_ahead is not None
 
     @ti.func
     def clear_wall_work_ahead(chunk):
@@ -184,16 +206,21 @@ def build_end_wall_work(state: State) -> Any:
 
     Writes:  wall_work_ahead, losses
     """
-    control, chunks, high = state.control, state.capacities.chunks, len(LOSSES) + WALL_WORK
+    control = state.control
+    chunks = state.capacities.chunks
+    high = len(LOSSES) + WALL_WORK
 
     @ti.func
     def end(chunk, withdraws):
         if withdraws == 1:
-            control.losses[chunk][WALL_WORK] = control.losses[chunk][WALL_WORK] - control.wall_work_ahead[chunk][0]
+            control.losses[chunk][WALL_WORK] = (
+                control.losses[chunk][WALL_WORK] - control.wall_work_ahead[chunk][0]
+            )
             control.losses[chunk][high] = control.losses[chunk][high] - control.wall_work_ahead[chunk][1]
         control.wall_work_ahead[chunk] = ti.Vector.zero(ti.i64, 2)
 
-    threads, end_each = thread_count(chunks), build_tasks_of_thread(end, chunks)
+    threads = thread_count(chunks)
+    end_each = build_tasks_of_thread(end, chunks)
 
     @ti.kernel
     def end_wall_work(withdraws: ti.i32):
@@ -208,7 +235,9 @@ def build_carry_sums(state: State) -> Any:
 
     Writes:  losses, boundary_work, external_work
     """
-    control, features, loss_count = state.control, state.plan.features, len(LOSSES)
+    control = state.control
+    features = state.plan.features
+    loss_count = len(LOSSES)
 
     @ti.func
     def carry_sums(chunk):
@@ -223,47 +252,61 @@ def build_carry_sums(state: State) -> Any:
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, pose, time_step) -> (force [N], torque [N m]) on i of one contact.
+    """Device function (chunk, i, list index, j, pose, time_step) -> (force [N], torque [N m]) on i of one
+    contact.
 
     with_wall:  True for walls (j < 0), False for particles
 
-    Without overlap, or beyond the range of a model that acts at a distance, it ends the contact and clears its history;
-    its plastic work is added to the losses.
+    Without overlap, or beyond the range of a model that acts at a distance, it ends the contact and clears
+    its history; its plastic work is added to the losses.
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
     Writes:  history, in_contact, losses, boundary_work, impulses, collisions, wall_force, liquid_film, abort,
              abort_particle
     """
     transfers = with_wall and transfers_history(state)
-    pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
+    pair_kinematics = build_pair_kinematics(state, with_wall)
+    effective = build_effective(state, with_wall)
     angular_velocities_of = _build_angular_velocities(state, with_wall)
     check_overlap = _build_check_overlap(state, with_wall)
-    pair_constants, in_range = build_pair_constants(state), build_in_range(state)
+    pair_constants = build_pair_constants(state)
+    in_range = build_in_range(state)
     acts_at_distance = state.plan.laws.acts_at_distance
     distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
     release_history, acquire_history = (
         (build_release_history(state), build_acquire_history(state)) if transfers else (None, None)
     )
-    read_history, write_history = build_read_history(state), build_write_history(state)
-    pair_force, add_to_accounting = build_pair_force(state.plan, False), build_add_to_accounting(state, with_wall)
-    end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
-    longest_time_step, count_collision = state.parameter("longest_time_step"), build_count_collision(state, with_wall)
-    liquid, return_liquid = transfers_liquid(state), build_return_liquid(state)
+    read_history = build_read_history(state)
+    write_history = build_write_history(state)
+    pair_force = build_pair_force(state.plan, False)
+    add_to_accounting = build_add_to_accounting(state, with_wall)
+    end_contact = build_end_contact(state)
+    add_plastic_loss = build_add_plastic_loss(state)
+    longest_time_step = state.parameter("longest_time_step")
+    count_collision = build_count_collision(state, with_wall)
+    liquid = transfers_liquid(state)
+    return_liquid = build_return_liquid(state)
     form_bridge = build_form_bridge(state) if liquid else None
 
     @ti.func
     def contact(chunk, i, list_index, j, pose, dt):
         force, torque = 0.0 * state.particles.velocity[i], 0.0 * state.particles.velocity[i]
-        kinematics, bodies = pair_kinematics(i, j, pose, dt), effective(i, j)
+        kinematics = pair_kinematics(i, j, pose, dt)
+        bodies = effective(i, j)
         constants = pair_constants(i, j)
         if kinematics.overlap > 0.0:
             check_overlap(i, j, kinematics.overlap)
             if ti.static(transfers):
                 acquire_history(i, list_index, j, pose)
-            angular_velocities, history = angular_velocities_of(i, j, pose), read_history(list_index)
+            angular_velocities = angular_velocities_of(i, j, pose)
+            history = read_history(list_index)
             if ti.static(liquid):
-                history.cohesion = form_bridge(chunk, i, j, constants, bodies, kinematics.overlap, history.cohesion)
-            found = pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step())
+                history.cohesion = form_bridge(
+                    chunk, i, j, constants, bodies, kinematics.overlap, history.cohesion
+                )
+            found = pair_force(
+                constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step()
+            )
             force, torque = found.force, found.torque
             count_collision(chunk, list_index, j, bodies, kinematics.overlap_rate_half)
             write_history(list_index, found.history)
@@ -272,7 +315,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
             if ti.static(acts_at_distance):
                 force = distant_contact(chunk, i, list_index, j, pose, kinematics, dt)
         else:
-            energy_lost, released = 0.0 * dt, 0
+            energy_lost = 0.0 * dt
+            released = 0
             if ti.static(transfers):
                 released = release_history(i, list_index, j, pose)
             if released == 0:
@@ -285,12 +329,14 @@ def build_contact(state: State, with_wall: bool) -> Any:
 
 
 def _build_distant_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, pose, kinematics, time_step): force [N] on i of a separated pair.
+    """Device function (chunk, i, list index, j, pose, kinematics, time_step): force [N] on i of a separated
+    pair.
 
     Reads:   as `build_contact`
     Writes:  as `build_contact`
     """
-    distant_force, transfers = build_distant_force(state, with_wall), with_wall and transfers_history(state)
+    distant_force = build_distant_force(state, with_wall)
+    transfers = with_wall and transfers_history(state)
     acquire_history = build_acquire_history(state) if transfers else None
     add_to_accounting = build_add_to_accounting(state, with_wall)
 
@@ -299,7 +345,8 @@ def _build_distant_contact(state: State, with_wall: bool) -> Any:
         if ti.static(transfers):
             acquire_history(i, list_index, j, pose)
         attraction = distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
-        nothing, force = 0.0 * attraction, -attraction * kinematics.normal
+        nothing = 0.0 * attraction
+        force = -attraction * kinematics.normal
         found = ti.Struct(force=force, torque=0.0 * force, losses=ti.Vector([nothing, nothing, nothing]))
         add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
         return force
@@ -312,12 +359,15 @@ def _build_angular_velocities(state: State, with_wall: bool) -> Any:
 
     Reads:  angular_velocity of particles and walls
     """
-    particles, features, real = state.particles, state.plan.features, state.backend.real
+    particles = state.particles
+    features = state.plan.features
+    real = state.backend.real
     wall_of = build_wall_of(state)
 
     @ti.func
     def angular_velocities_of(i, j, pose):
-        first, partner = 0.0 * particles.velocity[i], 0.0 * particles.velocity[i]
+        first = 0.0 * particles.velocity[i]
+        partner = 0.0 * particles.velocity[i]
         if ti.static(features.rotation):
             first = particles.angular_velocity[i]
         if ti.static(features.rotation and not with_wall):
@@ -335,7 +385,9 @@ def _build_check_overlap(state: State, with_wall: bool) -> Any:
     Reads:   radius
     Writes:  abort, abort_particle
     """
-    particles, control, max_overlap = state.particles, state.control, state.parameter("max_overlap")
+    particles = state.particles
+    control = state.control
+    max_overlap = state.parameter("max_overlap")
 
     @ti.func
     def check_overlap(i, j, overlap):

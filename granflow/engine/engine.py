@@ -104,10 +104,11 @@ def remove_particles(state: State, indices: np.ndarray) -> None:
 def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
     """Arrays (k,) or (k, 3) by particle field for new particles, with ids from `first_id`.
 
-    Velocities are at the time of the positions; materials are numbers of the plan. Each clump is one particle of `new`
-    and several rows of the arrays, see `sphere_rows`.
+    Velocities are at the time of the positions; materials are numbers of the plan. Each clump is one particle
+    of `new` and several rows of the arrays, see `sphere_rows`.
     """
-    density, count = _densities(plan), len(new)
+    density = _densities(plan)
+    count = len(new)
     numbers = {name: number for number, name in enumerate(plan.materials)}
     material = np.array([numbers.get(name, 0) for name in plan.solids])
     fixed = np.array([group.fixed for group in plan.groups])
@@ -154,7 +155,8 @@ def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int)
     row = sphere_rows(plan, new)
     size = np.bincount(row, minlength=len(new))
     first = np.cumsum(size) - size
-    member, count = np.arange(len(row)) - first[row], len(row)
+    member = np.arange(len(row)) - first[row]
+    count = len(row)
     arrays = {name: values[row] for name, values in bodies.items()}
     arrays |= {"id": first_id + np.arange(count), "clump": np.full(count, -1), "clump_size": size[row]}
     arrays |= {"clump_mass": arrays["mass"].copy(), "orientation": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))}
@@ -163,11 +165,18 @@ def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int)
         own = np.flatnonzero(new.group[row] == number)
         if group.clump is not None and len(own):
             assert new.orientation is not None
-            shape, density = group.clump, float(_densities(plan)[new.material[row[own[0]]]])
+            shape = group.clump
+            density = float(_densities(plan)[new.material[row[own[0]]]])
             arrays["clump"][own] = first_id + first[row[own]]
-            arrays["radius"][own], arrays["clump_offset"][own] = shape.radius[member[own]], shape.offset[member[own]]
+            arrays["radius"][own], arrays["clump_offset"][own] = (
+                shape.radius[member[own]],
+                shape.offset[member[own]],
+            )
             arrays["mass"][own] = density * shape.volume * shape.volume_share[member[own]]
-            arrays["clump_mass"][own], arrays["clump_inertia"][own] = density * shape.volume, density * shape.moments
+            arrays["clump_mass"][own], arrays["clump_inertia"][own] = (
+                density * shape.volume,
+                density * shape.moments,
+            )
             arrays["orientation"][own] = product(new.orientation[row[own]], shape.principal_axes)
     return arrays | _motion_of_spheres(arrays)
 
@@ -202,8 +211,8 @@ class RestState:
     """How close the mobile particles are to rest.
 
     kinetic_energy:  mean translational and rotational kinetic energy [J] per particle
-    unbalanced:      magnitude of the net force on all of them over their weight, which is the acceleration of the
-                     center of mass over gravity: 1 in free fall, 0 in equilibrium; 0 without gravity
+    unbalanced:      magnitude of the net force on all of them over their weight, which is the acceleration of
+                     the center of mass over gravity: 1 in free fall, 0 in equilibrium; 0 without gravity
     """
 
     kinetic_energy: float
@@ -211,7 +220,8 @@ class RestState:
 
 
 class Readings:
-    """The readable part of an engine: none of these functions changes the run, except for the records of `observe`."""
+    """The readable part of an engine: none of these functions changes the run, except for the records of
+    `observe`."""
 
     plan: Plan
     state: State
@@ -284,10 +294,11 @@ class Readings:
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def stored_energy(self) -> float:
-        """Mechanical energy [J] of the particles and, if contacts existed before a change, energies of contacts.
+        """Mechanical energy [J] of the particles and, if contacts existed before a change, energies of
+        contacts.
 
-        The latter are the elastic energy and the plastic dissipation of present contacts, and with the energy budget
-        that of ended ones.
+        The latter are the elastic energy and the plastic dissipation of present contacts, and with the energy
+        budget that of ended ones.
         """
         return self._stored_energy(self.synchronized(MOTION))
 
@@ -299,12 +310,16 @@ class Readings:
         return energy
 
     def rest_state(self) -> RestState:
-        """Mean kinetic energy and net force of the particles that are not fixed, the same for any order of them."""
-        arrays, ranks = self._own_synchronized(MOTION), self.state.ranks
+        """Mean kinetic energy and net force of the particles that are not fixed, the same for any order of
+        them."""
+        arrays = self._own_synchronized(MOTION)
+        ranks = self.state.ranks
         kinetic, rotational, _ = mechanical_energy(arrays, self._gravity, ranks)
         mobile = mobility_mask(arrays)
         mobile_count = float(ranks.total(np.array([mobile.sum()]))[0])
-        weight = exact_sum(arrays["mass"].astype(float) * mobile, ranks) * float(np.linalg.norm(self._gravity))
+        weight = exact_sum(arrays["mass"].astype(float) * mobile, ranks) * float(
+            np.linalg.norm(self._gravity)
+        )
         net = [exact_sum(component * mobile, ranks) for component in arrays["force"].astype(float).T]
         unbalanced = float(np.linalg.norm(net)) / weight if weight else 0.0
         return RestState((kinetic + rotational) / max(mobile_count, 1.0), unbalanced)
@@ -320,7 +335,8 @@ class Readings:
         return self._snapshot(stage, quantities, observed=False)
 
     def observe(self, stage: str, quantities: frozenset[str]) -> Snapshot:
-        """As `snapshot`, for observers of a run: also checks the stability and updates the largest energy input."""
+        """As `snapshot`, for observers of a run: also checks the stability and updates the largest energy
+        input."""
         return self._snapshot(stage, quantities, observed=True)
 
     def _snapshot(self, stage: str, quantities: frozenset[str], observed: bool) -> Snapshot:
@@ -335,12 +351,17 @@ class Readings:
         if observed:
             self.stability_monitor.check(self.time, sums.energies, self.accounting, totals, sums.speed)
         particles = ordered_particles(arrays, self.accounting) if "particles" in quantities else {}
-        contacts = self.state.built(ContactOutput).take(self.stepper.ids(), pose) if "contacts" in quantities else None
+        contacts = (
+            self.state.built(ContactOutput).take(self.stepper.ids(), pose)
+            if "contacts" in quantities
+            else None
+        )
         since_start = wall_impulses(self.state), collision_counts(self.state)
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, *since_start)
 
     def _particles_and_sums(self, needs_arrays: bool) -> tuple[dict[str, np.ndarray], ParticleSums]:
-        """Arrays of a snapshot in device order if needed, and sums over the particles; a GPU adds them up by itself."""
+        """Arrays of a snapshot in device order if needed, and sums over the particles; a GPU adds them up by
+        itself."""
         if not (needs_arrays or self.state.backend.on_cpu or self.plan.features.clumps):
             return {}, device_sums(self.state, 0.5 * self.time_step * self._started)
         own = self._own_synchronized(self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS))
@@ -371,11 +392,12 @@ class Readings:
         return self.state.ranks.gathered(copy_to_host(self.state, names))
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Fields on the host in device order, with velocities and angular velocities at the time of the positions.
+        """Fields on the host in device order, with velocities and angular velocities at the time of the
+        positions.
 
         names:    particle fields
-        Returns:  arrays (n,) or (n, 3) by name, also of the fields that determine the velocities; fields that the scene
-                  does not have are absent
+        Returns:  arrays (n,) or (n, 3) by name, also of the fields that determine the velocities; fields that
+                  the scene does not have are absent
 
             v(t) = v(t - dt/2) + dt F(t) / (2 m),   w(t) = w(t - dt/2) + dt M(t) / (2 I),   I = (2/5) m R^2
 
@@ -386,7 +408,9 @@ class Readings:
     def _own_synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """As `synchronized`, of the particles of this process."""
         has_clumps = self.plan.features.clumps
-        rotation = ("radius", "angular_velocity", "torque") if has_clumps or "angular_velocity" in names else ()
+        rotation = (
+            ("radius", "angular_velocity", "torque") if has_clumps or "angular_velocity" in names else ()
+        )
         clump_motion = CLUMP_MOTION if has_clumps else ()
         needed = ("mass", "velocity", "force", "fixed", *rotation, *clump_motion)
         arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, *needed))))
@@ -425,7 +449,8 @@ def saved_sums(state: State) -> dict[str, np.ndarray]:
 
 
 def load_sums(state: State, saved: Mapping[str, np.ndarray]) -> None:
-    """Restore the sums that `saved_sums` returned; without them, as on all ranks but the root, the sums are zero.
+    """Restore the sums that `saved_sums` returned; without them, as on all ranks but the root, the sums are
+    zero.
 
     Raises GranflowError if an array is missing or unknown.
     """
@@ -447,7 +472,8 @@ def saved_wall_dynamics(state: State) -> dict[str, Any]:
 
 def load_wall_dynamics(state: State, saved: Mapping[str, Any]) -> None:
     """Restore what `saved_wall_dynamics` returned. Raises GranflowError if the scene has other motions."""
-    before, now = saved["controlled_motions"], [controlled.key for controlled in state.plan.controlled_motions]
+    before = saved["controlled_motions"]
+    now = [controlled.key for controlled in state.plan.controlled_motions]
     if before != now:
         named = (", ".join(each) or "none" for each in (before, now))
         raise GranflowError(
@@ -510,9 +536,11 @@ def host_particles(state: State, saved: Mapping[str, Any]) -> HostParticles:
     saved:   with "particles" and "contacts" as in `engine.checkpoint.saved_state`
     Raises:  GranflowError if the scene needs other arrays
     """
-    history, contacts = state.plan.history, dict(saved["contacts"])
+    history = state.plan.history
+    contacts = dict(saved["contacts"])
     refuse_other_names(saved["particles"], saved_particle_table(state).fields)
-    count, partner = contacts.pop("count"), contacts.pop("partner")
+    count = contacts.pop("count")
+    partner = contacts.pop("partner")
     refuse_other_names(contacts, history if len(partner) or contacts else {})
     contacts = contacts or {slot: np.zeros((0, components)) for slot, components in history.items()}
     particles = HostParticles(saved["particles"], Histories(count, partner, contacts))
@@ -544,8 +572,9 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         granflow.start("cpu", precision="mixed", threads=2)
 
     threads:  CPU threads; None: as many as this process may use
-    Raises:   GranflowError for unknown settings, if the architecture is absent or lacks float64, or if Taichi runs with
-              other settings, or in another thread, and a simulation, or a field of the program itself, is in use
+    Raises:   GranflowError for unknown settings, if the architecture is absent or lacks float64, or if Taichi
+              runs with other settings, or in another thread, and a simulation, or a field of the program
+              itself, is in use
     """
     worker_count(threads)  # refuses what is no number of threads before anything is stopped
     for name, value, known in (("arch", arch, get_args(Arch)), ("precision", precision, get_args(Precision))):
@@ -554,7 +583,9 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     taichi.refuse_forked_process()
     running = taichi.running()
     if running is not None:
-        is_same = running.owner is threading.current_thread() and taichi.is_running_with(arch, precision, threads)
+        is_same = running.owner is threading.current_thread() and taichi.is_running_with(
+            arch, precision, threads
+        )
         if not is_same and _is_unused():
             _stop()
     return taichi.start(arch, precision, threads)
@@ -610,7 +641,11 @@ def _stop() -> None:
 
 
 def _matches(structure: Hashable, plan: Plan, states: "list[State] | weakref.WeakSet[State]") -> list[State]:
-    return [state for state in states if state.structure == structure and fits_lists(state.capacities, plan.capacities)]
+    return [
+        state
+        for state in states
+        if state.structure == structure and fits_lists(state.capacities, plan.capacities)
+    ]
 
 
 def _free_excess() -> None:
@@ -630,8 +665,8 @@ _T = TypeVar("_T")
 class Engine(Readings):
     """One plan on one backend; the clock of the state counts steps and time.
 
-    Typical order: `insert`, `set_walls` and `refresh`, then `advance` and `observe` repeatedly; again `refresh` after
-    particles or walls have changed; `free` at the end.
+    Typical order: `insert`, `set_walls` and `refresh`, then `advance` and `observe` repeatedly; again
+    `refresh` after particles or walls have changed; `free` at the end.
     """
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
@@ -646,7 +681,8 @@ class Engine(Readings):
         self.steps_since_update = 0
         self._gravity = np.array(plan.gravity)
         self._walls_changed = False
-        self._stage, self._walls_appeared = plan.stages[0].name, list[str]()
+        self._stage = plan.stages[0].name
+        self._walls_appeared = list[str]()
         self._stopping_change: Change | None = None
         self._started = False
         self.energy_before_change: float | None = None
@@ -663,8 +699,8 @@ class Engine(Readings):
 
         new:  k particles; material numbers of the scene, velocities [m/s] at the present time
 
-        Ids continue the count of inserted particles. After the start, velocities are shifted half a step back by
-        gravity, as the leapfrog scheme requires. The mechanical energy counts as inserted.
+        Ids continue the count of inserted particles. After the start, velocities are shifted half a step back
+        by gravity, as the leapfrog scheme requires. The mechanical energy counts as inserted.
         """
         if not len(new):
             return
@@ -701,7 +737,9 @@ class Engine(Readings):
         if time_step is not None:
             state.clock.change(time_step)
         self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
-        self._started, self.energy_before_change, self._stopping_change = False, None, None
+        self._started = False
+        self.energy_before_change = None
+        self._stopping_change = None
         self.insert(new)
         self.refresh()
 
@@ -728,13 +766,15 @@ class Engine(Readings):
     def refresh(self) -> None:
         """Rebuild the neighbor list and compute the forces after particles or walls were added or removed.
 
-        The first call also shifts velocities half a step back, as the leapfrog scheme requires. If a wall appears
-        between particles, or disappears, the energy of its contacts counts as inserted or removed; after a change of
-        the particles, the change of all energies.
+        The first call also shifts velocities half a step back, as the leapfrog scheme requires. If a wall
+        appears between particles, or disappears, the energy of its contacts counts as inserted or removed;
+        after a change of the particles, the change of all energies.
         """
-        before, energy = self.energy_before_change, self.stored_energy
+        before = self.energy_before_change
+        energy = self.stored_energy
         if before is None and self.plan.features.energy_budget and self._walls_changed:
-            before, energy = self._contact_energy(), self._contact_energy
+            before = self._contact_energy()
+            energy = self._contact_energy
         self.stepper.poses.discard()
         self.stepper.refresh(self.step_count, velocities_lag=self._started)
         if self._started and self.aborted:
@@ -744,7 +784,8 @@ class Engine(Readings):
         self._walls_appeared.clear()
         if before is not None:
             self.accounting.inserted_energy += energy() - before
-        self._walls_changed, self.energy_before_change = False, None
+        self._walls_changed = False
+        self.energy_before_change = None
         if not self._started and not self.aborted:
             self._started = True
             self._kick(-0.5 * self.time_step)
@@ -762,8 +803,8 @@ class Engine(Readings):
     def begin_change(self) -> None:
         """Prepare a change of the particles: shift all velocities to the time of the positions.
 
-        The next `refresh` shifts them back, and counts the change of all energies as inserted. Raises GranflowError for
-        a scene with clumps.
+        The next `refresh` shifts them back, and counts the change of all energies as inserted. Raises
+        GranflowError for a scene with clumps.
         """
         self._refuse_with_clumps("Changes of particles and forces from Python")
         if self.energy_before_change is not None:
@@ -772,7 +813,9 @@ class Engine(Readings):
         arrays = self.synchronized(MOTION)
         self.energy_before_change = self._stored_energy(arrays)
         if self._started:
-            motion = {name: values for name, values in arrays.items() if name in ("velocity", "angular_velocity")}
+            motion = {
+                name: values for name, values in arrays.items() if name in ("velocity", "angular_velocity")
+            }
             write_particles(self.state, np.arange(self.state.count), motion)
             self._started = False
 
@@ -781,9 +824,14 @@ class Engine(Readings):
 
         `step_count`, `time` and `aborted` show the result.
         """
-        clock, before = self.state.clock, self.time_step
+        clock = self.state.clock
+        before = self.time_step
         wanted = clock.step_count + steps
-        while clock.step_count < wanted and self.time_step == before and not (self.aborted or self.stepper.interrupted):
+        while (
+            clock.step_count < wanted
+            and self.time_step == before
+            and not (self.aborted or self.stepper.interrupted)
+        ):
             allowed = wanted - clock.step_count
             if self.plan.adaptive_time_step is None:
                 clock.step_count += self.stepper.advance(allowed, clock.step_count)
@@ -811,7 +859,8 @@ class Engine(Readings):
         self.stepper.poses.discard()
         self.stepper.poses.index_at(self.step_count)
         step = adaptive_time_step.step_for(
-            self.state.built(MaxImpactVelocity).measure(), float(np.linalg.norm(self._gravity)) * self.time_step
+            self.state.built(MaxImpactVelocity).measure(),
+            float(np.linalg.norm(self._gravity)) * self.time_step,
         )
         if step != self.time_step:
             self._kick(0.5 * (self.time_step - step))
@@ -851,7 +900,8 @@ class Engine(Readings):
         load_wall_dynamics(self.state, saved["wall_dynamics"])
         self.accounting.load_state_dict(saved["accounting"])
         self.steps_since_update = saved["steps_since_update"]
-        self._started, self._walls_changed = True, False
+        self._started = True
+        self._walls_changed = False
         self._walls_appeared.clear()
 
     def _restore_lists(
@@ -871,10 +921,13 @@ class Engine(Readings):
         self.stepper.steps_since_rebuild = saved["clock"]["step_count"] - self.state.clock.step_count
 
     def take_over(self, earlier: "Engine") -> None:
-        """Continue the run of an earlier engine whose checkpoint has been restored here, with its pending changes."""
-        self._started, self._walls_changed = earlier._started, earlier._walls_changed
+        """Continue the run of an earlier engine whose checkpoint has been restored here, with its pending
+        changes."""
+        self._started = earlier._started
+        self._walls_changed = earlier._walls_changed
         self._walls_appeared = list(earlier._walls_appeared)
-        self.energy_before_change, self._counts_contacts = earlier.energy_before_change, earlier._counts_contacts
+        self.energy_before_change = earlier.energy_before_change
+        self._counts_contacts = earlier._counts_contacts
         self.timing.compile += earlier.timing.compile
         self.timing.growth_count += earlier.timing.growth_count
         self.stability_monitor.warnings |= earlier.stability_monitor.warnings
@@ -887,9 +940,11 @@ class Engine(Readings):
             self._return_state()
 
     def _on_deleted(self, first: int, last: int) -> None:
-        """Add the deleted particles to the accounting: indices `first` to `last`, exclusive, in device order."""
+        """Add the deleted particles to the accounting: indices `first` to `last`, exclusive, in device
+        order."""
         self._account_deleted(deleted_particles(self.state, first, last))
 
     def _account_deleted(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Add deleted particles with the fields DELETED_FIELDS to the accounting; may abort, see `account_deleted`."""
+        """Add deleted particles with the fields DELETED_FIELDS to the accounting; may abort, see
+        `account_deleted`."""
         account_deleted(self.state, self.accounting, arrays)

@@ -1,7 +1,8 @@
 """Fields that the host reads and writes in place: on a CPU their memory is that of the process.
 
-For each field that the host copies or reads, Taichi compiles kernels, which takes 10 to 20 ms each at every start, and
-an access takes 10 to 100 us. Views of the memory need one kernel per block of fields, which returns its address.
+For each field that the host copies or reads, Taichi compiles kernels, which takes 10 to 20 ms each at every
+start, and an access takes 10 to 100 us. Views of the memory need one kernel per block of fields, which
+returns its address.
 """
 
 import ctypes
@@ -29,7 +30,8 @@ def thread_count(most_tasks: int) -> int:
 
 
 def build_tasks_of_thread(body: Any, most_tasks: int) -> Any:
-    """Device function (thread, count, argument): call `body` for each of the `count` tasks that the thread has.
+    """Device function (thread, count, argument): call `body` for each of the `count` tasks that the thread
+    has.
 
     body:        device function (task, argument)
     most_tasks:  largest `count`
@@ -90,7 +92,8 @@ _HOST_CLASSES = {ti.ScalarField: _HostScalars, ti.MatrixField: _HostMatrices}
 
 
 def memory_of(field: Any) -> np.ndarray | None:
-    """View (n, ...) of the entries of a field with the components along the last axis; None if only kernels copy it."""
+    """View (n, ...) of the entries of a field with the components along the last axis; None if only kernels
+    copy it."""
     memory: np.ndarray | None = getattr(field, "memory", None)
     return memory
 
@@ -103,7 +106,9 @@ def records_of(fields: Sequence[Any]) -> np.ndarray:
     memory = fields[0].memory
     size = memory.strides[0]
     begin = memory.ctypes.data
-    assert all(begin <= each.memory.ctypes.data < begin + size and each.memory.strides[0] == size for each in fields)
+    assert all(
+        begin <= each.memory.ctypes.data < begin + size and each.memory.strides[0] == size for each in fields
+    )
     return np.ndarray(len(memory), f"V{size}", (ctypes.c_char * (size * len(memory))).from_address(begin))
 
 
@@ -136,8 +141,10 @@ class HostBlock:
 
     def _view(self, field: Any) -> np.ndarray:
         """View of one field: entries along its axes, then components."""
-        scalars, dtype = components(field), np.dtype(ti.lang.util.to_numpy_type(field.dtype))
-        lengths, cell_size = field.shape, _cells(scalars[0]).cell_size_bytes
+        scalars = components(field)
+        dtype = np.dtype(ti.lang.util.to_numpy_type(field.dtype))
+        lengths = field.shape
+        cell_size = _cells(scalars[0]).cell_size_bytes
         strides = [cell_size] if len(lengths) == 1 else [cell_size * lengths[1], cell_size]
         if hasattr(field, "n"):
             lengths += (field.n,) if field.m == 1 else (field.n, field.m)
@@ -146,7 +153,8 @@ class HostBlock:
 
 
 def host_block(fields: list[Any], on_cpu: bool) -> HostBlock | None:
-    """Views of the fields of an allocated block; None on a GPU, and with Quadrants, whose layout is not verified."""
+    """Views of the fields of an allocated block; None on a GPU, and with Quadrants, whose layout is not
+    verified."""
     return HostBlock(fields) if on_cpu and KERNELS == "taichi" and fields else None
 
 
@@ -189,14 +197,18 @@ def _refuse_other_shape(memory: np.ndarray, array: np.ndarray) -> None:
 
 
 class FieldBlock:
-    """Fields that are allocated and freed together, on a CPU in one tree; each tree costs a look-up in kernels.
+    """Fields that are allocated and freed together, on a CPU in one tree; each tree costs a look-up in
+    kernels.
 
-    On a GPU a tree is a buffer, whose size is limited: fields that do not fit into the last tree are in a further one.
+    On a GPU a tree is a buffer, whose size is limited: fields that do not fit into the last tree are in a
+    further one.
     """
 
     def __init__(self, backend: Backend) -> None:
-        self._builders, self._size = [new_builder()], 0
-        self._on_cpu, self._largest_buffer = backend.on_cpu, backend.largest_buffer
+        self._builders = [new_builder()]
+        self._size = 0
+        self._on_cpu = backend.on_cpu
+        self._largest_buffer = backend.largest_buffer
         self._trees: list[Any] = []
         self._host: HostBlock | None = None
         self.fields: list[Any] = []
@@ -219,7 +231,9 @@ class FieldBlock:
         for _, block in groupby(arrays, key=lambda array: array.block or array.name):
             together = list(block)
             fields = {array.name: _field(array, backend) for array in together}
-            size = sum((each.width or 1) * _size(backend.types[each.dtype]) for each in together if each.wanted)
+            size = sum(
+                (each.width or 1) * _size(backend.types[each.dtype]) for each in together if each.wanted
+            )
             self._placed(together[0].shape, size, *(field for field in fields.values() if field is not None))
             found |= fields
         return found
@@ -229,7 +243,8 @@ class FieldBlock:
         return self._builders[-1].dense(ti.i, count)
 
     def column(self, parts: Any, dtype: Any, length: int) -> Any:
-        """A field [part, entry] with adjacent entries of a part; its values are lost if the block is reallocated."""
+        """A field [part, entry] with adjacent entries of a part; its values are lost if the block is
+        reallocated."""
         field = ti.field(dtype)
         parts.dense(ti.j, length).place(field)
         return field
@@ -295,7 +310,8 @@ def write_padded(field: Any, values: np.ndarray) -> None:
 
 
 class Fields:
-    """Fields of a group as attributes with the names of the arrays; None for an array that the plan does not need."""
+    """Fields of a group as attributes with the names of the arrays; None for an array that the plan does not
+    need."""
 
     def __init__(self, fields: dict[str, Any]) -> None:
         self.__dict__.update(fields)
@@ -365,7 +381,8 @@ def _table_shape(field: Any) -> tuple[int, int]:
 
 def _build_host_copy(field: Any, to_host: bool) -> Callable[[np.ndarray], None]:
     """Kernel (table): copy all entries of a field to or from a table (entries, components)."""
-    scalars, index_of = [*enumerate(components(field))], _index_in(field.shape)
+    scalars = [*enumerate(components(field))]
+    index_of = _index_in(field.shape)
     external: Any = ti.types.ndarray()
 
     @ti.kernel
@@ -382,7 +399,8 @@ def _build_host_copy(field: Any, to_host: bool) -> Callable[[np.ndarray], None]:
 
 
 def _on_all_entries(pairs: Sequence[tuple[Any, Any]], process: Any) -> Callable[[], None]:
-    """Kernel () that calls a device function (source, target, index) for all entries of each pair of scalar fields."""
+    """Kernel () that calls a device function (source, target, index) for all entries of each pair of scalar
+    fields."""
     loops = [_loop(group, process) for group in _groups(pairs)]
 
     @ti.kernel
@@ -397,7 +415,8 @@ def _on_all_entries(pairs: Sequence[tuple[Any, Any]], process: Any) -> Callable[
 def _loop(group: list[tuple[Any, Any]], process: Any) -> tuple[int, int, Any]:
     """Entries of each source of the group, threads for them, and the device function of a thread."""
     shape = group[0][0].shape
-    length, index_of = prod(shape), _index_in(shape)
+    length = prod(shape)
+    index_of = _index_in(shape)
 
     @ti.func
     def process_entry(entry, _argument):
@@ -408,7 +427,8 @@ def _loop(group: list[tuple[Any, Any]], process: Any) -> tuple[int, int, Any]:
 
 
 def _index_in(shape: tuple[int, ...]) -> Any:
-    """Device function (entry): index in fields of one or two axes of an entry, counted along the last axis first."""
+    """Device function (entry): index in fields of one or two axes of an entry, counted along the last axis
+    first."""
     columns = shape[-1]
 
     @ti.func

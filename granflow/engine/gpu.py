@@ -1,4 +1,5 @@
-"""Flags and counters that the host reads after a launch: on a GPU one kernel and one transfer for all of them."""
+"""Flags and counters that the host reads after a launch: on a GPU one kernel and one transfer for all of
+them."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -33,15 +34,20 @@ def _build_flags(state: State) -> Callable[[], Any]:
 
     Reads:  halted_at, abort, running, list_length_needed, present
     """
-    control, sorting = state.control, state.cell_sort
+    control = state.control
+    sorting = state.cell_sort
 
     @ti.kernel
     def flags() -> ti.types.vector(6, ti.i32):
         return ti.Vector(
             [
-                control.halted_at[INTEGRATION], control.halted_at[FORCES], control.abort[0], control.running[0],
-                control.list_length_needed[0], sorting.present[0],
+                control.halted_at[INTEGRATION],
+                control.halted_at[FORCES],
+                control.abort[0],
+                control.running[0],
+                control.list_length_needed[0],
+                sorting.present[0],
             ]
-        )  # fmt: skip
+        )
 
     return flags

@@ -1,9 +1,10 @@
-"""Transfers the contact history if a contact passes from one face to another, of the same wall or of another one.
+"""Transfers the contact history if a contact passes from one face to another, of the same wall or of another
+one.
 
-The history belongs to the contact point: a contact that slides over an edge, from one wall to the next, or across a
-periodic boundary, continues. The wall entries of a particle are evaluated in three passes: existing contacts; then new
-contacts, which may acquire the history that a contact of the first pass released; then the released entries, whose
-remaining history is cleared.
+The history belongs to the contact point: a contact that slides over an edge, from one wall to the next, or
+across a periodic boundary, continues. The wall entries of a particle are evaluated in three passes: existing
+contacts; then new contacts, which may acquire the history that a contact of the first pass released; then the
+released entries, whose remaining history is cleared.
 """
 
 from typing import Any
@@ -19,7 +20,8 @@ from granflow.plan.capacities import ENERGY, LOSSES, PLASTIC
 # Contact history of one neighbor-list entry: read, written and cleared.
 
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)
-"""State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this step."""
+"""State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this
+step."""
 
 
 @ti.func
@@ -59,7 +61,8 @@ def build_write_history(state: State) -> Any:
 
     Writes:  history, in_contact
     """
-    neighbors, stored = state.neighbors, state.neighbors.history
+    neighbors = state.neighbors
+    stored = state.neighbors.history
     slots = [(slot, build_slot_vector(state.plan.laws, slot)) for slot in stored]
 
     @ti.func
@@ -73,18 +76,24 @@ def build_write_history(state: State) -> Any:
 
 
 def build_normal_loss(state: State) -> Any:
-    """Device function (list index, constants, bodies, time_step) -> plastic work [J] of a contact whose overlap ends.
+    """Device function (list index, constants, bodies, time_step) -> plastic work [J] of a contact whose
+    overlap ends.
 
-    A bond without overlap has an empty history of the normal model, of which models with stored stiffness make 0/0.
+    A bond without overlap has an empty history of the normal model, of which models with stored stiffness
+    make 0/0.
 
     Reads:  history
     """
-    law, neighbors, read_history = state.plan.laws.normal, state.neighbors, build_read_history(state)
-    has_history, with_bonds = "normal" in neighbors.history, state.plan.laws.acts_at_distance
+    law = state.plan.laws.normal
+    neighbors = state.neighbors
+    read_history = build_read_history(state)
+    has_history = "normal" in neighbors.history
+    with_bonds = state.plan.laws.acts_at_distance
 
     @ti.func
     def normal_loss(list_index, constants, bodies, dt):
-        energy, nothing = 0.0 * dt, 0.0 * bodies.radius_eff
+        energy = 0.0 * dt
+        nothing = 0.0 * bodies.radius_eff
         if ti.static(has_history):
             has_overlapped = True
             if ti.static(with_bonds):
@@ -110,8 +119,11 @@ def build_end_contact(state: State) -> Any:
 
     Writes:  history, in_contact
     """
-    laws, neighbors, names = state.plan.laws, state.neighbors, list(state.neighbors.history)
-    energy_budget, read_history = state.plan.features.energy_budget, build_read_history(state)
+    laws = state.plan.laws
+    neighbors = state.neighbors
+    names = list(state.neighbors.history)
+    energy_budget = state.plan.features.energy_budget
+    read_history = build_read_history(state)
     normal_loss = build_normal_loss(state)
 
     @ti.func
@@ -122,7 +134,9 @@ def build_end_contact(state: State) -> Any:
             if ti.static(laws.acts_at_distance):
                 overlap = -constants.cohesion.range
             contact = cohesive_contact(bodies, overlap, dt)
-            energy += laws.cohesion.lost_energy(constants.cohesion, contact, read_history(list_index).cohesion)
+            energy += laws.cohesion.lost_energy(
+                constants.cohesion, contact, read_history(list_index).cohesion
+            )
         return energy
 
     @ti.func
@@ -145,8 +159,11 @@ def build_add_plastic_loss(state: State) -> Any:
 
     Writes:  losses
     """
-    control, list_shares, energy_budget = state.control, build_list_shares(state), state.plan.features.energy_budget
-    per_unit, loss_count = state.parameter("per_unit", ENERGY), len(LOSSES)
+    control = state.control
+    list_shares = build_list_shares(state)
+    energy_budget = state.plan.features.energy_budget
+    per_unit = state.parameter("per_unit", ENERGY)
+    loss_count = len(LOSSES)
 
     @ti.func
     def add_plastic_loss(chunk, j, energy_lost):
@@ -162,28 +179,34 @@ def build_add_plastic_loss(state: State) -> Any:
 
 
 def vector_components(state: State, slot: str) -> list[bool]:
-    """For each component of a history, whether it is one of a vector: it changes its sign with the order of a pair."""
+    """For each component of a history, whether it is one of a vector: it changes its sign with the order of a
+    pair."""
     return [each.size > 1 for each in state.plan.laws.history[slot] for _ in range(each.size)]
 
 
 def build_save_history(state: State) -> Any:
     """Device function (chunk, first, last): copy history entries of a chunk to `saved` for `restore_history`.
 
-    `list_length_needed`: largest number of history entries of a segment; entries beyond the capacity are not saved, and
-    the host repeats the rebuild with a larger capacity. If each particle is a chunk, it reserves its entries by an
-    atomic addition: their places depend on the threads, and nothing depends on their places.
+    `list_length_needed`: largest number of history entries of a segment; entries beyond the capacity are not
+    saved, and the host repeats the rebuild with a larger capacity. If each particle is a chunk, it reserves
+    its entries by an atomic addition: their places depend on the threads, and nothing depends on their
+    places.
 
     On MPI ranks the partner is saved by its id: ghosts have other indices afterwards.
 
     Reads:   neighbor lists, in_contact, history, id
     Writes:  saved, partner_saved, list_begin_before, list_end_before, list_length_needed
     """
-    neighbors, names, has_ghosts = state.neighbors, list(state.neighbors.history), state.plan.has_ghosts
-    saved_capacity, one_segment = state.parameter("saved_capacity"), state.plan.chunk_size == 1
+    neighbors = state.neighbors
+    names = list(state.neighbors.history)
+    has_ghosts = state.plan.has_ghosts
+    saved_capacity = state.parameter("saved_capacity")
+    one_segment = state.plan.chunk_size == 1
 
     @ti.func
     def entries_in_contact(i):
-        count, list_index = 0, neighbors.list_begin[i]
+        count = 0
+        list_index = neighbors.list_begin[i]
         while (list_index < neighbors.list_end[i]) & is_count(count):
             count += ti.cast(neighbors.in_contact[list_index] == 1, ti.i32)
             list_index += 1
@@ -201,7 +224,8 @@ def build_save_history(state: State) -> Any:
 
     @ti.func
     def save_history(chunk, first, last):
-        begin, limit = chunk * saved_capacity(), saved_capacity()
+        begin = chunk * saved_capacity()
+        limit = saved_capacity()
         if ti.static(one_segment):
             begin = ti.atomic_add(state.control.list_length_needed[0], entries_in_contact(first))
         else:
@@ -226,18 +250,23 @@ def build_save_history(state: State) -> Any:
 
 
 def build_restore_history(state: State) -> Any:
-    """Device function (list index, i, j): copy the history of a pair from before the sort to its new list entry.
+    """Device function (list index, i, j): copy the history of a pair from before the sort to its new list
+    entry.
 
-    If the pair was in the list of the partner, vectors change their sign. Without a saved history all values are zero.
-    On MPI ranks the histories are saved with the ids of the partners, and the range of each particle at its new index;
-    the range of a ghost that this rank has owned is that of before.
+    If the pair was in the list of the partner, vectors change their sign. Without a saved history all values
+    are zero. On MPI ranks the histories are saved with the ids of the partners, and the range of each
+    particle at its new index; the range of a ghost that this rank has owned is that of before.
 
     Reads:   order, id, saved, partner_saved
     Writes:  history, in_contact
     """
-    neighbors, source_of, names = state.neighbors, _build_source(state), list(state.neighbors.history)
+    neighbors = state.neighbors
+    source_of = _build_source(state)
+    names = list(state.neighbors.history)
     components = [
-        (name, k, changes_sign) for name in names for k, changes_sign in enumerate(vector_components(state, name))
+        (name, k, changes_sign)
+        for name in names
+        for k, changes_sign in enumerate(vector_components(state, name))
     ]
 
     @ti.func
@@ -262,12 +291,15 @@ def _build_source(state: State) -> Any:
 
     Reads:   order, id, partner_saved
     """
-    neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.parameter("chunk_size")
+    neighbors = state.neighbors
+    sorting = state.cell_sort
+    chunk_size = state.parameter("chunk_size")
 
     @ti.func
     def find_saved(row, partner):
         """Index in `saved` of a partner of the particle `row`; -1 if none."""
-        found, list_index = -1, neighbors.list_begin_before[row]
+        found = -1
+        list_index = neighbors.list_begin_before[row]
         while (found < 0) & (list_index < neighbors.list_end_before[row]):
             if neighbors.partner_saved[list_index] == partner:
                 found = list_index
@@ -276,18 +308,27 @@ def _build_source(state: State) -> Any:
 
     @ti.func
     def find_either(row, partner, row_other, partner_other, has_other):
-        """Search of the list of one particle, then of the other one; one call of `find_saved`, compiled once."""
-        source, sign, row_now, partner_now, attempt = -1, 1.0, row, partner, 0
+        """Search of the list of one particle, then of the other one; one call of `find_saved`, compiled
+        once."""
+        source = -1
+        sign = 1.0
+        row_now = row
+        partner_now = partner
+        attempt = 0
         while (source < 0) & (attempt <= has_other):
             if attempt == 1:
-                sign, row_now, partner_now = -1.0, row_other, partner_other
+                sign = -1.0
+                row_now = row_other
+                partner_now = partner_other
             source = find_saved(row_now, partner_now)
             attempt += 1
         return source, sign
 
     @ti.func
     def source_before_sort(i, j):
-        i_before, j_before, same_chunk = sorting.order[i], j, 0
+        i_before = sorting.order[i]
+        j_before = j
+        same_chunk = 0
         if j >= 0:
             j_before = sorting.order[j]
             same_chunk = ti.cast(i_before // chunk_size() == j_before // chunk_size(), ti.i32)
@@ -296,7 +337,8 @@ def _build_source(state: State) -> Any:
     @ti.func
     def source_by_id(i, j):
         """As `source_before_sort`, on MPI ranks."""
-        partner, is_particle = j, ti.cast(j >= 0, ti.i32)
+        partner = j
+        is_particle = ti.cast(j >= 0, ti.i32)
         if j >= 0:
             partner = state.particles.id[j]
         return find_either(i, partner, j, state.particles.id[i], is_particle)
@@ -315,16 +357,20 @@ def transfers_history(state: State) -> bool:
 
 
 def build_release_history(state: State) -> Any:
-    """Device function (i, list index, j, pose): release the history of an entry for another entry; 1 if released.
+    """Device function (i, list index, j, pose): release the history of an entry for another entry; 1 if
+    released.
 
-    The history is released if the face no longer has the contact although the sphere still reaches it: another face has
-    the contact now.
+    The history is released if the face no longer has the contact although the sphere still reaches it:
+    another face has the contact now.
 
     Reads:   position, radius, walls, mesh
     Writes:  in_contact
     """
-    particles, neighbors, geometry = state.particles, state.neighbors, WallGeometry(state)
-    acts_at_distance, pair_constants = state.plan.laws.acts_at_distance, build_pair_constants(state)
+    particles = state.particles
+    neighbors = state.neighbors
+    geometry = WallGeometry(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
+    pair_constants = build_pair_constants(state)
 
     @ti.func
     def release_history(i, list_index, j, pose):
@@ -344,20 +390,25 @@ def build_release_history(state: State) -> Any:
 def build_acquire_history(state: State) -> Any:
     """Device function (i, list index, j, pose): a new contact acquires the nearest released history.
 
-    The distance is that between the nearest points of the two faces, at most one radius: a contact with the other side
-    of a corner is another contact. The history moves: the source entry is cleared.
+    The distance is that between the nearest points of the two faces, at most one radius: a contact with the
+    other side of a corner is another contact. The history moves: the source entry is cleared.
 
     Reads:   position, radius, neighbor lists, walls, mesh
     Writes:  history, in_contact
     """
-    particles, neighbors, geometry = state.particles, state.neighbors, WallGeometry(state)
+    particles = state.particles
+    neighbors = state.neighbors
+    geometry = WallGeometry(state)
     names = list(neighbors.history)
 
     @ti.func
     def released_near(i, j, pose):
         """List index of the nearest released history; -1 if none."""
-        found, nearest, position = -1, particles.radius[i], particles.position[i]
-        from_nearest, is_known = 0.0 * position, 0
+        found = -1
+        nearest = particles.radius[i]
+        position = particles.position[i]
+        from_nearest = 0.0 * position
+        is_known = 0
         # A sphere has few wall entries, so that a search among all of them is cheap.
         for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
             if neighbors.in_contact[list_index] == RELEASED:
@@ -368,9 +419,11 @@ def build_acquire_history(state: State) -> Any:
                             face = -1 - neighbors.partner[list_index]
                         separation = geometry.from_surface(face, pose, position)
                         if side == 0:
-                            from_nearest, is_known = separation, 1
+                            from_nearest = separation
+                            is_known = 1
                         elif (separation - from_nearest).norm() < nearest:
-                            found, nearest = list_index, (separation - from_nearest).norm()
+                            found = list_index
+                            nearest = (separation - from_nearest).norm()
         return found
 
     @ti.func

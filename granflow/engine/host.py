@@ -1,7 +1,7 @@
 """Copies between device fields and the host: insertion, snapshots, checkpoints.
 
-On a GPU, the `to_numpy` of Taichi compiles a kernel for each field and copies the whole capacity; it serves small
-arrays only.
+On a GPU, the `to_numpy` of Taichi compiles a kernel for each field and copies the whole capacity; it serves
+small arrays only.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,8 +24,8 @@ class FieldTable:
 
     fields:  scalar and vector fields by name; None is ignored
 
-    On a CPU from and to their memory; on a GPU with one kernel: the reals form one table, in the widest of their types,
-    which represents each exactly, and the integers another.
+    On a CPU from and to their memory; on a GPU with one kernel: the reals form one table, in the widest of
+    their types, which represents each exactly, and the integers another.
     """
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
@@ -51,7 +51,8 @@ class FieldTable:
         self._take, self._put = _build_take_and_put(by_type[False], by_type[True])
 
     def take(self, entries: np.ndarray | slice) -> dict[str, np.ndarray]:
-        """Arrays (k,) or (k, components) by name in the types of the fields: the entries with these indices (k,)."""
+        """Arrays (k,) or (k, components) by name in the types of the fields: the entries with these indices
+        (k,)."""
         if self._in_memory:
             return {name: _copied_entries(memory, entries) for name, memory in self._memory.items()}
         entries = _indices(entries)
@@ -60,13 +61,15 @@ class FieldTable:
             self._take(np.ascontiguousarray(entries, np.int32), tables[False], tables[True])
         found = {}
         for name, (is_integer, columns) in self._columns.items():
-            part, field = tables[is_integer][:, columns], self.fields[name]
+            part = tables[is_integer][:, columns]
+            field = self.fields[name]
             shaped = part if hasattr(field, "n") else part[:, 0]
             found[name] = np.ascontiguousarray(shaped, ti.lang.util.to_numpy_type(field.dtype))
         return found
 
     def put(self, entries: np.ndarray | slice, arrays: Mapping[str, Any]) -> None:
-        """Write arrays, as returned by `take`, or one number for all, to the entries with these indices (k,)."""
+        """Write arrays, as returned by `take`, or one number for all, to the entries with these indices
+        (k,)."""
         if self._in_memory:
             for name, memory in self._memory.items():
                 _put_entries(memory, entries, np.asarray(arrays[name]))
@@ -96,14 +99,16 @@ def _copied_entries(memory: Any, entries: np.ndarray | slice) -> np.ndarray:
 
 
 def _put_entries(memory: Any, entries: np.ndarray | slice, values: np.ndarray) -> None:
-    """Write numbers (k,), vectors (k, components) or one number to entries of a field; numbers fill vectors."""
+    """Write numbers (k,), vectors (k, components) or one number to entries of a field; numbers fill
+    vectors."""
     memory[entries] = values[:, None] if values.ndim == 1 and memory.ndim == 2 else values
 
 
 def _build_take_and_put(
     real_fields: Sequence[Any], integer_fields: Sequence[Any]
 ) -> tuple[Callable[..., None], Callable[..., None]]:
-    """Kernels (entries, reals, integers): copy field entries to the tables (k, columns), and tables to the entries.
+    """Kernels (entries, reals, integers): copy field entries to the tables (k, columns), and tables to the
+    entries.
 
     real_fields, integer_fields:  scalar field of each column
     """
@@ -169,12 +174,14 @@ def copy_to_host(
 
 
 def append_particles(state: State, arrays: Mapping[str, np.ndarray]) -> None:
-    """Append n particles behind the present ones, with empty neighbor lists: a deleted one may have had their entry.
+    """Append n particles behind the present ones, with empty neighbor lists: a deleted one may have had their
+    entry.
 
-    arrays:  arrays (n,) or (n, 3) by field, `id` included; fields without an array have their default, fields that the
-             scene does not have are ignored. Velocities are half a step back.
+    arrays:  arrays (n,) or (n, 3) by field, `id` included; fields without an array have their default, fields
+             that the scene does not have are ignored. Velocities are half a step back.
     """
-    table, count = saved_particle_table(state), len(arrays["id"])
+    table = saved_particle_table(state)
+    count = len(arrays["id"])
     values = {name: arrays.get(name, PARTICLE_QUANTITIES[name].default) for name in table.fields}
     table.put(np.arange(state.count, state.count + count), values)
     if state.neighbors.history:
@@ -192,7 +199,8 @@ NOT_TAKEN = -1
 
 @dataclass(frozen=True)
 class Histories:
-    """Contact histories of n particles with m contacts, one particle after the other, as each particle sees them.
+    """Contact histories of n particles with m contacts, one particle after the other, as each particle sees
+    them.
 
     count:    (n,) number of contacts of each particle
     partner:  (m,) int32, id of the other particle, or a negative number of a wall or triangle
@@ -205,8 +213,11 @@ class Histories:
 
     def of(self, rows: np.ndarray) -> "Histories":
         """The histories of the particles with these indices (k,), in this order."""
-        entries, values = self._contacts_of(rows), self.values
-        return Histories(self.count[rows], self.partner[entries], {slot: values[slot][entries] for slot in values})
+        entries = self._contacts_of(rows)
+        values = self.values
+        return Histories(
+            self.count[rows], self.partner[entries], {slot: values[slot][entries] for slot in values}
+        )
 
     def _contacts_of(self, rows: np.ndarray) -> np.ndarray:
         """Index of each contact of particles (k,), one particle after the other."""
@@ -226,12 +237,14 @@ class Histories:
 
 @dataclass(frozen=True)
 class ListedHistories(Histories):
-    """Histories as the neighbor lists contain them: a pair within a chunk is in the list of one of both particles only.
+    """Histories as the neighbor lists contain them: a pair within a chunk is in the list of one of both
+    particles only.
 
     ids:      (n,) int32, of the particles
     once:     (k,) contacts that are in the list of one of both particles only
     other:    (k,) index of the partner of each of these
-    vectors:  by slot (components,), whether a component is that of a vector, which has the other sign for the partner
+    vectors:  by slot (components,), whether a component is that of a vector, which has the other sign for the
+              partner
     """
 
     ids: np.ndarray
@@ -240,11 +253,14 @@ class ListedHistories(Histories):
     vectors: dict[str, list[bool]]
 
     def of(self, rows: np.ndarray) -> Histories:
-        """The histories of the particles with these indices (k,), in this order, with both sides of each pair."""
+        """The histories of the particles with these indices (k,), in this order, with both sides of each
+        pair."""
         place = np.full(len(self.count), NOT_TAKEN)
         place[rows] = np.arange(len(rows))
-        direct, mirrored = self._contacts_of(rows), np.flatnonzero(place[self.other] != NOT_TAKEN)
-        once, owner = self.once[mirrored], self.owner
+        direct = self._contacts_of(rows)
+        mirrored = np.flatnonzero(place[self.other] != NOT_TAKEN)
+        once = self.once[mirrored]
+        owner = self.owner
         row = np.concatenate([place[owner[direct]], place[self.other[mirrored]]])
         by_row = np.argsort(row, kind="stable")
         partner = np.concatenate([self.partner[direct], self.ids[owner[once]]])[by_row]
@@ -286,7 +302,8 @@ class HistoryTable:
         ids:    (k,) of the owned particles and the ghosts by index, at the time of the lists
         count:  number of particles, of which those behind the owned ones have no contacts yet
         """
-        state, none = self._state, np.zeros(0, np.int64)
+        state = self._state
+        none = np.zeros(0, np.int64)
         if not state.neighbors.history:
             return ListedHistories(np.zeros(count, np.int64), np.zeros(0, np.int32), {}, ids, none, none, {})
         owner, index, values = self._touching()
@@ -294,13 +311,16 @@ class HistoryTable:
         once = np.flatnonzero((index >= 0) & (owner // size == index // size))
         partner = np.where(index < 0, index, ids[np.maximum(index, 0)]).astype(np.int32)
         vectors = {slot: vector_components(state, slot) for slot in values}
-        return ListedHistories(np.bincount(owner, minlength=count), partner, values, ids, once, index[once], vectors)
+        return ListedHistories(
+            np.bincount(owner, minlength=count), partner, values, ids, once, index[once], vectors
+        )
 
     def _touching(self) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """Index of the owner and the partner (m,) of each list entry in contact, and the histories."""
         state = self._state
         ranges = state.built(list_table).take(slice(0, state.count))
-        begin, length = ranges["begin"].astype(np.int64), ranges["end"] - ranges["begin"]
+        begin = ranges["begin"].astype(np.int64)
+        length = ranges["end"] - ranges["begin"]
         list_index = consecutive(begin, length)
         touches = np.flatnonzero(state.built(_state_table).take(list_index)["in_contact"] == IN_CONTACT)
         owner = np.repeat(np.arange(len(begin)), length)[touches]
@@ -314,7 +334,9 @@ class HistoryTable:
 
         The capacity must suffice, see `longest_segment`.
         """
-        state, owner, segment = self._state, histories.owner, self._segments(len(ids))
+        state = self._state
+        owner = histories.owner
+        segment = self._segments(len(ids))
         before = np.cumsum(histories.count) - histories.count
         in_segment = before - before[segment * state.plan.chunk_size]
         begin = segment * state.capacities.list_entries_per_segment + in_segment
@@ -344,10 +366,13 @@ class HistoryTable:
         parts:  histories, counted one part after the other
         rows:   (k,) for each particle by index, which of the histories it has; WITHOUT_HISTORY if none
         """
-        state, first = self._state, 0
+        state = self._state
+        first = 0
         if not state.neighbors.history:
             return
-        count = np.concatenate([*(part.count for part in parts), [0]])  # the last one is that of WITHOUT_HISTORY
+        count = np.concatenate(
+            [*(part.count for part in parts), [0]]
+        )  # the last one is that of WITHOUT_HISTORY
         end = np.cumsum(count)
         state.built(_range_table).put(slice(0, len(rows)), {"begin": (end - count)[rows], "end": end[rows]})
         for part in parts:
@@ -411,7 +436,9 @@ class HostParticles:
 
     def of(self, rows: np.ndarray) -> "HostParticles":
         """The particles with these indices (k,), in this order."""
-        return HostParticles({name: values[rows] for name, values in self.arrays.items()}, self.histories.of(rows))
+        return HostParticles(
+            {name: values[rows] for name, values in self.arrays.items()}, self.histories.of(rows)
+        )
 
     def by_id(self) -> "HostParticles":
         """The particles in the order of their ids, the contacts of each in the order of the partners."""
@@ -420,7 +447,8 @@ class HostParticles:
 
     def at_rebuild(self, periodic_box: PeriodicBox) -> "HostParticles":
         """The particles at their positions at the last rebuild, in the box; `at_present` is the inverse."""
-        arrays, position = self.arrays, periodic_box.wrap(self.arrays["position_at_rebuild"])
+        arrays = self.arrays
+        position = periodic_box.wrap(self.arrays["position_at_rebuild"])
         if "clump_position" in arrays:
             arrays = arrays | {"clump_position": arrays["clump_position_at_rebuild"]}
         return replace(self, arrays=arrays | {"position": position, PRESENT: arrays["position"]})

@@ -1,8 +1,10 @@
-"""Transfer of liquid between the films of particles and bridges; only with a cohesion model that transfers liquid.
+"""Transfer of liquid between the films of particles and bridges; only with a cohesion model that transfers
+liquid.
 
-A bridge that forms takes from the films as they are before the forces of the step (`liquid_film_before`), so that the
-order of the contacts does not matter. All volumes it takes are whole units, see `granflow.plan.parts`: sums are exact.
-A pair in two neighbor lists is evaluated in both; each changes the film of its owner only.
+A bridge that forms takes from the films as they are before the forces of the step (`liquid_film_before`), so
+that the order of the contacts does not matter. All volumes it takes are whole units, see
+`granflow.plan.parts`: sums are exact. A pair in two neighbor lists is evaluated in both; each changes the
+film of its owner only.
 """
 
 from typing import Any
@@ -25,11 +27,13 @@ from granflow.kernel_language import ti
 
 @ti.func
 def cap_share(radius, radius_partner):
-    """Share of a film in the cap of a sphere that faces its partner, 1/15 for equal spheres (Shi & McCarthy 2008).
+    """Share of a film in the cap of a sphere that faces its partner, 1/15 for equal spheres (Shi & McCarthy
+    2008).
 
     [1 - sqrt(1 - R_j^2 / (R_i + R_j)^2)] / 2
 
-    The caps of spheres that touch one sphere, and do not overlap each other, are disjoint: the sum is at most 1.
+    The caps of spheres that touch one sphere, and do not overlap each other, are disjoint: the sum is at most
+    1.
     """
     ratio = radius_partner / (radius + radius_partner)
     return 0.5 * (1.0 - ti.sqrt(1.0 - ratio * ratio))
@@ -42,15 +46,18 @@ def whole_units(volume, unit):
 
 
 def build_form_bridge(state: State) -> Any:
-    """Device function (chunk, i, j, constants, bodies, overlap, cohesion history): that history of an overlapping pair.
+    """Device function (chunk, i, j, constants, bodies, overlap, cohesion history): that history of an
+    overlapping pair.
 
-    If the pair has no bridge and one of the films has liquid, a bridge forms. A wall has no film; the particle gives
-    the share for a partner of the same radius, its mirror image. `constants`: of all slots.
+    If the pair has no bridge and one of the films has liquid, a bridge forms. A wall has no film; the
+    particle gives the share for a partner of the same radius, its mirror image. `constants`: of all slots.
 
     Reads:   radius, liquid_film_before
     Writes:  liquid_film
     """
-    law, add_liquid, taken = state.plan.laws.cohesion, _build_add_liquid(state), _build_taken(state)
+    law = state.plan.laws.cohesion
+    add_liquid = _build_add_liquid(state)
+    taken = _build_taken(state)
 
     @ti.func
     def form_bridge(chunk, i, j, constants, bodies, overlap, history):
@@ -71,16 +78,20 @@ def _build_taken(state: State) -> Any:
 
     Reads:  radius, liquid_film_before
     """
-    particles, liquid_unit = state.particles, state.parameter("liquid_unit")
+    particles = state.particles
+    liquid_unit = state.parameter("liquid_unit")
 
     @ti.func
     def taken_from(i, radius_partner, unit):
-        return whole_units(cap_share(particles.radius[i], radius_partner) * particles.liquid_film_before[i], unit)
+        return whole_units(
+            cap_share(particles.radius[i], radius_partner) * particles.liquid_film_before[i], unit
+        )
 
     @ti.func
     def taken(i, j, largest):
         unit = liquid_unit()
-        from_first, from_partner = 0.0 * unit, 0.0 * unit
+        from_first = 0.0 * unit
+        from_partner = 0.0 * unit
         if j >= 0:
             from_first = taken_from(i, particles.radius[j], unit)
             from_partner = taken_from(j, particles.radius[i], unit)
@@ -96,14 +107,17 @@ def _build_taken(state: State) -> Any:
 
 
 def build_return_liquid(state: State) -> Any:
-    """Device function (chunk, i, j, list index): return the liquid of a bridge that ruptures; does not clear it.
+    """Device function (chunk, i, j, list index): return the liquid of a bridge that ruptures; does not clear
+    it.
 
     Half to each particle, all to the particle at a wall.
 
     Reads:   history
     Writes:  liquid_film
     """
-    history, transfers, add_liquid = state.neighbors.history, transfers_liquid(state), _build_add_liquid(state)
+    history = state.neighbors.history
+    transfers = transfers_liquid(state)
+    add_liquid = _build_add_liquid(state)
 
     @ti.func
     def return_liquid(chunk, i, j, list_index):
@@ -125,8 +139,13 @@ def build_prepare_films(state: State) -> Any:
     Reads:   present of walls, neighbor lists
     Writes:  liquid_film, liquid_film_before, history, in_contact
     """
-    particles, neighbors, walls, wall_of = state.particles, state.neighbors, state.walls, build_wall_of(state)
-    names, return_liquid, has_walls = list(state.neighbors.history), build_return_liquid(state), state.plan.has_walls
+    particles = state.particles
+    neighbors = state.neighbors
+    walls = state.walls
+    wall_of = build_wall_of(state)
+    names = list(state.neighbors.history)
+    return_liquid = build_return_liquid(state)
+    has_walls = state.plan.has_walls
 
     @ti.func
     def end_if_removed(chunk, i, j, list_index):
@@ -148,11 +167,14 @@ def build_prepare_films(state: State) -> Any:
 
 
 def build_begin_step(state: State) -> Any:
-    """Device function (i): take the film of particle i as that before the forces of this step; abort if it is below 0.
+    """Device function (i): take the film of particle i as that before the forces of this step; abort if it is
+    below 0.
 
     Writes:  liquid_film_before, abort, abort_particle
     """
-    particles, control, transfers = state.particles, state.control, transfers_liquid(state)
+    particles = state.particles
+    control = state.control
+    transfers = transfers_liquid(state)
 
     @ti.func
     def begin_step(i):
@@ -171,11 +193,13 @@ def transfers_liquid(state: State) -> bool:
 
 
 def _build_add_liquid(state: State) -> Any:
-    """Device function (chunk, i, j, volume for i, volume for j [m3]): change the films of i, and of j in this chunk.
+    """Device function (chunk, i, j, volume for i, volume for j [m3]): change the films of i, and of j in this
+    chunk.
 
     Writes:  liquid_film
     """
-    particles, chunk_size = state.particles, state.parameter("chunk_size")
+    particles = state.particles
+    chunk_size = state.parameter("chunk_size")
 
     @ti.func
     def add_liquid(chunk, i, j, volume, volume_partner):
@@ -196,7 +220,8 @@ def _build_add_liquid(state: State) -> Any:
 
 
 def build_distant_force(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, overlap, time_step) -> attraction [N] of a pair without overlap.
+    """Device function (chunk, i, list index, j, overlap, time_step) -> attraction [N] of a pair without
+    overlap.
 
     with_wall:  True for walls (j < 0), False for particles
     overlap:    minus the distance of the surfaces [m], above minus the range
@@ -204,23 +229,27 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
     Reads:   radius, mass, history, pair_constants, law_parameters
     Writes:  history, in_contact, losses, liquid_film
     """
-    laws, neighbors = state.plan.laws, state.neighbors
+    laws = state.plan.laws
+    neighbors = state.neighbors
     keeps_history = "cohesion" in neighbors.history
     vector_of = build_slot_vector(laws, "cohesion") if keeps_history else None
-    read_history, effective, pair_constants = (
-        build_read_history(state),
-        build_effective(state, with_wall),
-        build_pair_constants(state),
-    )
-    end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
-    end_surface_contact, return_liquid = _build_end_surface_contact(state), build_return_liquid(state)
+    read_history = build_read_history(state)
+    effective = build_effective(state, with_wall)
+    pair_constants = build_pair_constants(state)
+    end_contact = build_end_contact(state)
+    add_plastic_loss = build_add_plastic_loss(state)
+    end_surface_contact = _build_end_surface_contact(state)
+    return_liquid = build_return_liquid(state)
 
     @ti.func
     def distant_force(chunk, i, list_index, j, overlap, dt):
-        constants, bodies, history = pair_constants(i, j), effective(i, j), read_history(list_index)
+        constants = pair_constants(i, j)
+        bodies = effective(i, j)
+        history = read_history(list_index)
         contact = cohesive_contact(bodies, overlap, dt)
         attraction, history_new = laws.cohesion.force(constants.cohesion, contact, history.cohesion)
-        energy_lost, is_kept = 0.0 * dt, False
+        energy_lost = 0.0 * dt
+        is_kept = False
         if ti.static(keeps_history):
             components = vector_of(history_new)
             is_kept = components[0] > 0.0
@@ -241,11 +270,14 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
 def _build_end_surface_contact(state: State) -> Any:
     """Device function (list index, constants, bodies, time_step): end the contact of all models but cohesion.
 
-    Returns the plastic work [J] of a contact whose overlap has ended in this step; 0 without the energy budget.
+    Returns the plastic work [J] of a contact whose overlap has ended in this step; 0 without the energy
+    budget.
 
     Writes:  history
     """
-    neighbors, energy_budget, normal_loss = state.neighbors, state.plan.features.energy_budget, build_normal_loss(state)
+    neighbors = state.neighbors
+    energy_budget = state.plan.features.energy_budget
+    normal_loss = build_normal_loss(state)
     names = [name for name in neighbors.history if name != "cohesion"]
 
     @ti.func
@@ -261,11 +293,13 @@ def _build_end_surface_contact(state: State) -> Any:
 
 
 def build_in_range(state: State) -> Any:
-    """Device function (i, j, overlap): true if the cohesion model acts at this overlap, which may be negative.
+    """Device function (i, j, overlap): true if the cohesion model acts at this overlap, which may be
+    negative.
 
     Reads:  law_parameters
     """
-    acts_at_distance, pair_constants = state.plan.laws.acts_at_distance, build_pair_constants(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
+    pair_constants = build_pair_constants(state)
 
     @ti.func
     def in_range(i, j, overlap):

@@ -1,14 +1,16 @@
 """The contact of a particle with one face of a wall, unless it is found on another face as well.
 
-Where surfaces touch, one contact is found several times: two flush blocks have an edge in the surface of each other,
-patches can overlap, a plate can end on another wall. The distance of the particle from all surfaces together has one
-minimum there, and the nearest face has the contact. With the distances h >= h' of two faces from the center and the
-angle theta between the directions, the farther contact point is in the tangent plane of the nearer contact if
+Where surfaces touch, one contact is found several times: two flush blocks have an edge in the surface of each
+other, patches can overlap, a plate can end on another wall. The distance of the particle from all surfaces
+together has one minimum there, and the nearest face has the contact. With the distances h >= h' of two faces
+from the center and the angle theta between the directions, the farther contact point is in the tangent plane
+of the nearer contact if
 
     |h' - h cos(theta)| <= tolerance
 
-It is no contact of its own then: along the nearer surface, the distance decreases from there. Where the farther surface
-rises from that plane, as at a bend, it is left alone. Corners and grooves have contact points outside of both planes.
+It is no contact of its own then: along the nearer surface, the distance decreases from there. Where the
+farther surface rises from that plane, as at a bend, it is left alone. Corners and grooves have contact points
+outside of both planes.
 """
 
 from collections.abc import Iterable, Mapping
@@ -38,7 +40,8 @@ from granflow.plan.plan import Plan
 # partners are exchanged, each result is bit-identical or has exactly the opposite sign.
 
 ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
-"""Eight units in the last place of 1: pairs with a relative overlap below this are not in contact; no overlap is 0."""
+"""Eight units in the last place of 1: pairs with a relative overlap below this are not in contact; no overlap
+is 0."""
 
 
 def build_in_contact(real: Any) -> Any:
@@ -58,10 +61,11 @@ def build_in_contact(real: Any) -> Any:
 def build_sphere_kinematics(plan: Plan) -> Any:
     """Device function: kinematics of two spheres in contact, relative to the first.
 
-    Arguments: radii [m], `branch` vector b from the second to the first [m], relative velocity v at the half step and
-    now [m/s], time step [s]. Returns a struct of overlap [m]; normal n; normal_half p, see `contact.surface_law`;
-    relative velocity at the half step [m/s]; overlap rate at the half step and now [m/s] (positive if approaching); and
-    the lever arms of both, now and at the half step [m]: the contact point halves the overlap.
+    Arguments: radii [m], `branch` vector b from the second to the first [m], relative velocity v at the half
+    step and now [m/s], time step [s]. Returns a struct of overlap [m]; normal n; normal_half p, see
+    `contact.surface_law`; relative velocity at the half step [m/s]; overlap rate at the half step and now
+    [m/s] (positive if approaching); and the lever arms of both, now and at the half step [m]: the contact
+    point halves the overlap.
 
         b(t - dt/2) = b - v dt/2    =>    p = n - dt/(2 |b|) (v - (v . n) n),    overlap rate  -v . p
 
@@ -81,7 +85,8 @@ def build_sphere_kinematics(plan: Plan) -> Any:
         if ti.static(rate_dependent):
             rate = -velocity_rel.dot(normal)
         normal_half = normal - (0.5 * dt * inverse) * (velocity_rel_half + approach * normal)
-        arm, arm_partner = radius - 0.5 * overlap, radius_partner - 0.5 * overlap
+        arm = radius - 0.5 * overlap
+        arm_partner = radius_partner - 0.5 * overlap
         growth = 0.25 * dt * approach  # half of the overlap grew by this in half a step
         return ti.Struct(
             overlap=overlap,
@@ -107,7 +112,8 @@ def effective_value(one, other):
 
 @ti.func
 def normal_time_step(dt, longest_time_step):
-    """Time step [s] of normal models: that of the run if the one of this force evaluation is 0, without motion."""
+    """Time step [s] of normal models: that of the run if the one of this force evaluation is 0, without
+    motion."""
     return ti.select(dt > 0.0, dt, longest_time_step)
 
 
@@ -117,7 +123,8 @@ def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
     is_prepared:  True if `NormalLaw.prepare` has been evaluated before
     Returns:      normal force [N], load [N] that presses the surfaces together, viscous force [N], history
     """
-    normal, cohesion = laws.normal, laws.cohesion
+    normal = laws.normal
+    cohesion = laws.cohesion
 
     @ti.func
     def normal_force_of(constants, contact, history):
@@ -144,10 +151,12 @@ def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
 def build_surface_contact(plan: Plan) -> Any:
     """Device function: struct `contact` of the surface models, see `granflow.contact.law`.
 
-    Arguments: pair constants, struct `contact`, load [N], history, structs and times as for `build_pair_force`.
-    The time step is 0 in a force evaluation without motion, so that displacements do not change.
+    Arguments: pair constants, struct `contact`, load [N], history, structs and times as for
+    `build_pair_force`. The time step is 0 in a force evaluation without motion, so that displacements do not
+    change.
     """
-    law, laws = plan.laws.normal, plan.laws
+    law = plan.laws.normal
+    laws = plan.laws
 
     @ti.func
     def surface_contact(
@@ -161,7 +170,8 @@ def build_surface_contact(plan: Plan) -> Any:
         if ti.static(len(laws.damped_slots) > 0):
             normal_damping = law.damping(constants.normal, contact, history.normal)
         rotation = (
-            kinematics.arm_half * angular_velocities.first + kinematics.arm_partner_half * angular_velocities.partner
+            kinematics.arm_half * angular_velocities.first
+            + kinematics.arm_partner_half * angular_velocities.partner
         )
         surface_velocity = kinematics.velocity_rel_half - rotation.cross(kinematics.normal_half)
         slip_rate = in_contact_plane(surface_velocity, kinematics.normal, kinematics.normal_half)
@@ -204,27 +214,41 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
 
     is_prepared:  True if `NormalLaw.prepare` has been evaluated before
 
-    Arguments: pair constants; bodies, a struct of the effective radius [m], mass [kg] and inertia [kg m2]; kinematics
-    of `build_sphere_kinematics`; angular_velocities, a struct of those of the first and the partner [rad/s]; history;
-    time step, and longest time step of the run [s].
+    Arguments: pair constants; bodies, a struct of the effective radius [m], mass [kg] and inertia [kg m2];
+    kinematics of `build_sphere_kinematics`; angular_velocities, a struct of those of the first and the
+    partner [rad/s]; history; time step, and longest time step of the run [s].
 
-    Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses (friction,
-    rolling and twisting, damping): energy [J] dissipated in this step.
+    Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses
+    (friction, rolling and twisting, damping): energy [J] dissipated in this step.
     """
-    features, laws, tangential, rolling = plan.features, plan.laws, plan.laws.tangential, plan.laws.rolling
+    features = plan.features
+    laws = plan.laws
+    tangential = plan.laws.tangential
+    rolling = plan.laws.rolling
     twisting = plan.laws.twisting
-    normal_force_of, surface_contact = build_normal_force(plan.laws, is_prepared), build_surface_contact(plan)
+    normal_force_of = build_normal_force(plan.laws, is_prepared)
+    surface_contact = build_surface_contact(plan)
 
     @ti.func
     def pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step):
         contact = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step))
         normal_force, load, viscous, history_new = normal_force_of(constants, contact, history)
         force = normal_force * kinematics.normal
-        torque, torque_partner = 0.0 * force, 0.0 * force
-        friction_loss, rolling_loss = 0.0 * load, 0.0 * load
+        torque = 0.0 * force
+        torque_partner = 0.0 * force
+        friction_loss = 0.0 * load
+        rolling_loss = 0.0 * load
         if ti.static(features.rotation):
             surface = surface_contact(
-                constants, contact, load, history_new, bodies, kinematics, angular_velocities, dt, longest_time_step
+                constants,
+                contact,
+                load,
+                history_new,
+                bodies,
+                kinematics,
+                angular_velocities,
+                dt,
+                longest_time_step,
             )
             if ti.static(laws.has_tangential):
                 tangential_force, tangential_history, friction_loss = tangential.force(
@@ -232,19 +256,22 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
                 )
                 force += tangential_force
                 moment = kinematics.normal.cross(tangential_force)
-                torque, torque_partner = -kinematics.arm * moment, -kinematics.arm_partner * moment
+                torque = -kinematics.arm * moment
+                torque_partner = -kinematics.arm_partner * moment
                 history_new.tangential = tangential_history
             if ti.static(laws.has_rolling):
                 rolling_torque, rolling_history, rolling_loss = rolling.torque(
                     constants.rolling, surface, history.rolling
                 )
-                torque, torque_partner = torque + rolling_torque, torque_partner - rolling_torque
+                torque = torque + rolling_torque
+                torque_partner = torque_partner - rolling_torque
                 history_new.rolling = rolling_history
             if ti.static(laws.has_twisting):
                 twisting_torque, twisting_history, twisting_loss = twisting.torque(
                     constants.twisting, surface, history.twisting
                 )
-                torque, torque_partner = torque + twisting_torque, torque_partner - twisting_torque
+                torque = torque + twisting_torque
+                torque_partner = torque_partner - twisting_torque
                 rolling_loss += twisting_loss
                 history_new.twisting = twisting_history
         return ti.Struct(
@@ -278,7 +305,8 @@ def _of_law(pair, parameters, k: ti.template()):
 
 
 def build_constants(laws: ContactLaws) -> Any:
-    """Device function (row of the pair constants, row of the law parameters) -> struct of slots, each of constants.
+    """Device function (row of the pair constants, row of the law parameters) -> struct of slots, each of
+    constants.
 
     A struct contains the pair constants and the parameters of its law by name.
     """
@@ -315,7 +343,8 @@ def vector_at(vector, k: ti.template()):
 
 def build_slot_history(laws: ContactLaws, slot: str) -> Any:
     """Device function (vector of components) -> struct of the history fields of a slot."""
-    parts, count = [], 0
+    parts = []
+    count = 0
     for each in laws.history[slot]:
         parts.append((each.name, number_at if each.size == 1 else vector_at, count))
         count += each.size
@@ -359,7 +388,10 @@ def build_read_slots(laws: ContactLaws, read_vector: Any, stored: Iterable[str])
     stored:       slots with history; the structs of the others are empty
     """
     slots = [(slot, build_slot_history(laws, slot), slot in stored) for slot in laws.by_slot]
-    read = [(slot, history_of, _stored_slot if is_stored else _empty_slot) for slot, history_of, is_stored in slots]
+    read = [
+        (slot, history_of, _stored_slot if is_stored else _empty_slot)
+        for slot, history_of, is_stored in slots
+    ]
 
     @ti.func
     def read_slots(first, second):
@@ -387,7 +419,8 @@ def _empty_slot(history_of: ti.template(), read_vector: ti.template(), slot: ti.
 # mass.
 
 FROZEN_MASS_FACTOR = 2.0**60
-"""Mass factor of a fixed particle in contacts: the term of its partner's mass is below rounding, also in f64."""
+"""Mass factor of a fixed particle in contacts: the term of its partner's mass is below rounding, also in
+f64."""
 
 
 def build_mobility(state: State) -> Any:
@@ -395,7 +428,8 @@ def build_mobility(state: State) -> Any:
 
     Reads:  fixed
     """
-    particles, real = state.particles, state.backend.real
+    particles = state.particles
+    real = state.backend.real
 
     @ti.func
     def mobility(i):
@@ -408,13 +442,15 @@ def build_mobility(state: State) -> Any:
 
 
 def build_contact_mass(state: State) -> Any:
-    """Device function (i): mass [kg] of a particle in its contacts, FROZEN_MASS_FACTOR times as large if it is fixed.
+    """Device function (i): mass [kg] of a particle in its contacts, FROZEN_MASS_FACTOR times as large if it
+    is fixed.
 
     A sphere of a clump has the mass of the clump, as in LIGGGHTS and MercuryDPM.
 
     Reads:  mass, fixed, clump_mass
     """
-    particles, real = state.particles, state.backend.real
+    particles = state.particles
+    real = state.backend.real
     mass_field = particles.clump_mass if state.plan.features.clumps else particles.mass
 
     @ti.func
@@ -428,7 +464,8 @@ def build_contact_mass(state: State) -> Any:
 
 
 def build_can_touch(state: State) -> Any:
-    """Device function (i, j): false for two fixed particles, a fixed particle and a wall (j < 0), and in a clump.
+    """Device function (i, j): false for two fixed particles, a fixed particle and a wall (j < 0), and in a
+    clump.
 
     Reads:  fixed, clump
     """
@@ -460,44 +497,53 @@ def mobility_mask(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 SAME_PLACE = 1e-4
-"""Tolerance over the radius of the particle: above rounding in float32 and of mesh files, below usual overlaps."""
+"""Tolerance over the radius of the particle: above rounding in float32 and of mesh files, below usual
+overlaps."""
 SAME_DISTANCE = 1e-11
-"""Distances of a particle from two faces are equal within this part of its radius: the face with the lower number is
-the nearer one."""
+"""Distances of a particle from two faces are equal within this part of its radius: the face with the lower
+number is the nearer one."""
 LEAST_COSINE = 0.5
 """Cosine of the angle between two directions above which they can belong to one contact."""
 
 
 def build_wall_contact(state: State, geometry: WallGeometry) -> Any:
-    """Device function (i, j, pose) -> (gap [m], direction) of particle i and partner j < 0, see `WallGeometry.closest`.
+    """Device function (i, j, pose) -> (gap [m], direction) of particle i and partner j < 0, see
+    `WallGeometry.closest`.
 
     The gap is FAR_AWAY if a nearer face in the neighbor list of the particle has the same contact.
 
     Reads:  position, radius, neighbor lists, walls, mesh
     """
-    particles, neighbors, walls, real = state.particles, state.neighbors, state.walls, state.backend.position_real
-    wall_of, force_range, joined = (
-        build_wall_of(state),
-        state.parameter("force_range"),
-        state.plan.features.joined_walls,
-    )
+    particles = state.particles
+    neighbors = state.neighbors
+    walls = state.walls
+    real = state.backend.position_real
+    wall_of = build_wall_of(state)
+    force_range = state.parameter("force_range")
+    joined = state.plan.features.joined_walls
     revolved = SHAPE_KINDS.index(REVOLVED) if SHAPE_KINDS.index(REVOLVED) in geometry.kinds else -1
 
     @ti.func
     def is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
-        """Whether the contact with face j at `gap` is that with another face at `other_gap`, and this one has it."""
-        unit, same = SAME_DISTANCE * radius, False
-        rank, other_rank = ti.floor(gap / unit), ti.floor(other_gap / unit)
+        """Whether the contact with face j at `gap` is that with another face at `other_gap`, and this one has
+        it."""
+        unit = SAME_DISTANCE * radius
+        same = False
+        rank = ti.floor(gap / unit)
+        other_rank = ti.floor(other_gap / unit)
         cosine = direction.dot(other_direction)
         if (other_rank < rank or (other_rank == rank and other > j)) and cosine > LEAST_COSINE:
             contact_point = point - gap * direction
             # A point that the farther surface would be nearer to, if it rose from the tangent plane.
-            face, probe = -1 - j, contact_point + gap * other_direction
+            face = -1 - j
+            probe = contact_point + gap * other_direction
             in_plane = ti.abs(other_gap - gap * cosine) <= SAME_PLACE * radius
             on_curve = False
             if ti.static(revolved >= 0):
                 if not in_plane and walls.kind[wall_of(other)] == revolved:
-                    on_curve, face, probe = True, -1 - other, contact_point
+                    on_curve = True
+                    face = -1 - other
+                    probe = contact_point
             if in_plane or on_curve:
                 distance = geometry.surface_distance(face, pose, probe)
                 same = (in_plane and distance >= gap - SAME_PLACE * radius) or (
@@ -514,30 +560,43 @@ def build_wall_contact(state: State, geometry: WallGeometry) -> Any:
 
     @ti.func
     def joined_contact(i, j, pose):
-        point, radius, w = particles.position[i], ti.cast(particles.radius[i], real), wall_of(j)
-        gap, direction = ti.cast(FAR_AWAY, real), 0.0 * point
-        first, list_index, end = True, neighbors.list_begin[i], neighbors.list_walls_end[i]
-        while first or list_index < end:  # this face, then the others: one loop, so that `closest` is compiled once
+        point = particles.position[i]
+        radius = ti.cast(particles.radius[i], real)
+        w = wall_of(j)
+        gap = ti.cast(FAR_AWAY, real)
+        direction = 0.0 * point
+        first = True
+        list_index = neighbors.list_begin[i]
+        end = neighbors.list_walls_end[i]
+        while (
+            first or list_index < end
+        ):  # this face, then the others: one loop, so that `closest` is compiled once
             other = j
             if not first:
                 other = neighbors.partner[list_index]
                 list_index += 1
             if first or may_be_same(w, j, other):
                 # The distance without regard to shared edges is cheaper, and at most that of a contact.
-                if first or geometry.surface_distance(-1 - other, pose, point) <= gap + SAME_DISTANCE * radius:
+                if (
+                    first
+                    or geometry.surface_distance(-1 - other, pose, point) <= gap + SAME_DISTANCE * radius
+                ):
                     other_gap, other_direction = geometry.closest(-1 - other, pose, point)
                     if first:
-                        gap, direction = other_gap, other_direction
+                        gap = other_gap
+                        direction = other_direction
                         if walls.joints[w] == 0 or gap > radius + force_range():
                             end = list_index
                     elif is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
-                        gap, end = ti.cast(FAR_AWAY, real), list_index
+                        gap = ti.cast(FAR_AWAY, real)
+                        end = list_index
             first = False
         return gap, direction
 
     @ti.func
     def wall_contact(i, j, pose):
-        gap, direction = 0.0 * particles.position[i][0], 0.0 * particles.position[i]
+        gap = 0.0 * particles.position[i][0]
+        direction = 0.0 * particles.position[i]
         if ti.static(joined):
             gap, direction = joined_contact(i, j, pose)
         else:
@@ -554,10 +613,11 @@ def build_wall_contact(state: State, geometry: WallGeometry) -> Any:
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:
     """Device function (i, j, pose, time_step) -> kinematics of a candidate pair; for a wall, j is -1 - index.
 
-    with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds of partner
+    with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds
+                of partner
 
-    Returns the struct of `build_sphere_kinematics`; without contact, the overlap is not above 0, and only models that
-    act at a distance get its value and the normal.
+    Returns the struct of `build_sphere_kinematics`; without contact, the overlap is not above 0, and only
+    models that act at a distance get its value and the normal.
 
     Reads:  position, velocity, velocity_synchronized, radius, walls, image_offset, image_speed
     """
@@ -567,7 +627,8 @@ def build_pair_kinematics(state: State, with_wall: bool) -> Any:
 @ti.func
 def no_contact(overlap, vector):
     """Kinematics of a pair without contact; `vector` has the type of the 3-vectors."""
-    zero, nothing = 0.0 * vector, 0.0 * overlap
+    zero = 0.0 * vector
+    nothing = 0.0 * overlap
     return ti.Struct(
         overlap=overlap,
         normal=zero,
@@ -584,14 +645,19 @@ def no_contact(overlap, vector):
 
 def _build_particle_kinematics(state: State) -> Any:
     """`build_pair_kinematics` for two particles."""
-    particles, features, real = state.particles, state.plan.features, state.backend.real
-    sphere_kinematics, in_contact = build_sphere_kinematics(state.plan), build_in_contact(real)
-    minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)
+    particles = state.particles
+    features = state.plan.features
+    real = state.backend.real
+    sphere_kinematics = build_sphere_kinematics(state.plan)
+    in_contact = build_in_contact(real)
+    minimum_image = build_minimum_image(state)
+    image_velocity = build_image_velocity(state)
     acts_at_distance = state.plan.laws.acts_at_distance
 
     @ti.func
     def particle_kinematics(i, j, pose, time_step):
-        radius, radius_partner = particles.radius[i], particles.radius[j]
+        radius = particles.radius[i]
+        radius_partner = particles.radius[j]
         found = no_contact(-radius, particles.velocity[i])
         branch = ti.cast(minimum_image(particles.position[i], particles.position[j], pose), real)
         if in_contact(branch.dot(branch), radius + radius_partner):
@@ -599,9 +665,13 @@ def _build_particle_kinematics(state: State) -> Any:
             velocity_rel = velocity_rel_half
             if ti.static(features.rate_dependent):
                 velocity_rel = (
-                    particles.velocity_synchronized[i] - particles.velocity_synchronized[j] - image_velocity(i, j, pose)
+                    particles.velocity_synchronized[i]
+                    - particles.velocity_synchronized[j]
+                    - image_velocity(i, j, pose)
                 )
-            found = sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, time_step)
+            found = sphere_kinematics(
+                radius, radius_partner, branch, velocity_rel_half, velocity_rel, time_step
+            )
         elif ti.static(acts_at_distance):
             distance = ti.sqrt(branch.dot(branch))
             found.overlap = ti.min(radius + radius_partner - distance, 0.0)
@@ -612,33 +682,47 @@ def _build_particle_kinematics(state: State) -> Any:
 
 
 def _build_wall_kinematics(state: State) -> Any:
-    """`build_pair_kinematics` for a particle and a wall: the contact point halves the overlap; no lever arm of j.
+    """`build_pair_kinematics` for a particle and a wall: the contact point halves the overlap; no lever arm
+    of j.
 
-    Velocities are those of the half step; normal_half and the velocity of the wall at the contact point are as well.
+    Velocities are those of the half step; normal_half and the velocity of the wall at the contact point are
+    as well.
     """
-    particles, features, real = state.particles, state.plan.features, state.backend.real
-    geometry, acts_at_distance = WallGeometry(state), state.plan.laws.acts_at_distance
+    particles = state.particles
+    features = state.plan.features
+    real = state.backend.real
+    geometry = WallGeometry(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
     wall_contact = build_wall_contact(state, geometry)
 
     @ti.func
     def wall_kinematics(i, j, pose, time_step):
-        radius, face = particles.radius[i], -1 - j
+        radius = particles.radius[i]
+        face = -1 - j
         gap, direction = wall_contact(i, j, pose)
         found = no_contact(ti.cast(radius - gap, real), particles.velocity[i])
         found.arm = radius - 0.5 * found.overlap
         if ti.static(acts_at_distance):
             found.normal = ti.cast(direction, real)
         if found.overlap > 0.0:
-            position, velocity = particles.position[i], particles.velocity[i]
+            position = particles.position[i]
+            velocity = particles.velocity[i]
             normal_half = geometry.normal_half(face, pose, position, velocity, direction, time_step)
-            found.normal, found.normal_half = ti.cast(direction, real), ti.cast(normal_half, real)
-            wall_velocity = geometry.velocity_half(face, pose, position - found.arm * normal_half, velocity, time_step)
+            found.normal = ti.cast(direction, real)
+            found.normal_half = ti.cast(normal_half, real)
+            wall_velocity = geometry.velocity_half(
+                face, pose, position - found.arm * normal_half, velocity, time_step
+            )
             found.velocity_rel_half = velocity - ti.cast(wall_velocity, real)
             found.overlap_rate_half = -found.velocity_rel_half.dot(found.normal_half)
             found.overlap_rate = -found.velocity_rel_half.dot(found.normal)
             if ti.static(features.rate_dependent):
-                wall_velocity_now = ti.cast(geometry.velocity(face, pose, position - found.arm * direction), real)
-                found.overlap_rate = -(particles.velocity_synchronized[i] - wall_velocity_now).dot(found.normal)
+                wall_velocity_now = ti.cast(
+                    geometry.velocity(face, pose, position - found.arm * direction), real
+                )
+                found.overlap_rate = -(particles.velocity_synchronized[i] - wall_velocity_now).dot(
+                    found.normal
+                )
             found.arm_half = found.arm + 0.25 * time_step * found.overlap_rate_half
             if ti.static(features.surface_velocity):  # it does not turn the normal
                 found.velocity_rel_half -= geometry.surface_velocity(face, pose, found.normal_half)
@@ -648,21 +732,27 @@ def _build_wall_kinematics(state: State) -> Any:
 
 
 def build_effective(state: State, with_wall: bool) -> Any:
-    """Device function (i, j) -> struct `bodies`: effective radius [m], mass [kg] and inertia [kg m2] of a pair.
+    """Device function (i, j) -> struct `bodies`: effective radius [m], mass [kg] and inertia [kg m2] of a
+    pair.
 
-    a b / (a + b) for two particles, the value of the particle for a wall; a fixed particle has a very large mass.
+    a b / (a + b) for two particles, the value of the particle for a wall; a fixed particle has a very large
+    mass.
 
     Reads:  radius, mass, fixed
     """
-    particles, contact_mass = state.particles, build_contact_mass(state)
+    particles = state.particles
+    contact_mass = build_contact_mass(state)
 
     @ti.func
     def effective(i, j):
-        radius_eff, mass_eff = particles.radius[i], contact_mass(i)
+        radius_eff = particles.radius[i]
+        mass_eff = contact_mass(i)
         inertia_eff = 0.4 * mass_eff * radius_eff * radius_eff
         if ti.static(not with_wall):
-            radius, mass = particles.radius[j], contact_mass(j)
-            radius_eff, mass_eff = effective_value(radius_eff, radius), effective_value(mass_eff, mass)
+            radius = particles.radius[j]
+            mass = contact_mass(j)
+            radius_eff = effective_value(radius_eff, radius)
+            mass_eff = effective_value(mass_eff, mass)
             inertia_eff = effective_value(inertia_eff, 0.4 * mass * radius * radius)
         return ti.Struct(radius_eff=radius_eff, mass_eff=mass_eff, inertia_eff=inertia_eff)
 
@@ -670,14 +760,16 @@ def build_effective(state: State, with_wall: bool) -> Any:
 
 
 def build_any_kinematics(state: State) -> Any:
-    """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not matter.
+    """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not
+    matter.
 
     Returns the normal, and the struct `contact` of the contact models.
 
     Reads:  as `build_pair_kinematics`
     """
     has_walls = state.plan.has_walls
-    particle_kinematics, particle_effective = build_pair_kinematics(state, False), build_effective(state, False)
+    particle_kinematics = build_pair_kinematics(state, False)
+    particle_effective = build_effective(state, False)
     wall_kinematics = build_pair_kinematics(state, True) if has_walls else particle_kinematics
     wall_effective = build_effective(state, True)
 
@@ -703,7 +795,8 @@ def build_any_kinematics(state: State) -> Any:
 
 
 def build_boundary_work(state: State) -> Any:
-    """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a pair [J].
+    """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a
+    pair [J].
 
         W = F_ij . (velocity of the image relative to its original) dt, once per pair
 
@@ -711,8 +804,11 @@ def build_boundary_work(state: State) -> Any:
 
     Writes:  boundary_work
     """
-    list_shares, image_velocity, control = build_list_shares(state), build_image_velocity(state), state.control
-    per_unit, shift = state.parameter("per_unit", ENERGY), state.parameter("shift", FORCE)
+    list_shares = build_list_shares(state)
+    image_velocity = build_image_velocity(state)
+    control = state.control
+    per_unit = state.parameter("per_unit", ENERGY)
+    shift = state.parameter("shift", FORCE)
     to_grid = build_to_grid(state.backend.real)
 
     @ti.func
@@ -731,8 +827,12 @@ def build_pair_number(state: State) -> Any:
 
     Reads:  material of particles and walls
     """
-    plan, particles, walls = state.plan, state.particles, state.walls
-    features, wall_of, material_count = plan.features, build_wall_of(state), state.parameter("material_count")
+    plan = state.plan
+    particles = state.particles
+    walls = state.walls
+    features = plan.features
+    wall_of = build_wall_of(state)
+    material_count = state.parameter("material_count")
 
     @ti.func
     def pair_number(i, j):
@@ -754,7 +854,8 @@ def build_pair_constants(state: State) -> Any:
 
     Reads:  pair_constants, law_parameters, material of particles and walls
     """
-    control, constants_of = state.control, build_constants(state.plan.laws)
+    control = state.control
+    constants_of = build_constants(state.plan.laws)
     pair_number = build_pair_number(state)
 
     @ti.func

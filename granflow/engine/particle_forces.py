@@ -1,14 +1,15 @@
 """Forces on particles from device functions of a program, and their work.
 
-They are evaluated with the contact forces, at the time of the positions, and are part of `force`: integration,
-synchronized velocities and snapshots need no other term. Velocities are half a step behind; they are extrapolated with
-the total force, first without and then with the external forces. D(F) is the damping force, see `damping`:
+They are evaluated with the contact forces, at the time of the positions, and are part of `force`:
+integration, synchronized velocities and snapshots need no other term. Velocities are half a step behind; they
+are extrapolated with the total force, first without and then with the external forces. D(F) is the damping
+force, see `damping`:
 
     v'  = v(t - dt/2) + dt/2 (F + D(F)) / m
     v'' = v(t - dt/2) + dt/2 (F + f(v') + D(F + f(v'))) / m,      f = f(x(t), v'', t)
 
-which is of second order in dt for velocity-dependent forces. The work of a step is the mean of the forces at its ends
-times the displacement:
+which is of second order in dt for velocity-dependent forces. The work of a step is the mean of the forces at
+its ends times the displacement:
 
     W = dt v(t + dt/2) . [f(t) + f(t + dt)] / 2
 """
@@ -53,13 +54,17 @@ def build_damped(state: State) -> Any:
     Reads:   velocity, angular_velocity, radius, mass, fixed, damping, force_clock
     Writes:  damping_force, damping_torque, losses
     """
-    particles, features, mobility = state.particles, state.plan.features, build_mobility(state)
-    damping_of, add_loss = build_damping_of(state), build_add_damping_loss(state)
+    particles = state.particles
+    features = state.plan.features
+    mobility = build_mobility(state)
+    damping_of = build_damping_of(state)
+    add_loss = build_add_damping_loss(state)
 
     @ti.func
     def damped(chunk, i, force, torque, dt):
         mass = particles.mass[i]
-        found, found_torque = mobility(i) * damping_of(force, particles.velocity[i], mass), 0.0 * torque
+        found = mobility(i) * damping_of(force, particles.velocity[i], mass)
+        found_torque = 0.0 * torque
         if ti.static(features.rotation):
             inertia = 0.4 * mass * particles.radius[i] * particles.radius[i]
             found_torque = mobility(i) * damping_of(torque, particles.angular_velocity[i], inertia)
@@ -78,11 +83,13 @@ def build_damping_of(state: State) -> Any:
 
     Reads:  damping, force_clock
     """
-    control, real = state.control, state.backend.real
+    control = state.control
+    real = state.backend.real
 
     @ti.func
     def damping_of(force, velocity, mass):
-        ratio, rate = ti.cast(control.damping[0], real), ti.cast(control.damping[1], real)
+        ratio = ti.cast(control.damping[0], real)
+        rate = ti.cast(control.damping[1], real)
         lag = ti.cast(control.force_clock[3], real)
         present = velocity + (lag / mass) * force
         found = 0.0 * force
@@ -101,8 +108,11 @@ def build_add_damping_loss(state: State) -> Any:
     Reads:   velocity, angular_velocity, damping_force, damping_torque
     Writes:  losses
     """
-    particles, control, features = state.particles, state.control, state.plan.features
-    per_unit, loss_count = state.parameter("per_unit", ENERGY), len(LOSSES)
+    particles = state.particles
+    control = state.control
+    features = state.plan.features
+    per_unit = state.parameter("per_unit", ENERGY)
+    loss_count = len(LOSSES)
 
     @ti.func
     def add_loss(chunk, i, dt):
@@ -124,7 +134,8 @@ def write_force_inputs(state: State, step: int, velocities_lag: bool = True) -> 
     """
     if state.control.force_clock is None:
         return
-    control, clock = state.control, state.clock.state_dict()
+    control = state.control
+    clock = state.clock.state_dict()
     lag = 0.5 * clock["time_step"] if velocities_lag else 0.0
     for k, value in enumerate((clock["since_time"], clock["time_step"], step - clock["since_step"], lag)):
         control.force_clock[k] = float(value)
@@ -141,8 +152,12 @@ def build_external_force(state: State) -> Any:
     Reads:   position, velocity, radius, mass, fixed, force_clock, force_parameters, damping
     Writes:  external_force, external_work
     """
-    particles, control, real = state.particles, state.control, state.backend.real
-    total_force, mobility, add_work = _build_sum(state), build_mobility(state), build_add_external_work(state)
+    particles = state.particles
+    control = state.control
+    real = state.backend.real
+    total_force = _build_sum(state)
+    mobility = build_mobility(state)
+    add_work = build_add_external_work(state)
     damping_of = build_damping_of(state)
 
     @ti.func
@@ -166,14 +181,17 @@ def build_external_force(state: State) -> Any:
 
 
 def build_add_external_work(state: State) -> Any:
-    """Device function (chunk, i, force [N], velocity [m/s] at the half step, time_step): add the work of half a step.
+    """Device function (chunk, i, force [N], velocity [m/s] at the half step, time_step): add the work of half
+    a step.
 
     Fixed particles do not move.
 
     Reads:   fixed
     Writes:  external_work
     """
-    control, per_unit, mobility = state.control, state.parameter("per_unit", ENERGY), build_mobility(state)
+    control = state.control
+    per_unit = state.parameter("per_unit", ENERGY)
+    mobility = build_mobility(state)
 
     @ti.func
     def add_work(chunk, i, force, velocity, dt):
@@ -187,15 +205,20 @@ def build_add_external_work(state: State) -> Any:
 
 def _build_sum(state: State) -> Any:
     """Device function (i, velocity [m/s]): sum of all external forces [N]."""
-    particles, control, real = state.particles, state.control, state.backend.real
-    forces, first = [], 0
+    particles = state.particles
+    control = state.control
+    real = state.backend.real
+    forces = []
+    first = 0
     for force in state.plan.external_forces:
         forces.append(_build_call(force, first, control.force_parameters))
         first += sum(width for _, width in force.layout)
 
     @ti.func
     def total_force(i, velocity):
-        since, step, count = control.force_clock[0], control.force_clock[1], control.force_clock[2]
+        since = control.force_clock[0]
+        step = control.force_clock[1]
+        count = control.force_clock[2]
         time = since + (count + ti.cast(control.steps_done[0], ti.f64)) * step
         total = ti.Vector.zero(real, 3)
         for call in ti.static(forces):
@@ -207,8 +230,11 @@ def _build_sum(state: State) -> Any:
 
 
 def _build_call(force: ExternalForce, first: int, values: Any) -> Any:
-    """Device function (position, velocity, radius, mass, time): one force, with its parameters from `first` on."""
-    function, parts, k = _device_function(force), [], first
+    """Device function (position, velocity, radius, mass, time): one force, with its parameters from `first`
+    on."""
+    function = _device_function(force)
+    parts = []
+    k = first
     for name, width in force.layout:
         parts.append((name, number_at if width == 1 else vector_at, k))
         k += width
@@ -241,14 +267,18 @@ def compile_alone(backend: Backend, force: ExternalForce) -> None:
 
     Raises the exceptions of the kernel language.
     """
-    block, real = FieldBlock(backend), backend.real
-    values, result = block.scalar(ti.f64, max(len(force.numbers), 1)), block.vector(ti.f64, 1)
+    block = FieldBlock(backend)
+    real = backend.real
+    values = block.scalar(ti.f64, max(len(force.numbers), 1))
+    result = block.vector(ti.f64, 1)
     block.finish()
-    call, position_real = _build_call(force, 0, values), backend.position_real
+    call = _build_call(force, 0, values)
+    position_real = backend.position_real
 
     @ti.kernel
     def evaluate():
-        origin, rest = ti.Vector.zero(position_real, 3), ti.Vector.zero(real, 3)
+        origin = ti.Vector.zero(position_real, 3)
+        rest = ti.Vector.zero(real, 3)
         one = ti.cast(1.0, real)
         result[0] = ti.cast(call(origin, rest, one, one, ti.cast(0.0, ti.f64)), ti.f64)
 
@@ -263,14 +293,18 @@ def compile_alone(backend: Backend, force: ExternalForce) -> None:
 
 
 def build_set_forces(state: State) -> Any:
-    """Device function (chunk, i, sums of contact forces and torques, gravity [m/s2], time_step): set total forces.
+    """Device function (chunk, i, sums of contact forces and torques, gravity [m/s2], time_step): set total
+    forces.
 
     External forces and damping are added to the sums; also the weight, unless the sums contain it.
 
     Reads:   mass; as `build_external_force` and `build_damped`
     Writes:  force, torque; as `build_external_force` and `build_damped`
     """
-    particles, features, real, exact = state.particles, state.plan.features, state.backend.real, holds_sums(state)
+    particles = state.particles
+    features = state.plan.features
+    real = state.backend.real
+    exact = holds_sums(state)
     external_force = build_external_force(state) if features.external_forces else None
     damped = build_damped(state) if features.damping != "none" else None
 
@@ -287,7 +321,9 @@ def build_set_forces(state: State) -> Any:
         if ti.static(features.rotation):
             particles.torque[i] = ti.cast(torque_sum, real)
         if ti.static(features.damping != "none"):
-            damping_force, damping_torque = damped(chunk, i, particles.force[i], ti.cast(torque_sum, real), dt)
+            damping_force, damping_torque = damped(
+                chunk, i, particles.force[i], ti.cast(torque_sum, real), dt
+            )
             particles.force[i] = particles.force[i] + damping_force
             if ti.static(features.rotation):
                 particles.torque[i] = particles.torque[i] + damping_torque

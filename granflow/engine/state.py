@@ -8,7 +8,15 @@ import numpy as np
 
 from granflow.engine.backend import Backend
 from granflow.engine.codes import NO_PARTICLE, NOT_HALTED
-from granflow.engine.fields import FieldBlock, Fields, build_clear, build_copy, read_field, write_field, write_padded
+from granflow.engine.fields import (
+    FieldBlock,
+    Fields,
+    build_clear,
+    build_copy,
+    read_field,
+    write_field,
+    write_padded,
+)
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.catalog import surface_code
@@ -42,7 +50,8 @@ class Clock:
         """Start at time 0 with a time step [s]."""
         self.time_step = time_step
         self.step_count = 0
-        self._since_step, self._since_time = 0, 0.0
+        self._since_step = 0
+        self._since_time = 0.0
 
     @property
     def time(self) -> float:
@@ -50,25 +59,31 @@ class Clock:
         return float(self.time_after(self.step_count))
 
     def time_after(self, step: int | np.ndarray) -> float | np.ndarray:
-        """Simulated time [s] after step numbers, scalar or (k,); none may precede the last change of the time step."""
+        """Simulated time [s] after step numbers, scalar or (k,); none may precede the last change of the time
+        step."""
         return self._since_time + (step - self._since_step) * self.time_step
 
     def change(self, time_step: float) -> None:
         """Set the time step [s] of all further steps."""
-        self._since_time, self._since_step = self.time, self.step_count
+        self._since_time = self.time
+        self._since_step = self.step_count
         self.time_step = time_step
 
     def state_dict(self) -> dict[str, float]:
         """The complete state of the clock, for a checkpoint."""
         return {
-            "time_step": self.time_step, "step_count": self.step_count,
-            "since_step": self._since_step, "since_time": self._since_time,
-        }  # fmt: skip
+            "time_step": self.time_step,
+            "step_count": self.step_count,
+            "since_step": self._since_step,
+            "since_time": self._since_time,
+        }
 
     def load_state_dict(self, saved: dict[str, float]) -> None:
         """Restore a state that `state_dict` returned."""
-        self.time_step, self.step_count = saved["time_step"], int(saved["step_count"])
-        self._since_step, self._since_time = int(saved["since_step"]), saved["since_time"]
+        self.time_step = saved["time_step"]
+        self.step_count = int(saved["step_count"])
+        self._since_step = int(saved["since_step"])
+        self._since_time = saved["since_time"]
 
 
 # Device flags, counters and constants that kernels and host share.
@@ -81,28 +96,32 @@ class Control(Fields):
     """Flags, counters and constants shared by kernels and host.
 
     rebuild_requested:          set by the integration if a particle or wall has moved too far
-    rebuild_due:                copy of it at the end of the phase; all further phases of the launch do nothing
+    rebuild_due:                copy of it at the end of the phase; all further phases of the launch do
+                                nothing
     steps_done, running:        completed steps of a launch; 1 while it continues
     worker_count:               workers that have not left the launch
     started_count:              of them, those at the first barrier of the launch
-    halted_at:                  on a GPU, number of the launch whose integration, or forces, halted the following ones
-    patience:                   number of polls after which a worker leaves, and that of the first barrier of a launch
+    halted_at:                  on a GPU, number of the launch whose integration, or forces, halted the
+                                following ones
+    patience:                   number of polls after which a worker leaves, and that of the first barrier of
+                                a launch
     next_chunk:                 number of chunks that workers have taken in this phase
     arrived, released:          counters of the barrier, see `barrier`
-    list_length_needed:         largest number of entries of a segment, plus TOO_LONG if a list exceeds the batch
+    list_length_needed:         largest number of entries of a segment, plus TOO_LONG if a list exceeds the
+                                batch
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
     law_parameters:             one row, the parameters of the contact laws
     losses:                     terms LOSSES of each chunk, see `exact_sums`
     impulses:                   time integrals of the wall forces of each chunk, see `exact_sums`
     collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
-    wall_work_ahead:            part of the work of moving walls of each chunk that belongs to the next step, see
-                                `contact_accounting`
+    wall_work_ahead:            part of the work of moving walls of each chunk that belongs to the next step,
+                                see `contact_accounting`
     boundary_work:              work at periodic boundaries of each chunk, see `exact_sums`
     external_work:              work of external forces of each chunk, see `exact_sums`
     force_parameters:           parameters of all external forces
-    force_clock:                since_time, time_step, steps since since_time of the next force evaluation, and the
-                                time by which velocities lag behind positions there [s]
+    force_clock:                since_time, time_step, steps since since_time of the next force evaluation,
+                                and the time by which velocities lag behind positions there [s]
     damping:                    Cundall ratio and drag rate [1/s] of the present stage
     image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
     """
@@ -119,17 +138,21 @@ class Control(Fields):
         self.halted_at: Any = None if backend.on_cpu else block.scalar(ti.i32, 2)
         self.abort = block.scalar(ti.i32, 1)
         self.abort_particle = block.scalar(ti.i32, 1)
-        self.pair_constants = block.vector(backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1])
+        self.pair_constants = block.vector(
+            backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1]
+        )
         self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
         super().__init__(block.arrays(sum_arrays(plan), backend))
         edges = max(plan.capacities.energy_classes - 1, 1)
         self.collision_edges: Any = block.scalar(ti.f64, edges) if plan.features.collision_energies else None
-        external, parameters = plan.features.external_forces, parameter_count(plan.external_forces)
+        external = plan.features.external_forces
+        parameters = parameter_count(plan.external_forces)
         self.force_parameters: Any = block.scalar(ti.f64, max(parameters, 1)) if external else None
         damped = plan.damping is not None
         self.force_clock: Any = block.scalar(ti.f64, 4) if external or damped else None
         self.damping: Any = block.scalar(ti.f64, 2) if damped else None
-        sheared, position_real = plan.features.lees_edwards, backend.position_real
+        sheared = plan.features.lees_edwards
+        position_real = backend.position_real
         self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
         self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
 
@@ -170,13 +193,15 @@ def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:
         return np.concatenate([getattr(each, name).reshape(-1, *width) for each in adjacency])
 
     def shifted(name: str, before: np.ndarray) -> np.ndarray:
-        return np.concatenate([getattr(each, name).reshape(-1) + n for each, n in zip(adjacency, before, strict=False)])
+        return np.concatenate(
+            [getattr(each, name).reshape(-1) + n for each, n in zip(adjacency, before, strict=False)]
+        )
 
-    vectors, numbers = (
-        ("normal", "vertex", "edge_direction", "inward", "inward_other", "vertex_edge"),
-        ("length", "base", "owns_tie", "role"),
-    )
-    found = {name: joined(name, 3) for name in vectors} | {name: joined(name) for name in (*numbers, "longest")}
+    vectors = ("normal", "vertex", "edge_direction", "inward", "inward_other", "vertex_edge")
+    numbers = ("length", "base", "owns_tie", "role")
+    found = {name: joined(name, 3) for name in vectors} | {
+        name: joined(name) for name in (*numbers, "longest")
+    }
     found["point"] = shifted("point", points)
     found |= {name: shifted(name, triangles) for name in ("owner", "competitor")}
     for name in ("vertex_edge_start", "competitor_start"):
@@ -193,17 +218,27 @@ def _starts(starts: list[np.ndarray]) -> np.ndarray:
 def _of_grids(plan: Plan) -> dict[str, np.ndarray]:
     """Arrays of all grids; walls without a mesh have no cells."""
     wall_count = len(plan.walls)
-    low, side, shape = np.zeros((wall_count, 3)), np.ones(wall_count), np.zeros((wall_count, 3), np.int64)
-    first_cell, cells, triangles, cell_triangles = np.zeros(wall_count, np.int64), 0, 0, []
+    low = np.zeros((wall_count, 3))
+    side = np.ones(wall_count)
+    shape = np.zeros((wall_count, 3), np.int64)
+    first_cell = np.zeros(wall_count, np.int64)
+    cells = 0
+    triangles = 0
+    cell_triangles = []
     for w, grid in plan.mesh_grids.items():
         low[w], side[w], shape[w], first_cell[w] = grid.low, grid.side, grid.shape, cells
         cell_triangles.append(grid.triangle + triangles)
-        cells, triangles = cells + len(grid.start) - 1, triangles + plan.meshes[w].triangle_count
+        cells = cells + len(grid.start) - 1
+        triangles = triangles + plan.meshes[w].triangle_count
     start = _starts([grid.start for grid in plan.mesh_grids.values()])
     return {
-        "low": low, "side": side, "shape": shape, "first_cell": first_cell, "cell_start": start,
+        "low": low,
+        "side": side,
+        "shape": shape,
+        "first_cell": first_cell,
+        "cell_start": start,
         "cell_triangles": np.concatenate(cell_triangles),
-    }  # fmt: skip
+    }
 
 
 # Columns in which each CPU thread collects the contacts that it evaluates together.
@@ -226,7 +261,8 @@ class PairBatch:
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
-        features, real = plan.features, backend.real
+        features = plan.features
+        real = backend.real
         page = 4096 // 8
         self.capacity = -(-capacities.batch // page) * page + STAGGER
         self.longest_list = self.capacity - BATCH - LANES
@@ -237,12 +273,11 @@ class PairBatch:
 
         self.list_index, self.owner, self.partner = columns(3, ti.i32)
         self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
-        self.branch, self.velocity_rel_half = columns(3), columns(3)
+        self.branch = columns(3)
+        self.velocity_rel_half = columns(3)
         self.velocity_rel = columns(3 * features.rate_dependent)
-        self.angular_velocity, self.angular_velocity_partner = (
-            columns(3 * features.rotation),
-            columns(3 * features.rotation),
-        )
+        self.angular_velocity = columns(3 * features.rotation)
+        self.angular_velocity_partner = columns(3 * features.rotation)
         self.history = {slot: columns(size) for slot, size in plan.history.items()}
         self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
         self.losses = columns(3 * features.energy_budget)
@@ -266,7 +301,9 @@ class Parameters:
             first = lengths.get(parameter.dtype, 0)
             lengths[parameter.dtype] = first + len(parameter.values)
             self._places[parameter.name] = parameter.dtype, first, lengths[parameter.dtype]
-        self._fields = {dtype: block.scalar(backend.types[dtype], length) for dtype, length in lengths.items()}
+        self._fields = {
+            dtype: block.scalar(backend.types[dtype], length) for dtype, length in lengths.items()
+        }
 
     def write(self, plan: Plan, capacities: Capacities) -> None:
         """Write all parameters of a plan with equal features and capacities."""
@@ -288,7 +325,8 @@ class Parameters:
         dtype, first, end = self._places[name]
         if component is not None:
             first, end = first + component, first + component + 1
-        field, size = self._fields[dtype], end - first
+        field = self._fields[dtype]
+        size = end - first
 
         @ti.func
         def number():
@@ -314,7 +352,8 @@ class Gathering(Protocol):
     """Combines what each rank has. All ranks call each function."""
 
     def total(self, words: np.ndarray) -> np.ndarray:
-        """Numbers (n, ...), summed over the first axis of all ranks if there are several; integers exactly."""
+        """Numbers (n, ...), summed over the first axis of all ranks if there are several; integers
+        exactly."""
 
     def largest(self, value: float) -> float:
         """Largest value of all ranks."""
@@ -359,8 +398,8 @@ class Walls:
     center, rotation:  [m], 3 x 3: pose after each step; None if no wall moves
     velocity:          [m/s] of the center at the middle of each step, and of one more
     angular_velocity:  [rad/s] likewise
-    surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane; None
-                       without belts
+    surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane;
+                       None without belts
     impulse_row:       row in `Control.impulses`, or NOT_MEASURED
     """
 
@@ -408,7 +447,8 @@ class WallDynamicsFields(Fields):
     velocity:           [m/s], half a step behind
     active:             1 if the motion is active in the step that ends at a pose
     was_active:         1 if it was active in the previous step
-    wall_force:         force of the particles along the direction, summed by each chunk, in units of `plan.sum_units`
+    wall_force:         force of the particles along the direction, summed by each chunk, in units of
+                        `plan.sum_units`
     work_on_particles:  work on the particles [J]
     work:               work of all other forces on a free wall [J]
     """
@@ -423,19 +463,23 @@ Built = TypeVar("Built")
 
 
 class Particles(Fields):
-    """Fields of `PARTICLE_QUANTITIES`, in cell order; velocities are half a step behind the positions (leapfrog)."""
+    """Fields of `PARTICLE_QUANTITIES`, in cell order; velocities are half a step behind the positions
+    (leapfrog)."""
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(particle_arrays(plan), backend))
 
     def sorted_fields(self) -> list[Any]:
         """Fields that are permuted with the particles at a neighbor-list rebuild."""
-        fields = [getattr(self, spec.name) for spec in PARTICLE_QUANTITIES.values() if spec.dtype and spec.sorted]
+        fields = [
+            getattr(self, spec.name) for spec in PARTICLE_QUANTITIES.values() if spec.dtype and spec.sorted
+        ]
         return [field for field in fields if field is not None]
 
 
 class CellSort(Fields):
-    """Work arrays of the neighbor search: cells and the new order; one grid per size class if sizes differ widely.
+    """Work arrays of the neighbor search: cells and the new order; one grid per size class if sizes differ
+    widely.
 
     cell_start:   first particle of each cell in `order`
     order:        previous index of each particle of the new order
@@ -445,8 +489,8 @@ class CellSort(Fields):
     class_order:  particles by class and cell, from `class_start` of a cell
     first_cell:   first cell of each class
     radius:       largest radius [m] of each class
-    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them; with
-                       `subpart_`, of the parts of these parts for the threads of a GPU
+    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them;
+                       with `subpart_`, of the parts of these parts for the threads of a GPU
     reach_largest:     largest reach [m] of all particles
     cell_count:        cells of each grid, and of all size classes
     present:           number of particles that are not deleted
@@ -465,7 +509,8 @@ class CellSort(Fields):
 
 
 class NeighborList(Fields):
-    """Neighbor lists (Verlet lists), one per particle; each chunk of several particles has a separate segment.
+    """Neighbor lists (Verlet lists), one per particle; each chunk of several particles has a separate
+    segment.
 
     If each particle is a chunk, as on a GPU, the lists are in one segment without gaps, in any order.
 
@@ -505,7 +550,8 @@ class State:
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.structure = structure_of(plan)
-        self.plan, self.backend = plan, backend
+        self.plan = plan
+        self.backend = backend
         self._built: dict[Any, Any] = {}
         self.capacities = plan.capacities
         self._allocate()
@@ -516,7 +562,8 @@ class State:
 
         Raises nothing for another structure, see `plan.structure`; the caller compares.
         """
-        self.plan, self.capacities = plan, replace(self.capacities, segments=plan.capacities.segments)
+        self.plan = plan
+        self.capacities = replace(self.capacities, segments=plan.capacities.segments)
         if not self._block.clear():
             self.built(build_clear)()
         self._begin()
@@ -541,7 +588,10 @@ class State:
         return self._block.fields
 
     def _allocate(self) -> None:
-        plan, capacities, backend, block = self.plan, self.capacities, self.backend, FieldBlock(self.backend)
+        plan = self.plan
+        capacities = self.capacities
+        backend = self.backend
+        block = FieldBlock(self.backend)
         self._block = block
         self.parameters = Parameters(block, plan, capacities, backend)
         self.particles = Particles(block, plan, backend)
@@ -550,8 +600,12 @@ class State:
         self.batch: Any = PairBatch(block, plan, capacities, backend) if batched else None
         self.cell_sort = CellSort(block, plan, backend)
         self.walls = Walls(block, plan, backend)
-        self.wall_dynamics: Any = WallDynamicsFields(block, plan, backend) if plan.controlled_motions else None
-        self.mesh: Any = Fields(block.arrays(mesh_arrays(plan), backend)) if plan.features.mesh_walls else None
+        self.wall_dynamics: Any = (
+            WallDynamicsFields(block, plan, backend) if plan.controlled_motions else None
+        )
+        self.mesh: Any = (
+            Fields(block.arrays(mesh_arrays(plan), backend)) if plan.features.mesh_walls else None
+        )
         self.control = Control(block, plan, backend)
         block.finish()
 
@@ -562,7 +616,8 @@ class State:
 
     @property
     def chunk_count(self) -> int:
-        """Number of chunks that contain particles, at least 1: the first chunk has the forces on walls of all ranks."""
+        """Number of chunks that contain particles, at least 1: the first chunk has the forces on walls of all
+        ranks."""
         return max(-(-self.count // self.plan.chunk_size), 1)
 
     @property
@@ -575,9 +630,11 @@ class State:
         return self.parameters.reader(name, component)
 
     def built(self, build: Callable[..., Built], *options: Any) -> Built:
-        """Return `build(state, *options)`, built at first use, and again after the fields have been reallocated.
+        """Return `build(state, *options)`, built at first use, and again after the fields have been
+        reallocated.
 
-        For kernels and tables that a run may not need; they refer to the fields that exist when they are built.
+        For kernels and tables that a run may not need; they refer to the fields that exist when they are
+        built.
         """
         key = (build, *options)
         if key not in self._built:
@@ -589,8 +646,8 @@ class State:
         """Reallocate all fields with larger neighbor lists, build all kernels again, restore the values.
 
         capacities:  new lengths of the arrays
-        build:       builds the kernels; it may launch them on empty ranges, because the restored values overwrite their
-                     output
+        build:       builds the kernels; it may launch them on empty ranges, because the restored values
+                     overwrite their output
         """
         saved = [read_field(field) for field in self._block.fields]
         self.free()
@@ -600,7 +657,8 @@ class State:
         self.parameters.write(self.plan, capacities)
 
     def grow_on_device(self, capacities: Capacities, build: Callable[[], None]) -> None:
-        """As `grow_neighbor_list`, without a copy on the host: one kernel copies all fields, old and new in memory."""
+        """As `grow_neighbor_list`, without a copy on the host: one kernel copies all fields, old and new in
+        memory."""
         self._free_built()
         old = self._block
         self._allocate_grown(capacities, build)
@@ -630,8 +688,12 @@ class FreedState:
     """What remains of the state of an engine that has been freed."""
 
     def __init__(self, state: State) -> None:
-        self.plan, self.backend, self.capacities = state.plan, state.backend, state.capacities
-        self.clock, self.count, self.wall_motions = state.clock, state.count, state.wall_motions
+        self.plan = state.plan
+        self.backend = state.backend
+        self.capacities = state.capacities
+        self.clock = state.clock
+        self.count = state.count
+        self.wall_motions = state.wall_motions
 
     def __getattr__(self, name: str) -> Any:
         raise GranflowError("This simulation has been freed. Read its results before, or create another one.")

@@ -18,7 +18,15 @@ from granflow.engine.pair import (
     build_sphere_kinematics,
 )
 from granflow.engine.state import State
-from granflow.engine.sums import SHARES, build_list_shares, carried, energy_words, exact_total, exact_totals, to_units
+from granflow.engine.sums import (
+    SHARES,
+    build_list_shares,
+    carried,
+    energy_words,
+    exact_total,
+    exact_totals,
+    to_units,
+)
 from granflow.engine.walls import WallGeometry, triangles_of, walls_of
 from granflow.kernel_language import ti
 from granflow.plan.capacities import ENERGY
@@ -30,11 +38,13 @@ AT_LIMIT = 1.0 - 1e-6
 def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All candidate pairs on the host; pairs across two chunks occur twice.
 
-    Returns:  owner (p,), list index (p,) and partner (p,), int64; a negative partner is a wall, see `walls_of`
+    Returns:  owner (p,), list index (p,) and partner (p,), int64; a negative partner is a wall, see
+              `walls_of`
     """
     rows = state.built(list_table).take(slice(0, state.count))
     begin, end = rows["begin"], rows["end"]
-    owner, list_index = np.repeat(np.arange(state.count), end - begin), consecutive(begin, end - begin).astype(np.int64)
+    owner = np.repeat(np.arange(state.count), end - begin)
+    list_index = consecutive(begin, end - begin).astype(np.int64)
     return owner, list_index, state.built(_partner_table).take(list_index)["partner"].astype(np.int64)
 
 
@@ -52,7 +62,8 @@ class ContactOutput:
     """Forces and overlaps of all contacts at the present positions; the contact histories do not change."""
 
     def __init__(self, state: State) -> None:
-        self.state, self.block = state, FieldBlock(state.backend)
+        self.state = state
+        self.block = FieldBlock(state.backend)
         self.capacity = state.capacities.list_entries
         real = state.backend.real
         self.numbers = self.block.vector(real, self.capacity, count=len(QUANTITIES))
@@ -68,9 +79,9 @@ class ContactOutput:
 
         ids:      (particles,) of all particles that lists can contain, in device order
         pose:     index of the wall poses at the present time, see `WallPoses.index_at`
-        Returns:  arrays by the names of CONTACT_QUANTITIES and the normal history; the particle with the lower id is
-                  the first of a contact, and contacts are in the order of the ids; on MPI ranks, those of all ranks on
-                  the root
+        Returns:  arrays by the names of CONTACT_QUANTITIES and the normal history; the particle with the
+                  lower id is the first of a contact, and contacts are in the order of the ids; on MPI ranks,
+                  those of all ranks on the root
         """
         found = self.state.ranks.gathered(self._of_this_process(ids, pose))
         order = np.lexsort([found[name] for name in ("triangle", "wall", "id_j", "id_i")])
@@ -82,13 +93,15 @@ class ContactOutput:
         found = dict(zip(QUANTITIES, entries["numbers"].T.astype(float), strict=True))
         normal_history = self._history(entries, found["overlap"])
         loading = found["overlap"] >= normal_history["overlap_max"]
-        other, with_wall = np.maximum(partner, 0), partner < 0
+        other = np.maximum(partner, 0)
+        with_wall = partner < 0
         wall, triangle = (np.full(len(partner), -1, np.int32) for _ in range(2))
         wall[with_wall] = walls_of(state, partner[with_wall])
         triangle[with_wall] = triangles_of(state, partner[with_wall])
         box = state.plan.periodic_box.at(state.clock.time)
         position = box.wrap(state.built(_position_table).take(slice(0, len(ids)))["position"].astype(float))
-        friction_limit, first = found.pop("friction_limit"), position[owner]
+        friction_limit = found.pop("friction_limit")
+        first = position[owner]
         second = box.nearest_images(position[other], first)
         sliding = (friction_limit > 0.0) & (found["tangential_force"] >= AT_LIMIT * friction_limit)
         return (
@@ -110,14 +123,15 @@ class ContactOutput:
     def _pairs(self, ids: np.ndarray, pose: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """Owner and partner (n,) of all contacts, each pair once, and the arrays of their list entries.
 
-        Of a pair in two lists, that of the particle with the lower id counts. A pair in one list is turned if its owner
-        has the higher id: forces and vectors of the history change their sign.
+        Of a pair in two lists, that of the particle with the lower id counts. A pair in one list is turned if
+        its owner has the higher id: forces and vectors of the history change their sign.
         """
         state = self.state
         if state.count:
             self._evaluate(state.count, pose, state.clock.time_step)
         owner, list_index, partner = candidate_pairs(state)
-        entries, size = self._table.take(list_index), state.plan.chunk_size
+        entries = self._table.take(list_index)
+        size = state.plan.chunk_size
         id_partner = np.where(partner < 0, np.iinfo(np.int32).max, ids[np.maximum(partner, 0)])
         counts = (ids[owner] < id_partner) | (owner // size == partner // size)
         is_contact = counts & (entries["numbers"][:, OVERLAP] > 0.0)
@@ -126,12 +140,15 @@ class ContactOutput:
         owner, partner = np.where(turned, partner, owner), np.where(turned, owner, partner)
         entries["force"][turned] *= -1.0
         for slot in state.neighbors.history:
-            entries[slot][turned] *= np.where(vector_components(state, slot), -1, 1).astype(entries[slot].dtype)
+            entries[slot][turned] *= np.where(vector_components(state, slot), -1, 1).astype(
+                entries[slot].dtype
+            )
         # -0.0 + 0.0 is 0.0: the sign of a zero depends on the list that contains the pair.
         return owner, partner, {name: each + 0.0 for name, each in entries.items()}
 
     def _history(self, entries: Mapping[str, np.ndarray], overlap: np.ndarray) -> dict[str, np.ndarray]:
-        """Maximum overlap [m] and restitution (n,), without a history the overlap itself and 1, and shown histories.
+        """Maximum overlap [m] and restitution (n,), without a history the overlap itself and 1, and shown
+        histories.
 
         Fields of other models than the normal one have the slot as prefix.
         """
@@ -158,11 +175,16 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
     Writes:  numbers, force, contact_point of `output`
     """
-    particles, neighbors, real = state.particles, state.neighbors, state.backend.real
-    any_kinematics, read_history = build_any_kinematics(state), build_read_history(state)
+    particles = state.particles
+    neighbors = state.neighbors
+    real = state.backend.real
+    any_kinematics = build_any_kinematics(state)
+    read_history = build_read_history(state)
     pair_constants = build_pair_constants(state)
-    normal_force_of, surface_forces = build_normal_force(state.plan.laws, False), _build_surface_forces(state)
-    numbers, contact_point_of = output.numbers, _build_contact_point(state)
+    normal_force_of = build_normal_force(state.plan.laws, False)
+    surface_forces = _build_surface_forces(state)
+    numbers = output.numbers
+    contact_point_of = _build_contact_point(state)
 
     @ti.kernel
     def evaluate(count: ti.i32, pose: ti.i32, dt: real):
@@ -175,7 +197,9 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
                     constants = pair_constants(i, j)
                     history = read_history(list_index)
                     normal_force, load, _viscous, _new = normal_force_of(constants, contact, history)
-                    tangential, size, limit = surface_forces(constants, contact, load, history, particles.velocity[i])
+                    tangential, size, limit = surface_forces(
+                        constants, contact, load, history, particles.velocity[i]
+                    )
                     numbers[list_index][NORMAL] = normal_force
                     numbers[list_index][TANGENTIAL] = size
                     numbers[list_index][LIMIT] = limit
@@ -190,7 +214,8 @@ def _build_contact_point(state: State) -> Any:
 
     Reads:  position, walls
     """
-    geometry, wrap_position = WallGeometry(state), build_wrap_position(state)
+    geometry = WallGeometry(state)
+    wrap_position = build_wrap_position(state)
 
     @ti.func
     def contact_point_of(i, j, pose):
@@ -205,7 +230,8 @@ def _build_contact_point(state: State) -> Any:
 
 
 def _build_surface_forces(state: State) -> Any:
-    """Device function (constants, contact, load, history, a vector): tangential force [N], its size and limit [N].
+    """Device function (constants, contact, load, history, a vector): tangential force [N], its size and limit
+    [N].
 
     The vector gives the type of the force; without a tangential model all are 0.
     """
@@ -213,7 +239,9 @@ def _build_surface_forces(state: State) -> Any:
 
     @ti.func
     def surface_forces(constants, contact, load, history, vector):
-        force, size, limit = 0.0 * vector, 0.0 * load, 0.0 * load
+        force = 0.0 * vector
+        size = 0.0 * load
+        limit = 0.0 * load
         if ti.static(laws.has_tangential):
             surface = ti.Struct(
                 radius_eff=contact.radius_eff,
@@ -247,7 +275,8 @@ class ContactStatistics:
 
     def __init__(self, state: State) -> None:
         self.state = state
-        self.block, chunks = FieldBlock(state.backend), state.plan.capacities.chunks
+        self.block = FieldBlock(state.backend)
+        chunks = state.plan.capacities.chunks
         self._rows = chunks if state.backend.on_cpu else min(chunks, GPU_ROWS)
         self._names = (*SUMS, *LIQUID_SUMS) if transfers_liquid(state) else SUMS
         self.sums = self.block.vector(ti.i64, self._rows, count=len(self._names))
@@ -261,10 +290,12 @@ class ContactStatistics:
 
         pose:  index of the wall poses at the present time, see `WallPoses.index_at`
 
-        Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius; LIQUID_SUMS
-        with a model that transfers liquid.
+        Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius;
+        LIQUID_SUMS with a model that transfers liquid.
         """
-        state, ranks, chunks = self.state, self.state.ranks, self.state.chunk_count
+        state = self.state
+        ranks = self.state.ranks
+        chunks = self.state.chunk_count
         rows = min(chunks, self._rows)
         if chunks:
             self._measure(chunks, rows, state.count, pose, state.clock.time_step)
@@ -287,17 +318,26 @@ def particles_of_row(row, rows, chunks, size, count):
 
 
 def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> Callable[..., None]:
-    """Kernel (chunks, rows, count, pose, time_step): exact sums, energies and the largest relative overlap by row.
+    """Kernel (chunks, rows, count, pose, time_step): exact sums, energies and the largest relative overlap by
+    row.
 
     A row is that of a chunk, or of every k-th one if there are k rows.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
     Writes:  coordination_number, wall_contact_count, sums, energies, largest
     """
-    particles, neighbors, has_walls = state.particles, state.neighbors, state.plan.features.walls
-    real, chunk_size, sum_count = state.backend.real, state.parameter("chunk_size"), sums.n
-    any_kinematics, list_shares, energies = build_any_kinematics(state), build_list_shares(state), build_energies(state)
-    pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
+    particles = state.particles
+    neighbors = state.neighbors
+    has_walls = state.plan.features.walls
+    real = state.backend.real
+    chunk_size = state.parameter("chunk_size")
+    sum_count = sums.n
+    any_kinematics = build_any_kinematics(state)
+    list_shares = build_list_shares(state)
+    energies = build_energies(state)
+    pair_constants = build_pair_constants(state)
+    in_range = build_in_range(state)
+    stride = state.stride
     per_unit, (with_film, with_bridge) = state.parameter("per_unit", ENERGY), _build_liquid_sums(state)
 
     @ti.kernel
@@ -309,9 +349,11 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
         for task in range(rows * stride):
             if task % stride == 0:
                 row = task // stride
-                found, overlap_largest = ti.Vector.zero(ti.i64, sum_count), ti.cast(0.0, real)
+                found = ti.Vector.zero(ti.i64, sum_count)
+                overlap_largest = ti.cast(0.0, real)
                 low, high = ti.Vector.zero(ti.i64, 2), ti.Vector.zero(ti.i64, 2)
-                per_joule, size = per_unit(), chunk_size()
+                per_joule = per_unit()
+                size = chunk_size()
                 for k in range(particles_of_row(row, rows, chunks, size, count)):
                     chunk = row + k // size * rows
                     i = chunk * size + k % size
@@ -354,7 +396,9 @@ def _build_liquid_sums(state: State) -> tuple[Any, Any]:
 
     Reads:  liquid_film, history
     """
-    liquid, particles, history = transfers_liquid(state), state.particles, state.neighbors.history
+    liquid = transfers_liquid(state)
+    particles = state.particles
+    history = state.neighbors.history
     unit = state.parameter("liquid_unit") if liquid else None
 
     @ti.func
@@ -375,14 +419,17 @@ def _build_liquid_sums(state: State) -> tuple[Any, Any]:
 
 
 def build_energies(state: State) -> Any:
-    """Device function (list index, constants, contact): stored and lost energy [J]; 0 without the energy budget.
+    """Device function (list index, constants, contact): stored and lost energy [J]; 0 without the energy
+    budget.
 
-    The stored energy includes that of the tangential, rolling, twisting and cohesion models; the lost energy is the
-    plastic work.
+    The stored energy includes that of the tangential, rolling, twisting and cohesion models; the lost energy
+    is the plastic work.
 
     Reads:  history
     """
-    laws, energy_budget, read_history = state.plan.laws, state.plan.features.energy_budget, build_read_history(state)
+    laws = state.plan.laws
+    energy_budget = state.plan.features.energy_budget
+    read_history = build_read_history(state)
 
     @ti.func
     def with_surface_energy(normal_energy, constants, contact, history):
@@ -404,7 +451,8 @@ def build_energies(state: State) -> Any:
 
     @ti.func
     def energies(list_index, constants, contact):
-        stored, lost = 0.0 * contact.overlap, 0.0 * contact.overlap
+        stored = 0.0 * contact.overlap
+        lost = 0.0 * contact.overlap
         if ti.static(energy_budget):
             history = read_history(list_index)
             if contact.overlap > 0.0:
@@ -434,11 +482,13 @@ class MaxImpactVelocity:
         self._scan = _build_scan(state, self._squares)
 
     def measure(self) -> float:
-        """Largest impact velocity [m/s] of all candidate pairs, including the elastic energy of present overlaps.
+        """Largest impact velocity [m/s] of all candidate pairs, including the elastic energy of present
+        overlaps.
 
         On MPI ranks, of those of all ranks.
         """
-        state, largest = self.state, 0.0
+        state = self.state
+        largest = 0.0
         if state.count:
             self._scan(state.chunk_count, state.count, state.clock.time_step)
             largest = float(np.sqrt(self._squares.to_numpy()[: state.chunk_count].max()))
@@ -451,8 +501,11 @@ def _build_scan(state: State, squares: Any) -> Any:
     Reads:   position, velocity, radius, mass, neighbor lists, walls
     Writes:  squares
     """
-    neighbors, stride, real = state.neighbors, state.stride, state.backend.real
-    chunk_size, energy_velocity_squared = state.parameter("chunk_size"), _build_square(state)
+    neighbors = state.neighbors
+    stride = state.stride
+    real = state.backend.real
+    chunk_size = state.parameter("chunk_size")
+    energy_velocity_squared = _build_square(state)
 
     @ti.kernel
     def scan(chunks: ti.i32, count: ti.i32, dt: real):
@@ -462,21 +515,26 @@ def _build_scan(state: State, squares: Any) -> Any:
                 largest = ti.cast(0.0, real)
                 for i in range(chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
-                        largest = ti.max(largest, energy_velocity_squared(i, neighbors.partner[list_index], dt))
+                        largest = ti.max(
+                            largest, energy_velocity_squared(i, neighbors.partner[list_index], dt)
+                        )
                 squares[chunk] = largest
 
     return scan
 
 
 def _build_square(state: State) -> Any:
-    """Device function (i, j, time_step): squared impact velocity with the kinetic and elastic energy of a pair.
+    """Device function (i, j, time_step): squared impact velocity with the kinetic and elastic energy of a
+    pair.
 
         v^2 = d'^2 + 4 k d^2.5 / (5 M)        (Zhou 2011, Eq. 5)
 
     For a pair without overlap v is the approach velocity, 0 if the pair separates.
     """
-    overlap_and_rate, pair_constants = _build_overlap_and_rate(state), build_pair_constants(state)
-    effective, wall_effective = build_effective(state, False), build_effective(state, True)
+    overlap_and_rate = _build_overlap_and_rate(state)
+    pair_constants = build_pair_constants(state)
+    effective = build_effective(state, False)
+    wall_effective = build_effective(state, True)
 
     @ti.func
     def energy_velocity_squared(i, j, dt):
@@ -499,20 +557,26 @@ def _build_overlap_and_rate(state: State) -> Any:
 
     Walls are at pose 0. Velocities are half a step behind the positions.
     """
-    particles, real, has_walls = state.particles, state.backend.real, state.plan.has_walls
-    sphere_kinematics, geometry = build_sphere_kinematics(state.plan), WallGeometry(state)
-    minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)
+    particles = state.particles
+    real = state.backend.real
+    has_walls = state.plan.has_walls
+    sphere_kinematics = build_sphere_kinematics(state.plan)
+    geometry = WallGeometry(state)
+    minimum_image = build_minimum_image(state)
+    image_velocity = build_image_velocity(state)
 
     @ti.func
     def overlap_and_rate(i, j, dt):
-        overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
+        overlap = 0.0 * particles.radius[i]
+        rate = 0.0 * particles.radius[i]
         if j >= 0:
             branch = ti.cast(minimum_image(particles.position[i], particles.position[j], 0), real)
             velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, 0)
             kinematics = sphere_kinematics(
                 particles.radius[i], particles.radius[j], branch, velocity_rel_half, velocity_rel_half, dt
             )
-            overlap, rate = kinematics.overlap, kinematics.overlap_rate_half
+            overlap = kinematics.overlap
+            rate = kinematics.overlap_rate_half
         elif ti.static(has_walls):
             gap, normal = geometry.closest(-1 - j, 0, particles.position[i])
             wall_velocity = geometry.velocity(-1 - j, 0, particles.position[i])

@@ -1,8 +1,9 @@
 """Kernel of a time step on a GPU, in two dispatches: integration, then contact forces; each chunk is a task.
 
-The host launches many steps before it reads a flag. A step that requests a rebuild, or aborts, records the number of
-its launch in `halted_at`; all later launches then do nothing. A phase compares numbers that no task of the same phase
-can change for it, so that all of its tasks decide alike, and no serial task is needed between the phases.
+The host launches many steps before it reads a flag. A step that requests a rebuild, or aborts, records the
+number of its launch in `halted_at`; all later launches then do nothing. A phase compares numbers that no task
+of the same phase can change for it, so that all of its tasks decide alike, and no serial task is needed
+between the phases.
 """
 
 from collections.abc import Callable
@@ -40,7 +41,8 @@ def _build_passes(state: State) -> tuple[int, Any]:
 
     Reads:  in_contact
     """
-    neighbors, pass_count = state.neighbors, len(CONTACT_ORDER) if transfers_history(state) else 1
+    neighbors = state.neighbors
+    pass_count = len(CONTACT_ORDER) if transfers_history(state) else 1
 
     @ti.func
     def in_this_pass(list_index, pass_index):
@@ -53,18 +55,23 @@ def _build_passes(state: State) -> tuple[int, Any]:
 
 
 def _build_particle_forces(state: State) -> Any:
-    """Device function (chunk, i, acceleration, pose, time_step): sums of the forces and torques on one particle.
+    """Device function (chunk, i, acceleration, pose, time_step): sums of the forces and torques on one
+    particle.
 
-    Those of walls and, without batches, of particles; in f64 with the rounded weight. Integration adds the rest of the
-    weight. A further loop over the particles, which adds the weight to the sums, takes an eighth of the time of the
-    forces.
+    Those of walls and, without batches, of particles; in f64 with the rounded weight. Integration adds the
+    rest of the weight. A further loop over the particles, which adds the weight to the sums, takes an eighth
+    of the time of the forces.
 
     Reads:   mass, neighbor lists, and as `build_contact`
     Writes:  as `build_contact`
     """
-    plan, neighbors, particles = state.plan, state.neighbors, state.particles
-    exact, batched = holds_sums(state), state.batch is not None
-    shift, shift_torque = state.parameter("shift", FORCE), state.parameter("shift", TORQUE)
+    plan = state.plan
+    neighbors = state.neighbors
+    particles = state.particles
+    exact = holds_sums(state)
+    batched = state.batch is not None
+    shift = state.parameter("shift", FORCE)
+    shift_torque = state.parameter("shift", TORQUE)
     to_grid = build_to_grid(state.backend.real)
     particle_contact = None if batched else build_contact(state, False)
     wall_contact = build_contact(state, True) if plan.has_walls else None
@@ -86,11 +93,15 @@ def _build_particle_forces(state: State) -> Any:
             for pass_index in range(pass_count):
                 for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
                     if in_this_pass(list_index, pass_index) == 1:
-                        force, torque = wall_contact(chunk, i, list_index, neighbors.partner[list_index], pose, dt)
+                        force, torque = wall_contact(
+                            chunk, i, list_index, neighbors.partner[list_index], pose, dt
+                        )
                         force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
         if ti.static(not batched):
             for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
-                force, torque = particle_contact(chunk, i, list_index, neighbors.partner[list_index], pose, dt)
+                force, torque = particle_contact(
+                    chunk, i, list_index, neighbors.partner[list_index], pose, dt
+                )
                 force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
         return force_sum, torque_sum
 
@@ -98,11 +109,15 @@ def _build_particle_forces(state: State) -> Any:
 
 
 def _build_sums_of(state: State) -> Any:
-    """Device function (worker, i, place in the chunk): sums of the forces and torques on a particle after the batches.
+    """Device function (worker, i, place in the chunk): sums of the forces and torques on a particle after the
+    batches.
 
     Reads:  force, torque; or the sums of the batch, see `holds_sums`
     """
-    particles, batch, exact, rotation = state.particles, state.batch, holds_sums(state), state.plan.features.rotation
+    particles = state.particles
+    batch = state.batch
+    exact = holds_sums(state)
+    rotation = state.plan.features.rotation
 
     @ti.func
     def sums_of(worker, i, local):
@@ -122,26 +137,37 @@ def _build_sums_of(state: State) -> Any:
 
 
 def build_forces(state: State) -> Any:
-    """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one chunk.
+    """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one
+    chunk.
 
-    Forces are at the time of the positions and include the weight. A pair across two chunks is evaluated in both, so
-    that no two workers write to the same particle.
+    Forces are at the time of the positions and include the weight. A pair across two chunks is evaluated in
+    both, so that no two workers write to the same particle.
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
     Writes:  force, torque, history, losses, impulses, wall forces, abort
     """
-    features, particles, batch = state.plan.features, state.particles, state.batch
-    exact, adds_others = holds_sums(state), features.external_forces or features.damping != "none"
-    chunk_size, gravity, real = state.parameter("chunk_size"), state.parameter("gravity"), state.backend.real
-    batched, set_forces, carry_sums = batch is not None, build_set_forces(state), build_carry_sums(state)
+    features = state.plan.features
+    particles = state.particles
+    batch = state.batch
+    exact = holds_sums(state)
+    adds_others = features.external_forces or features.damping != "none"
+    chunk_size = state.parameter("chunk_size")
+    gravity = state.parameter("gravity")
+    real = state.backend.real
+    batched = batch is not None
+    set_forces = build_set_forces(state)
+    carry_sums = build_carry_sums(state)
     batched_forces = build_batched_forces(state) if batched else None
-    particle_forces, sums_of = _build_particle_forces(state), _build_sums_of(state)
-    force_controlled, clear_wall_work_ahead = features.force_controlled_walls, build_clear_wall_work_ahead(state)
+    particle_forces = _build_particle_forces(state)
+    sums_of = _build_sums_of(state)
+    force_controlled = features.force_controlled_walls
+    clear_wall_work_ahead = build_clear_wall_work_ahead(state)
     clear_wall_forces, _add = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
     def forces(worker, chunk, count, pose, dt):
-        size, acceleration = chunk_size(), ti.cast(gravity(), real)
+        size = chunk_size()
+        acceleration = ti.cast(gravity(), real)
         first, last = chunk * size, ti.min((chunk + 1) * size, count)
         clear_wall_work_ahead(chunk)
         if ti.static(force_controlled):
@@ -175,15 +201,17 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
 
     integrate, forces:  device functions of `build_integrate` and `build_forces`
 
-    Arguments: number of the launch, number of steps before it since the flags were read, number of chunks, particle
-    count, pose, time step [s], and whether to integrate (`moving`) and compute forces (`forcing`).
+    Arguments: number of the launch, number of steps before it since the flags were read, number of chunks,
+    particle count, pose, time step [s], and whether to integrate (`moving`) and compute forces (`forcing`).
 
     The loops have constant lengths: Taichi computes any other length in a dispatch of its own.
 
     Reads:   as the phases
     Writes:  as the phases; halted_at, steps_done
     """
-    control, real, most_chunks = state.control, state.backend.real, state.plan.capacities.chunks
+    control = state.control
+    real = state.backend.real
+    most_chunks = state.plan.capacities.chunks
     threads = thread_count(most_chunks)
     move, compute_forces = (
         build_tasks_of_thread(body, most_chunks) for body in _build_phases(state, integrate, forces)
@@ -191,14 +219,20 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
 
     @ti.kernel
     def step_on_gpu(
-        number: ti.i32, steps_before: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
-        forcing: ti.i32
-    ):  # fmt: skip
+        number: ti.i32,
+        steps_before: ti.i32,
+        chunks: ti.i32,
+        count: ti.i32,
+        pose: ti.i32,
+        dt: real,
+        moving: ti.i32,
+        forcing: ti.i32,
+    ):
         for thread in range(threads):
             if moving == 1 and ti.min(control.halted_at[INTEGRATION], control.halted_at[FORCES]) >= number:
                 launch = ti.Struct(
                     number=number, steps_before=steps_before, chunks=chunks, count=count, pose=pose, dt=dt
-                )  # fmt: skip
+                )
                 move(thread, chunks, launch)
         for thread in range(threads):
             if forcing == 1 and control.halted_at[INTEGRATION] > number:
@@ -210,13 +244,16 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
 
 
 def _build_phases(state: State, integrate: Any, forces: Any) -> tuple[Any, Any]:
-    """Device functions (chunk, launch) of the integration and of the forces; `launch`: arguments of the kernel."""
-    control, force_controlled = state.control, state.plan.features.force_controlled_walls
+    """Device functions (chunk, launch) of the integration and of the forces; `launch`: arguments of the
+    kernel."""
+    control = state.control
+    force_controlled = state.plan.features.force_controlled_walls
     move_walls = build_move_walls(state) if force_controlled else None
 
     @ti.func
     def record_halt(phase: ti.template(), number):
-        """Record that this launch requests a rebuild or aborts; each task that does so sees its own request."""
+        """Record that this launch requests a rebuild or aborts; each task that does so sees its own
+        request."""
         if control.abort[0] != 0 or (phase == INTEGRATION and control.rebuild_requested[0] == 1):
             if control.halted_at[phase] != number:
                 control.halted_at[phase] = number
@@ -255,40 +292,60 @@ LIMIT_SQUARED = 2.0 ** (2 * SUM_BITS)
 def build_integrate(state: State) -> Any:
     """Device function (chunk, count, pose, time_step): kick and drift the particles of one chunk.
 
-    Requests a rebuild if a particle has moved by more than its reach since the last one; aborts if a position is
-    not finite, a displacement in one step exceeds `plan.travel_limit`, or a force the range of exact sums.
+    Requests a rebuild if a particle has moved by more than its reach since the last one; aborts if a position
+    is not finite, a displacement in one step exceeds `plan.travel_limit`, or a force the range of exact sums.
 
     Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
-    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle,
-             external_work, losses, impulses; as `build_changed`, `build_wrap`, `build_begin_step`, `build_move_clump`
+    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort,
+             abort_particle, external_work, losses, impulses; as `build_changed`, `build_wrap`,
+             `build_begin_step`, `build_move_clump`
     """
-    particles, features = state.particles, state.plan.features
-    periodic, counts_damping = features.periodic != "none", features.damping != "none" and features.energy_budget
-    step_limit, wrap = state.parameter("travel_limit_squared"), build_wrap(state) if periodic else None
-    add_work, carry_impulses = build_add_external_work(state), build_carry_impulses(state)
+    particles = state.particles
+    features = state.plan.features
+    periodic = features.periodic != "none"
+    counts_damping = features.damping != "none" and features.energy_budget
+    step_limit = state.parameter("travel_limit_squared")
+    wrap = build_wrap(state) if periodic else None
+    add_work = build_add_external_work(state)
+    carry_impulses = build_carry_impulses(state)
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
-    weight_rest, begin_step, mobility = build_weight_rest(state), build_begin_step(state), build_mobility(state)
-    square_of_sums, request, real = _build_square_of_sums(state), _build_request(state), state.backend.real
-    changed_velocity, changed_rotation = (build_changed(state, name) for name in ("velocity", "angular_velocity"))
+    weight_rest = build_weight_rest(state)
+    begin_step = build_begin_step(state)
+    mobility = build_mobility(state)
+    square_of_sums = _build_square_of_sums(state)
+    request = _build_request(state)
+    real = state.backend.real
+    changed_velocity, changed_rotation = (
+        build_changed(state, name) for name in ("velocity", "angular_velocity")
+    )
     integrate_clumps = build_integrate_clumps(state, request, square_of_sums) if features.clumps else None
-    gravity, shift, per_unit, chunk_size = map(state.parameter, ("gravity", "shift", "per_unit", "chunk_size"))
+    gravity, shift, per_unit, chunk_size = map(
+        state.parameter, ("gravity", "shift", "per_unit", "chunk_size")
+    )
 
     @ti.func
     def integrate(chunk, count, pose, dt):
         carry_impulses(chunk)
-        size, step_squared_limit = chunk_size(), step_limit()
-        acceleration, shift_of_force, units = ti.cast(gravity(), real), shift()[FORCE], per_unit()
+        size = chunk_size()
+        step_squared_limit = step_limit()
+        acceleration = ti.cast(gravity(), real)
+        shift_of_force = shift()[FORCE]
+        units = per_unit()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
             if ti.static(features.clumps):
                 if particles.clump[i] >= 0:
                     continue
             begin_step(i)
-            mass, force, torque = particles.mass[i], particles.force[i], 0.0 * particles.force[i]
+            mass = particles.mass[i]
+            force = particles.force[i]
+            torque = 0.0 * particles.force[i]
             kick = mobility(i) * dt / mass * (force + weight_rest(mass * acceleration, shift_of_force))
             velocity = changed_velocity(i, kick)
             if ti.static(features.rate_dependent):
                 particles.velocity_synchronized[i] = velocity + 0.5 * kick
-            particles.velocity[i] = velocity  # an assignment: Taichi compiles `+=` on a field to an atomic operation
+            particles.velocity[i] = (
+                velocity  # an assignment: Taichi compiles `+=` on a field to an atomic operation
+            )
             if ti.static(features.external_forces and features.energy_budget):
                 add_work(chunk, i, particles.external_force[i], velocity, dt)
             step_displacement = dt * velocity
@@ -300,10 +357,14 @@ def build_integrate(state: State) -> Any:
                 particles.angular_velocity[i] = changed_rotation(i, mobility(i) * dt / inertia * torque)
             if ti.static(counts_damping):
                 add_damping_loss(chunk, i, dt)
-            displacement, reach = (position - particles.position_at_rebuild[i]).norm_sqr(), particles.reach[i]
-            step, sums = step_displacement.norm_sqr(), square_of_sums(force, torque, units)
+            displacement = (position - particles.position_at_rebuild[i]).norm_sqr()
+            reach = particles.reach[i]
+            step = step_displacement.norm_sqr()
+            sums = square_of_sums(force, torque, units)
             # One branch per particle: with one for each limit, the whole step takes 8 % longer.
-            is_usual = (displacement <= reach * reach) & (step <= step_squared_limit) & (sums <= LIMIT_SQUARED)
+            is_usual = (
+                (displacement <= reach * reach) & (step <= step_squared_limit) & (sums <= LIMIT_SQUARED)
+            )
             if not is_usual:
                 request(i, displacement, reach * reach, step, step_squared_limit, sums)
             if ti.static(periodic):
@@ -317,12 +378,13 @@ def build_integrate(state: State) -> Any:
 def _build_request(state: State) -> Any:
     """Device function: request a rebuild or an abort because of particle i.
 
-    Arguments: i, squares of the displacement since the last rebuild and of the reach [m^2], squares of the displacement
-    in this step and of its limit [m^2], `square_of_sums`.
+    Arguments: i, squares of the displacement since the last rebuild and of the reach [m^2], squares of the
+    displacement in this step and of its limit [m^2], `square_of_sums`.
 
     Writes:  rebuild_requested, abort, abort_particle
     """
-    particles, control = state.particles, state.control
+    particles = state.particles
+    control = state.control
 
     @ti.func
     def request(i, displacement, reach, step, step_squared_limit, sums):
@@ -344,7 +406,8 @@ def _build_request(state: State) -> Any:
 
 
 def _build_square_of_sums(state: State) -> Any:
-    """Device function (force, torque, per_unit): the larger of their squares in units; sums are exact below a limit."""
+    """Device function (force, torque, per_unit): the larger of their squares in units; sums are exact below a
+    limit."""
     rotation = state.plan.features.rotation
 
     @ti.func
@@ -367,8 +430,11 @@ def build_kick(state: State) -> Any:
     Reads:   force, torque, mass, radius, fixed, clump
     Writes:  velocity, angular_velocity; clumps as `build_kick_clump`
     """
-    particles, rotation, real = state.particles, state.plan.features.rotation, state.backend.real
-    mobility, clumps = build_mobility(state), state.plan.features.clumps
+    particles = state.particles
+    rotation = state.plan.features.rotation
+    real = state.backend.real
+    mobility = build_mobility(state)
+    clumps = state.plan.features.clumps
     kick_clump = build_kick_clump(state) if clumps else None
 
     @ti.kernel
@@ -378,7 +444,9 @@ def build_kick(state: State) -> Any:
                 if particles.clump[i] >= 0:
                     kick_clump(i, time)
                     continue
-            particles.velocity[i] = particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
+            particles.velocity[i] = (
+                particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
+            )
             if ti.static(rotation):
                 inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
                 particles.angular_velocity[i] = (
@@ -411,48 +479,70 @@ def build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., 
     Reads:   as the phases
     Writes:  as the phases; rebuild_due, steps_done, running, and the fields of the barrier
     """
-    control, real, cpu_steps = state.control, state.backend.real, CpuSteps(state, integrate, forces)
+    control = state.control
+    real = state.backend.real
+    cpu_steps = CpuSteps(state, integrate, forces)
 
     @ti.kernel
     def step_on_cpu(
-        steps: ti.i32, workers: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
-        forcing: ti.i32
-    ):  # fmt: skip
+        steps: ti.i32,
+        workers: ti.i32,
+        chunks: ti.i32,
+        count: ti.i32,
+        pose: ti.i32,
+        dt: real,
+        moving: ti.i32,
+        forcing: ti.i32,
+    ):
         control.worker_count[0] = workers
         control.next_chunk[CACHE_LINE] = 0
         control.arrived[CACHE_LINE] = 0
         control.arrived[2 * CACHE_LINE] = 0
         control.released[CACHE_LINE] = 0
-        control.running[0] = ti.cast(steps > 0 and control.rebuild_due[0] == 0 and control.abort[0] == 0, ti.i32)
+        control.running[0] = ti.cast(
+            steps > 0 and control.rebuild_due[0] == 0 and control.abort[0] == 0, ti.i32
+        )
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
                 launch = ti.Struct(
-                    worker=task // CPU_STRIDE, steps=steps, chunks=chunks, count=count, pose=pose, dt=dt,
-                    moving=moving, forcing=forcing,
-                )  # fmt: skip
+                    worker=task // CPU_STRIDE,
+                    steps=steps,
+                    chunks=chunks,
+                    count=count,
+                    pose=pose,
+                    dt=dt,
+                    moving=moving,
+                    forcing=forcing,
+                )
                 cpu_steps.work(launch)
 
     return step_on_cpu
 
 
 class CpuSteps:
-    """Device functions of one worker in a launch; `launch` is a struct of its number and the arguments of the kernel.
+    """Device functions of one worker in a launch; `launch` is a struct of its number and the arguments of the
+    kernel.
 
-    Workers process one chunk after the other; a barrier separates the phases. Taking chunks dynamically balances the
-    load, and does not affect the results, because each chunk writes to its particles only.
+    Workers process one chunk after the other; a barrier separates the phases. Taking chunks dynamically
+    balances the load, and does not affect the results, because each chunk writes to its particles only.
     """
 
     def __init__(self, state: State, integrate: Any, forces: Any) -> None:
-        self.control, self.force_controlled = state.control, state.plan.features.force_controlled_walls
+        self.control = state.control
+        self.force_controlled = state.plan.features.force_controlled_walls
         self.move_walls = build_move_walls(state) if self.force_controlled else None
-        self.integrate, self.forces = integrate, forces
+        self.integrate = integrate
+        self.forces = forces
 
     @ti.func
     def work(self, launch: ti.template()):
         """Steps of one worker, until the launch ends or the worker leaves it."""
-        barrier_number, left, computes_forces = 0, 0, 1 - launch.moving
+        barrier_number = 0
+        left = 0
+        computes_forces = 1 - launch.moving
         while left == 0 and self.control.running[0] == 1:
-            pose_now, chunk = launch.pose + self.control.steps_done[0], self._next_chunk()
+            pose_now = launch.pose + self.control.steps_done[0]
+            chunk = self._next_chunk()
             if computes_forces == 0:
                 while chunk < launch.chunks:
                     self.integrate(chunk, launch.count, pose_now, launch.dt)
@@ -473,7 +563,8 @@ class CpuSteps:
 
     @ti.func
     def _barrier(self, launch: ti.template(), number, computes_forces):
-        """Wait for all workers; the last one prepares the next phase. Returns 1 if this worker leaves the launch.
+        """Wait for all workers; the last one prepares the next phase. Returns 1 if this worker leaves the
+        launch.
 
         Polling atomic counters takes 1 us; waking the threads of Taichi for each phase takes 60 us.
         """
@@ -487,7 +578,8 @@ class CpuSteps:
 
     @ti.func
     def _prepare_phase(self, launch: ti.template(), number, computes_forces):
-        """Move the walls after the integration, count the step after the forces, and decide whether to continue."""
+        """Move the walls after the integration, count the step after the forces, and decide whether to
+        continue."""
         self.control.next_chunk[CACHE_LINE] = 0
         if ti.static(self.force_controlled):
             if computes_forces == 0:
@@ -501,5 +593,7 @@ class CpuSteps:
         if number == 1:
             self.control.started_count[0] = self.control.worker_count[0]
         if computes_forces == 1 and self.control.worker_count[0] < self.control.started_count[0]:
-            continues = False  # without a worker the rest of a launch costs more than the start of the next one
+            continues = (
+                False  # without a worker the rest of a launch costs more than the start of the next one
+            )
         self.control.running[0] = ti.cast(continues, ti.i32)

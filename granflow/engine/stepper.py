@@ -1,8 +1,9 @@
 """The phases of a time step, in order: integration, neighbor-list rebuild if it is due, contact forces.
 
-One launch takes many steps on a CPU and one on a GPU, see `gpu_stepper`. If a particle has moved by half the skin, all
-further phases of the launch do nothing until the host has rebuilt the neighbor list, so that no step needs a transfer
-to the host. If the list capacity is too small, the host reallocates the fields and repeats the rebuild.
+One launch takes many steps on a CPU and one on a GPU, see `gpu_stepper`. If a particle has moved by half the
+skin, all further phases of the launch do nothing until the host has rebuilt the neighbor list, so that no
+step needs a transfer to the host. If the list capacity is too small, the host reallocates the fields and
+repeats the rebuild.
 """
 
 import time as clock
@@ -45,7 +46,8 @@ class Timing:
     growth_count:         number of reallocations with a larger list capacity
     compile:              compilation of kernels
     exchange:             part of `advance`: messages between MPI ranks
-    waiting:              part of `advance`: agreement of MPI ranks on each step, which waits for the slowest rank
+    waiting:              part of `advance`: agreement of MPI ranks on each step, which waits for the slowest
+                          rank
     """
 
     neighbor_list: float = 0.0
@@ -103,15 +105,17 @@ class WallPoses:
         first = self._first_step
         if first is None or not 0 <= step - first < WALL_BATCH:
             self._upload(step)
-            self.next, first = 1, step
+            self.next = 1
+            first = step
         return step - first
 
     def prepare(self, step: int, steps_since_rebuild: int) -> int:
-        """Upload the poses of the steps after number `step` if necessary; returns the number of steps that they allow.
+        """Upload the poses of the steps after number `step` if necessary; returns the number of steps that
+        they allow.
 
-        If a wall may move too far in the next step, requests a rebuild: walls are not in the displacement check of the
-        particles. The rebuild follows the integration of the next step, as all others: forces are not computed again
-        for it.
+        If a wall may move too far in the next step, requests a rebuild: walls are not in the displacement
+        check of the particles. The rebuild follows the integration of the next step, as all others: forces
+        are not computed again for it.
         """
         if not self._state.plan.has_poses:
             return WALL_BATCH
@@ -137,7 +141,8 @@ class WallPoses:
             upload_offsets(self._state, step)
 
     def _steps_to_displacement_limit(self, steps_since_rebuild: int) -> int:
-        """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the skin.
+        """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the
+        skin.
 
         Force-controlled walls request their rebuilds on the device. WALL_BATCH if nothing moves.
         """
@@ -153,7 +158,8 @@ class WallPoses:
 
 
 LAUNCH_SECONDS = 0.05
-"""Wall-clock time of a CPU launch [s]. A launch cannot be interrupted: a stop takes effect between two launches."""
+"""Wall-clock time of a CPU launch [s]. A launch cannot be interrupted: a stop takes effect between two
+launches."""
 FIRST_LAUNCH = 50_000
 """Particle-steps of the first CPU launch, before the rate is known."""
 SAMPLE_EVERY = 256
@@ -166,8 +172,9 @@ class Stepper:
     state:       device data
     on_deleted:  see the class of the rebuild, `NeighborListRebuild`
 
-    `interrupted` stops `advance` after the present launch; `stop_signal`: number of the signal that another MPI rank
-    has received, otherwise 0. `clock_at_rebuild`: state of the clock at the last rebuild, None before the first.
+    `interrupted` stops `advance` after the present launch; `stop_signal`: number of the signal that another
+    MPI rank has received, otherwise 0. `clock_at_rebuild`: state of the clock at the last rebuild, None
+    before the first.
     """
 
     def __init__(self, state: State, on_deleted: Callable[..., None]) -> None:
@@ -190,7 +197,8 @@ class Stepper:
 
     def _compile(self) -> None:
         """Compile all phases, unless the state has them, by launching them on empty ranges."""
-        began, state = clock.perf_counter(), self.state
+        began = clock.perf_counter()
+        state = self.state
         self._rebuild.compile()
         self._step = state.built(build_steps)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
@@ -208,16 +216,19 @@ class Stepper:
         step:  number of the step to which the positions belong
         pose:  index of the wall poses at that time
         """
-        began, compiled = clock.perf_counter(), self.timing.compile
+        began = clock.perf_counter()
+        compiled = self.timing.compile
         self._prepare_workers()
         self._end_wall_work(withdraws=False)
         self._rebuild.run(pose, self._workers.count)
-        self.steps_since_rebuild, self.clock_at_rebuild = 0, self.state.clock.state_dict() | {"step_count": step}
+        self.steps_since_rebuild = 0
+        self.clock_at_rebuild = self.state.clock.state_dict() | {"step_count": step}
         self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
         self.timing.rebuild_count += 1
 
     def restore(self, particles: HostParticles) -> None:
-        """Put particles, in the order of their ids, on an empty device with the neighbor lists of the last rebuild.
+        """Put particles, in the order of their ids, on an empty device with the neighbor lists of the last
+        rebuild.
 
         The clock and the force-controlled walls are those of that rebuild; `clock_at_rebuild` is set here.
         """
@@ -267,9 +278,11 @@ class Stepper:
         self._launch_step(1, pose, step, moving=0, forcing=1)
 
     def refresh(self, step: int, velocities_lag: bool) -> None:
-        """Rebuild the neighbor lists and compute forces after step number `step`, after particles or walls changed.
+        """Rebuild the neighbor lists and compute forces after step number `step`, after particles or walls
+        changed.
 
-        `velocities_lag`: velocities are half a step behind the positions. Contact displacements do not change.
+        `velocities_lag`: velocities are half a step behind the positions. Contact displacements do not
+        change.
         """
         pose = self.poses.index_at(step)
         self._end_wall_work(withdraws=True)
@@ -285,14 +298,19 @@ class Stepper:
     def advance(self, steps: int, step: int) -> int:
         """Take `steps` steps after step number `step`; returns the number of completed steps.
 
-        It is smaller after an abort, if `interrupted` is set (by a signal handler), and, with an adaptive time step,
-        after a neighbor-list rebuild, which adds candidate pairs.
+        It is smaller after an abort, if `interrupted` is set (by a signal handler), and, with an adaptive
+        time step, after a neighbor-list rebuild, which adds candidate pairs.
 
         `interrupted` takes effect between two launches, each of which takes about LAUNCH_SECONDS.
         """
-        done, rebuilds = 0, self.timing.rebuild_count
+        done = 0
+        rebuilds = self.timing.rebuild_count
         is_adaptive = self.state.plan.adaptive_time_step is not None
-        while done < steps and not self.abort_code and not (is_adaptive and self.timing.rebuild_count > rebuilds):
+        while (
+            done < steps
+            and not self.abort_code
+            and not (is_adaptive and self.timing.rebuild_count > rebuilds)
+        ):
             if self.interrupted:
                 break
             done += self._advance_batch(steps - done, step + done)
@@ -327,7 +345,8 @@ class Stepper:
         if state.plan.has_poses:
             steps = min(steps, self.poses.prepare(step, self.steps_since_rebuild))
         self._begin_count()
-        began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
+        began = clock.perf_counter()
+        rebuild_seconds = self.timing.neighbor_list
         write_force_inputs(state, step + 1)
         done = self._launch(steps)
         if self._is_rebuild_due and not self.abort_code:
@@ -349,7 +368,8 @@ class Stepper:
         step = self.state.clock.time_step
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
-        began, wanted = clock.perf_counter(), min(steps, self._steps_per_launch)
+        began = clock.perf_counter()
+        wanted = min(steps, self._steps_per_launch)
         self._launch_step(wanted, self.poses.next, step)
         done = self._steps_done
         if done:
@@ -366,14 +386,17 @@ class Stepper:
         return max(int(LAUNCH_SECONDS / self._step_seconds), 1)
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
-        """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other phase."""
-        state, workers = self.state, self._workers.count
+        """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other
+        phase."""
+        state = self.state
+        workers = self._workers.count
         self._workers.place(workers)
         self._step(steps, workers, state.chunk_count, state.count, pose, step, moving, forcing)
 
     def _sampled_step(self) -> int:
         """Take one step and time its phases separately."""
-        step, began = self.state.clock.time_step, clock.perf_counter()
+        step = self.state.clock.time_step
+        began = clock.perf_counter()
         self._since_sample = 0
         self._launch_step(1, self.poses.next, step, forcing=0)
         ti.sync()
@@ -444,10 +467,14 @@ class GpuStepper(Stepper):
 
         Raises SceneError if the new ones do not fit.
         """
-        plan, state = self.state.plan, self.state
-        free, grown = free_device_memory(state.backend.arch), estimate_memory(plan, plan.precision, capacities).total
+        plan = self.state.plan
+        state = self.state
+        free = free_device_memory(state.backend.arch)
+        grown = estimate_memory(plan, plan.precision, capacities).total
         present = estimate_memory(plan, plan.precision, state.capacities).total
-        refuse_growth(plan, capacities, None if free is None else free + present, state.backend.largest_buffer)
+        refuse_growth(
+            plan, capacities, None if free is None else free + present, state.backend.largest_buffer
+        )
         if free is None or grown < free:
             state.grow_on_device(capacities, self._compile)
         else:
@@ -469,7 +496,8 @@ class GpuStepper(Stepper):
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """Launch one step. If `moving` or `forcing` is 0, only the other phase."""
-        state, before = self.state, self._launches - self._first_launch
+        state = self.state
+        before = self._launches - self._first_launch
         self._step(self._launches, before, state.chunk_count, state.count, pose, step, moving, forcing)
         self._launches += forcing
         self._read = None

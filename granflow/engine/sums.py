@@ -1,8 +1,9 @@
-"""Sums of velocities over many steps in float32, which would otherwise lose small changes of large velocities.
+"""Sums of velocities over many steps in float32, which would otherwise lose small changes of large
+velocities.
 
-The change of a velocity in one step, such as g dt, can be smaller than half the spacing of float32 at the velocity
-(5e-7 m/s at 8 m/s). Each particle therefore keeps the remainder of the sum for the next step (Kahan, Commun. ACM 8
-(1965) 40). Clumps sum their velocities in the precision of positions instead.
+The change of a velocity in one step, such as g dt, can be smaller than half the spacing of float32 at the
+velocity (5e-7 m/s at 8 m/s). Each particle therefore keeps the remainder of the sum for the next step (Kahan,
+Commun. ACM 8 (1965) 40). Clumps sum their velocities in the precision of positions instead.
 """
 
 from typing import Any
@@ -21,7 +22,8 @@ from granflow.plan.capacities import CARRY_BITS
 # over a run are in two words: the low one in units, the high one in 2^CARRY_BITS units.
 
 SHARES = 2
-"""Energies of a pair are in units and count once in each of two neighbor lists, SHARES times in a single one."""
+"""Energies of a pair are in units and count once in each of two neighbor lists, SHARES times in a single
+one."""
 REDUCED_ROWS = 1024
 """Rows to which a GPU adds up the sums over chunks before the host reads them."""
 
@@ -58,7 +60,8 @@ def add_energy(sums: ti.template(), chunk, term: ti.template(), terms: ti.templa
 
 
 def holds_sums(state: State) -> bool:
-    """Whether the fields of forces and torques represent their exact sums, with the rounded weight: in f64."""
+    """Whether the fields of forces and torques represent their exact sums, with the rounded weight: in
+    f64."""
     return state.backend.real == ti.f64
 
 
@@ -67,7 +70,8 @@ def build_weight_rest(state: State) -> Any:
 
     It is below 2e-14 of the largest force of a contact.
     """
-    exact, to_grid = holds_sums(state), build_to_grid(state.backend.real)
+    exact = holds_sums(state)
+    to_grid = build_to_grid(state.backend.real)
 
     @ti.func
     def weight_rest(weight, shift):
@@ -80,13 +84,14 @@ def build_weight_rest(state: State) -> Any:
 
 
 def build_to_grid(real: Any) -> Any:
-    """Device function (force or torque, shift): the nearest multiple of a unit; opposite for opposite arguments.
+    """Device function (force or torque, shift): the nearest multiple of a unit; opposite for opposite
+    arguments.
 
         (f + s) - s,   s = 3/2 unit / eps        with the rounding eps of the type
 
     f + s and f - s have the same spacing as long as |f| < s / 3. In f64, forces are below s / 3 (see
-    `engine.force.set_forces`). In f32, a larger force is a multiple of half a unit anyway and remains as it is; sums
-    are in f64 there, too.
+    `engine.force.set_forces`). In f32, a larger force is a multiple of half a unit anyway and remains as it
+    is; sums are in f64 there, too.
 
     real:  type of the argument
     """
@@ -110,7 +115,8 @@ def build_list_shares(state: State) -> Any:
 
     @ti.func
     def list_shares(chunk, j):
-        shares, size = SHARES, chunk_size()
+        shares = SHARES
+        size = chunk_size()
         if (j >= 0) & ((j < chunk * size) | (j >= (chunk + 1) * size)):
             shares = SHARES // 2
         return shares
@@ -154,7 +160,8 @@ def _build_reduce(state: State, field: Any) -> Any:
 
     Reads:  field
     """
-    words, length = field.n, field.shape[0]
+    words = field.n
+    length = field.shape[0]
     external: Any = ti.types.ndarray()
 
     @ti.kernel
@@ -175,7 +182,8 @@ def build_to_nearest() -> Any:
     @ti.func
     def to_nearest(value):
         lower = ti.floor(value)
-        rest, integer = value - lower, ti.cast(lower, ti.i64)
+        rest = value - lower
+        integer = ti.cast(lower, ti.i64)
         if rest > 0.5 or (rest == 0.5 and integer % 2 != 0):
             integer += 1
         return integer
@@ -235,14 +243,16 @@ def exact_sum(values: np.ndarray, ranks: Gathering = ALONE) -> float:
 
 
 def build_changed(state: State, name: str) -> Any:
-    """Device function (i, change): a velocity of particle i after a change in this step; does not write the velocity.
+    """Device function (i, change): a velocity of particle i after a change in this step; does not write the
+    velocity.
 
     name:  "velocity" or "angular_velocity"
 
     Reads:   the velocity, its remainder
     Writes:  the remainder
     """
-    velocity, keeps_remainder = getattr(state.particles, name), state.plan.features.velocity_remainders
+    velocity = getattr(state.particles, name)
+    keeps_remainder = state.plan.features.velocity_remainders
     remainder = getattr(state.particles, f"{name}_remainder")
 
     @ti.func

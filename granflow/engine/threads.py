@@ -1,9 +1,10 @@
 """A barrier that a worker can leave: no launch blocks on a core that another process uses.
 
-A worker that polls a barrier more than `control.patience` times leaves the launch; the others complete the step
-without it, and the launch ends (if it leaves the first barrier, the others complete the launch). The operating system
-then has a free core for the interrupted worker. A worker that has left returns with the next launch. Because workers
-can leave, a launch also ends if the thread pool of Taichi has fewer threads than workers.
+A worker that polls a barrier more than `control.patience` times leaves the launch; the others complete the
+step without it, and the launch ends (if it leaves the first barrier, the others complete the launch). The
+operating system then has a free core for the interrupted worker. A worker that has left returns with the next
+launch. Because workers can leave, a launch also ends if the thread pool of Taichi has fewer threads than
+workers.
 """
 
 import os
@@ -28,10 +29,12 @@ from granflow.kernel_language import ti
 PER_THREAD_CPU_CLOCK = 6
 """Low bits of the number of a Linux clock that measures the CPU time of one thread; the others are ~id."""
 MIN_SHARE = 0.5
-"""A thread of the pool has at least this share of the largest CPU time of a thread in an identifying launch."""
+"""A thread of the pool has at least this share of the largest CPU time of a thread in an identifying
+launch."""
 ATTEMPTS = 60
-"""Launches that identify the threads. While two threads share a core, one of them often runs all tasks of a launch,
-which one differs between launches: on a loaded machine 5 launches showed both threads in one process of five."""
+"""Launches that identify the threads. While two threads share a core, one of them often runs all tasks of a
+launch, which one differs between launches: on a loaded machine 5 launches showed both threads in one process
+of five."""
 
 
 class WorkerAffinity:
@@ -89,12 +92,13 @@ def thread_seconds() -> dict[int, float]:
 
 ARRIVAL_BITS = 16
 LEAVE, ARRIVALS = 1 << ARRIVAL_BITS, (1 << ARRIVAL_BITS) - 1
-"""The counter of a barrier holds the arrivals in its low bits and the departures above them: one atomic operation
-decides whether a worker leaves before or after the last arrival."""
+"""The counter of a barrier holds the arrivals in its low bits and the departures above them: one atomic
+operation decides whether a worker leaves before or after the last arrival."""
 CALIBRATION_POLLS = 50_000
 """Number of polls of one measurement of `seconds_per_poll`."""
 SHORTEST_POLL = 1e-9
-"""Lower bound of the time of one poll [s], an atomic operation: two launches can differ by more than the polls take."""
+"""Lower bound of the time of one poll [s], an atomic operation: two launches can differ by more than the
+polls take."""
 
 
 @ti.func
@@ -107,7 +111,8 @@ def _counter(number):
 def arrive(control: ti.template(), number):
     """Count the worker in; returns 1 for the last worker, which then calls `release`. The others call `wait`.
 
-    The last worker subtracts the workers that left and clears the next counter. Barriers of a launch are numbered from
+    The last worker subtracts the workers that left and clears the next counter. Barriers of a launch are
+    numbered from
     1. Two counters alternate, so that a late departure never changes the next barrier.
 
     Reads:   arrived, worker_count
@@ -135,14 +140,16 @@ def release(control: ti.template(), number):
 def wait(control: ti.template(), number):
     """Poll until the barrier is complete; returns 1 if the worker must leave the launch.
 
-    After `patience` polls the worker leaves unless all have arrived. The first barrier of a launch, whose threads may
-    still be starting, has its own number of polls.
+    After `patience` polls the worker leaves unless all have arrived. The first barrier of a launch, whose
+    threads may still be starting, has its own number of polls.
 
     Reads:   released, patience, worker_count
     Writes:  arrived
     """
     # Adding 0 is an atomic read: the compiler cannot move it out of the loop.
-    polls, left, most = 0, 0, control.patience[ti.cast(number == 1, ti.i32)]
+    polls = 0
+    left = 0
+    most = control.patience[ti.cast(number == 1, ti.i32)]
     while left == 0 and ti.atomic_add(control.released[CACHE_LINE], 0) < number:
         polls += 1
         if polls == most:
@@ -199,11 +206,13 @@ FIRST_DOWN_INTERVAL, LAST_DOWN_INTERVAL = 0.25, 8.0
 CONTENDED_DOWN_INTERVAL = 0.25
 """Launch time [s] between two trials with fewer workers that contention makes due."""
 MEMORY = 0.7
-"""Weight of the previous rates in the mean with which a trial is compared: a single interruption has little effect."""
+"""Weight of the previous rates in the mean with which a trial is compared: a single interruption has little
+effect."""
 MIN_SPEEDUP = 1.05
 """A trial is faster if its rate is at least this multiple of the previous rate."""
 CONTENTION_LIMIT = 3
-"""A launch with contention adds 2 to a score, one without subtracts 1. Above this limit half the workers are tried."""
+"""A launch with contention adds 2 to a score, one without subtracts 1. Above this limit half the workers are
+tried."""
 
 
 class WorkerTuner:
@@ -260,8 +269,8 @@ class WorkerTuner:
     def _evaluate(self, rate: float) -> None:
         """Adopt the number of workers of the trial if it is faster.
 
-        `rate`: work per second during the trial. The interval between trials with fewer workers doubles after each of
-        them that is not faster.
+        `rate`: work per second during the trial. The interval between trials with fewer workers doubles after
+        each of them that is not faster.
         """
         faster, down, self._candidate, candidate = (
             rate > MIN_SPEEDUP * self._rate,
@@ -271,7 +280,8 @@ class WorkerTuner:
         )
         self._contention = 0
         if faster:
-            self.size, self._rate = candidate, rate
+            self.size = candidate
+            self._rate = rate
         if faster or not down:
             self._down_interval = FIRST_DOWN_INTERVAL if faster else self._down_interval
         else:
@@ -289,19 +299,23 @@ class WorkerTuner:
 
     def _down_is_due(self) -> bool:
         """True if a trial with fewer workers is due, because of the interval or of contention."""
-        contended = self._contention > CONTENTION_LIMIT and self._since_contended_down >= CONTENDED_DOWN_INTERVAL
+        contended = (
+            self._contention > CONTENTION_LIMIT and self._since_contended_down >= CONTENDED_DOWN_INTERVAL
+        )
         return contended or self._since_down >= self._down_interval
 
 
 # Number of workers of each launch, their cores, and the time that they wait for each other.
 
 BARRIER_CONTENTION_LIMIT, PATIENCE_CHUNKS = 3e-4, 4.0
-"""A worker leaves the launch after waiting this time [s] plus the time for this number of chunks: longer than the
-differences in cost between chunks, and shorter than the time for which an operating system preempts a thread."""
+"""A worker leaves the launch after waiting this time [s] plus the time for this number of chunks: longer than
+the differences in cost between chunks, and shorter than the time for which an operating system preempts a
+thread."""
 START_PATIENCE = 3e-3
 """Additional waiting time at the first barrier of a launch [s], for the start of the threads."""
 SINGLE_WORKER_PARTICLES = 512
-"""Particle count up to which one worker processes all chunks: barriers would cost more time than more workers save."""
+"""Particle count up to which one worker processes all chunks: barriers would cost more time than more workers
+save."""
 
 
 @dataclass(frozen=True)
@@ -318,13 +332,15 @@ _pools: "WeakKeyDictionary[Backend, ThreadPool]" = WeakKeyDictionary()
 
 def _measure_pool(state: State) -> ThreadPool:
     """Measure the pool with a kernel on the control fields of this state."""
-    seconds_of, workers = build_poll(state.control), state.backend.worker_count
+    seconds_of = build_poll(state.control)
+    workers = state.backend.worker_count
     affinity = WorkerAffinity(workers, lambda: seconds_of(CALIBRATION_POLLS, workers))
     return ThreadPool(affinity, seconds_per_poll(seconds_of))
 
 
 class Workers:
-    """Chooses the workers of each launch on a CPU and how long they wait at a barrier, from the previous launches."""
+    """Chooses the workers of each launch on a CPU and how long they wait at a barrier, from the previous
+    launches."""
 
     def __init__(self, state: State) -> None:
         self._state = state
@@ -337,9 +353,11 @@ class Workers:
         return 1 if self._state.count <= SINGLE_WORKER_PARTICLES else self._tuner.next_size
 
     def prepare(self) -> None:
-        """Measure the pool of this process before the first launch with several workers, and set the initial patience.
+        """Measure the pool of this process before the first launch with several workers, and set the initial
+        patience.
 
-        A single worker never waits, so that most small scenes do not compile and run the kernel of the measurement.
+        A single worker never waits, so that most small scenes do not compile and run the kernel of the
+        measurement.
         """
         if self.count == 1 or self._patience:
             return
@@ -355,8 +373,10 @@ class Workers:
             pool.affinity.set_workers(count)
 
     def record(self, steps: int, seconds: float) -> None:
-        """Choose workers and patience of the next launch from the wall-clock time [s] of a launch of `steps` steps."""
-        state, workers = self._state, self._tuner.next_size
+        """Choose workers and patience of the next launch from the wall-clock time [s] of a launch of `steps`
+        steps."""
+        state = self._state
+        workers = self._tuner.next_size
         pool = _pools.get(state.backend)
         if state.count <= SINGLE_WORKER_PARTICLES or pool is None:
             return
@@ -374,6 +394,7 @@ class Workers:
 
     def _set_patience(self, pool: ThreadPool, seconds: float) -> None:
         """Set the time [s] after which a worker leaves a barrier."""
-        self._patience, patience = seconds, self._state.control.patience
+        self._patience = seconds
+        patience = self._state.control.patience
         patience[0] = int(seconds / pool.seconds_per_poll)
         patience[1] = int((seconds + START_PATIENCE) / pool.seconds_per_poll)

@@ -41,12 +41,14 @@ EXIT_FACES = ("x_min", "y_min", "z_min", "x_max", "y_max", "z_max")
 
 @dataclass
 class Accounting:
-    """Counts and energies since the start, and BY_ID: material, group and insertion time of every particle by its id.
+    """Counts and energies since the start, and BY_ID: material, group and insertion time of every particle by
+    its id.
 
     inserted_count:          number of inserted particles
     deleted_count:           number of deleted particles
     deleted_mass:            [kg]
-    inserted_energy:         mechanical energy [J] of inserted particles, and of contacts of walls that appeared
+    inserted_energy:         mechanical energy [J] of inserted particles, and of contacts of walls that
+                             appeared
     removed_energy:          mechanical energy [J] of deleted particles
     removed_kinetic_energy:  translational and rotational part of it [J]
     material, group:         lists of integer arrays (k,), numbers of the scene, concatenated at first use
@@ -72,7 +74,8 @@ class Accounting:
     insertion_time: list[np.ndarray] = field(default_factory=list)
 
     def insert(self, material: np.ndarray, group: np.ndarray, time: float, energy: float) -> None:
-        """Record particles inserted at `time` [s]: materials and groups (k,) of the scene, mechanical energy [J]."""
+        """Record particles inserted at `time` [s]: materials and groups (k,) of the scene, mechanical energy
+        [J]."""
         self.inserted_count += len(group)
         self.inserted_energy += energy
         self.material.append(material)
@@ -153,8 +156,8 @@ def mechanical_energy(
 
     Each sphere of a clump contributes its share of the energies of the clump, see `of_clumps`.
 
-    arrays:   mass (n,) [kg], radius (n,) [m], position (n, 3) [m], velocity (n, 3) [m/s] and, if particles rotate,
-              angular_velocity (n, 3) [rad/s]; with clumps CLUMP_MOTION
+    arrays:   mass (n,) [kg], radius (n,) [m], position (n, 3) [m], velocity (n, 3) [m/s] and, if particles
+              rotate, angular_velocity (n, 3) [rad/s]; with clumps CLUMP_MOTION
     gravity:  (3,) [m/s2]
     ranks:    adds up the energies of all ranks, each of which has arrays of its own particles
     """
@@ -187,11 +190,13 @@ def energy_input(accounting: Accounting, potential: float, works: Iterable[float
     potential:  U [J], potential energy of the present particles
     works:      W [J], work of the walls and of the images of a sheared box
 
-    E_inserted is the mechanical energy of inserted particles, U_deleted the potential energy of deleted particles. The
-    result does not depend on the origin of the potential.
+    E_inserted is the mechanical energy of inserted particles, U_deleted the potential energy of deleted
+    particles. The result does not depend on the origin of the potential.
     """
     energy_supplied = (
-        accounting.inserted_energy - potential - (accounting.removed_energy - accounting.removed_kinetic_energy)
+        accounting.inserted_energy
+        - potential
+        - (accounting.removed_energy - accounting.removed_kinetic_energy)
     )
     return max(energy_supplied, 0.0) + sum(max(work, 0.0) for work in works)
 
@@ -199,13 +204,16 @@ def energy_input(accounting: Accounting, potential: float, works: Iterable[float
 # Deleted particles: their arrays, and their part of the accounting.
 
 DELETED_FIELDS = tuple(
-    dict.fromkeys(("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed", *CLUMP_MOTION))
+    dict.fromkeys(
+        ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed", *CLUMP_MOTION)
+    )
 )
 """Fields of deleted particles that their accounting needs."""
 
 
 def deleted_particles(state: State, first: int, last: int) -> dict[str, np.ndarray]:
-    """DELETED_FIELDS of the particles with the indices `first` to `last`, exclusive, in the order of their ids.
+    """DELETED_FIELDS of the particles with the indices `first` to `last`, exclusive, in the order of their
+    ids.
 
     Particles that a program has removed are left out: they are counted where it removes them.
     """
@@ -253,7 +261,8 @@ def _outlets_of(plan: Plan, position: np.ndarray) -> np.ndarray:
 ENERGY_COUNT = 3
 """Kinetic, rotational and gravitational energy."""
 PARTICLE_CONTACTS, MOBILE, WALL_CONTACTS = range(ENERGY_COUNT, ENERGY_COUNT + 3)
-"""Columns of further sums: contacts of mobile particles with particles, mobile particles, contacts with walls."""
+"""Columns of further sums: contacts of mobile particles with particles, mobile particles, contacts with
+walls."""
 LARGEST_SPEED_SQUARED = ENERGY_COUNT
 """Column of the largest values."""
 
@@ -276,15 +285,18 @@ class ParticleSums:
     wall_contact_count: float
 
 
-def host_sums(arrays: Mapping[str, np.ndarray], gravity: np.ndarray, ranks: Gathering = ALONE) -> ParticleSums:
+def host_sums(
+    arrays: Mapping[str, np.ndarray], gravity: np.ndarray, ranks: Gathering = ALONE
+) -> ParticleSums:
     """Sums of particles on the host.
 
-    arrays:   as for `mechanical_energy`, and coordination_number (n,), wall_contact_count (n,) with walls, fixed (n,)
-              with fixed particles
+    arrays:   as for `mechanical_energy`, and coordination_number (n,), wall_contact_count (n,) with walls,
+              fixed (n,) with fixed particles
     gravity:  (3,) [m/s2]
     ranks:    adds up the sums of all ranks
     """
-    mobile, walls = mobility_mask(arrays), arrays.get("wall_contact_count", np.zeros(0))
+    mobile = mobility_mask(arrays)
+    walls = arrays.get("wall_contact_count", np.zeros(0))
     sums = [len(arrays["mass"]), mobile @ arrays["coordination_number"], mobile.sum(), walls.sum()]
     count, contacts, mobile_count, wall_contacts = ranks.total(np.array([sums], float))[0].tolist()
     return ParticleSums(
@@ -328,19 +340,23 @@ def device_sums(state: State, half_step: float) -> ParticleSums:
 def _build_particle_sums(state: State) -> tuple[Callable[..., None], Callable[..., None]]:
     """Kernels (count, half step, rows) and (count, half step, three scales, rows).
 
-    The first finds the largest magnitude of the energies and the largest squared speed of every REDUCED_ROWS-th
-    particle, the second their sums in units of 1 / scale, and the further sums.
+    The first finds the largest magnitude of the energies and the largest squared speed of every
+    REDUCED_ROWS-th particle, the second their sums in units of 1 / scale, and the further sums.
 
     Reads:  position, velocity, angular_velocity, force, torque, mass, radius, fixed, contact counts
     """
-    particles, features = state.particles, state.plan.features
-    terms_of, to_nearest, mobility = _build_energy_terms(state), build_to_nearest(), build_mobility(state)
+    particles = state.particles
+    features = state.plan.features
+    terms_of = _build_energy_terms(state)
+    to_nearest = build_to_nearest()
+    mobility = build_mobility(state)
     external: Any = ti.types.ndarray()
 
     @ti.kernel
     def find_largest(count: ti.i32, half_step: ti.f64, rows: external):
         for row in range(REDUCED_ROWS):
-            largest, speed_squared = ti.Vector.zero(ti.f64, ENERGY_COUNT), ti.cast(0.0, ti.f64)
+            largest = ti.Vector.zero(ti.f64, ENERGY_COUNT)
+            speed_squared = ti.cast(0.0, ti.f64)
             for k in range((count - row + REDUCED_ROWS - 1) // REDUCED_ROWS):
                 terms, squared = terms_of(row + k * REDUCED_ROWS, half_step)
                 largest = ti.max(largest, ti.abs(terms))
@@ -351,10 +367,16 @@ def _build_particle_sums(state: State) -> tuple[Callable[..., None], Callable[..
 
     @ti.kernel
     def add_up(
-        count: ti.i32, half_step: ti.f64, kinetic: ti.f64, rotational: ti.f64, potential: ti.f64, rows: external
+        count: ti.i32,
+        half_step: ti.f64,
+        kinetic: ti.f64,
+        rotational: ti.f64,
+        potential: ti.f64,
+        rows: external,
     ):
         for row in range(REDUCED_ROWS):
-            sums, scale = ti.Vector.zero(ti.i64, WALL_CONTACTS + 1), ti.Vector([kinetic, rotational, potential])
+            sums = ti.Vector.zero(ti.i64, WALL_CONTACTS + 1)
+            scale = ti.Vector([kinetic, rotational, potential])
             for k in range((count - row + REDUCED_ROWS - 1) // REDUCED_ROWS):
                 i = row + k * REDUCED_ROWS
                 terms, _squared = terms_of(i, half_step)
@@ -372,13 +394,16 @@ def _build_particle_sums(state: State) -> tuple[Callable[..., None], Callable[..
 
 
 def _build_energy_terms(state: State) -> Any:
-    """Device function (i, half step): twice the kinetic and rotational energy and -U [J], and the squared speed.
+    """Device function (i, half step): twice the kinetic and rotational energy and -U [J], and the squared
+    speed.
 
     Operations are in the order of `Engine.synchronized` and `mechanical_energy`.
 
     Reads:  position, velocity, angular_velocity, force, torque, mass, radius, fixed
     """
-    particles, rotation, mobility = state.particles, state.plan.features.rotation, build_mobility(state)
+    particles = state.particles
+    rotation = state.plan.features.rotation
+    mobility = build_mobility(state)
     gravity = state.parameter("gravity")
 
     @ti.func
@@ -387,17 +412,22 @@ def _build_energy_terms(state: State) -> Any:
 
     @ti.func
     def terms_of(i, half_step):
-        mass, share = to_f64(particles.mass[i]), to_f64(mobility(i))
+        mass = to_f64(particles.mass[i])
+        share = to_f64(mobility(i))
         velocity = to_f64(particles.velocity[i]) + half_step * share * to_f64(particles.force[i]) / mass
         squared = velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]
         turning = ti.cast(0.0, ti.f64)
         if ti.static(rotation):
             radius = to_f64(particles.radius[i])
             inertia = 0.4 * mass * (radius * radius)
-            spin = to_f64(particles.angular_velocity[i]) + half_step * share * to_f64(particles.torque[i]) / inertia
+            spin = (
+                to_f64(particles.angular_velocity[i])
+                + half_step * share * to_f64(particles.torque[i]) / inertia
+            )
             inertia_mobile = 0.4 * (mass * share) * (radius * radius)
             turning = inertia_mobile * (spin[0] * spin[0] + spin[1] * spin[1] + spin[2] * spin[2])
-        x, g = to_f64(particles.position[i]), gravity()
+        x = to_f64(particles.position[i])
+        g = gravity()
         height = x[0] * g[0] + x[1] * g[1] + x[2] * g[2]
         return ti.Vector([mass * share * squared, turning, mass * share * height]), squared
 
@@ -424,7 +454,8 @@ def ordered_particles(arrays: dict[str, np.ndarray], accounting: Accounting) -> 
 
 def wall_poses(state: State) -> dict[str, WallPose]:
     """Present pose of every wall by name."""
-    found, displacements = {}, controlled_displacements(state)
+    found = {}
+    displacements = controlled_displacements(state)
     for index, wall in enumerate(state.plan.walls):
         poses = pose(state.wall_motions[index], np.array([state.clock.time]))
         present = bool(state.walls.present[index])
@@ -458,7 +489,9 @@ def totals_of(
     sums:      sums over the particles
     measured:  totals of ContactStatistics
     """
-    contacts, energies, plan = measured["contact_count"], sums.energies, state.plan
+    contacts = measured["contact_count"]
+    energies = sums.energies
+    plan = state.plan
     totals = {
         "particle_count": float(sums.count),
         "inserted_count": float(accounting.inserted_count),
@@ -492,14 +525,17 @@ def ended_contacts_dissipation(state: State) -> float:
     if losses is None:
         return 0.0
     return float(
-        exact_totals(state.ranks.total(chunk_words(state, losses)), state.plan.sum_units.energy / SHARES)[PLASTIC]
+        exact_totals(state.ranks.total(chunk_words(state, losses)), state.plan.sum_units.energy / SHARES)[
+            PLASTIC
+        ]
     )
 
 
 def energy_budget_totals(
     state: State, accounting: Accounting, energies: tuple[float, float, float], measured: Mapping[str, float]
 ) -> dict[str, float]:
-    """The energy budget [J], and its error: the residual over the largest energy input of all observations and now.
+    """The energy budget [J], and its error: the residual over the largest energy input of all observations
+    and now.
 
         residual = K + U + E_elastic + E_dissipated + E_deleted - E_inserted - W
         energy_error = residual / max(E_in so far and now, rounding / LARGEST_ERROR)
@@ -508,9 +544,9 @@ def energy_budget_totals(
     measured:  totals of ContactStatistics
     Returns:   totals by the names of TOTAL_QUANTITIES
 
-    The scale is the largest E_in, because the present E_in can be zero: a bouncing sphere at its highest point has
-    returned all of it. If E_in is below the rounding error of the potential energies, the rounding error is the scale,
-    so that rounding does not count as an energy error.
+    The scale is the largest E_in, because the present E_in can be zero: a bouncing sphere at its highest
+    point has returned all of it. If E_in is below the rounding error of the potential energies, the rounding
+    error is the scale, so that rounding does not count as an energy error.
     """
     unit = state.plan.sum_units.energy / SHARES
     words = state.ranks.total(chunk_words(state, state.control.losses))
@@ -551,11 +587,13 @@ SPEED_INCREASE = 1.1
 
 
 class StabilityMonitor:
-    """Checks at every observation that the time step is stable for the current speeds and that energy is conserved.
+    """Checks at every observation that the time step is stable for the current speeds and that energy is
+    conserved.
 
-    With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and potential
-    energy must not exceed those at the start and of particles inserted since. The excess is relative to the same scale,
-    the largest energy input so far. This check requires a start without contacts, walls at rest and no cohesion.
+    With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and
+    potential energy must not exceed those at the start and of particles inserted since. The excess is
+    relative to the same scale, the largest energy input so far. This check requires a start without contacts,
+    walls at rest and no cohesion.
 
     `warnings`: logged warnings by kind ("energy", "speed"), each logged once.
     """
@@ -578,7 +616,8 @@ class StabilityMonitor:
         totals: dict[str, float],
         speed: float,
     ) -> None:
-        """Check one snapshot; logs a warning if the energy error exceeds its limit in two consecutive snapshots.
+        """Check one snapshot; logs a warning if the energy error exceeds its limit in two consecutive
+        snapshots.
 
         time:        simulated time [s]
         energies:    kinetic, rotational and gravitational energy [J]
@@ -605,15 +644,23 @@ class StabilityMonitor:
     def state_dict(self) -> dict[str, Any]:
         """Return the state for a checkpoint, so that a resumed run repeats no warning."""
         return {
-            "warnings": dict(self.warnings), "fastest": self._fastest, "initial_energy": self._initial_energy,
-            "above_since": self._above_since, "enabled": self._enabled, "started": self._started,
-        }  # fmt: skip
+            "warnings": dict(self.warnings),
+            "fastest": self._fastest,
+            "initial_energy": self._initial_energy,
+            "above_since": self._above_since,
+            "enabled": self._enabled,
+            "started": self._started,
+        }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state of `state_dict`; the plan may have changed so that the energy is not conserved any more."""
-        self.warnings, self._fastest = dict(saved["warnings"]), saved["fastest"]
-        self._initial_energy, self._above_since = saved["initial_energy"], saved["above_since"]
-        self._enabled, self._started = self._enabled and saved["enabled"], saved["started"]
+        """Restore the state of `state_dict`; the plan may have changed so that the energy is not conserved
+        any more."""
+        self.warnings = dict(saved["warnings"])
+        self._fastest = saved["fastest"]
+        self._initial_energy = saved["initial_energy"]
+        self._above_since = saved["above_since"]
+        self._enabled = self._enabled and saved["enabled"]
+        self._started = saved["started"]
 
     def _gained_share(
         self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float
@@ -622,7 +669,9 @@ class StabilityMonitor:
         energy_gain = self._energy_gain(energies, accounting, contact_count)
         return energy_gain / accounting.energy_put_in if accounting.energy_put_in > 0.0 else 0.0
 
-    def _energy_gain(self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float) -> float:
+    def _energy_gain(
+        self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float
+    ) -> float:
         """Energy above the conserved total [J]; 0 if the check does not apply."""
         if not self._enabled:
             return 0.0
@@ -633,7 +682,10 @@ class StabilityMonitor:
             self._enabled = contact_count == 0
             self._initial_energy = present_energy
         return max(
-            present_energy - self._initial_energy - self._rounding * (abs(energies[2]) + abs(energy_inserted)), 0.0
+            present_energy
+            - self._initial_energy
+            - self._rounding * (abs(energies[2]) + abs(energy_inserted)),
+            0.0,
         )
 
     def _check_speed(self, time: float, speed: float) -> None:

@@ -4,10 +4,10 @@
     free    v(t + dt/2) = [(1 - a) v(t - dt/2) + dt/M (F - f(t))] / (1 + a),   a = c dt / 2M
     both    x(t + dt) = x(t) + dt v(t + dt/2)
 
-with f [N] the force of the wall on the particles along its direction, and F [N] the target force of a servo, or the
-weight and the applied force of a free wall; gain [m/(N s)], lag [steps], mass M [kg] and damping c [N s/m] are those of
-the plan. As in the leapfrog scheme of the particles, the velocity of a wall is half a step behind its position, and
-both are integrated in the same phase of the step.
+with f [N] the force of the wall on the particles along its direction, and F [N] the target force of a servo,
+or the weight and the applied force of a free wall; gain [m/(N s)], lag [steps], mass M [kg] and damping c [N
+s/m] are those of the plan. As in the leapfrog scheme of the particles, the velocity of a wall is half a step
+behind its position, and both are integrated in the same phase of the step.
 """
 
 from typing import Any
@@ -25,18 +25,23 @@ from granflow.plan.capacities import ANGULAR_IMPULSE, CARRY_BITS, IMPULSE, IMPUL
 
 
 def build_add_impulse(state: State) -> Any:
-    """Device function (chunk, wall, i, normal, force on i, torque on i, time_step): add one contact in one step.
+    """Device function (chunk, wall, i, normal, force on i, torque on i, time_step): add one contact in one
+    step.
 
         J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
 
-    with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are exact, because a wall
-    force is the difference of two sums. Chunks of one particle share rows by atomic additions.
+    with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are exact,
+    because a wall force is the difference of two sums. Chunks of one particle share rows by atomic additions.
 
     Reads:   position, impulse_row, pivot
     Writes:  impulses
     """
-    particles, walls, impulses = state.particles, state.walls, state.control.impulses
-    per_unit, shared, rows = state.parameter("per_unit"), shares_rows(state), state.capacities.wall_rows
+    particles = state.particles
+    walls = state.walls
+    impulses = state.control.impulses
+    per_unit = state.parameter("per_unit")
+    shared = shares_rows(state)
+    rows = state.capacities.wall_rows
 
     @ti.func
     def add_to_shared(chunk, row, terms):
@@ -50,7 +55,8 @@ def build_add_impulse(state: State) -> Any:
         row = walls.impulse_row[w]
         if row >= 0:
             time = ti.cast(dt, ti.f64)
-            impulse, angular_impulse = -time * ti.cast(force, ti.f64), -time * ti.cast(torque, ti.f64)
+            impulse = -time * ti.cast(force, ti.f64)
+            angular_impulse = -time * ti.cast(torque, ti.f64)
             arm = ti.cast(particles.position[i], ti.f64) - ti.cast(walls.pivot[w], ti.f64)
             angular_impulse += arm.cross(impulse)
             units = ti.cast(per_unit(), ti.f64)
@@ -68,12 +74,15 @@ def build_add_impulse(state: State) -> Any:
 
 
 def build_carry_impulses(state: State) -> Any:
-    """Device function (chunk): move the carries of a row that chunks share, once per step and not beside additions.
+    """Device function (chunk): move the carries of a row that chunks share, once per step and not beside
+    additions.
 
     Writes:  impulses
     """
-    impulses, rows = state.control.impulses, state.capacities.wall_rows
-    shared, measured = impulses is not None and shares_rows(state), state.capacities.measured_walls
+    impulses = state.control.impulses
+    rows = state.capacities.wall_rows
+    shared = impulses is not None and shares_rows(state)
+    measured = state.capacities.measured_walls
 
     @ti.func
     def carry_impulses(chunk):
@@ -88,12 +97,13 @@ def build_carry_impulses(state: State) -> Any:
 def wall_impulses(state: State) -> dict[str, np.ndarray]:
     """Time integrals since the start of each measured wall by name.
 
-    Returns:  arrays (7,) float64: impulse (3) [N s], angular impulse (3) [N m s] and normal impulse [N s] of the
-              particles on the wall; empty without measured walls
+    Returns:  arrays (7,) float64: impulse (3) [N s], angular impulse (3) [N m s] and normal impulse [N s] of
+              the particles on the wall; empty without measured walls
     """
     if state.control.impulses is None:
         return {}
-    sums, units = state.ranks.total(state.control.impulses.to_numpy()), state.plan.sum_units
+    sums = state.ranks.total(state.control.impulses.to_numpy())
+    units = state.plan.sum_units
     unit = np.array([units.impulse] * 3 + [units.angular_impulse] * 3 + [units.impulse])
     return {name: exact_totals(sums[:, row], unit) for row, name in enumerate(state.plan.measured_walls)}
 
@@ -103,7 +113,16 @@ class MotionParameters:
 
     def __init__(self, state: State, index: int) -> None:
         self.is_servo = state.plan.controlled_motions[index].kind == "servo"
-        self.wall, self.direction, self.force, self.gain, self.lag, self.velocity_max, self.mass, self.damping = (
+        (
+            self.wall,
+            self.direction,
+            self.force,
+            self.gain,
+            self.lag,
+            self.velocity_max,
+            self.mass,
+            self.damping,
+        ) = (
             state.parameter(f"motion.{index}.{name}")
             for name in ("wall", "direction", "force", "gain", "lag", "velocity_max", "mass", "damping")
         )
@@ -117,13 +136,16 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
     """Device functions that clear and sum the forces on force-controlled walls.
 
     clear:  (chunk); rows that chunks share are cleared when the walls move
-    add:    (chunk, wall, force on a particle [N]); the component along the direction of each motion counts, with
-            opposite sign
+    add:    (chunk, wall, force on a particle [N]); the component along the direction of each motion counts,
+            with opposite sign
 
     Writes:  wall_force
     """
-    motions, fields, per_unit = _motions(state), state.wall_dynamics, state.parameter("per_unit", WALL_FORCE)
-    shared, rows = shares_rows(state), state.capacities.wall_rows
+    motions = _motions(state)
+    fields = state.wall_dynamics
+    per_unit = state.parameter("per_unit", WALL_FORCE)
+    shared = shares_rows(state)
+    rows = state.capacities.wall_rows
 
     @ti.func
     def clear_wall_forces(chunk):
@@ -151,15 +173,20 @@ def build_move_walls(state: State) -> Any:
     Reads:   was_active, active
     Writes:  wall_force, velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
-    motions, fields, control = _motions(state), state.wall_dynamics, state.control
-    displacement_limit, travel_limit = state.parameter("wall_displacement_limit"), state.parameter("wall_travel_limit")
-    per_unit, shared = state.parameter("per_unit", WALL_FORCE), shares_rows(state)
+    motions = _motions(state)
+    fields = state.wall_dynamics
+    control = state.control
+    displacement_limit = state.parameter("wall_displacement_limit")
+    travel_limit = state.parameter("wall_travel_limit")
+    per_unit = state.parameter("per_unit", WALL_FORCE)
+    shared = shares_rows(state)
     shared_rows = state.capacities.wall_rows
 
     @ti.func
     def force_units(chunks, r: ti.template()):
         """Force of the particles on the wall of motion r in units; clears rows that chunks share."""
-        total, rows = ti.cast(0, ti.i64), chunks
+        total = ti.cast(0, ti.i64)
+        rows = chunks
         if ti.static(shared):
             rows = shared_rows
         for row in range(rows):
@@ -214,7 +241,8 @@ def _controlled_velocity(fields: ti.template(), motion: ti.template(), r: ti.tem
 
 @ti.func
 def _add_work(fields: ti.template(), motion: ti.template(), r: ti.template(), force_on_wall, velocity, dt):
-    """Add the work on the particles, and of other forces on a free wall, with the mean velocity: exact for it."""
+    """Add the work on the particles, and of other forces on a free wall, with the mean velocity: exact for
+    it."""
     velocity_mean = 0.5 * (fields.velocity[r] + velocity)
     displacement = dt * velocity_mean
     if fields.was_active[r] == 0:
@@ -227,7 +255,8 @@ def _add_work(fields: ti.template(), motion: ti.template(), r: ti.template(), fo
 @ti.func
 def _wall_displacements(fields: ti.template(), motions: ti.template(), wall, dt):
     """Largest displacement of a wall since the rebuild, and in this step [m]."""
-    displacement, step_displacement = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+    displacement = ti.cast(0.0, ti.f64)
+    step_displacement = ti.cast(0.0, ti.f64)
     for r in ti.static(range(len(motions))):
         if motions[r].wall() == wall:
             displacement += ti.abs(fields.offset[r] - fields.offset_at_rebuild[r])
@@ -244,7 +273,8 @@ def build_controlled_vector(state: State, values: Any) -> Any:
 
     Reads:  values
     """
-    motions, real = _motions(state), state.backend.position_real
+    motions = _motions(state)
+    real = state.backend.position_real
 
     @ti.func
     def controlled_vector(w):
@@ -258,7 +288,8 @@ def build_controlled_vector(state: State, values: Any) -> Any:
 
 
 def upload_running(state: State, times: np.ndarray) -> None:
-    """Set which motions are active in the steps that end at each pose. A wall that is not present does not move.
+    """Set which motions are active in the steps that end at each pose. A wall that is not present does not
+    move.
 
     times:  (WALL_BATCH,) [s], middle of each step
 
@@ -312,31 +343,41 @@ def _summed_per_wall(state: State, values: np.ndarray) -> np.ndarray:
 def controlled_totals(state: State) -> dict[str, float]:
     """Displacement [m] and velocity [m/s] of force-controlled walls; with the energy budget, energies [J].
 
-    Both are those of all motions of the wall, along the direction of its first force-controlled motion; a rotation does
-    not contribute. Keys as `wall_displacement.NAME`; velocities at the time of the positions. Empty without
-    force-controlled walls.
+    Both are those of all motions of the wall, along the direction of its first force-controlled motion; a
+    rotation does not contribute. Keys as `wall_displacement.NAME`; velocities at the time of the positions.
+    Empty without force-controlled walls.
     """
     if state.wall_dynamics is None:
         return {}
-    controlled_motions, (velocity, _work_on_particles, work) = state.plan.controlled_motions, _synchronized(state)
-    displacements, velocities = controlled_displacements(state), _summed_per_wall(state, velocity)
+    controlled_motions, (velocity, _work_on_particles, work) = (
+        state.plan.controlled_motions,
+        _synchronized(state),
+    )
+    displacements = controlled_displacements(state)
+    velocities = _summed_per_wall(state, velocity)
     found: dict[str, float] = {}
     for controlled in controlled_motions:
         if f"wall_displacement.{controlled.name}" not in found:
-            direction, wall = np.array(controlled.direction), controlled.wall
+            direction = np.array(controlled.direction)
+            wall = controlled.wall
             prescribed = pose(state.wall_motions[wall], np.array([state.clock.time]))
             displacement = prescribed.offset[0] + displacements[wall]
             found[f"wall_displacement.{controlled.name}"] = float(displacement @ direction)
-            found[f"wall_velocity.{controlled.name}"] = float((prescribed.velocity[0] + velocities[wall]) @ direction)
+            found[f"wall_velocity.{controlled.name}"] = float(
+                (prescribed.velocity[0] + velocities[wall]) @ direction
+            )
     if state.plan.features.energy_budget:
         free = [r for r, controlled in enumerate(controlled_motions) if controlled.kind == "free"]
-        found["free_wall_energy"] = sum(0.5 * controlled_motions[r].mass * float(velocity[r]) ** 2 for r in free)
+        found["free_wall_energy"] = sum(
+            0.5 * controlled_motions[r].mass * float(velocity[r]) ** 2 for r in free
+        )
         found["free_wall_work"] = float(work[free].sum())
     return found
 
 
 def controlled_forces(state: State) -> np.ndarray:
-    """Force (motions,) [N] of the wall of each motion on the particles, along its direction, in the last step."""
+    """Force (motions,) [N] of the wall of each motion on the particles, along its direction, in the last
+    step."""
     return 0.0 - _forces_on_walls(state)
 
 
@@ -352,8 +393,10 @@ def controlled_work(state: State) -> float:
 
 
 def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Velocity [m/s], work on particles and other work [J] of each motion (motions,) at the time of the positions."""
-    fields, half = state.wall_dynamics, 0.5 * state.clock.time_step
+    """Velocity [m/s], work on particles and other work [J] of each motion (motions,) at the time of the
+    positions."""
+    fields = state.wall_dynamics
+    half = 0.5 * state.clock.time_step
     velocity_half, work_on_particles, work = (
         field.to_numpy() for field in (fields.velocity, fields.work_on_particles, fields.work)
     )
@@ -364,11 +407,15 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if controlled.kind == "free":
             drag = 0.5 * controlled.damping * half / controlled.mass
             velocity[r] = (
-                (1.0 - drag) * velocity_half[r] + half / controlled.mass * (controlled.force + force_on_wall[r])
+                (1.0 - drag) * velocity_half[r]
+                + half / controlled.mass * (controlled.force + force_on_wall[r])
             ) / (1.0 + drag)
         velocity_mean = 0.5 * (velocity_half[r] + velocity[r])
         work_on_particles[r] -= half * velocity_mean * force_on_wall[r]
         work[r] += (
-            half * velocity_mean * (controlled.force - controlled.damping * velocity_mean) * (controlled.kind == "free")
+            half
+            * velocity_mean
+            * (controlled.force - controlled.damping * velocity_mean)
+            * (controlled.kind == "free")
         )
     return velocity, work_on_particles, work

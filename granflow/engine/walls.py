@@ -37,7 +37,9 @@ def triangle_range(mesh: ti.template(), w, point):
     begin, end = 0, 0
     shape = mesh.shape[w]
     inside = (cell_position[0] >= 0.0) & (cell_position[1] >= 0.0) & (cell_position[2] >= 0.0)
-    inside = inside & (cell_position[0] < shape[0]) & (cell_position[1] < shape[1]) & (cell_position[2] < shape[2])
+    inside = (
+        inside & (cell_position[0] < shape[0]) & (cell_position[1] < shape[1]) & (cell_position[2] < shape[2])
+    )
     if inside:
         x, y, z = (
             ti.cast(cell_position[0], ti.i32),
@@ -57,17 +59,21 @@ def from_nearest(mesh: ti.template(), t, point):
     """
     normal = mesh.normal[t]
     found = (point - mesh.vertex[3 * t]).dot(normal) * normal
-    over, nearest = 1, ti.cast(FAR_AWAY, mesh.length.dtype)
+    over = 1
+    nearest = ti.cast(FAR_AWAY, mesh.length.dtype)
     from_edge_nearest = found
     for k in range(3):
-        from_corner, edge_direction = point - mesh.vertex[3 * t + k], mesh.edge_direction[3 * t + k]
+        from_corner = point - mesh.vertex[3 * t + k]
+        edge_direction = mesh.edge_direction[3 * t + k]
         if normal.cross(edge_direction).dot(from_corner) <= 0.0:
             over = 0
         from_edge = (
-            from_corner - ti.min(ti.max(from_corner.dot(edge_direction), 0.0), mesh.length[3 * t + k]) * edge_direction
+            from_corner
+            - ti.min(ti.max(from_corner.dot(edge_direction), 0.0), mesh.length[3 * t + k]) * edge_direction
         )
         if from_edge.norm() < nearest:
-            nearest, from_edge_nearest = from_edge.norm(), from_edge
+            nearest = from_edge.norm()
+            from_edge_nearest = from_edge
     if over == 0:
         found = from_edge_nearest
     return found
@@ -77,8 +83,9 @@ def from_nearest(mesh: ti.template(), t, point):
 def normal_near(mesh: ti.template(), t, point, normal):
     """Unit normal at a point near a contact of triangle t with this normal.
 
-    On the face it is that of the contact, although the triangle may own no contact of the point: the next triangle of a
-    flat surface has the same normal. Near an edge or a vertex it is the direction from the triangle.
+    On the face it is that of the contact, although the triangle may own no contact of the point: the next
+    triangle of a flat surface has the same normal. Near an edge or a vertex it is the direction from the
+    triangle.
 
     Reads:  as `from_nearest`
     """
@@ -95,13 +102,14 @@ def normal_near(mesh: ti.template(), t, point, normal):
 def may_own(mesh: ti.template(), t, point, slack):
     """0 if triangle t owns no contact of any point within `slack` [m] of this point.
 
-    This is `triangle_contact` with all comparisons relaxed by `slack`: each length that it compares changes by at most
-    the displacement of the point. Without this test the neighbor list of a sphere would contain all triangles within
-    its radius, although only one or two can own a contact.
+    This is `triangle_contact` with all comparisons relaxed by `slack`: each length that it compares changes
+    by at most the displacement of the point. Without this test the neighbor list of a sphere would contain
+    all triangles within its radius, although only one or two can own a contact.
 
     Reads:  edges, vertices and their adjacency
     """
-    possible, k = _may_be_over_face(mesh, t, point, slack), 0
+    possible = _may_be_over_face(mesh, t, point, slack)
+    k = 0
     while possible == 0 and k < 3:
         possible = ti.max(
             _may_be_in_edge_region(mesh, t, k, point, slack), _may_be_above_vertex(mesh, t, k, point, slack)
@@ -122,19 +130,24 @@ def _may_be_over_face(mesh: ti.template(), t, point, slack):
 
 @ti.func
 def _may_be_in_edge_region(mesh: ti.template(), t, k, point, slack):
-    edge, possible = 3 * t + k, 0
+    edge = 3 * t + k
+    possible = 0
     if mesh.role[edge] != NOT_OWNED:
         from_vertex = point - mesh.vertex[edge]
-        along, length = from_vertex.dot(mesh.edge_direction[edge]), mesh.length[edge]
+        along = from_vertex.dot(mesh.edge_direction[edge])
+        length = mesh.length[edge]
         beyond = from_vertex.dot(mesh.inward[edge]) <= slack
-        beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_vertex.dot(mesh.inward_other[edge]) <= slack)
+        beyond = beyond and (
+            mesh.role[edge] == OPEN_EDGE or from_vertex.dot(mesh.inward_other[edge]) <= slack
+        )
         possible = ti.cast(beyond and along > -slack and along < length + slack, ti.i32)
     return possible
 
 
 @ti.func
 def _may_be_above_vertex(mesh: ti.template(), t, k, point, slack):
-    vertex_index, above = mesh.point[3 * t + k], 0
+    vertex_index = mesh.point[3 * t + k]
+    above = 0
     if mesh.owner[vertex_index] == t:
         above = 1
         from_vertex = point - mesh.vertex[3 * t + k]
@@ -148,25 +161,35 @@ def _may_be_above_vertex(mesh: ti.template(), t, k, point, slack):
 
 @ti.func
 def triangle_contact(mesh: ti.template(), t, point):
-    """Gap [m] and normal of the contact of a point with triangle t; FAR_AWAY if another triangle owns the contact.
+    """Gap [m] and normal of the contact of a point with triangle t; FAR_AWAY if another triangle owns the
+    contact.
 
     Reads:  faces, edges, vertices and their adjacency, competitor_start, competitor
     """
-    gap, gap_alone, normal = ti.cast(FAR_AWAY, mesh.length.dtype), ti.cast(FAR_AWAY, mesh.length.dtype), 0.0 * point
+    gap = ti.cast(FAR_AWAY, mesh.length.dtype)
+    gap_alone = ti.cast(FAR_AWAY, mesh.length.dtype)
+    normal = 0.0 * point
     row = 2 * t + ti.cast(_height(mesh, t, point) < 0.0, ti.i32)
-    begin, entry, end = mesh.competitor_start[row], -1, mesh.competitor_start[row + 1] - mesh.competitor_start[row]
-    while entry < end:  # this triangle, then its competitors: one loop, so that `_contact_alone` is compiled once
+    begin = mesh.competitor_start[row]
+    entry = -1
+    end = mesh.competitor_start[row + 1] - mesh.competitor_start[row]
+    while (
+        entry < end
+    ):  # this triangle, then its competitors: one loop, so that `_contact_alone` is compiled once
         candidate = t
         if entry >= 0:
             candidate = mesh.competitor[begin + entry]
         if entry < 0 or ti.abs(_height(mesh, candidate, point)) <= gap_alone:
             found, direction = _contact_alone(mesh, candidate, point)
             if entry < 0:
-                gap, gap_alone, normal = found, found, direction
+                gap = found
+                gap_alone = found
+                normal = direction
                 if not found < FAR_AWAY:
                     end = 0
             elif found < gap_alone or (found == gap_alone and candidate < t):
-                gap, end = ti.cast(FAR_AWAY, mesh.length.dtype), 0
+                gap = ti.cast(FAR_AWAY, mesh.length.dtype)
+                end = 0
         entry += 1
     return gap, normal
 
@@ -182,7 +205,9 @@ def _contact_alone(mesh: ti.template(), t, point):
     height = (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
     normal = ti.select(height < 0.0, -1.0, 1.0) * mesh.normal[t]
     gap = ti.cast(FAR_AWAY, mesh.length.dtype)
-    near, over_count, is_vertex = 0.0 * normal, 0, 0
+    near = 0.0 * normal
+    over_count = 0
+    is_vertex = 0
     for k in range(3):
         over_count += _over_edge(mesh, t, k, point)
         if _above_vertex(mesh, t, k, point) == 1:
@@ -216,7 +241,8 @@ def _over_edge(mesh: ti.template(), t, k, point):
 def _in_edge_region(mesh: ti.template(), t, k, point):
     """Whether the triangle owns a contact at edge k, and the vector [m] from the edge."""
     edge = 3 * t + k
-    from_nearest, owns = point - mesh.vertex[edge], 0
+    from_nearest = point - mesh.vertex[edge]
+    owns = 0
     if mesh.role[edge] != NOT_OWNED:
         along = from_nearest.dot(mesh.edge_direction[edge])
         from_base = point - mesh.vertex[3 * t + mesh.base[edge]]
@@ -232,7 +258,9 @@ def _above_vertex(mesh: ti.template(), t, k, point):
     """1 if no edge at corner k is nearer to the point than the corner."""
     vertex_index = mesh.point[3 * t + k]
     from_vertex = point - mesh.vertex[3 * t + k]
-    slack = ti.static(ROUNDING * EPSILON[mesh.length.dtype]) * (mesh.longest[vertex_index] + from_vertex.norm())
+    slack = ti.static(ROUNDING * EPSILON[mesh.length.dtype]) * (
+        mesh.longest[vertex_index] + from_vertex.norm()
+    )
     above = 1
     if (
         from_vertex.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
@@ -249,23 +277,29 @@ def _above_vertex(mesh: ti.template(), t, k, point):
 
 
 class WallGeometry:
-    """Device functions of a wall or triangle at a point, for the shapes of a plan; motion only if a wall moves.
+    """Device functions of a wall or triangle at a point, for the shapes of a plan; motion only if a wall
+    moves.
 
-    Points are in m in the frame of the scene; in a periodic box they are wrapped into the box first. A face is a wall
-    index, or wall count + triangle index; `pose` is the index of the poses uploaded by `upload_poses`.
+    Points are in m in the frame of the scene; in a periodic box they are wrapped into the box first. A face
+    is a wall index, or wall count + triangle index; `pose` is the index of the poses uploaded by
+    `upload_poses`.
 
-    Reads:  kind, parameters, pivot, center, rotation, velocity, angular_velocity and surface_velocity of walls; wall
-            dynamics; mesh
+    Reads:  kind, parameters, pivot, center, rotation, velocity, angular_velocity and surface_velocity of
+            walls; wall dynamics; mesh
     """
 
     def __init__(self, state: State) -> None:
         shapes = [wall.shape for wall in state.plan.walls if isinstance(wall.shape, Shape)]
-        self.state, self.walls, self.features = state, state.walls, state.plan.features
-        self.wall_count, self.wall_of = state.parameter("wall_count"), build_wall_of(state)
+        self.state = state
+        self.walls = state.walls
+        self.features = state.plan.features
+        self.wall_count = state.parameter("wall_count")
+        self.wall_of = build_wall_of(state)
         self.kinds = sorted({SHAPE_KINDS.index(shape.kind) for shape in shapes})
         self.real = state.backend.position_real
         self.is_flat = not self.features.mesh_walls and all(shape.kind is HALF_SPACE for shape in shapes)
-        self.wrap_position, self.near_image = build_wrap_position(state), build_near_image(state)
+        self.wrap_position = build_wrap_position(state)
+        self.near_image = build_near_image(state)
         self.image_count = 3 ** len(state.plan.periodic_box.axes)
         fields = state.wall_dynamics
         self.controlled_offset, self.controlled_velocity = (
@@ -323,9 +357,11 @@ class WallGeometry:
         velocity:  of the particle at the half step [m/s]
         normal:    n, normal of the contact now
 
-        It is the normal where the particle was half a step ago in the frame of the wall, turned back with the wall.
+        It is the normal where the particle was half a step ago in the frame of the wall, turned back with the
+        wall.
         """
-        half, found = ti.cast(0.5 * dt, self.real), normal
+        half = ti.cast(0.5 * dt, self.real)
+        found = normal
         if ti.static(not self.is_flat):
             velocity_rel = ti.cast(velocity, self.real) - self.velocity(face, pose, point)
             found = self._normal_near(face, pose, point, point - half * velocity_rel, normal)
@@ -338,11 +374,13 @@ class WallGeometry:
     def _normal_near(self, face, pose, point, point_half, normal):
         """Unit normal of a wall or triangle at `point_half`, near a contact at `point` with this normal.
 
-        On the face it is that of the face, extended beyond its edges: another wall may have had the contact there, and
-        the direction from the edge would be integrated as slip. Near an edge it is the direction from the wall.
+        On the face it is that of the face, extended beyond its edges: another wall may have had the contact
+        there, and the direction from the edge would be integrated as slip. Near an edge it is the direction
+        from the wall.
         """
         w = self.wall_of(-1 - face)
-        local, local_half = self.to_wall_frame(w, pose, point), self.to_wall_frame(w, pose, point_half)
+        local = self.to_wall_frame(w, pose, point)
+        local_half = self.to_wall_frame(w, pose, point_half)
         found = normal
         if ti.static(self.features.moving_walls):
             found = self.walls.rotation[pose, w].transpose() @ normal
@@ -375,12 +413,15 @@ class WallGeometry:
             w = self.wall_of(-1 - face)
             of_pivot = self.velocity(face, pose, self._center(w, pose))
             angular_velocity = ti.cast(self.walls.angular_velocity[pose, w], self.real)
-            found -= ti.cast(0.5 * dt, self.real) * angular_velocity.cross(ti.cast(velocity, self.real) - of_pivot)
+            found -= ti.cast(0.5 * dt, self.real) * angular_velocity.cross(
+                ti.cast(velocity, self.real) - of_pivot
+            )
         return found
 
     @ti.func
     def surface_distance(self, face, pose, point):
-        """Distance [m] of a point from a face, without regard to shared edges; negative behind a half space."""
+        """Distance [m] of a point from a face, without regard to shared edges; negative behind a half
+        space."""
         w = self.wall_of(-1 - face)
         result = self.distance(w, pose, point)
         if ti.static(self.features.mesh_walls):
@@ -394,22 +435,24 @@ class WallGeometry:
     def from_surface(self, face, pose, point):
         """Vector [m] to a point from the nearest point of a face, without regard to shared edges.
 
-        In a periodic box, the nearest of the images of the point counts: an image is outside of the box by up to the
-        distance from a boundary.
+        In a periodic box, the nearest of the images of the point counts: an image is outside of the box by up
+        to the distance from a boundary.
         """
         w = self.wall_of(-1 - face)
         _, direction = self.closest(face, pose, point)
         found = self.distance(w, pose, point) * direction
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
-                wrapped, nearest = self.wrap_position(point), ti.cast(FAR_AWAY, self.real)
+                wrapped = self.wrap_position(point)
+                nearest = ti.cast(FAR_AWAY, self.real)
                 for number in range(self.image_count):
                     image, is_near = self.near_image(wrapped, number, FAR_AWAY)
                     if is_near:
                         local = self.image_in_wall_frame(w, pose, image)
                         separation = from_nearest(self.state.mesh, face - self.wall_count(), local)
                         if separation.norm() < nearest:
-                            nearest, found = separation.norm(), separation
+                            nearest = separation.norm()
+                            found = separation
                 if ti.static(self.features.moving_walls):
                     found = self.walls.rotation[pose, w] @ found
         return found
@@ -418,7 +461,8 @@ class WallGeometry:
     def prescribed_velocity(self, face, pose, step, point):
         """Velocity [m/s] of the wall at the point by prescribed motions, without force-controlled motions.
 
-        step:  index of the step at whose middle it is: `pose` for the one that ends at the pose, pose + 1 for the next
+        step:  index of the step at whose middle it is: `pose` for the one that ends at the pose, pose + 1 for
+               the next
         """
         velocity = 0.0 * point
         if ti.static(self.features.moving_walls):
@@ -465,7 +509,9 @@ def build_wall_of(state: State) -> Any:
 
     Reads:  wall of the mesh triangles
     """
-    wall_count, mesh, has_mesh = state.parameter("wall_count"), state.mesh, state.mesh is not None
+    wall_count = state.parameter("wall_count")
+    mesh = state.mesh
+    has_mesh = state.mesh is not None
 
     @ti.func
     def wall_of(j):
@@ -495,20 +541,26 @@ def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
 
 
 def upload_poses(state: State, step: int) -> None:
-    """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each step.
+    """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each
+    step.
 
     Velocities have one more row, for the work in the step that follows the last pose.
 
-    Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles of the
-    steps are evaluated together, and a wall without motion once.
+    Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles
+    of the steps are evaluated together, and a wall without motion once.
 
     Writes:  center, rotation, velocity, angular_velocity, surface_velocity of walls; active
     """
-    walls, clock = state.walls, state.clock
+    walls = state.walls
+    clock = state.clock
     ends = np.asarray(clock.time_after(step + np.arange(WALL_BATCH + 1)))
-    times, middles = ends[:WALL_BATCH], ends - 0.5 * clock.time_step
+    times = ends[:WALL_BATCH]
+    middles = ends - 0.5 * clock.time_step
     at_rest = pose((), ends)
-    both = [pose(motions, np.concatenate([times, middles])) if motions else at_rest for motions in state.wall_motions]
+    both = [
+        pose(motions, np.concatenate([times, middles])) if motions else at_rest
+        for motions in state.wall_motions
+    ]
     # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
     real = np.float64 if state.backend.precision == "f64" else np.float32
     position_real = np.float32 if state.backend.precision == "f32" else np.float64

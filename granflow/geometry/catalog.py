@@ -38,7 +38,8 @@ def triangles(surface: Surface, center: np.ndarray, extent: float) -> tuple[np.n
     extent:   half width [m] of the square that shows an unbounded shape, half the largest side of the domain
     Returns:  points (m, 3) float64 [m]; triangles (k, 3) as indices of the points
 
-    An unbounded shape is shown as a square about the projection of `center`; other shapes are shown completely.
+    An unbounded shape is shown as a square about the projection of `center`; other shapes are shown
+    completely.
     """
     if isinstance(surface, Mesh):
         return surface.points, surface.corners
@@ -49,7 +50,8 @@ def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndar
     """Distance of points from a surface at rest, without regard to shared edges of a mesh.
 
     points:   (n, 3) float64 [m]
-    reach:    distance [m] up to which the result is exact for a mesh; farther points get a larger distance or FAR_AWAY
+    reach:    distance [m] up to which the result is exact for a mesh; farther points get a larger distance or
+              FAR_AWAY
     Returns:  distance (n,) [m]; FAR_AWAY at the edge of a surface of revolution that another wall owns
     """
     if isinstance(surface, Mesh):
@@ -59,15 +61,17 @@ def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndar
 
 
 def reach_about(surface: Surface, point: np.ndarray, axis: np.ndarray, farthest: float) -> float:
-    """Largest distance [m] from an axis of geometry that moves when the wall rotates, for `motion.speed_bound`.
+    """Largest distance [m] from an axis of geometry that moves when the wall rotates, for
+    `motion.speed_bound`.
 
     point:     (3,) [m], a point on the axis
     axis:      (3,), unit vector along the axis
     farthest:  largest distance [m] of a particle from the axis; the result is at most this value
-    Returns:   0 for a surface of revolution that rotates about its own axis, and for a half space that rotates about
-               its normal
+    Returns:   0 for a surface of revolution that rotates about its own axis, and for a half space that
+               rotates about its normal
     """
-    point, axis = np.asarray(point), np.asarray(axis)
+    point = np.asarray(point)
+    axis = np.asarray(axis)
     if isinstance(surface, Mesh):
         return min(surface.reach_about(point, axis), farthest)
     return min(surface.kind.reach_about(surface.parameters, point, axis), farthest)

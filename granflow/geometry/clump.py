@@ -1,12 +1,12 @@
 """Volume integrals over a union of spheres, which may overlap. numpy only.
 
-By the divergence theorem, each integral is one over the parts of the spheres that no other sphere contains, with the
-outward normal n and s = x . n dA:
+By the divergence theorem, each integral is one over the parts of the spheres that no other sphere contains,
+with the outward normal n and s = x . n dA:
 
     volume = 1/3 sum s,      integral of x = 1/4 sum x s,      integral of x x = 1/5 sum x x s
 
-On each circle of latitude these parts are arcs, whose ends are known exactly. Gauss quadrature adds up the arcs, and
-the latitudes between those at which arcs appear or vanish.
+On each circle of latitude these parts are arcs, whose ends are known exactly. Gauss quadrature adds up the
+arcs, and the latitudes between those at which arcs appear or vanish.
 """
 
 from dataclasses import dataclass
@@ -32,13 +32,17 @@ def matrices(quaternion: np.ndarray) -> np.ndarray:
 def product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Quaternions (n, 4) of the rotation `second` followed by `first`, both (n, 4) or (4,)."""
     first, second = np.broadcast_arrays(np.atleast_2d(first), np.atleast_2d(second))
-    a, u, b, v = first[:, :1], first[:, 1:], second[:, :1], second[:, 1:]
+    a = first[:, :1]
+    u = first[:, 1:]
+    b = second[:, :1]
+    v = second[:, 1:]
     scalar = a * b - np.sum(u * v, axis=1, keepdims=True)
     return np.concatenate([scalar, a * v + b * u + np.cross(u, v)], axis=1)
 
 
 def about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) of rotations about axes (n, 3), whose length does not matter, by angles (n,) [rad]."""
+    """Quaternions (n, 4) of rotations about axes (n, 3), whose length does not matter, by angles (n,)
+    [rad]."""
     unit = axis / np.linalg.norm(axis, axis=1, keepdims=True)
     return np.concatenate([np.cos(0.5 * angle)[:, None], np.sin(0.5 * angle)[:, None] * unit], axis=1)
 
@@ -50,7 +54,9 @@ def of_matrix(rotation: np.ndarray) -> np.ndarray:
     """
     products = np.empty((4, 4))
     trace = np.trace(rotation)
-    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    skew = np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
     products[0, 0], products[0, 1:], products[1:, 0] = 1.0 + trace, skew, skew
     products[1:, 1:] = rotation + rotation.T + (1.0 - trace) * np.eye(3)
     row = products[int(np.argmax(np.diag(products)))]
@@ -64,8 +70,8 @@ def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
 
 
 LATITUDES = 64
-"""Number of circles of latitude between two at which arcs appear or vanish: relative error 1e-13 unless three spheres
-overlap each other, then below 1e-5."""
+"""Number of circles of latitude between two at which arcs appear or vanish: relative error 1e-13 unless three
+spheres overlap each other, then below 1e-5."""
 ARC_POINTS = 8
 """Points of the quadrature on an arc of at most a quarter of a circle."""
 
@@ -84,7 +90,8 @@ def union_integrals(position: np.ndarray, radius: np.ndarray) -> tuple[float, np
 
 
 def _caps(position: np.ndarray, radius: np.ndarray, index: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Caps of a sphere inside the other spheres: unit vectors e (c, 3) and cosines (c,), n . e > cosine inside.
+    """Caps of a sphere inside the other spheres: unit vectors e (c, 3) and cosines (c,), n . e > cosine
+    inside.
 
     None if another sphere contains the whole sphere, or is equal to it and comes earlier.
     """
@@ -95,15 +102,20 @@ def _caps(position: np.ndarray, radius: np.ndarray, index: int) -> tuple[np.ndar
     equal = others & (distance == 0.0) & (radius == radius[index]) & (np.arange(len(radius)) < index)
     if np.any(contained | equal):
         return None
-    near = others & (distance > 0.0) & (distance < radius[index] + radius) & (distance + radius > radius[index])
+    near = (
+        others & (distance > 0.0) & (distance < radius[index] + radius) & (distance + radius > radius[index])
+    )
     unit = branch[near] / distance[near, None]
-    cosine = (distance[near] ** 2 + radius[index] ** 2 - radius[near] ** 2) / (2.0 * distance[near] * radius[index])
+    cosine = (distance[near] ** 2 + radius[index] ** 2 - radius[near] ** 2) / (
+        2.0 * distance[near] * radius[index]
+    )
     return unit, cosine
 
 
 def _exposed_integrals(center: np.ndarray, radius: float, unit: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     """Sums (13,) of s, x s and x x s over the part of a sphere outside the caps."""
-    polar, half_angle = np.arccos(np.clip(unit[:, 2], -1.0, 1.0)), np.arccos(np.clip(cosine, -1.0, 1.0))
+    polar = np.arccos(np.clip(unit[:, 2], -1.0, 1.0))
+    half_angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     ends = np.unique(np.concatenate([[-1.0, 1.0], np.cos(polar - half_angle), np.cos(polar + half_angle)]))
     node, weight = np.polynomial.legendre.leggauss(LATITUDES)
     turn = 0.5 * np.pi * (1.0 + node)  # heights as (1 - cos turn): the ends are square roots of the height
@@ -120,18 +132,25 @@ def _exposed_integrals(center: np.ndarray, radius: float, unit: np.ndarray, cosi
     return np.concatenate([[flux.sum()], flux @ point, ((flux[:, None] * point).T @ point).ravel()])
 
 
-def _exposed_angles(height: np.ndarray, unit: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Longitudes (m, p) outside the caps on circles of latitude z = `height` (m,) of the unit sphere, and weights.
+def _exposed_angles(
+    height: np.ndarray, unit: np.ndarray, cosine: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Longitudes (m, p) outside the caps on circles of latitude z = `height` (m,) of the unit sphere, and
+    weights.
 
     A cap covers cos(longitude - its own) > (cosine - z e_z) / (across e_across); weights are 0 inside caps.
     """
     across = np.sqrt(np.maximum(1.0 - height**2, 0.0))[:, None]
     along = np.hypot(unit[:, 0], unit[:, 1])
-    own, rest = np.arctan2(unit[:, 1], unit[:, 0]), cosine - height[:, None] * unit[:, 2]
+    own = np.arctan2(unit[:, 1], unit[:, 0])
+    rest = cosine - height[:, None] * unit[:, 2]
     half = np.arccos(np.clip(rest / np.maximum(across * along, 1e-300), -1.0, 1.0))
     quarters = np.broadcast_to(0.5 * np.pi * np.arange(5), (len(height), 5))
-    ends = np.sort(np.concatenate([quarters, (own - half) % (2 * np.pi), (own + half) % (2 * np.pi)], axis=1), axis=1)
-    begin, width = ends[:, :-1], np.diff(ends, axis=1)
+    ends = np.sort(
+        np.concatenate([quarters, (own - half) % (2 * np.pi), (own + half) % (2 * np.pi)], axis=1), axis=1
+    )
+    begin = ends[:, :-1]
+    width = np.diff(ends, axis=1)
     middle = (begin + 0.5 * width)[:, :, None]
     covered = np.any((across * along)[:, None, :] * np.cos(middle - own) > rest[:, None, :], axis=2)
     node, weight = np.polynomial.legendre.leggauss(ARC_POINTS)
@@ -154,8 +173,10 @@ class ClumpShape:
     volume:          of the union of the spheres [m3]
     center:          center of mass (3,) [m] in the frame of the given positions
     moments:         principal moments of inertia (3,) for density 1 [m5]
-    principal_axes:  quaternion (4,) of the rotation from the principal axes to the frame of the given positions
-    offset:          centers of the spheres (k, 3) [m] relative to the center of mass, along the principal axes
+    principal_axes:  quaternion (4,) of the rotation from the principal axes to the frame of the given
+                     positions
+    offset:          centers of the spheres (k, 3) [m] relative to the center of mass, along the principal
+                     axes
     radius:          radii of the spheres (k,) [m]
     """
 
@@ -176,14 +197,16 @@ class ClumpShape:
 
     @property
     def volume_share(self) -> np.ndarray:
-        """Share (k,) of each sphere in the mass of the clump, by its volume without regard to overlaps; the sum is 1.
+        """Share (k,) of each sphere in the mass of the clump, by its volume without regard to overlaps; the
+        sum is 1.
 
         Sums of masses over spheres are thereby those over clumps.
         """
         return np.asarray(self.radius**3 / np.sum(self.radius**3))
 
     def spheres(self, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-        """Centers (n, k, 3) [m] of the spheres of clumps with centers of mass (n, 3) [m] and orientations (n, 4).
+        """Centers (n, k, 3) [m] of the spheres of clumps with centers of mass (n, 3) [m] and orientations (n,
+        4).
 
         The orientations turn the frame of the given positions, as those of `ParticleData`.
         """
@@ -197,14 +220,18 @@ def clump_shape(position: tuple[tuple[float, float, float], ...], radius: tuple[
 
     I = tr(J) - J with J the integral of x x about the center of mass
     """
-    centers, radii = np.array(position), np.array(radius)
-    scale, origin = float(radii.max()), centers.mean(axis=0)
+    centers = np.array(position)
+    radii = np.array(radius)
+    scale = float(radii.max())
+    origin = centers.mean(axis=0)
     volume, first, second = union_integrals((centers - origin) / scale, radii / scale)
     center = first / volume
     second = second - volume * np.outer(center, center)
     moments, axes = _principal(np.trace(second) * np.eye(3) - second)
     center = origin + scale * center
-    return ClumpShape(scale**3 * volume, center, scale**5 * moments, of_matrix(axes), (centers - center) @ axes, radii)
+    return ClumpShape(
+        scale**3 * volume, center, scale**5 * moments, of_matrix(axes), (centers - center) @ axes, radii
+    )
 
 
 def _principal(tensor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

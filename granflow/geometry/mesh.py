@@ -1,4 +1,5 @@
-"""Triangle mesh of a wall at rest: merged points, valid triangles, and counts of removed triangles. numpy only."""
+"""Triangle mesh of a wall at rest: merged points, valid triangles, and counts of removed triangles. numpy
+only."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,7 +24,8 @@ def row_entries(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def expanded(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The numbers of n ranges (n,), (n,): indices of the ranges (r,), ascending, and numbers (r,) from `first` on."""
+    """The numbers of n ranges (n,), (n,): indices of the ranges (r,), ascending, and numbers (r,) from
+    `first` on."""
     index = np.repeat(np.arange(len(count)), count)
     rank = np.arange(len(index)) - np.repeat(np.cumsum(count) - count, count)
     return index, first[index] + rank
@@ -36,9 +38,10 @@ def expanded(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarr
 # line of an edge, measured in the plane of the triangle and positive over its face:
 #
 #     face      s > 0 at all three edges
-#     edge      s <= 0 for both triangles of the edge: the triangle with the lower index owns the contact; an open edge
-#               belongs to its only triangle
-#     vertex    no edge at the vertex is nearer to the center: the triangle with the lowest index owns the contact
+#     edge      s <= 0 for both triangles of the edge: the triangle with the lower index owns the contact; an
+#               open edge belongs to its only triangle
+#     vertex    no edge at the vertex is nearer to the center: the triangle with the lowest index owns the
+#               contact
 #
 # Two coplanar triangles have exactly opposite `s` at their common edge, so that one of them owns the
 # contact for every position of the center, including positions above the edge. A non-manifold edge (more
@@ -56,8 +59,8 @@ COPLANAR_ANGLE = 1e-4
 A contact point may then lie outside its triangle by up to half this angle times the radius.
 """
 SMOOTH_ANGLE = np.radians(30.0)
-"""Angle [rad] up to which a concave edge approximates a curved wall: a tube of twelve facets is round, one of ten is
-not."""
+"""Angle [rad] up to which a concave edge approximates a curved wall: a tube of twelve facets is round, one of
+ten is not."""
 NOT_OWNED, OPEN_EDGE, SHARED_EDGE = range(3)
 """Role of a triangle at one of its edges: no ownership, owner of an open edge, or owner of a shared edge."""
 
@@ -66,8 +69,9 @@ NOT_OWNED, OPEN_EDGE, SHARED_EDGE = range(3)
 class MeshAdjacency:
     """Arrays over triangles (t, ...), over their edges and corners (t, 3, ...), and over points (n, ...).
 
-    Edge k of a triangle runs from corner k to the next corner. Lengths are in m, real arrays float64. The kernels read
-    the same arrays (`engine/state.py`); `contact.py` is the reference implementation that uses them.
+    Edge k of a triangle runs from corner k to the next corner. Lengths are in m, real arrays float64. The
+    kernels read the same arrays (`engine/state.py`); `contact.py` is the reference implementation that uses
+    them.
     """
 
     vertex: np.ndarray
@@ -81,7 +85,8 @@ class MeshAdjacency:
     inward: np.ndarray
     """(t, 3, 3) unit vectors in the plane of the triangle, perpendicular to the edge, into the face."""
     base: np.ndarray
-    """(t, 3) corner 0 to 2 from which distances at an edge are measured: the same point for all triangles of it."""
+    """(t, 3) corner 0 to 2 from which distances at an edge are measured: the same point for all triangles of
+    it."""
     owns_tie: np.ndarray
     """(t, 3) whether this triangle owns a contact exactly above the common edge of two coplanar triangles."""
     role: np.ndarray
@@ -99,7 +104,8 @@ class MeshAdjacency:
     longest: np.ndarray
     """(n,) length of the longest edge at a point [m]."""
     competitor_start: np.ndarray
-    """(2 t + 1,) start of the competing triangles of each triangle: 2 t on the side of its normal, 2 t + 1 opposite."""
+    """(2 t + 1,) start of the competing triangles of each triangle: 2 t on the side of its normal, 2 t + 1
+    opposite."""
     competitor: np.ndarray
     """(r,) indices of the competing triangles."""
     open_count: int
@@ -118,15 +124,18 @@ class _Edges:
     inward_other: np.ndarray
 
     def share(self, first: np.ndarray, second: np.ndarray) -> None:
-        """Assign edges of two triangles, (p,) and (p,), to the first; edges of coplanar triangles have no contact."""
+        """Assign edges of two triangles, (p,) and (p,), to the first; edges of coplanar triangles have no
+        contact."""
         coplanar = is_coplanar(self.inward[first], self.inward[second])
         self.make_coplanar(first[coplanar], second[coplanar])
-        first, second = first[~coplanar], second[~coplanar]
+        first = first[~coplanar]
+        second = second[~coplanar]
         self.role[first] = SHARED_EDGE
         self.inward_other[first] = self.inward[second]
 
     def share_nonmanifold(self, edges: np.ndarray) -> None:
-        """Assign an edge of k > 2 triangles (k,) to the two at the widest free angle, if it exceeds 180 degrees."""
+        """Assign an edge of k > 2 triangles (k,) to the two at the widest free angle, if it exceeds 180
+        degrees."""
         for position, one in enumerate(edges):
             for other in edges[position + 1 :]:
                 if is_coplanar(self.inward[one], self.inward[other]) and not self.owns_tie[edges].any():
@@ -144,7 +153,8 @@ class _Edges:
             self.role[one], self.inward_other[one] = SHARED_EDGE, self.inward[other]
 
     def make_coplanar(self, first: np.ndarray, second: np.ndarray) -> None:
-        """Make `inward` of both triangles of each edge exactly opposite; ties on the edge belong to the first."""
+        """Make `inward` of both triangles of each edge exactly opposite; ties on the edge belong to the
+        first."""
         mean = normalized(self.inward[first] - self.inward[second])
         self.inward[first], self.inward[second] = mean, -mean
         self.owns_tie[first] = True
@@ -202,15 +212,16 @@ def normalized(vectors: np.ndarray) -> np.ndarray:
 
 
 def is_coplanar(inward_a: np.ndarray, inward_b: np.ndarray) -> np.ndarray:
-    """Whether (...,) two triangles at an edge are coplanar and do not overlap; arguments (..., 3) as `inward`."""
+    """Whether (...,) two triangles at an edge are coplanar and do not overlap; arguments (..., 3) as
+    `inward`."""
     return np.linalg.norm(inward_a + inward_b, axis=-1) <= COPLANAR_ANGLE
 
 
 def classify_edges(corners: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
     """Group the edges of triangles (t, 3) by the number of triangles with the same end points.
 
-    Returns:  pairs (p, 2) of edges with two triangles; one array (k,) for each non-manifold edge; open edges (o,).
-              Entries are 3 triangle + edge.
+    Returns:  pairs (p, 2) of edges with two triangles; one array (k,) for each non-manifold edge; open edges
+              (o,). Entries are 3 triangle + edge.
     """
     ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     keys = ends[:, 0] * (int(corners.max()) + 1) + ends[:, 1]
@@ -218,7 +229,9 @@ def classify_edges(corners: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], n
     _, sizes = np.unique(keys, return_counts=True)
     starts = np.cumsum(sizes) - sizes
     pairs = order[starts[sizes == 2][:, None] + np.arange(2)]
-    nonmanifold = [order[start : start + size] for start, size in zip(starts[sizes > 2], sizes[sizes > 2], strict=True)]
+    nonmanifold = [
+        order[start : start + size] for start, size in zip(starts[sizes > 2], sizes[sizes > 2], strict=True)
+    ]
     return pairs, nonmanifold, order[starts[sizes == 1]]
 
 
@@ -228,12 +241,16 @@ def vertex_edges_of(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray
     both = np.concatenate([ends, ends[:, ::-1]])
     start_point, end_point = np.divmod(np.unique(both[:, 0] * len(points) + both[:, 1]), len(points))
     along = points[end_point] - points[start_point]
-    length, start = np.linalg.norm(along, axis=1), starts_of(start_point, len(points))
+    length = np.linalg.norm(along, axis=1)
+    start = starts_of(start_point, len(points))
     return start, along / length[:, None], np.maximum.reduceat(length, start[:-1])
 
 
-def competitors_of(points: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Competing triangles by triangle and side: common point, angle up to SMOOTH_ANGLE, concave toward the particle.
+def competitors_of(
+    points: np.ndarray, corners: np.ndarray, normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Competing triangles by triangle and side: common point, angle up to SMOOTH_ANGLE, concave toward the
+    particle.
 
     normal:   (t, 3) unit normals
     Returns:  `competitor_start` and `competitor` of MeshAdjacency
@@ -242,9 +259,14 @@ def competitors_of(points: np.ndarray, corners: np.ndarray, normal: np.ndarray) 
     """
     one, other = neighbors_of(corners, len(points))
     normal_cosine = np.abs(np.sum(normal[one] * normal[other], axis=1))
-    smooth = (normal_cosine >= np.cos(SMOOTH_ANGLE) - COPLANAR_ANGLE) & (normal_cosine < np.cos(COPLANAR_ANGLE))
-    one, other = one[smooth], other[smooth]
-    height = np.sum((points[corners[other]] - points[corners[one, 0]][:, None, :]) * normal[one][:, None, :], axis=2)
+    smooth = (normal_cosine >= np.cos(SMOOTH_ANGLE) - COPLANAR_ANGLE) & (
+        normal_cosine < np.cos(COPLANAR_ANGLE)
+    )
+    one = one[smooth]
+    other = other[smooth]
+    height = np.sum(
+        (points[corners[other]] - points[corners[one, 0]][:, None, :]) * normal[one][:, None, :], axis=2
+    )
     size = np.abs(height).max(axis=1)
     concave = [above > COPLANAR_ANGLE * size for above in (height.max(axis=1), -height.min(axis=1))]
     key = np.concatenate([2 * one[is_concave] + side for side, is_concave in enumerate(concave)])
@@ -258,7 +280,8 @@ def neighbors_of(corners: np.ndarray, point_count: int) -> tuple[np.ndarray, np.
     corner_points = corners.reshape(-1)
     order = np.argsort(corner_points, kind="stable")
     corner, entry = row_entries(starts_of(corner_points[order], point_count), corner_points)
-    first, second = corner // 3, order[entry] // 3
+    first = corner // 3
+    second = order[entry] // 3
     pairs = np.unique(first[first != second] * len(corners) + second[first != second])
     return pairs // len(corners), pairs % len(corners)
 
@@ -297,8 +320,8 @@ def reference_contact(
     points:     (n, 3) centers [m] in the frame of the mesh at rest
     Returns:    gap (n,) [m]; unit normal (n, 3) from the mesh to the point
 
-    The gap is FAR_AWAY if another triangle owns the contact, or if the nearest point of the triangle is not a local
-    minimum of the distance to the mesh.
+    The gap is FAR_AWAY if another triangle owns the contact, or if the nearest point of the triangle is not a
+    local minimum of the distance to the mesh.
     """
     gap, normal = reference_contact_alone(adjacency, triangles, points)
     height = _dot(points - adjacency.vertex[triangles, 0], adjacency.normal[triangles])
@@ -306,7 +329,9 @@ def reference_contact(
     query, entry = row_entries(adjacency.competitor_start, key)
     competitor = adjacency.competitor[entry]
     competitor_gap, _ = reference_contact_alone(adjacency, competitor, points[query])
-    competitor_owns = (competitor_gap < gap[query]) | ((competitor_gap == gap[query]) & (competitor < triangles[query]))
+    competitor_owns = (competitor_gap < gap[query]) | (
+        (competitor_gap == gap[query]) & (competitor < triangles[query])
+    )
     not_owner = np.zeros(len(points), bool)
     not_owner[query[competitor_owns]] = True
     return np.where(not_owner, FAR_AWAY, gap), normal
@@ -319,7 +344,8 @@ def reference_contact_alone(
 
     Device equivalent: `contact_alone` in `engine/walls.py`.
     """
-    gap, normal = np.full(len(points), FAR_AWAY), adjacency.normal[triangles].copy()
+    gap = np.full(len(points), FAR_AWAY)
+    normal = adjacency.normal[triangles].copy()
     from_vertex = points[:, None, :] - adjacency.vertex[triangles]
     height = _dot(from_vertex[:, 0], normal)
     normal[height < 0.0] *= -1.0
@@ -332,7 +358,8 @@ def reference_contact_alone(
     for k in range(3):
         is_owner = above[:, k] & (adjacency.owner[adjacency.point[triangles, k]] == triangles)
         _set_contact(gap, normal, is_owner & ~on_face, from_vertex[:, k])
-        t, role = _dot(from_vertex[:, k], adjacency.edge_direction[triangles, k]), adjacency.role[triangles, k]
+        t = _dot(from_vertex[:, k], adjacency.edge_direction[triangles, k])
+        role = adjacency.role[triangles, k]
         owned = (role == OPEN_EDGE) | ((role == SHARED_EDGE) & (s_other[:, k] <= 0.0))
         over_edge = ~above_any_vertex & ~is_inside[:, k] & (t > 0.0) & (t < adjacency.length[triangles, k])
         from_edge = from_vertex[:, k] - t[:, None] * adjacency.edge_direction[triangles, k]
@@ -343,7 +370,8 @@ def reference_contact_alone(
 def _inward_distances(
     adjacency: MeshAdjacency, triangles: np.ndarray, from_vertex: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances `s` (n, 3) at each edge over the face of the triangle, and over the face of the other triangle [m]."""
+    """Distances `s` (n, 3) at each edge over the face of the triangle, and over the face of the other
+    triangle [m]."""
     from_base = np.take_along_axis(from_vertex, adjacency.base[triangles][:, :, None], axis=1)
     return _dot(from_base, adjacency.inward[triangles]), _dot(from_base, adjacency.inward_other[triangles])
 
@@ -444,7 +472,9 @@ def distances(grid: MeshGrid, vertex: np.ndarray, points: np.ndarray) -> np.ndar
     x, y, z = cell[inside].T
     query, entry = row_entries(grid.start, (z * grid.shape[1] + y) * grid.shape[0] + x)
     found = np.full(len(points), FAR_AWAY)
-    np.minimum.at(found, inside[query], triangle_distances(vertex[grid.triangle[entry]], points[inside[query]]))
+    np.minimum.at(
+        found, inside[query], triangle_distances(vertex[grid.triangle[entry]], points[inside[query]])
+    )
     return found
 
 
@@ -455,7 +485,8 @@ def side_of(vertex: np.ndarray, reach: float, low: np.ndarray, high: np.ndarray)
     low, high:  (3,) [m] corners of the grid
     """
     size = np.ptp(vertex, axis=1) + 2.0 * reach
-    count, side = len(vertex), reach
+    count = len(vertex)
+    side = reach
     while True:
         cells = np.prod(np.ceil((high - low) / side))
         entries = np.prod(size / side + 1.0, axis=1).sum()
@@ -485,9 +516,14 @@ def overlaps(
 
 
 def within_reach(
-    vertex: np.ndarray, reach: float, low: np.ndarray, side: float, shape: np.ndarray, cell: np.ndarray,
+    vertex: np.ndarray,
+    reach: float,
+    low: np.ndarray,
+    side: float,
+    shape: np.ndarray,
+    cell: np.ndarray,
     triangle: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Candidates whose cell, replaced by its circumscribed sphere, is within `reach` [m] of the triangle.
 
     cell, triangle:  (p,) candidates of `overlaps`
@@ -496,9 +532,15 @@ def within_reach(
     is_near = np.ones(len(cell), bool)
     for begin in range(0, len(cell), CHUNK_PAIRS):
         part = slice(begin, begin + CHUNK_PAIRS)
-        x, y, z = cell[part] % shape[0], cell[part] // shape[0] % shape[1], cell[part] // (shape[0] * shape[1])
+        x, y, z = (
+            cell[part] % shape[0],
+            cell[part] // shape[0] % shape[1],
+            cell[part] // (shape[0] * shape[1]),
+        )
         center = low + side * (np.stack([x, y, z], axis=1) + 0.5)
-        is_near[part] = triangle_distances(vertex[triangle[part]], center) <= reach + 0.5 * np.sqrt(3.0) * side
+        is_near[part] = (
+            triangle_distances(vertex[triangle[part]], center) <= reach + 0.5 * np.sqrt(3.0) * side
+        )
     return cell[is_near], triangle[is_near]
 
 
@@ -506,18 +548,21 @@ def within_reach(
 # edges.
 
 MAX_PAIRS = 2 * 10**8
-"""Maximum number of (open edge, point) pairs; a mesh with more is not split, because its parts do not match."""
+"""Maximum number of (open edge, point) pairs; a mesh with more is not split, because its parts do not
+match."""
 SPLIT_CHUNK_PAIRS = 10**6
 """Number of pairs evaluated at a time."""
 
 
-def split_at_hanging_points(points: np.ndarray, corners: np.ndarray, tolerance: float) -> tuple[np.ndarray, int]:
+def split_at_hanging_points(
+    points: np.ndarray, corners: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, int]:
     """Split triangles until neighboring triangles share complete edges.
 
     points:     (n, 3) [m]
     corners:    (t, 3) as indices of the points
-    tolerance:  largest distance [m] of a point from an open edge that it splits; points within `tolerance` of the ends
-                of the edge do not split it
+    tolerance:  largest distance [m] of a point from an open edge that it splits; points within `tolerance` of
+                the ends of the edge do not split it
     Returns:    corners (u, 3), u >= t, the split triangles at the end; number of splits of triangles
     """
     count = 0
@@ -525,8 +570,12 @@ def split_at_hanging_points(points: np.ndarray, corners: np.ndarray, tolerance: 
         triangle, side, on_edge = hanging_points(points, corners, tolerance)
         if not len(triangle):
             return corners, count
-        is_first_side = side == side[np.searchsorted(triangle, triangle)]  # other sides follow in the next iteration
-        triangle, side, on_edge = triangle[is_first_side], side[is_first_side], on_edge[is_first_side]
+        is_first_side = (
+            side == side[np.searchsorted(triangle, triangle)]
+        )  # other sides follow in the next iteration
+        triangle = triangle[is_first_side]
+        side = side[is_first_side]
+        on_edge = on_edge[is_first_side]
         count += len(np.unique(triangle))
         corners = np.concatenate(
             [np.delete(corners, triangle, axis=0), split_triangles(points, corners, triangle, side, on_edge)]
@@ -538,8 +587,8 @@ def hanging_points(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points that lie on open edges of triangles.
 
-    Returns:  triangles (h,) in ascending order, their sides 0 to 2 (h,), and the points on these sides (h,); empty if
-              the mesh has more than MAX_PAIRS pairs of open edges and end points
+    Returns:  triangles (h,) in ascending order, their sides 0 to 2 (h,), and the points on these sides (h,);
+              empty if the mesh has more than MAX_PAIRS pairs of open edges and end points
     """
     _, _, open_edges = classify_edges(corners)
     open_edges = np.sort(open_edges)
@@ -577,7 +626,8 @@ def lies_on(
 def split_triangles(
     points: np.ndarray, corners: np.ndarray, triangle: np.ndarray, side: np.ndarray, on_edge: np.ndarray
 ) -> np.ndarray:
-    """Triangle fans that replace the split triangles: from the opposite corner to the segments of the split side.
+    """Triangle fans that replace the split triangles: from the opposite corner to the segments of the split
+    side.
 
     triangle, side, on_edge:  (h,) as in `hanging_points`, with one side per triangle
     Returns:                  (s, 3) point indices, with the winding of the split triangles
@@ -587,14 +637,17 @@ def split_triangles(
         is_this = triangle == each
         start, end, opposite = np.roll(corners[each], -int(side[is_this][0]))
         on_side = on_edge[is_this]
-        on_side = on_side[np.argsort((points[on_side] - points[start]) @ (points[end] - points[start]), kind="stable")]
+        on_side = on_side[
+            np.argsort((points[on_side] - points[start]) @ (points[end] - points[start]), kind="stable")
+        ]
         ends = np.array([start, *on_side, end])
         found += [[a, b, opposite] for a, b in zip(ends[:-1], ends[1:], strict=True)]
     return np.array(found)
 
 
 WELD_TOLERANCE = 1e-6
-"""Points closer than this fraction of the mesh size are merged: ten times the rounding error of float32 files."""
+"""Points closer than this fraction of the mesh size are merged: ten times the rounding error of float32
+files."""
 
 
 def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -651,7 +704,8 @@ class Mesh:
         return float(np.sqrt(2.0 * np.median(self.areas)))
 
     def reach_about(self, point: np.ndarray, axis: np.ndarray) -> float:
-        """Largest distance [m] of a point of the mesh from an axis: `point` (3,) [m] on it, unit vector `axis` (3,)."""
+        """Largest distance [m] of a point of the mesh from an axis: `point` (3,) [m] on it, unit vector
+        `axis` (3,)."""
         return float(distance_from_axis(self.points, point, axis).max())
 
     def placed(self, scale: float, rotation: np.ndarray, offset: np.ndarray) -> "Mesh":
@@ -665,10 +719,11 @@ class Mesh:
 def mesh_of(triangles_read: RawTriangles) -> Mesh:
     """Merge points, remove triangles without area and duplicates, and split triangles at hanging points.
 
-    The mesh is in the unit of the file and has contiguous point indices. Raises ValueError if no triangle remains.
+    The mesh is in the unit of the file and has contiguous point indices. Raises ValueError if no triangle
+    remains.
 
-    The tolerance is WELD_TOLERANCE times the diagonal of the bounding box: points within it are one point (see
-    `welded`), and a triangle whose smallest height is not above it has no area.
+    The tolerance is WELD_TOLERANCE times the diagonal of the bounding box: points within it are one point
+    (see `welded`), and a triangle whose smallest height is not above it has no area.
     """
     used, corners = np.unique(triangles_read.corners, return_inverse=True)
     points = triangles_read.points[used]
@@ -676,7 +731,8 @@ def mesh_of(triangles_read: RawTriangles) -> Mesh:
     label = welded(points, tolerance)
     corners = label[corners.reshape(-1, 3)]
     is_valid = heights(points[corners]) > tolerance
-    corners, degenerate = corners[is_valid], int((~is_valid).sum())
+    corners = corners[is_valid]
+    degenerate = int((~is_valid).sum())
     first = first_occurrences(np.sort(corners, axis=1))
     duplicate = len(corners) - len(first)
     corners = corners[first]
@@ -696,15 +752,20 @@ def first_occurrences(rows: np.ndarray) -> np.ndarray:
 
 
 def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """Index (n,) of the point that replaces each point (n, 3) [m]: the lowest of those nearer than a tolerance [m].
+    """Index (n,) of the point that replaces each point (n, 3) [m]: the lowest of those nearer than a
+    tolerance [m].
 
-    Chains of such points become one point. All points that share a cell of at least one of eight grids are merged: cell
-    size 2 `tolerance`, shifted by half a cell along each axis. This includes all pairs of points within `tolerance`.
+    Chains of such points become one point. All points that share a cell of at least one of eight grids are
+    merged: cell size 2 `tolerance`, shifted by half a cell along each axis. This includes all pairs of points
+    within `tolerance`.
     """
     label = np.arange(len(points))
     if tolerance == 0.0:
         return np.zeros_like(label)
-    cells = [cell_labels(points, 2.0 * tolerance, tolerance * np.array(shift)) for shift in product((0, 1), repeat=3)]
+    cells = [
+        cell_labels(points, 2.0 * tolerance, tolerance * np.array(shift))
+        for shift in product((0, 1), repeat=3)
+    ]
     while True:
         before = label.copy()
         for cell in cells:
@@ -716,7 +777,8 @@ def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def cell_labels(points: np.ndarray, side: float, shift: np.ndarray) -> np.ndarray:
-    """Number (n,) of the cubic cell with this side [m] around each point (n, 3) [m]; the grid is shifted by `shift`."""
+    """Number (n,) of the cubic cell with this side [m] around each point (n, 3) [m]; the grid is shifted by
+    `shift`."""
     cells = np.floor((points - points.min(axis=0) + shift) / side).astype(np.int64)
     spans = cells.max(axis=0) + 1
     keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]

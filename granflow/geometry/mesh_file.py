@@ -1,7 +1,7 @@
 """Reads the triangles of a mesh file: STL, OBJ, PLY, VTK, VTU. meshio reads text STL, PLY, VTK and VTU.
 
-trimesh is not used: it accepts truncated STL and PLY files and vertices with two coordinates, splits polygons and drops
-invalid faces silently, gives no line numbers, and its import takes longer than that of meshio.
+trimesh is not used: it accepts truncated STL and PLY files and vertices with two coordinates, splits polygons
+and drops invalid faces silently, gives no line numbers, and its import takes longer than that of meshio.
 """
 
 import io
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 # Reads vertices and faces of a Wavefront OBJ file; negative indices count back from the last vertex.
 
-IGNORED = frozenset(("vn", "vt", "vp", "g", "o", "s", "usemtl", "mtllib", "l", "p", "cstype", "deg", "end", "parm"))
+IGNORED = frozenset(
+    ("vn", "vt", "vp", "g", "o", "s", "usemtl", "mtllib", "l", "p", "cstype", "deg", "end", "parm")
+)
 """Keywords of lines that do not affect the surface."""
 
 
@@ -32,7 +34,8 @@ def read_obj(raw: bytes) -> tuple[np.ndarray, np.ndarray, int]:
 
     raw:      content of the file
     Returns:  points (n, 3) float64, triangles (t, 3) int64 as indices from 0, number of split quadrilaterals
-    Raises:   FormatError with the line number for invalid lines, faces of more than four corners, and unknown vertices
+    Raises:   FormatError with the line number for invalid lines, faces of more than four corners, and unknown
+              vertices
     """
     points: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
@@ -59,7 +62,9 @@ def _coordinates(words: list[str], number: int) -> list[float]:
     try:
         x, y, z = (float(word) for word in words[1:4])
     except ValueError:
-        raise FormatError(f"cannot be read as OBJ: line {number} needs three coordinates, as in v 0 0 1") from None
+        raise FormatError(
+            f"cannot be read as OBJ: line {number} needs three coordinates, as in v 0 0 1"
+        ) from None
     return [x, y, z]
 
 
@@ -69,7 +74,9 @@ def _corners(words: list[str], count: int, number: int) -> list[int]:
     In the file, 1 is the first vertex, -1 the last one before the line.
     """
     if not 3 <= len(words) <= 4:
-        raise FormatError(f"contains a face of {len(words)} corners in line {number}; export the surface as triangles")
+        raise FormatError(
+            f"contains a face of {len(words)} corners in line {number}; export the surface as triangles"
+        )
     found = []
     for word in words:
         text = word.partition("/")[0]
@@ -90,8 +97,12 @@ MAX_TRIANGLES = 1_000_000
 """Maximum number of triangles of a mesh."""
 FORMATS = ("stl", "obj", "ply", "vtk", "vtu")
 """Supported formats by the suffix of the file name."""
-STL_HEADER, STL_RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-"""Bytes before the first triangle of a binary STL file, and layout of a triangle (50 bytes, little-endian)."""
+STL_HEADER, STL_RECORD = (
+    84,
+    np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]),
+)
+"""Bytes before the first triangle of a binary STL file, and layout of a triangle (50 bytes,
+little-endian)."""
 PLY_BYTES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
     **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
@@ -122,8 +133,8 @@ def read_triangles(path: Path) -> RawTriangles:
 
     path:     STL, OBJ, PLY, VTK or VTU file of at most LARGEST_FILE bytes
     Returns:  1 to MAX_TRIANGLES triangles with finite coordinates; they may be degenerate or duplicate
-    Raises:   FormatError if the file is missing, damaged, too large or of another format, or contains cells other than
-              triangles, quadrilaterals, lines and vertices
+    Raises:   FormatError if the file is missing, damaged, too large or of another format, or contains cells
+              other than triangles, quadrilaterals, lines and vertices
     """
     try:
         raw = read_regular(path, LARGEST_FILE)
@@ -152,7 +163,8 @@ def read_triangles(path: Path) -> RawTriangles:
 
 
 def _is_text_stl(raw: bytes) -> bool:
-    """Whether an STL file is text. Binary files may begin with "solid" as well, but have the declared length."""
+    """Whether an STL file is text. Binary files may begin with "solid" as well, but have the declared
+    length."""
     if not raw.lstrip()[:5].lower() == b"solid" or b"\0" in raw[:STL_HEADER]:
         return False
     return len(raw) != STL_HEADER + STL_RECORD.itemsize * _stl_count(raw)
@@ -164,12 +176,16 @@ def _stl_count(raw: bytes) -> int:
 
 
 def _binary_stl(raw: bytes) -> RawTriangles:
-    """Triangles of a binary STL file, three points each. Raises FormatError if it has more or fewer than declared."""
-    count, capacity = _stl_count(raw), (len(raw) - STL_HEADER) // STL_RECORD.itemsize
+    """Triangles of a binary STL file, three points each. Raises FormatError if it has more or fewer than
+    declared."""
+    count = _stl_count(raw)
+    capacity = (len(raw) - STL_HEADER) // STL_RECORD.itemsize
     if count < 0:
         raise FormatError(f"is truncated: it has {len(raw)} bytes, fewer than the header of an STL file")
     if count > capacity:
-        raise FormatError(f"declares {count} triangles, but its size allows {capacity}: it is truncated or damaged")
+        raise FormatError(
+            f"declares {count} triangles, but its size allows {capacity}: it is truncated or damaged"
+        )
     if count < capacity:
         raise FormatError(
             f"declares {count} triangles, but its size is that of {capacity}: the others would be missing; export it "
@@ -181,7 +197,8 @@ def _binary_stl(raw: bytes) -> RawTriangles:
 
 
 def _check_ply(raw: bytes, sizes: list[int]) -> None:
-    """Raise FormatError if a PLY file has more or fewer faces than its header declares; meshio ignores the others.
+    """Raise FormatError if a PLY file has more or fewer faces than its header declares; meshio ignores the
+    others.
 
     `sizes`: number of corners of each face that was read.
     """
@@ -220,7 +237,8 @@ def _by_meshio(path: Path, kind: str) -> "Mesh":
 
 
 def _raw_triangles(mesh: "Mesh | VtuMesh") -> RawTriangles:
-    """Triangles and split quadrilaterals of a mesh; 2-D points get z = 0. Raises FormatError for other cells."""
+    """Triangles and split quadrilaterals of a mesh; 2-D points get z = 0. Raises FormatError for other
+    cells."""
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
@@ -236,12 +254,15 @@ def _raw_triangles(mesh: "Mesh | VtuMesh") -> RawTriangles:
         )
         for kind, count in (("triangle", 3), ("quad", 4))
     )
-    return RawTriangles(points, np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), len(quads))
+    return RawTriangles(
+        points, np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), len(quads)
+    )
 
 
 def _check(found: RawTriangles) -> None:
     """Raise FormatError for no or too many triangles, invalid indices, or coordinates that are not finite."""
-    points, corners = found.points, found.corners
+    points = found.points
+    corners = found.corners
     if not len(corners):
         raise FormatError("contains no triangles")
     if len(corners) > MAX_TRIANGLES:

@@ -1,10 +1,10 @@
 """Wall motion: records of plain numbers, and the pose of a wall at given times. numpy only.
 
-A wall is in its rest pose until its first motion starts and keeps its pose when its last motion ends. Translations and
-vibrations add; at most one rotation turns the wall, about an axis that translates with it.
+A wall is in its rest pose until its first motion starts and keeps its pose when its last motion ends.
+Translations and vibrations add; at most one rotation turns the wall, about an axis that translates with it.
 
-Velocities can have a ramp: during `ramp_duration` T from the start of the motion they change linearly from an initial
-value v0 to v,
+Velocities can have a ramp: during `ramp_duration` T from the start of the motion they change linearly from an
+initial value v0 to v,
 
     v(t) = v - (v - v0) max(1 - t/T, 0),    integral of v = v t - (v - v0) [T/2 - max(T - t, 0)^2 / (2 T)]
 """
@@ -27,7 +27,8 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """Rows of a table: ascending times (n,) [s], n at least 2; values (n,) [m or rad] and rates (n,) [m/s or rad/s]."""
+    """Rows of a table: ascending times (n,) [s], n at least 2; values (n,) [m or rad] and rates (n,) [m/s or
+    rad/s]."""
 
     times: np.ndarray
     values: np.ndarray
@@ -36,7 +37,8 @@ class MotionTable:
     _cubic: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        steps, changes = np.diff(self.times), np.diff(self.values)
+        steps = np.diff(self.times)
+        changes = np.diff(self.values)
         first, last = self.rates[:-1], self.rates[1:]
         object.__setattr__(self, "_quadratic", 3.0 * changes - steps * (2.0 * first + last))
         object.__setattr__(self, "_cubic", steps * (first + last) - 2.0 * changes)
@@ -54,14 +56,19 @@ class MotionTable:
 
     @classmethod
     def of_rates(cls, times: Sequence[float], rates: Sequence[float]) -> "MotionTable":
-        """The table of rates (n,), which are linear between rows; the value is their integral from the first row."""
-        x, r = np.asarray(times, dtype=float), np.asarray(rates, dtype=float)
+        """The table of rates (n,), which are linear between rows; the value is their integral from the first
+        row."""
+        x = np.asarray(times, dtype=float)
+        r = np.asarray(rates, dtype=float)
         return cls(x, np.concatenate([[0.0], np.cumsum(0.5 * np.diff(x) * (r[1:] + r[:-1]))]), r)
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Value and rate (k,) at times (k,) [s] after the start of the motion."""
         row = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
-        step, rate, c, d = np.diff(self.times)[row], self.rates[row], self._quadratic[row], self._cubic[row]
+        step = np.diff(self.times)[row]
+        rate = self.rates[row]
+        c = self._quadratic[row]
+        d = self._cubic[row]
         u = np.clip((times - self.times[row]) / step, 0.0, 1.0)
         value = self.values[row] + u * (step * rate + u * (c + u * d))
         inside = (times >= self.times[0]) & (times < self.times[-1])
@@ -70,14 +77,17 @@ class MotionTable:
     @property
     def largest_rate(self) -> float:
         """Largest magnitude of the rate: at a row, or between rows at u = -c / (3 d)."""
-        rates, c, d = self.rates, self._quadratic, self._cubic
+        rates = self.rates
+        c = self._quadratic
+        d = self._cubic
         u = np.where(d == 0.0, 0.0, -c / np.where(d == 0.0, 1.0, 3.0 * d))
         between = rates[:-1] + u * (2.0 * c + 3.0 * u * d) / np.diff(self.times)
         return float(max(np.abs(rates).max(), np.abs(between[(u > 0.0) & (u < 1.0)]).max(initial=0.0)))
 
     @property
     def largest_change_of_rate(self) -> float:
-        """Largest magnitude of the time derivative of the rate, which is linear between rows; without jumps."""
+        """Largest magnitude of the time derivative of the rate, which is linear between rows; without
+        jumps."""
         ends = np.stack([2.0 * self._quadratic, 2.0 * self._quadratic + 6.0 * self._cubic])
         return float(np.abs(ends / np.diff(self.times) ** 2).max())
 
@@ -118,8 +128,8 @@ class Vibration:
 
         s(t) = A [sin(w (t - start) + phase) - sin(phase)]        start <= t < end
 
-    The displacement is continuous at `start`; the center of the vibration is at -A sin(phase). The initial velocity is
-    A w cos(phase), zero for a phase of pi/2 or -pi/2.
+    The displacement is continuous at `start`; the center of the vibration is at -A sin(phase). The initial
+    velocity is A w cos(phase), zero for a phase of pi/2 or -pi/2.
 
     direction:          unit vector
     amplitude:          A [m]
@@ -178,7 +188,8 @@ class Rotation:
 
 @dataclass(frozen=True)
 class ForceControlled:
-    """Motion of a wall by particle forces from `start` to `end` [s]; the displacement is integrated on the device."""
+    """Motion of a wall by particle forces from `start` to `end` [s]; the displacement is integrated on the
+    device."""
 
     start: float = 0.0
     end: float = inf
@@ -186,7 +197,8 @@ class ForceControlled:
 
 @dataclass(frozen=True)
 class Placement:
-    """Pose that earlier motions have reached: a point p of the wall at rest is at `rotation @ p + translation`.
+    """Pose that earlier motions have reached: a point p of the wall at rest is at
+    `rotation @ p + translation`.
 
     rotation:     rows of the matrix
     translation:  [m]
@@ -201,8 +213,11 @@ class Placement:
     end: float = inf
 
 
-Motion = Vibration | VelocityMotion | Rotation | TableTranslation | TableRotation | ForceControlled | Placement
-"""Motion of a wall; a wall can have several, of which at most one is a rotation, and the first can be a placement."""
+Motion = (
+    Vibration | VelocityMotion | Rotation | TableTranslation | TableRotation | ForceControlled | Placement
+)
+"""Motion of a wall; a wall can have several, of which at most one is a rotation, and the first can be a
+placement."""
 
 
 @dataclass(frozen=True)
@@ -216,8 +231,8 @@ class Poses:
     pivot:             (3,) [m] in the rest pose; the point of the rotation, or the origin without rotation
     surface_velocity:  (k, 3) [m/s] of the surface along itself, in addition to the motion of the wall
 
-    A point p of the wall at rest is at `rotation @ (p - pivot) + pivot + offset`. A point of the wall at x has the
-    velocity `velocity + angular_velocity x (x - pivot - offset)`.
+    A point p of the wall at rest is at `rotation @ (p - pivot) + pivot + offset`. A point of the wall at x
+    has the velocity `velocity + angular_velocity x (x - pivot - offset)`.
     """
 
     offset: np.ndarray
@@ -231,8 +246,8 @@ class Poses:
 def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
     """Pose of a wall at `times` (k,) [s], or at one time; the rest pose without motions.
 
-    Force-controlled motions are ignored: the device integrates them. After a placement, the points of all motions are
-    those of the placed wall. Raises ValueError for two rotations.
+    Force-controlled motions are ignored: the device integrates them. After a placement, the points of all
+    motions are those of the placed wall. Raises ValueError for two rotations.
     """
     if motions and isinstance(motions[0], Placement):
         return _placed(motions[0], pose(motions[1:], times), single_rotation(motions) is not None)
@@ -259,7 +274,8 @@ def _placed(placement: Placement, later: Poses, is_rotating: bool) -> Poses:
     later:        poses R, d of the motions after the placement, with their pivot q
     is_rotating:  the motions contain a rotation about q; without it, the pivot of the placement remains
     """
-    rotation, translation = np.array(placement.rotation), np.array(placement.translation)
+    rotation = np.array(placement.rotation)
+    translation = np.array(placement.translation)
     pivot = rotation.T @ (later.pivot - translation) if is_rotating else np.array(placement.pivot)
     center = later.pivot if is_rotating else rotation @ pivot + translation
     turned = later.rotation @ rotation
@@ -270,7 +286,8 @@ def _placed(placement: Placement, later: Poses, is_rotating: bool) -> Poses:
 def placement_at(motions: Sequence[Motion], time: float) -> Placement:
     """The pose of a wall with these motions at `time` [s], at which they end."""
     reached = pose(motions, np.array([time]))
-    rotation, pivot = reached.rotation[0], reached.pivot
+    rotation = reached.rotation[0]
+    pivot = reached.pivot
     translation = reached.offset[0] + pivot - rotation @ pivot
     rows = tuple(tuple(map(float, row)) for row in rotation)
     return Placement(rows, tuple(map(float, translation)), tuple(map(float, pivot)))
@@ -283,7 +300,8 @@ def displacement_and_rate(
 
     The velocity is zero outside start <= t < end.
     """
-    time_active, running = elapsed(motion, times), is_running(motion, times)
+    time_active = elapsed(motion, times)
+    running = is_running(motion, times)
     if isinstance(motion, VelocityMotion):
         velocity = np.asarray(motion.velocity, dtype=np.float64)
         change, (lag, remaining) = velocity - motion.initial_velocity, ramp(motion.ramp_duration, time_active)
@@ -300,7 +318,8 @@ def displacement_and_rate(
 
 
 def ramp(duration: float, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lag [s] behind a motion without ramp, and remaining share of the change of velocity, at elapsed times (k,) [s].
+    """Lag [s] behind a motion without ramp, and remaining share of the change of velocity, at elapsed times
+    (k,) [s].
 
         T/2 - max(T - t, 0)^2 / (2 T)  and  max(1 - t/T, 0)
 
@@ -315,7 +334,8 @@ def ramp(duration: float, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def rotation_of(
     motion: Rotation | TableRotation | None, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m] at `times` (k,) [s]."""
+    """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m] at `times` (k,)
+    [s]."""
     if motion is None:
         return np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy(), np.zeros((len(times), 3)), np.zeros(3)
     axis = np.asarray(motion.axis, dtype=np.float64)
@@ -325,7 +345,8 @@ def rotation_of(
     else:
         final, (lag, remaining) = motion.angular_velocity, ramp(motion.ramp_duration, time_active)
         change = final - motion.initial_angular_velocity
-        angle, rate = final * time_active - change * lag, final - change * remaining
+        angle = final * time_active - change * lag
+        rate = final - change * remaining
     angular_velocity = np.outer(rate * is_running(motion, times), axis)
     return rotation_matrices(axis, angle), angular_velocity, np.asarray(motion.point, dtype=np.float64)
 
@@ -368,9 +389,9 @@ def single_rotation(motions: Sequence[Motion]) -> Rotation | TableRotation | Non
 def speed_bound(motions: Sequence[Motion], reach: float) -> float:
     """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
 
-    The sum of |velocity| of translations, A w of vibrations and |angular velocity| `reach` of the rotation, with the
-    largest distance [m] from its axis of geometry that moves (`catalog.reach_about`). Force-controlled motions and
-    surface velocities are ignored.
+    The sum of |velocity| of translations, A w of vibrations and |angular velocity| `reach` of the rotation,
+    with the largest distance [m] from its axis of geometry that moves (`catalog.reach_about`).
+    Force-controlled motions and surface velocities are ignored.
     """
     bound = 0.0
     for motion in motions:

@@ -1,4 +1,5 @@
-"""Periodic boundary conditions of the domain on the host (numpy): wrapping, nearest images, Lees-Edwards shear."""
+"""Periodic boundary conditions of the domain on the host (numpy): wrapping, nearest images, Lees-Edwards
+shear."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -26,8 +27,8 @@ class ImageMotion:
 class PeriodicBox:
     """Periodic axes of a box, its lower corner (3,) [m] and its widths (3,) [m].
 
-    `axes`: 0 to 2 for x to z. `offset` [m]: displacement of the image above in a Lees-Edwards box, along the flow axis;
-    see `at`. (A. W. Lees, S. F. Edwards, J. Phys. C 5 (1972) 1921.)
+    `axes`: 0 to 2 for x to z. `offset` [m]: displacement of the image above in a Lees-Edwards box, along the
+    flow axis; see `at`. (A. W. Lees, S. F. Edwards, J. Phys. C 5 (1972) 1921.)
     """
 
     axes: tuple[int, ...]
@@ -38,7 +39,11 @@ class PeriodicBox:
 
     def at(self, time: float) -> "PeriodicBox":
         """The periodic box at a time [s]."""
-        return self if self.image_motion is None else replace(self, offset=float(self.offsets(np.array([time]))[0]))
+        return (
+            self
+            if self.image_motion is None
+            else replace(self, offset=float(self.offsets(np.array([time]))[0]))
+        )
 
     def offsets(self, times: np.ndarray) -> np.ndarray:
         """Displacements (n,) [m] of the image above at times (n,) [s], in [-width/2, width/2].
@@ -69,9 +74,12 @@ class PeriodicBox:
     def wrap(self, points: np.ndarray) -> np.ndarray:
         """Points (n, 3) [m] wrapped into the box; Lees-Edwards faces also shift them by the offset.
 
-        Each periodic coordinate is then in [low, low + width), except for rounding; the input is not modified.
+        Each periodic coordinate is then in [low, low + width), except for rounding; the input is not
+        modified.
         """
-        return self._shifted(points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis]))[0]
+        return self._shifted(
+            points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis])
+        )[0]
 
     def wrap_with_velocity(
         self, points: np.ndarray, velocity: np.ndarray, time: float
@@ -90,7 +98,8 @@ class PeriodicBox:
         return shifted, shifted_velocity
 
     def nearest_images(self, points: np.ndarray, references: np.ndarray) -> np.ndarray:
-        """Periodic images (n, 3) [m] of points (n, 3) [m] nearest to the reference points (n, 3), row by row."""
+        """Periodic images (n, 3) [m] of points (n, 3) [m] nearest to the reference points (n, 3), row by
+        row."""
         return self._shifted(
             points, lambda axis, shifted: np.round((shifted - references[:, axis]) / self.width[axis])
         )[0]
@@ -100,11 +109,14 @@ class PeriodicBox:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Points shifted by image counts along every axis, and the counts (n,) along the gradient axis.
 
-        `image_counts_of`: (axis, coordinates (n,)) -> number of widths (n,) by which the points move down. The gradient
-        axis comes first, because its shift changes the coordinate along the flow axis.
+        `image_counts_of`: (axis, coordinates (n,)) -> number of widths (n,) by which the points move down.
+        The gradient axis comes first, because its shift changes the coordinate along the flow axis.
         """
-        shifted, gradient_counts = np.array(points), np.zeros(len(points))
-        for axis in sorted(self.axes, key=lambda axis: self.image_motion is None or axis != self.image_motion.gradient):
+        shifted = np.array(points)
+        gradient_counts = np.zeros(len(points))
+        for axis in sorted(
+            self.axes, key=lambda axis: self.image_motion is None or axis != self.image_motion.gradient
+        ):
             image_counts = image_counts_of(axis, shifted[:, axis])
             shifted[:, axis] -= image_counts * self.width[axis]
             if self.image_motion is not None and axis == self.image_motion.gradient:
@@ -113,18 +125,21 @@ class PeriodicBox:
         return shifted, gradient_counts
 
     def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic face."""
+        """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic
+        face."""
         return self.images(position, radius)[:2]
 
     def images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Centers (m, 3) and radii (m,) [m] as `with_images`, and the index (m,) of the sphere of each image.
 
-        The given spheres come first. At an edge or corner, all images of a sphere are included. Without shear.
+        The given spheres come first. At an edge or corner, all images of a sphere are included. Without
+        shear.
         """
         index = np.arange(len(radius))
         for axis in self.axes:
             height = position[:, axis] - self.low[axis]
-            below, above = height < radius, height > self.width[axis] - radius
+            below = height < radius
+            above = height > self.width[axis] - radius
             shift = self.width[axis] * np.eye(3)[axis]
             position = np.concatenate([position, position[below] + shift, position[above] - shift])
             radius = np.concatenate([radius, radius[below], radius[above]])

@@ -77,7 +77,8 @@ def rectangle_distance(point, parameters):
 
 @ti.func
 def closest_on_rectangle(point, parameters):
-    """Distance [m] from the rectangle and unit vector from its nearest point to the point (ShapeKind.closest).
+    """Distance [m] from the rectangle and unit vector from its nearest point to the point
+    (ShapeKind.closest).
 
     At distance 0 the unit vector is the normal of the plane.
     """
@@ -98,24 +99,32 @@ def closest_on_rectangle(point, parameters):
     return distance, normal
 
 
-def reference_closest_on_half_space(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reference_closest_on_half_space(
+    points: np.ndarray, parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Reference implementation of `closest_on_half_space`: project the point, measure along the normal.
 
     points:   (n, 3) [m]
     Returns:  signed distance (n,) [m], normal (n, 3)
     """
-    origin, normal = parameters[0:3], parameters[3:6]
+    origin = parameters[0:3]
+    normal = parameters[3:6]
     distance = (points - origin) @ normal
     return distance, np.broadcast_to(normal, points.shape).copy()
 
 
-def reference_closest_on_rectangle(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reference implementation of `closest_on_rectangle`: nearest point in space, then the vector to the point.
+def reference_closest_on_rectangle(
+    points: np.ndarray, parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reference implementation of `closest_on_rectangle`: nearest point in space, then the vector to the
+    point.
 
     points:   (n, 3) [m]
     Returns:  distance (n,) [m], unit vector (n, 3)
     """
-    corner, frame, lengths = parameters[0:3], parameters[3:9].reshape(2, 3), parameters[12:14]
+    corner = parameters[0:3]
+    frame = parameters[3:9].reshape(2, 3)
+    lengths = parameters[12:14]
     along = np.clip((points - corner) @ frame.T, 0.0, lengths)
     from_surface = points - (corner + along @ frame)
     distance = np.linalg.norm(from_surface, axis=1)
@@ -125,25 +134,31 @@ def reference_closest_on_rectangle(points: np.ndarray, parameters: np.ndarray) -
     return distance, normal
 
 
-def half_space_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
+def half_space_triangles(
+    parameters: np.ndarray, center: np.ndarray, extent: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Square of half width `extent` [m] about the projection of `center` (3,) [m] on the plane.
 
     Returns points (4, 3) [m] and triangles (2, 3).
     """
-    origin, normal = parameters[0:3], parameters[3:6]
+    origin = parameters[0:3]
+    normal = parameters[3:6]
     foot = np.asarray(center) - ((np.asarray(center) - origin) @ normal) * normal
     side1 = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
     side2 = np.cross(normal, side1)
     return quadrilateral(foot - extent * (side1 + side2), 2 * extent * side1, 2 * extent * side2)
 
 
-def rectangle_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
+def rectangle_triangles(
+    parameters: np.ndarray, center: np.ndarray, extent: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Points (4, 3) [m] and triangles (2, 3) of the rectangle; `center` and `extent` are unused."""
     return quadrilateral(parameters[0:3], *rectangle_sides(parameters))
 
 
 def quadrilateral(corner: np.ndarray, side1: np.ndarray, side2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (4, 3) [m] and triangles (2, 3) of the parallelogram with a corner (3,) [m] and two sides (3,) [m]."""
+    """Points (4, 3) [m] and triangles (2, 3) of the parallelogram with a corner (3,) [m] and two sides (3,)
+    [m]."""
     points = np.array([corner, corner + side1, corner + side1 + side2, corner + side2])
     return points, np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -159,7 +174,8 @@ def half_space_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray
 
 
 def rectangle_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
-    """Distance [m] of the farthest corner from the axis through `point` (3,) [m] along the unit vector `axis` (3,)."""
+    """Distance [m] of the farthest corner from the axis through `point` (3,) [m] along the unit vector `axis`
+    (3,)."""
     corners, _ = quadrilateral(parameters[0:3], *rectangle_sides(parameters))
     return float(distance_from_axis(corners, point, axis).max())
 
@@ -179,11 +195,20 @@ HALF_SPACE = ShapeKind(
 RECTANGLE = ShapeKind(
     name="rectangle",
     parameter_names=(
-        *("corner_x", "corner_y", "corner_z"),
-        *("direction1_x", "direction1_y", "direction1_z"),
-        *("direction2_x", "direction2_y", "direction2_z"),
-        *("normal_x", "normal_y", "normal_z"),
-        *("length1", "length2"),
+        "corner_x",
+        "corner_y",
+        "corner_z",
+        "direction1_x",
+        "direction1_y",
+        "direction1_z",
+        "direction2_x",
+        "direction2_y",
+        "direction2_z",
+        "normal_x",
+        "normal_y",
+        "normal_z",
+        "length1",
+        "length2",
     ),
     closest=closest_on_rectangle,
     face_normal=rectangle_normal,
@@ -210,13 +235,16 @@ def rectangle(corner: object, side1: Sequence[float], side2: Sequence[float]) ->
 
     corner:        (3,) [m]
     side1, side2:  (3,) [m] edge vectors
-    Raises:        ValueError if the sides are not perpendicular (RIGHT_ANGLE_COSINE), or if a side has no length
+    Raises:        ValueError if the sides are not perpendicular (RIGHT_ANGLE_COSINE), or if a side has no
+                   length
 
-    The second direction is made exactly perpendicular to the first; the lengths remain those of the edge vectors.
+    The second direction is made exactly perpendicular to the first; the lengths remain those of the edge
+    vectors.
     """
     if not are_perpendicular(side1, side2):
         raise ValueError("The sides of a rectangle must be perpendicular.")
-    direction1, direction2 = unit(side1), unit(side2)
+    direction1 = unit(side1)
+    direction2 = unit(side2)
     direction2 = unit(direction2 - float(direction1 @ direction2) * direction1)
     normal = np.cross(direction1, direction2)
     lengths = np.linalg.norm(np.asarray(side1, dtype=float)), np.linalg.norm(np.asarray(side2, dtype=float))

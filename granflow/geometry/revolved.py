@@ -1,10 +1,11 @@
 """Surfaces of revolution: a straight segment in the (r, z) half plane revolved about an axis.
 
-Cylinder, cone frustum and disc (with or without a round hole) are surfaces of this kind. The surface is thin and
-two-sided. Each end of the segment is a circular edge; `shared_edges.join_shared_edges` assigns shared edges to owners.
+Cylinder, cone frustum and disc (with or without a round hole) are surfaces of this kind. The surface is thin
+and two-sided. Each end of the segment is a circular edge; `shared_edges.join_shared_edges` assigns shared
+edges to owners.
 
-The parameters are those of REVOLVED: origin, axis, radius at the start, length and direction (r, z) of the segment, and
-for each end the direction (r, z) of the competing face and 1 if this surface owns the edge.
+The parameters are those of REVOLVED: origin, axis, radius at the start, length and direction (r, z) of the
+segment, and for each end the direction (r, z) of the competing face and 1 if this surface owns the edge.
 """
 
 from collections.abc import Hashable, Sequence
@@ -13,7 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.device_functions import ti
-from granflow.geometry.shape import FAR_AWAY, Shape, ShapeKind, distance_from_axis, is_parallel, make_shape, unit
+from granflow.geometry.shape import (
+    FAR_AWAY,
+    Shape,
+    ShapeKind,
+    distance_from_axis,
+    is_parallel,
+    make_shape,
+    unit,
+)
 
 FACET_COUNT = 64
 """Number of facets around the axis, for visualization."""
@@ -25,9 +34,9 @@ def half_plane_coordinates(point, parameters):
 
         radial = axis x (offset x axis)
 
-    r is the distance from the axis [m], z the height above the start of the segment [m]. On the axis the radial
-    direction is a fixed vector. The double cross product keeps the radial vector perpendicular to the axis even if it
-    consists of rounding errors only.
+    r is the distance from the axis [m], z the height above the start of the segment [m]. On the axis the
+    radial direction is a fixed vector. The double cross product keeps the radial vector perpendicular to the
+    axis even if it consists of rounding errors only.
     """
     offset = ti.Vector([point[0] - parameters[0], point[1] - parameters[1], point[2] - parameters[2]])
     axis = ti.Vector([parameters[3], parameters[4], parameters[5]])
@@ -65,7 +74,8 @@ def revolved_normal(point, parameters):
 
 @ti.func
 def revolved_distance(point, parameters):
-    """Distance from the surface [m], at least 0, without regard to shared edges (ShapeKind.surface_distance)."""
+    """Distance from the surface [m], at least 0, without regard to shared edges
+    (ShapeKind.surface_distance)."""
     r, z, _ = half_plane_coordinates(point, parameters)
     _, beyond, height = segment_coordinates(r, z, parameters)
     return ti.sqrt(beyond * beyond + height * height)
@@ -75,8 +85,8 @@ def revolved_distance(point, parameters):
 def owns_contact(along, height, parameters):
     """Whether this surface owns the contact.
 
-    True on its face. On an edge true only if the surface owns the edge and the point lies beyond the end of the
-    competing face as well; otherwise that face is nearer.
+    True on its face. On an edge true only if the surface owns the edge and the point lies beyond the end of
+    the competing face as well; otherwise that face is nearer.
 
     along, height:  of `segment_coordinates` [m]
     """
@@ -97,8 +107,8 @@ def owns_contact(along, height, parameters):
 def closest_on_revolved(point, parameters):
     """Distance [m] from the surface and unit vector from its nearest point to the point (ShapeKind.closest).
 
-    The distance is FAR_AWAY if the nearest point is on an edge that another wall owns. On the surface the unit vector
-    is the face normal.
+    The distance is FAR_AWAY if the nearest point is on an edge that another wall owns. On the surface the
+    unit vector is the face normal.
     """
     r, z, radial = half_plane_coordinates(point, parameters)
     along, beyond, height = segment_coordinates(r, z, parameters)
@@ -114,8 +124,11 @@ def closest_on_revolved(point, parameters):
     return distance, normal
 
 
-def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the point.
+def reference_closest_on_revolved(
+    points: np.ndarray, parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the
+    point.
 
     points:   (n, 3) [m]
     Returns:  distance (n,) [m] or FAR_AWAY, unit vector (n, 3)
@@ -139,7 +152,9 @@ def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) ->
     return np.where(not_owned, FAR_AWAY, distance), normal
 
 
-def reference_owns_edge(from_surface: np.ndarray, radial: np.ndarray, axis: np.ndarray, edge: np.ndarray) -> np.ndarray:
+def reference_owns_edge(
+    from_surface: np.ndarray, radial: np.ndarray, axis: np.ndarray, edge: np.ndarray
+) -> np.ndarray:
     """Whether a surface owns the contacts of points beyond one of its edges.
 
     from_surface:  (n, 3) [m], from the edge to the points
@@ -155,8 +170,8 @@ def reference_owns_edge(from_surface: np.ndarray, radial: np.ndarray, axis: np.n
 def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Unit vectors (n, 3) from the axis to points at `offsets` (n, 3) [m] from a point on the axis.
 
-    A fixed vector for points on the axis. The projection is repeated, because near the axis the first result is mostly
-    rounding error.
+    A fixed vector for points on the axis. The projection is repeated, because near the axis the first result
+    is mostly rounding error.
     """
     radial = offsets - np.outer(offsets @ axis, axis)
     on_axis = np.linalg.norm(radial, axis=1) <= 1e-12 * np.linalg.norm(offsets, axis=1)
@@ -174,8 +189,11 @@ def profile(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return start, start + parameters[7] * parameters[8:10]
 
 
-def revolved_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of the surface as facets around the axis.
+def revolved_triangles(
+    parameters: np.ndarray, center: np.ndarray, extent: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of the surface as facets around the
+    axis.
 
     `center` and `extent` are unused. One of the edges may have the radius 0.
     """
@@ -198,12 +216,17 @@ def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) 
     axis:     (3,) unit vector along the axis of the motion
     Returns:  an upper bound if the two axes are not parallel
     """
-    origin, axis_of_shape = parameters[0:3], parameters[3:6]
+    origin = parameters[0:3]
+    axis_of_shape = parameters[3:6]
     radius = max(end[0] for end in profile(parameters))
     centers = np.array([origin + end[1] * axis_of_shape for end in profile(parameters)])
     from_surface = distance_from_axis(centers, point, axis).max()
     size = radius + parameters[7]
-    return 0.0 if is_parallel(axis_of_shape, axis) and from_surface <= 1e-9 * size else float(from_surface + radius)
+    return (
+        0.0
+        if is_parallel(axis_of_shape, axis) and from_surface <= 1e-9 * size
+        else float(from_surface + radius)
+    )
 
 
 def revolved_area(parameters: np.ndarray) -> float:
@@ -218,11 +241,22 @@ def revolved_area(parameters: np.ndarray) -> float:
 REVOLVED = ShapeKind(
     name="revolved",
     parameter_names=(
-        *("origin_x", "origin_y", "origin_z"),
-        *("axis_x", "axis_y", "axis_z"),
-        *("start_r", "length", "direction_r", "direction_z"),
-        *("start_neighbor_r", "start_neighbor_z", "start_owned"),
-        *("end_neighbor_r", "end_neighbor_z", "end_owned"),
+        "origin_x",
+        "origin_y",
+        "origin_z",
+        "axis_x",
+        "axis_y",
+        "axis_z",
+        "start_r",
+        "length",
+        "direction_r",
+        "direction_z",
+        "start_neighbor_r",
+        "start_neighbor_z",
+        "start_owned",
+        "end_neighbor_r",
+        "end_neighbor_z",
+        "end_owned",
     ),
     closest=closest_on_revolved,
     face_normal=revolved_normal,
@@ -240,7 +274,8 @@ def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: 
 
     origin:  (3,) [m], point on the axis at z = 0
     axis:    (3,), any length above 0
-    Raises:  ValueError for a negative radius, a segment without length, both radii 0, or an axis without direction
+    Raises:  ValueError for a negative radius, a segment without length, both radii 0, or an axis without
+             direction
     """
     if start_r < 0 or end_r < 0:
         raise ValueError("A radius must not be negative.")
@@ -303,7 +338,8 @@ def disc(center: object, normal: object, radius: float, hole_radius: float = 0.0
 # surface.
 
 TOLERANCE = 1e-9
-"""Largest distance of coincident points over the size of the segments, and sine of the angle of parallel axes."""
+"""Largest distance of coincident points over the size of the segments, and sine of the angle of parallel
+axes."""
 EDGE_PARAMETERS = ("neighbor_r", "neighbor_z", "owned")
 """Parameters of one end of a surface of revolution, without the prefix "start_" or "end_"."""
 Profile = tuple[np.ndarray, np.ndarray]
@@ -335,7 +371,8 @@ def join_shared_edges(shapes: Sequence[Shape], groups: Sequence[Hashable]) -> li
     shapes:  active shapes; shapes of other kinds are returned unchanged
     groups:  wall motion of each shape: only shapes with the same motion share edges
 
-    Call the function again with the active shapes when a wall is added or removed; repeated calls are idempotent.
+    Call the function again with the active shapes when a wall is added or removed; repeated calls are
+    idempotent.
     """
     joined = list(shapes)
     for index, shape in enumerate(shapes):
@@ -412,7 +449,8 @@ def rays_of_segment(index: int, ends: Profile, edge: np.ndarray, tolerance: floa
 def edge_parameters(rays: Sequence[Ray], index: int, end: str) -> dict[str, float]:
     """The three edge parameters of one end of a shape, from all rays at that edge.
 
-    The owner is the surface with the lowest index among the bounds of the wedge, if both bounds are ends of segments.
+    The owner is the surface with the lowest index among the bounds of the wedge, if both bounds are ends of
+    segments.
     """
     bounds = wedge_bounds(rays)
     rays_of_end = [ray for ray in bounds if ray.index == index and ray.end == end]
@@ -425,7 +463,8 @@ def edge_parameters(rays: Sequence[Ray], index: int, end: str) -> dict[str, floa
 
 
 def wedge_bounds(rays: Sequence[Ray]) -> list[Ray]:
-    """The two rays on either side of the widest free angle if it is at least 180 degrees; a single ray itself.
+    """The two rays on either side of the widest free angle if it is at least 180 degrees; a single ray
+    itself.
 
     Empty if no free angle is that wide.
     """
@@ -433,6 +472,8 @@ def wedge_bounds(rays: Sequence[Ray]) -> list[Ray]:
         return list(rays)
     ordered = sorted(rays, key=lambda ray: ray.angle)
     successors = ordered[1:] + ordered[:1]
-    gaps = [(after.angle - before.angle) % (2 * np.pi) for before, after in zip(ordered, successors, strict=True)]
+    gaps = [
+        (after.angle - before.angle) % (2 * np.pi) for before, after in zip(ordered, successors, strict=True)
+    ]
     widest = int(np.argmax(gaps))
     return [ordered[widest], successors[widest]] if gaps[widest] >= np.pi * (1 - TOLERANCE) else []

@@ -13,8 +13,8 @@ PARAMETER_COUNT = 16
 RIGHT_ANGLE_COSINE = 1e-6
 """Largest absolute cosine of an angle that is accepted as 90 deg."""
 FAR_AWAY = 1e9
-"""Distance [m] returned if a surface does not own the contact (see `shared_edges`): larger than any radius plus skin,
-and small enough for its square to be finite in float32."""
+"""Distance [m] returned if a surface does not own the contact (see `shared_edges`): larger than any radius
+plus skin, and small enough for its square to be finite in float32."""
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class ShapeKind:
 
         closest            ti.func (point: 3-vector, parameters: 16-vector) -> (distance, normal)
                            Distance [m] from the surface to the point and unit normal from the surface to the
-                           point. Only `half_space` has negative distances. FAR_AWAY if the nearest point is on
-                           an edge that another wall owns.
-        face_normal        ti.func (point, parameters) -> unit normal of the face, extended beyond its edges, where it
-                           is nearest to the point; either side
+                           point. Only `half_space` has negative distances. FAR_AWAY if the nearest point is
+                           on an edge that another wall owns.
+        face_normal        ti.func (point, parameters) -> unit normal of the face, extended beyond its edges,
+                           where it is nearest to the point; either side
         surface_distance   ti.func (point, parameters) -> distance [m] without regard to shared edges. Wall
                            neighbor lists use it, because a point beyond an edge can be above the face in the
                            next step.
@@ -95,7 +95,8 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 def unit(vector: object) -> np.ndarray:
-    """Vector (3,) scaled to length 1, float64. Raises ValueError for another shape or a vector of length 0."""
+    """Vector (3,) scaled to length 1, float64. Raises ValueError for another shape or a vector of length
+    0."""
     array = np.asarray(vector, dtype=np.float64)
     length = np.linalg.norm(array)
     if array.shape != (3,) or not length > 0:
@@ -104,7 +105,8 @@ def unit(vector: object) -> np.ndarray:
 
 
 def are_perpendicular(*vectors: Sequence[float]) -> bool:
-    """Whether each two of the vectors (3,) are perpendicular; their lengths are above 0, and do not matter."""
+    """Whether each two of the vectors (3,) are perpendicular; their lengths are above 0, and do not
+    matter."""
     directions = [unit(np.asarray(vector, dtype=np.float64) / np.max(np.abs(vector))) for vector in vectors]
     return all(abs(float(a @ b)) <= RIGHT_ANGLE_COSINE for a, b in combinations(directions, 2))
 
@@ -121,7 +123,8 @@ def distance_from_axis(points: np.ndarray, point: np.ndarray, axis: np.ndarray) 
 
 
 def is_parallel(first: np.ndarray, second: np.ndarray, tolerance: float = 1e-9) -> bool:
-    """Whether two unit vectors (3,) are parallel or antiparallel; `tolerance` limits the sine of their angle."""
+    """Whether two unit vectors (3,) are parallel or antiparallel; `tolerance` limits the sine of their
+    angle."""
     return bool(np.linalg.norm(np.cross(first, second)) <= tolerance)
 
 

@@ -1,9 +1,10 @@
 """One file of a checkpoint: an archive of a JSON header and arrays, with a checksum of all its bytes.
 
-The format is npz without pickle: numpy reads it on every machine, it requires no further package, it is written in one
-pass, and it cannot execute code. (h5py is a large dependency, and its file is damaged if the process is killed during
-a write; zarr consists of many files, which cannot be renamed together.) The comment of the archive, its last bytes, is
-the SHA-256 of all preceding bytes: a truncated file or a flipped bit is detected before the content is used.
+The format is npz without pickle: numpy reads it on every machine, it requires no further package, it is
+written in one pass, and it cannot execute code. (h5py is a large dependency, and its file is damaged if the
+process is killed during a write; zarr consists of many files, which cannot be renamed together.) The comment
+of the archive, its last bytes, is the SHA-256 of all preceding bytes: a truncated file or a flipped bit is
+detected before the content is used.
 """
 
 import hashlib
@@ -31,7 +32,8 @@ HEADER, ARRAYS = "header.json", ".npy"
 MOST_ENTRIES = 100_000
 """Largest number of entries of an archive."""
 LARGEST_HEADER = 2**28
-"""Largest size of the JSON header [bytes]; it contains the history of each flow meter, one entry per CSV row."""
+"""Largest size of the JSON header [bytes]; it contains the history of each flow meter, one entry per CSV
+row."""
 MOST_AXES = 3
 """Largest number of axes of an array."""
 LARGEST_ITEM = 8
@@ -41,8 +43,8 @@ LARGEST_ITEM = 8
 def read_archive(file: BinaryIO, with_arrays: bool = True) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the JSON header and the arrays by name, without the suffix ".npy"; without arrays, none.
 
-    `file`: seekable binary file. Arrays have at most three axes, C order and a native boolean, integer or real type of
-    at most 8 bytes.
+    `file`: seekable binary file. Arrays have at most three axes, C order and a native boolean, integer or
+    real type of at most 8 bytes.
 
     Raises FormatError if the archive differs from what `write_checkpoint` writes, or OSError if the file is
     unreadable.
@@ -82,7 +84,8 @@ def _entries(archive: zipfile.ZipFile, file_size: int) -> dict[str, zipfile.ZipI
 
 
 def _problems(entries: list[zipfile.ZipInfo], file_size: int) -> Iterator[str]:
-    """Yield a predicate for each limit that the entries exceed; `file_size` [bytes] bounds their total size."""
+    """Yield a predicate for each limit that the entries exceed; `file_size` [bytes] bounds their total
+    size."""
     if len(entries) > MOST_ENTRIES:
         yield f"has {len(entries)} entries, more than {MOST_ENTRIES}"
     for entry in entries:
@@ -102,12 +105,18 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
         if version != (1, 0):
             raise FormatError(f"has the entry {entry.filename[:80]} in npy version {version}, not (1, 0)")
         shape, by_column, dtype = np.lib.format.read_array_header_1_0(member)
-        numbers = dtype.kind in "bif" and dtype.itemsize <= LARGEST_ITEM and dtype.isnative and dtype.shape == ()
+        numbers = (
+            dtype.kind in "bif" and dtype.itemsize <= LARGEST_ITEM and dtype.isnative and dtype.shape == ()
+        )
         if not numbers or len(shape) > MOST_AXES or by_column or min(shape, default=0) < 0:
-            raise FormatError(f"has the entry {entry.filename[:80]} with the unexpected type {dtype} or shape {shape}")
+            raise FormatError(
+                f"has the entry {entry.filename[:80]} with the unexpected type {dtype} or shape {shape}"
+            )
         size = math.prod(shape) * dtype.itemsize
         if size != entry.file_size - member.tell():
-            raise FormatError(f"has the entry {entry.filename[:80]} whose length does not match its shape {shape}")
+            raise FormatError(
+                f"has the entry {entry.filename[:80]} whose length does not match its shape {shape}"
+            )
         return np.frombuffer(bytearray(member.read()), dtype).reshape(shape)
 
 
@@ -135,7 +144,8 @@ def write_file(path: Path, header: Mapping[str, Any], arrays: Mapping[str, np.nd
             archive.comment = CHECKSUM_PLACEHOLDER
             archive.writestr(zipfile.ZipInfo(HEADER), json.dumps(header))
             for name, array in arrays.items():
-                # With a bare name, zipfile uses the current date and fails if the system clock is before 1980.
+                # With a bare name, zipfile uses the current date and fails if the system clock is before
+                # 1980.
                 with archive.open(zipfile.ZipInfo(name + ARRAYS), "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
         with open(temporary, "r+b") as file:
@@ -149,16 +159,18 @@ def read_file(
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the header and the arrays by key path, writable and in the byte order of the machine.
 
-    The checksum is verified before the content is parsed. `expected`: checksum that the file must have, if not None;
-    `with_arrays`: whether the arrays are read. Raises DamagedCheckpoint for a truncated or modified file, and
-    CheckpointError for an unreadable one.
+    The checksum is verified before the content is parsed. `expected`: checksum that the file must have, if
+    not None; `with_arrays`: whether the arrays are read. Raises DamagedCheckpoint for a truncated or modified
+    file, and CheckpointError for an unreadable one.
     """
     try:
         with open_regular(path) as file:
             found = _checksum(file)
             if found != file.read(len(CHECKSUM_PLACEHOLDER) + 1) or expected not in (None, found.decode()):
                 remedy = " Remove it to use the checkpoint before it." if expected else ""
-                raise DamagedCheckpoint(f"{path} is damaged: it is truncated, or its bytes have changed.{remedy}")
+                raise DamagedCheckpoint(
+                    f"{path} is damaged: it is truncated, or its bytes have changed.{remedy}"
+                )
             return read_archive(file, with_arrays)
     except FormatError as error:
         raise damaged(path, str(error)) from None
@@ -191,7 +203,8 @@ def _checksum(file: BinaryIO) -> bytes:
 
 
 def split_arrays(saved: Mapping[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the nested dictionaries without arrays, and the arrays by their key paths, such as engine/particles/id."""
+    """Return the nested dictionaries without arrays, and the arrays by their key paths, such as
+    engine/particles/id."""
     plain: dict[str, Any] = {}
     arrays: dict[str, np.ndarray] = {}
     for key, value in saved.items():

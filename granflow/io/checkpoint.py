@@ -1,7 +1,7 @@
 """Checkpoints: the complete state of a run, written atomically; the newest few are kept.
 
-A checkpoint is one file, with a JSON header: versions, scene, and all values that are not arrays. On MPI ranks it has
-the particles of the root, and names a file of each other rank, see `rank_files`.
+A checkpoint is one file, with a JSON header: versions, scene, and all values that are not arrays. On MPI
+ranks it has the particles of the root, and names a file of each other rank, see `rank_files`.
 """
 
 import hashlib
@@ -32,8 +32,16 @@ FORMAT = 12
 PATTERN = "checkpoint_*.npz"
 """Names of checkpoint files; the number is the step, with leading zeros, so that names sort by time."""
 ENGINE_SOURCES = (
-    *("contact", "device_functions.py", "engine", "fields", "geometry", "kernel_language.py", "live", "parallel"),
-    *("particles", "plan"),
+    "contact",
+    "device_functions.py",
+    "engine",
+    "fields",
+    "geometry",
+    "kernel_language.py",
+    "live",
+    "parallel",
+    "particles",
+    "plan",
 )
 """Parts of the package that determine the motion of a run."""
 DIGEST_LENGTH = 12
@@ -48,7 +56,8 @@ class Checkpoint:
 
     `path`: file; `version`: of granflow that wrote it; `engine`: digest of its sources, see `engine_digest`;
     `scene`: YAML text; `time`: simulated time [s]; `saved`: state,
-    as nested dictionaries of numbers, texts and numpy arrays; `rank_files`: those with particles that `saved` lacks.
+    as nested dictionaries of numbers, texts and numpy arrays; `rank_files`: those with particles that `saved`
+    lacks.
     """
 
     path: Path
@@ -62,12 +71,14 @@ class Checkpoint:
 
 @cache
 def engine_digest() -> str:
-    """Start of the SHA-256 of the sources of the engine, at the first call: a run loads its modules before."""
+    """Start of the SHA-256 of the sources of the engine, at the first call: a run loads its modules
+    before."""
     return digest_of_sources(Path(__file__).parents[1], ENGINE_SOURCES)
 
 
 def digest_of_sources(package: Path, names: Sequence[str]) -> str:
-    """Start of the SHA-256 of the names and contents of Python files, given folders and files in a package."""
+    """Start of the SHA-256 of the names and contents of Python files, given folders and files in a
+    package."""
     digest = hashlib.sha256()
     found = (
         path
@@ -80,11 +91,13 @@ def digest_of_sources(package: Path, names: Sequence[str]) -> str:
 
 
 def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved: dict[str, Any]) -> Path:
-    """Write `checkpoint_STEP.npz` atomically: the file is on the disk before it gets its name. Return its path.
+    """Write `checkpoint_STEP.npz` atomically: the file is on the disk before it gets its name. Return its
+    path.
 
-    `scene`: YAML text of the resolved scene; `time` [s] and `step`: of the state; `saved`: nested dictionaries with
-    text keys of numbers, texts, lists and numpy arrays (numeric types, no objects). An existing file of the same step
-    is replaced. Raises OSError if the file cannot be written; an older file then stays unchanged.
+    `scene`: YAML text of the resolved scene; `time` [s] and `step`: of the state; `saved`: nested
+    dictionaries with text keys of numbers, texts, lists and numpy arrays (numeric types, no objects). An
+    existing file of the same step is replaced. Raises OSError if the file cannot be written; an older file
+    then stays unchanged.
     """
     path = Path(directory) / f"checkpoint_{step:012d}.npz"
     plain, arrays = split_arrays(saved)
@@ -97,15 +110,16 @@ def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved:
 def read_checkpoint(path: Path, content: Content = "all") -> Checkpoint:
     """Read a checkpoint; with "all", the particles of the root are first.
 
-    Raises DamagedCheckpoint for a truncated, modified or missing file, and CheckpointError for another format version
-    or an unreadable file.
+    Raises DamagedCheckpoint for a truncated, modified or missing file, and CheckpointError for another format
+    version or an unreadable file.
     """
     header, arrays = read_file(path, with_arrays=content != "header")
     try:
         files = listed_files(Path(path).parent, _rank_entries(header))
         refuse_missing(path, files)
         if content == "all":
-            arrays, files = with_rank_files(arrays, files), ()
+            arrays = with_rank_files(arrays, files)
+            files = ()
         return _from_archive(path, header, arrays, files)
     except FormatError as error:
         raise damaged(path, str(error)) from None
@@ -125,7 +139,8 @@ def checkpoints(directory: Path) -> list[Path]:
 def newest_checkpoint(directory: Path, content: Content = "all") -> tuple[Checkpoint | None, list[str]]:
     """Return the newest intact checkpoint, or None, and a sentence for each newer damaged one.
 
-    Raises CheckpointError for an intact one that this version or this user cannot read: an older one is no substitute.
+    Raises CheckpointError for an intact one that this version or this user cannot read: an older one is no
+    substitute.
     """
     skipped: list[str] = []
     for path in checkpoints(directory):
@@ -171,7 +186,8 @@ def remove_after(directory: Path, path: Path | None) -> None:
 
 
 def remove_old_checkpoints(directory: Path, count: int) -> None:
-    """Remove all checkpoints except the newest `count`; a file that another process has already removed is skipped."""
+    """Remove all checkpoints except the newest `count`; a file that another process has already removed is
+    skipped."""
     for path in checkpoints(directory)[count:]:
         path.unlink(missing_ok=True)
     remove_unused(directory, map(_step_of, checkpoints(directory)))
@@ -186,16 +202,23 @@ def _step_of(path: Path) -> int:
 def _from_archive(
     path: Path, header: dict[str, Any], arrays: dict[str, np.ndarray], rank_files: tuple[RankFile, ...]
 ) -> Checkpoint:
-    """Return the checkpoint with its arrays. Raises FormatError if the header has unexpected keys or types."""
-    version, scene, time = header.get("granflow"), header.get("scene"), header.get("time")
+    """Return the checkpoint with its arrays. Raises FormatError if the header has unexpected keys or
+    types."""
+    version = header.get("granflow")
+    scene = header.get("scene")
+    time = header.get("time")
     if header.get("format") != FORMAT:
         raise CheckpointError(
             f"{path} is in format {header.get('format')!r:.40}, written by granflow {version!s:.40}; granflow "
             f"{version_of('granflow')} reads format {FORMAT}. Resume with the version that wrote it."
         )
-    saved, engine = header.get("saved"), header.get("engine")
+    saved = header.get("saved")
+    engine = header.get("engine")
     if not (
-        isinstance(version, str) and isinstance(scene, str) and isinstance(engine, str) and isinstance(saved, dict)
+        isinstance(version, str)
+        and isinstance(scene, str)
+        and isinstance(engine, str)
+        and isinstance(saved, dict)
     ):
         raise FormatError("lacks the version, the scene or the state of the run")
     if not (isinstance(time, int | float) and isfinite(time)):
@@ -220,7 +243,8 @@ LARGEST_COUNT = 2**53
 
 @dataclass(frozen=True)
 class Part:
-    """A value in a checkpoint: `file` of the checkpoint, `key` such as engine/particles/id, `value` as read."""
+    """A value in a checkpoint: `file` of the checkpoint, `key` such as engine/particles/id, `value` as
+    read."""
 
     file: Path
     key: str
@@ -232,7 +256,8 @@ class Part:
         return cls(checkpoint.path, "", checkpoint.saved)
 
     def __getitem__(self, name: str) -> "Part":
-        """Return the entry `name` of a mapping. Raises CheckpointError if the value is not a mapping or lacks it."""
+        """Return the entry `name` of a mapping. Raises CheckpointError if the value is not a mapping or lacks
+        it."""
         values = self.mapping()
         if name not in values:
             raise self.error(f"lacks {name}")
@@ -252,7 +277,8 @@ class Part:
         return self.error(f"is {shown}, but must be {expected}")
 
     def mapping(self, names: Collection[str] | None = None) -> dict[str, Any]:
-        """Return the value, a dictionary; if `names` is given, with exactly these keys. Raises CheckpointError."""
+        """Return the value, a dictionary; if `names` is given, with exactly these keys. Raises
+        CheckpointError."""
         if not isinstance(self.value, dict):
             raise self.mismatch("a mapping")
         if names is not None and set(self.value) != set(names):
@@ -273,18 +299,25 @@ class Part:
     def number(self, low: float = -inf, high: float = inf) -> float:
         """Return the value, a number in [low, high], possibly infinite; never NaN. Raises CheckpointError."""
         value = self.value
-        if isinstance(value, bool) or not isinstance(value, int | float) or isnan(value) or not low <= value <= high:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or isnan(value)
+            or not low <= value <= high
+        ):
             raise self.mismatch(f"a number in [{low:.10g}, {high:.10g}]")
         return value
 
     def integer(self, low: int = 0, high: int = LARGEST_COUNT) -> int:
-        """Return the value, a whole number in [low, high]; true and false are not numbers. Raises CheckpointError."""
+        """Return the value, a whole number in [low, high]; true and false are not numbers. Raises
+        CheckpointError."""
         if isinstance(self.value, bool) or not isinstance(self.value, int) or not low <= self.value <= high:
             raise self.mismatch(f"a whole number in [{low}, {high}]")
         return self.value
 
     def amount(self, kind: type, low: float = -LARGEST_REAL) -> float:
-        """Return the value, of `kind` int or float, at least `low` and in single precision. Raises CheckpointError."""
+        """Return the value, of `kind` int or float, at least `low` and in single precision. Raises
+        CheckpointError."""
         return self.integer() if kind is int else self.number(low, LARGEST_REAL)
 
     def flag(self) -> bool:
@@ -305,7 +338,8 @@ class Part:
             raise self.mismatch("a number")
 
     def floats(self, *shape: int, low: float = -LARGEST_REAL, high: float = LARGEST_REAL) -> np.ndarray:
-        """Return the value, an array of floating-point numbers of the given shape in [low, high], without NaN.
+        """Return the value, an array of floating-point numbers of the given shape in [low, high], without
+        NaN.
 
         The default bounds are those of single precision. Raises CheckpointError.
         """
@@ -329,8 +363,10 @@ class Part:
         return found
 
     def _array(self, kind: str, shape: Sequence[int], low: float, high: float) -> np.ndarray:
-        """Return the value, an array of the type kind ("f" or "i") and shape with all entries in [low, high]."""
-        value, noun = self.value, "floating-point" if kind == "f" else "whole"
+        """Return the value, an array of the type kind ("f" or "i") and shape with all entries in [low,
+        high]."""
+        value = self.value
+        noun = "floating-point" if kind == "f" else "whole"
         if not isinstance(value, np.ndarray) or value.dtype.kind != kind or value.shape != tuple(shape):
             raise self.mismatch(f"an array {tuple(shape)} of {noun} numbers")
         outside = ~((value >= low) & (value <= high))

@@ -1,7 +1,8 @@
-"""Directory lock for one run at a time; the operating system releases it when the process ends for any reason.
+"""Directory lock for one run at a time; the operating system releases it when the process ends for any
+reason.
 
-filelock is not used: its import (asyncio, sqlite3) delays each start by about 80 ms, and on file systems without flock
-it falls back to a lock file that remains when a process is killed.
+filelock is not used: its import (asyncio, sqlite3) delays each start by about 80 ms, and on file systems
+without flock it falls back to a lock file that remains when a process is killed.
 """
 
 import errno
@@ -35,9 +36,10 @@ SYNC_THREADS = 8
 def replacing(path: Path, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary path in the same directory and rename it to `path` when the block completes.
 
-    With `durable`, the data are on the disk before the rename, so that either the old or the new file is intact after a
-    power failure. If the block raises, the temporary file is deleted and an older file at `path` stays unchanged. The
-    name contains the process id, so that two processes do not share a temporary file.
+    With `durable`, the data are on the disk before the rename, so that either the old or the new file is
+    intact after a power failure. If the block raises, the temporary file is deleted and an older file at
+    `path` stays unchanged. The name contains the process id, so that two processes do not share a temporary
+    file.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}{PART}")
     try:
@@ -54,18 +56,21 @@ def replacing(path: Path, durable: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def named_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """In the block, an OSError without a file, or about the temporary one, is about `path`: a full disk names none."""
+    """In the block, an OSError without a file, or about the temporary one, is about `path`: a full disk names
+    none."""
     try:
         yield
     except OSError as error:
         is_unnamed = error.filename is None and error.errno is not None
         if is_unnamed or (temporary is not None and str(error.filename) == str(temporary)):
-            error.filename, error.filename2 = str(path), None
+            error.filename = str(path)
+            error.filename2 = None
         raise
 
 
 def separate_from_links(path: Path) -> None:
-    """Replace a symbolic link, or a file with further hard links, by a copy: a run changes only its own files.
+    """Replace a symbolic link, or a file with further hard links, by a copy: a run changes only its own
+    files.
 
     A link to something that is not a regular file is removed. Raises OSError.
     """
@@ -135,9 +140,9 @@ LONGEST_QUEUE = 8
 class BackgroundWriter:
     """Executes tasks in the order of `submit`: in a thread within `running`, otherwise at once.
 
-    An exception of a task ends the thread, and is raised in the main thread by the next call of `submit`, `wait` or
-    `check`. The failed task and those behind it stay in the queue, and `wait` tries them again in the main thread: a
-    checkpoint, which waits, never claims a file that is not written.
+    An exception of a task ends the thread, and is raised in the main thread by the next call of `submit`,
+    `wait` or `check`. The failed task and those behind it stay in the queue, and `wait` tries them again in
+    the main thread: a checkpoint, which waits, never claims a file that is not written.
 
     `guard`: called before each task; raises an exception if files can no longer be written where they belong.
     """
@@ -146,13 +151,16 @@ class BackgroundWriter:
         self._tasks: deque[Callable[[], object]] = deque()
         self._changed = Condition()
         self._error: BaseException | None = None
-        self._works, self._is_closing = False, False
+        self._works = False
+        self._is_closing = False
         self.guard: Callable[[], None] = lambda: None
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """In the block, execute tasks in a thread; its end waits for all of them, and raises their exceptions."""
-        self._works, self._is_closing = True, False
+        """In the block, execute tasks in a thread; its end waits for all of them, and raises their
+        exceptions."""
+        self._works = True
+        self._is_closing = False
         thread = Thread(target=self._execute_all, name="granflow writer", daemon=True)
         thread.start()
         try:
@@ -191,7 +199,8 @@ class BackgroundWriter:
     def check(self) -> None:
         """Raise the exception of a task, once."""
         if self._error is not None:
-            error, self._error = self._error, None
+            error = self._error
+            self._error = None
             raise error
 
     def _execute_all(self) -> None:
@@ -207,7 +216,8 @@ class BackgroundWriter:
                 task()
             except BaseException as error:  # raised again in the main thread
                 with self._changed:
-                    self._error, self._works = error, False
+                    self._error = error
+                    self._works = False
                     self._changed.notify_all()
                 return
             with self._changed:
@@ -268,7 +278,8 @@ class DirectoryLock:
         self.identity = identity_of(os.stat(path))
 
     def check(self) -> None:
-        """Raise LostFiles if the path leads to another directory or lock file than those locked, or to none."""
+        """Raise LostFiles if the path leads to another directory or lock file than those locked, or to
+        none."""
         try:
             found = identity_of(os.stat(self.path))
         except OSError:
@@ -278,7 +289,9 @@ class DirectoryLock:
         try:
             locked_file = identity_of(os.stat(self.path / LOCK))
         except OSError:
-            raise LostFiles(self.path / LOCK, "the lock of the run was deleted, and another run could start") from None
+            raise LostFiles(
+                self.path / LOCK, "the lock of the run was deleted, and another run could start"
+            ) from None
         if locked_file != identity_of(os.fstat(self._lock)):
             raise LostFiles(self.path / LOCK, "another file has replaced the lock of the run")
 
@@ -317,7 +330,8 @@ _WRITING: dict[Identity, Path] = {}
 
 
 def _write_holder(descriptor: int, holder: str) -> None:
-    """Replace the content of the lock file; a full disk does not matter. A hard link to another file is not written."""
+    """Replace the content of the lock file; a full disk does not matter. A hard link to another file is not
+    written."""
     with suppress(OSError):
         if os.fstat(descriptor).st_nlink <= 1:
             os.ftruncate(descriptor, 0)
@@ -342,8 +356,8 @@ def holder_of(directory: Path) -> str:
 def locked(directory: Path) -> Iterator[DirectoryLock]:
     """Create the directory if necessary and lock it.
 
-    In the block, the same thread may lock it again. The file `.lock` remains after the release, because its deletion
-    could remove the lock of a run that has just acquired it.
+    In the block, the same thread may lock it again. The file `.lock` remains after the release, because its
+    deletion could remove the lock of a run that has just acquired it.
 
     Raises GranflowError if another process or thread has locked it, and OSError if it cannot be created.
     """
@@ -374,7 +388,8 @@ def locked(directory: Path) -> Iterator[DirectoryLock]:
 
 
 def _open_lock(path: Path) -> int:
-    """Descriptor of the lock file; a symbolic link in its place is removed, so that no file outside is created."""
+    """Descriptor of the lock file; a symbolic link in its place is removed, so that no file outside is
+    created."""
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
     try:
         return os.open(path, flags, 0o644)
@@ -387,7 +402,8 @@ def _open_lock(path: Path) -> int:
 
 @contextmanager
 def writing(directory: Path) -> Iterator[DirectoryLock]:
-    """Lock the directory for the files of one run. Raises the errors of `locked` and of `refuse_second_run`."""
+    """Lock the directory for the files of one run. Raises the errors of `locked` and of
+    `refuse_second_run`."""
     refuse_second_run(directory)
     with locked(directory) as lock:
         _WRITING[lock.identity] = directory
@@ -428,7 +444,9 @@ def open_regular(path: Path) -> BinaryIO:
     if not stat.S_ISREG(mode):
         os.close(descriptor)
         code = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
-        raise OSError(code, "it is a directory" if stat.S_ISDIR(mode) else "it is not a regular file", str(path))
+        raise OSError(
+            code, "it is a directory" if stat.S_ISDIR(mode) else "it is not a regular file", str(path)
+        )
     return os.fdopen(descriptor, "rb")
 
 
@@ -447,7 +465,9 @@ def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
     raw = bytearray()
     with open_regular(path) as file:
         too_large = os.fstat(file.fileno()).st_size > largest
-        while not too_large and (piece := file.read(CHUNK_SIZE)):  # read(largest) would allocate that much for any file
+        while not too_large and (
+            piece := file.read(CHUNK_SIZE)
+        ):  # read(largest) would allocate that much for any file
             raw += piece
             too_large = len(raw) > largest
     if too_large:
@@ -456,7 +476,8 @@ def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of the content of a file, or "missing". A file that has not changed since the last call is not read."""
+    """SHA-256 of the content of a file, or "missing". A file that has not changed since the last call is not
+    read."""
     try:
         found = os.stat(path)
     except FileNotFoundError:
@@ -497,7 +518,10 @@ def resolved(path: Path) -> Path:
 
 
 def example_paths() -> dict[str, Path]:
-    """Paths of the shipped scenes, sweeps and calibrations by name: in the package of a wheel, beside it in a clone."""
+    """Paths of the shipped scenes, sweeps and calibrations by name: in the package of a wheel, beside it in a
+    clone."""
     package = Path(__file__).resolve().parents[1]
     folder = package / "scenes" if (package / "scenes").is_dir() else package.parent / "scenes"
-    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in sorted(folder.rglob("*.yaml"))}
+    return {
+        path.relative_to(folder).with_suffix("").as_posix(): path for path in sorted(folder.rglob("*.yaml"))
+    }

@@ -43,7 +43,8 @@ def require_directory(directory: Path) -> None:
 def listed_frames(directory: Path, stem: str) -> list[tuple[float, Path]]:
     """Times [s] and existing files of a PVD file; empty if it does not exist.
 
-    Raises GranflowError if it is damaged, or lists files other than the frames of its series in its directory.
+    Raises GranflowError if it is damaged, or lists files other than the frames of its series in its
+    directory.
     """
     listing = directory / f"{stem}.pvd"
     if not listing.exists():
@@ -59,7 +60,9 @@ def listed_frames(directory: Path, stem: str) -> list[tuple[float, Path]]:
         raise _damaged_listing(listing, str(error)) from None
     for time, name in found:
         if not re.fullmatch(rf"{re.escape(stem)}_\d{{4,9}}\.p?vtu", name):
-            raise _damaged_listing(listing, f"it lists {name[:80]!r}, but a frame is named like {stem}_0000.vtu")
+            raise _damaged_listing(
+                listing, f"it lists {name[:80]!r}, but a frame is named like {stem}_0000.vtu"
+            )
         if not math.isfinite(time):
             raise _damaged_listing(listing, f"the time of {name} is {time}")
     return [(time, directory / name) for time, name in found if (directory / name).exists()]
@@ -76,10 +79,11 @@ def frame_at(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, 
 
 
 def frame_near(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, Path] | None:
-    """Time [s] and file of the frame nearest to a time [s], at most half of the distance to its next frame away.
+    """Time [s] and file of the frame nearest to a time [s], at most half of the distance to its next frame
+    away.
 
-    The distance is that to the neighbor on the side of `time`, of the other side for the first and last frame; a single
-    frame must be at that time. None if there is none.
+    The distance is that to the neighbor on the side of `time`, of the other side for the first and last
+    frame; a single frame must be at that time. None if there is none.
     """
     near = min(range(len(series)), key=lambda index: abs(series[index][0] - time), default=None)
     if near is None or len(series) == 1:
@@ -134,8 +138,9 @@ WritePieces = Callable[[Path, str], Sequence[Piece]]
 class FrameSeries:
     """Writes `STEM_0000.vtu`, `STEM_0001.vtu`, ... and after each frame `STEM.pvd` with the times [s].
 
-    `writer` writes them, at once by default; `compression`: of the arrays. Numbers have at least four digits. The first
-    frame deletes frames of an earlier run in the directory: the PVD file lists exactly the files on disk. `frames`:
+    `writer` writes them, at once by default; `compression`: of the arrays. Numbers have at least four digits.
+    The first frame deletes frames of an earlier run in the directory: the PVD file lists exactly the files on
+    disk. `frames`:
     (time [s], file name) of each frame.
     """
 
@@ -147,8 +152,11 @@ class FrameSeries:
         compression: Compression = "zlib",
     ) -> None:
         self.directory = Path(directory)
-        self.directory.mkdir(parents=True, exist_ok=True)  # here, so that no frame creates a deleted directory again
-        self.stem, self.compression = stem, compression
+        self.directory.mkdir(
+            parents=True, exist_ok=True
+        )  # here, so that no frame creates a deleted directory again
+        self.stem = stem
+        self.compression = compression
         self._writer = writer or BackgroundWriter()
         self.frames: list[tuple[float, str]] = []
         self.frame_count = 0
@@ -164,7 +172,8 @@ class FrameSeries:
         self._writer.submit(partial(self._write, mesh, time))
 
     def write_pieces(self, write: WritePieces, time: float) -> None:
-        """Let MPI ranks write the next frame, at `time` [s], as one file each and a PVTU file that lists them.
+        """Let MPI ranks write the next frame, at `time` [s], as one file each and a PVTU file that lists
+        them.
 
         Waits for the frames before it. Raises OSError; the PVD file then lists the earlier frames.
         """
@@ -184,7 +193,8 @@ class FrameSeries:
         self._end(path, time)
 
     def _begin(self) -> str:
-        """Remove the frames of an earlier run before the first frame; return the name of the next, without suffix."""
+        """Remove the frames of an earlier run before the first frame; return the name of the next, without
+        suffix."""
         if not self.frame_count:
             self.truncate()
         return f"{self.stem}_{self.frame_count:04d}"
@@ -201,7 +211,8 @@ class FrameSeries:
         return self.directory / f"{self.stem}.pvd"
 
     def _list(self, frame: tuple[float, str]) -> None:
-        """Add a frame to the PVD file in place, or rewrite the file if it has changed since the last write."""
+        """Add a frame to the PVD file in place, or rewrite the file if it has changed since the last
+        write."""
         entry = _entry(*frame)
         size = self.listing.lstat().st_size if self.listing.is_file() and not self.listing.is_symlink() else 0
         if size and size == self._listing_size:
@@ -229,7 +240,8 @@ class FrameSeries:
         self._unsynced = []
 
     def missing(self) -> list[str]:
-        """Return the names of the listed frames whose files no longer exist, in the order of time. Raises OSError."""
+        """Return the names of the listed frames whose files no longer exist, in the order of time. Raises
+        OSError."""
         self.wait()
         there = {path.name for path in self.directory.iterdir()} if self.frames else set()
         return [name for _, name in self.frames if name not in there]
@@ -253,15 +265,17 @@ class FrameSeries:
 
 
 def _entry(time: float, name: str) -> bytes:
-    """Return the line of the PVD file for one frame, UTF-8; the time [s] is written with all digits of its value."""
+    """Return the line of the PVD file for one frame, UTF-8; the time [s] is written with all digits of its
+    value."""
     return f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)}/>\n'.encode()
 
 
 def _insert_before_tail(path: Path, size: int, entry: bytes) -> None:
-    """Overwrite the closing tags of a PVD file of `size` bytes with `entry` and the closing tags, in one write.
+    """Overwrite the closing tags of a PVD file of `size` bytes with `entry` and the closing tags, in one
+    write.
 
-    The work per frame does not depend on the number of frames, and the file is complete before and after the write.
-    If the disk is full, the previous closing tags are restored.
+    The work per frame does not depend on the number of frames, and the file is complete before and after the
+    write. If the disk is full, the previous closing tags are restored.
     """
     start = size - len(TAIL)
     with named_errors(path), FileIO(path, "r+") as file:

@@ -29,8 +29,8 @@ class HasYamlText(Protocol):
 def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
     """In the block, write the records of the logger `granflow` from level INFO to `run.log` in the directory.
 
-    An older log is replaced, or extended with `append`. An exception that ends the block is the last entry and
-    propagates. Creates the directory if necessary. The level of the logger is restored afterwards.
+    An older log is replaced, or extended with `append`. An exception that ends the block is the last entry
+    and propagates. Creates the directory if necessary. The level of the logger is restored afterwards.
     """
     logger = logging.getLogger("granflow")
     level_before = logger.level

@@ -1,4 +1,5 @@
-"""Memory and cores available to this process: those of the machine, limited by control groups, affinity and Slurm."""
+"""Memory and cores available to this process: those of the machine, limited by control groups, affinity and
+Slurm."""
 
 import os
 import re
@@ -15,7 +16,8 @@ from granflow.errors import GranflowError
 
 
 def free_gpu_memory() -> int | None:
-    """Free memory [bytes] of the first GPU in CUDA_VISIBLE_DEVICES, or of the first; None if it is unknown."""
+    """Free memory [bytes] of the first GPU in CUDA_VISIBLE_DEVICES, or of the first; None if it is
+    unknown."""
     device = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")[0] or "0"
     command = ["nvidia-smi", f"--id={device}", "--query-gpu=memory.free", "--format=csv,noheader,nounits"]
     try:
@@ -33,7 +35,8 @@ MEMORY_FILES = (
     ("memory.max", "memory.current", "inactive_file"),
     ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
 )
-"""Files of control groups, versions 2 and 1: limit and usage [bytes]; key of the cached files in memory.stat."""
+"""Files of control groups, versions 2 and 1: limit and usage [bytes]; key of the cached files in
+memory.stat."""
 
 
 def available_memory() -> int | None:
@@ -62,18 +65,22 @@ def _memory_of_groups() -> Iterator[int]:
     for folder in _group_folders("memory"):
         for limit, usage, cached in MEMORY_FILES:
             with suppress(OSError, ValueError):  # another version, or no limit ("max")
-                limit_bytes, used = int((folder / limit).read_text()), int((folder / usage).read_text())
+                limit_bytes = int((folder / limit).read_text())
+                used = int((folder / usage).read_text())
                 pages = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
                 yield max(limit_bytes - used + int(pages.get(cached, 0)), 0)
 
 
-def worker_count(requested: int | None, affinity: int | None = None, quota: int | None = None) -> tuple[int, str]:
+def worker_count(
+    requested: int | None, affinity: int | None = None, quota: int | None = None
+) -> tuple[int, str]:
     """Number of CPU threads to start, and a warning or an empty text.
 
     requested:        number from the command line; None: all available cores
     affinity, quota:  cores, in place of those of the operating system
     Returns:          at most `affinity`; without a request also at most the quota
-    Raises:           GranflowError for less than one thread, with which Taichi ends the process, or no whole number
+    Raises:           GranflowError for less than one thread, with which Taichi ends the process, or no whole
+                      number
 
     Taichi starts at most one thread per core of the machine, and surplus threads only delay each other.
     """
@@ -110,13 +117,16 @@ def _quotas_of_groups() -> Iterator[float]:
     for folder in _group_folders("cpu"):
         words = _text(folder / "cpu.max").split()
         if not words:
-            words = [word for name in ("quota", "period") for word in _text(folder / f"cpu.cfs_{name}_us").split()]
+            words = [
+                word for name in ("quota", "period") for word in _text(folder / f"cpu.cfs_{name}_us").split()
+            ]
         if len(words) == 2 and all(word.isdecimal() and int(word) > 0 for word in words):
             yield int(words[0]) / int(words[1])
 
 
 def _group_folders(controller: str) -> Iterator[Path]:
-    """Folders of the control groups of this process and of their parents; in a container possibly only the last exists.
+    """Folders of the control groups of this process and of their parents; in a container possibly only the
+    last exists.
 
     Version 2 has one tree; version 1 one for each controller, or for several, such as "cpu,cpuacct".
     """

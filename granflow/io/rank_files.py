@@ -1,7 +1,7 @@
 """Files of the particles of MPI ranks: each rank but the root writes one for each checkpoint.
 
-The checkpoint of the root names them, with their checksums, and is written last: files that no checkpoint names are
-ignored, and removed with the next checkpoints.
+The checkpoint of the root names them, with their checksums, and is written last: files that no checkpoint
+names are ignored, and removed with the next checkpoints.
 """
 
 import re
@@ -24,7 +24,8 @@ from granflow.io.vtu import MAX_PIECES, VtuMesh, read_vtu, xml_of
 
 SUFFIX = ".pvtu"
 PIECE = re.compile(r"[\w-]+\.\d{4,}\.vtu")
-"""Names of the files of a frame, such as particles_0003.0001.vtu; they are in the directory of the PVTU file."""
+"""Names of the files of a frame, such as particles_0003.0001.vtu; they are in the directory of the PVTU
+file."""
 LARGEST_LISTING = 2**20
 """Largest size of a PVTU file [bytes]."""
 TYPE_NAMES = {"f": "Float", "i": "Int", "u": "UInt"}
@@ -71,9 +72,16 @@ def write_pvtu(path: Path, pieces: Sequence[Piece]) -> None:
         '<?xml version="1.0"?>',
         '<VTKFile type="PUnstructuredGrid" version="0.1" byte_order="LittleEndian">',
         '<PUnstructuredGrid GhostLevel="0">',
-        *("<PPoints>", rows[0], "</PPoints>", "<PPointData>", *rows[1:], "</PPointData>"),
+        "<PPoints>",
+        rows[0],
+        "</PPoints>",
+        "<PPointData>",
+        *rows[1:],
+        "</PPointData>",
         *(f"<Piece Source={quoteattr(piece.name)}/>" for piece in filled),
-        *("</PUnstructuredGrid>", "</VTKFile>", ""),
+        "</PUnstructuredGrid>",
+        "</VTKFile>",
+        "",
     ]
     write_text(path, "\n".join(text))
 
@@ -109,7 +117,9 @@ def read_pvtu(path: Path, largest: int) -> VtuMesh:
         try:
             meshes.append(read_vtu(piece, largest))
         except OSError as error:
-            raise FormatError(f"needs {piece.name}, which cannot be read: {error.strerror or error}") from None
+            raise FormatError(
+                f"needs {piece.name}, which cannot be read: {error.strerror or error}"
+            ) from None
         except FormatError as error:
             raise FormatError(f"needs {piece.name}, which {error}") from None
         largest -= sum(values.nbytes for values in (meshes[-1].points, *meshes[-1].point_data.values()))
@@ -147,8 +157,8 @@ class RankFile:
 class RankFileWriter:
     """Writes the files of all ranks for one checkpoint; each rank has a copy.
 
-    `step`: of the checkpoint; `token`: distinguishes the files of two checkpoints of the same step, so that no file
-    that an earlier checkpoint names is replaced.
+    `step`: of the checkpoint; `token`: distinguishes the files of two checkpoints of the same step, so that
+    no file that an earlier checkpoint names is replaced.
     """
 
     directory: Path
@@ -163,11 +173,16 @@ class RankFileWriter:
     def write(self, rank: int, count: int, saved: Mapping[str, Any]) -> dict[str, Any]:
         """Write the file of a rank; return its entry in the checkpoint.
 
-        `count`: number of particles; `saved`: "particles" and "contacts" as in `engine.checkpoint`. Raises OSError.
+        `count`: number of particles; `saved`: "particles" and "contacts" as in `engine.checkpoint`. Raises
+        OSError.
         """
         name = f"{self._step_prefix}{self.token}_{rank:04d}.npz"
         arrays = split_arrays(saved, ENGINE)[1]
-        return {"file": name, "checksum": write_file(self.directory / name, {"rank": rank}, arrays), "count": count}
+        return {
+            "file": name,
+            "checksum": write_file(self.directory / name, {"rank": rank}, arrays),
+            "count": count,
+        }
 
     def remove_replaced(self) -> None:
         """Remove the files of an earlier checkpoint of the same step, which this one has replaced."""
@@ -187,7 +202,9 @@ def listed_files(directory: Path, entries: Any) -> tuple[RankFile, ...]:
     found = []
     for entry in entries:
         values = entry if isinstance(entry, dict) else {}
-        name, checksum, count = str(values.get("file")), str(values.get("checksum")), values.get("count")
+        name = str(values.get("file"))
+        checksum = str(values.get("checksum"))
+        count = values.get("count")
         is_named = NAME.fullmatch(name) and CHECKSUM.fullmatch(checksum)
         if not (is_named and isinstance(count, int) and 0 <= count < 2**31):
             raise FormatError(f"has the unexpected file of a rank {str(entry)[:80]}")
@@ -214,7 +231,8 @@ def with_rank_files(arrays: dict[str, np.ndarray], files: Sequence[RankFile]) ->
     """
     if not files:
         return arrays
-    names, parts = {name for name in arrays if name.startswith((f"{ENGINE}particles/", f"{ENGINE}contacts/"))}, []
+    names = {name for name in arrays if name.startswith((f"{ENGINE}particles/", f"{ENGINE}contacts/"))}
+    parts = []
     for file in files:
         parts.append(file.arrays())
         for name in names.symmetric_difference(parts[-1]):

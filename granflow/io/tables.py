@@ -1,4 +1,5 @@
-"""Tables of text with named columns: one reader for particles, time series and measurements, and one writer (CSV)."""
+"""Tables of text with named columns: one reader for particles, time series and measurements, and one writer
+(CSV)."""
 
 import csv
 import os
@@ -30,10 +31,11 @@ MOST_COMMENTS = 100
 
 @dataclass(frozen=True)
 class Table:
-    """A table as text: column names, separator (None: white space), line number of the header, and rows with theirs.
+    """A table as text: column names, separator (None: white space), line number of the header, and rows with
+    theirs.
 
-    Lines count from 1. Rows may be shorter or longer than the header (see `complete`). `is_terminated`: whether the
-    file ends with a newline; otherwise a program may still be writing its last line.
+    Lines count from 1. Rows may be shorter or longer than the header (see `complete`). `is_terminated`:
+    whether the file ends with a newline; otherwise a program may still be writing its last line.
     """
 
     names: tuple[str, ...]
@@ -89,9 +91,9 @@ def table_in(
 ) -> Table | None:
     """The table in the text of the file `path`; None without a header.
 
-    The header is the first line that is not empty and not a comment, or a comment before it whose names `is_header`
-    accepts. The separator is the first of those in the header with accepted names, otherwise the first of them. Raises
-    FileError for a row that is not CSV, and for a header with a name twice.
+    The header is the first line that is not empty and not a comment, or a comment before it whose names
+    `is_header` accepts. The separator is the first of those in the header with accepted names, otherwise the
+    first of them. Raises FileError for a row that is not CSV, and for a header with a name twice.
     """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
     for index, (n, line) in enumerate(lines[:MOST_COMMENTS]):
@@ -110,7 +112,8 @@ def table_in(
 
 
 def _refuse_repetition(names: Sequence[str], path: Path, line: int) -> None:
-    """Raise FileError for two columns whose names differ at most in case and in the unit in square brackets."""
+    """Raise FileError for two columns whose names differ at most in case and in the unit in square
+    brackets."""
     found: dict[str, str] = {}
     for name in names:
         plain = name.partition("[")[0].strip().lower()
@@ -125,7 +128,8 @@ def _is_comment(line: str) -> bool:
 
 
 def _names(heading: str, separator: str | None, path: Path, line: int) -> list[str]:
-    """Column names of a header; if they are separated by white space, a unit in brackets belongs to the name."""
+    """Column names of a header; if they are separated by white space, a unit in brackets belongs to the
+    name."""
     joined = re.sub(r"\s+(?=[\[(])", "", heading) if separator is None else heading
     return _trimmed(_cells(joined, separator, path, line), 1)
 
@@ -169,14 +173,21 @@ def write_table(path: Path, names: Iterable[str], rows: Iterable[Iterable[Any]])
 FILE = "collision_energies.csv"
 """Name of the file in the directory of a run."""
 COLUMNS = (
-    "time_start [s]", "time_end [s]", "contact", "energy_min [J]", "energy_max [J]", "count", "count_total",
-)  # fmt: skip
+    "time_start [s]",
+    "time_end [s]",
+    "contact",
+    "energy_min [J]",
+    "energy_max [J]",
+    "count",
+    "count_total",
+)
 """Columns of the file."""
 
 
 @dataclass(frozen=True)
 class CollisionTable:
-    """Numbers of collisions by kind of contact ("particle" or "wall"), in i intervals and c classes of impact energy.
+    """Numbers of collisions by kind of contact ("particle" or "wall"), in i intervals and c classes of impact
+    energy.
 
     time:    ends of the intervals (i,) [s]
     edges:   of the classes (c, 2) [J]; the first one begins at 0, the last one ends at infinity
@@ -203,10 +214,12 @@ def has_collisions(names: Sequence[str]) -> bool:
 
 
 def collision_table(table: Table) -> CollisionTable | None:
-    """The counts in a table with the columns COLUMNS, without an incomplete last interval; None if none is complete."""
+    """The counts in a table with the columns COLUMNS, without an incomplete last interval; None if none is
+    complete."""
     rows = table.complete()
     column = {name.partition(" [")[0]: rows.numbers(k) for k, name in enumerate(COLUMNS) if name != "contact"}
-    end, kinds = column["time_end"], list(dict.fromkeys(rows.texts(COLUMNS.index("contact"))))
+    end = column["time_end"]
+    kinds = list(dict.fromkeys(rows.texts(COLUMNS.index("contact"))))
     size = int(np.sum(end == end[0])) if len(end) else 0
     if not size or size % len(kinds) or np.isfinite(column["energy_max"][size - 1]):
         return None
@@ -232,7 +245,8 @@ class RowFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file: FileIO | None = None
-        self._size, self._unwritten = 0, b""
+        self._size = 0
+        self._unwritten = b""
         self._last = b""
 
     @property
@@ -243,8 +257,8 @@ class RowFile:
     def write(self, row: Sequence[Any], replaces_last: bool = False) -> None:
         """Write one row and flush it; bytes that could not be written are kept for the next call.
 
-        `replaces_last`: in place of the last row, if that is completely written. Raises LostFiles if another program
-        has moved, deleted, replaced or changed the file, OSError if it cannot be written.
+        `replaces_last`: in place of the last row, if that is completely written. Raises LostFiles if another
+        program has moved, deleted, replaced or changed the file, OSError if it cannot be written.
         """
         line = csv_line(row).encode()
         self._open()
@@ -276,10 +290,12 @@ class RowFile:
         with named_errors(self.path):
             while self._unwritten:
                 written = file.write(self._unwritten)
-                self._size, self._unwritten = self._size + written, self._unwritten[written:]
+                self._size = self._size + written
+                self._unwritten = self._unwritten[written:]
 
     def check(self) -> None:
-        """Raise LostFiles if the path leads to another file than the open one, or if that has another size."""
+        """Raise LostFiles if the path leads to another file than the open one, or if that has another
+        size."""
         if self._file is None:
             return
         try:
@@ -291,7 +307,8 @@ class RowFile:
             raise LostFiles(self.path, "another file has replaced it during the run")
         if own.st_size != self._size:
             raise LostFiles(
-                self.path, f"another program has changed it: it has {own.st_size} bytes, and the run wrote {self._size}"
+                self.path,
+                f"another program has changed it: it has {own.st_size} bytes, and the run wrote {self._size}",
             )
 
     def close(self) -> None:
@@ -315,7 +332,8 @@ class RowFile:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`; the file is not modified yet."""
-        self._size, self._unwritten = saved["size"], saved["unwritten"].encode()
+        self._size = saved["size"]
+        self._unwritten = saved["unwritten"].encode()
         self._last = self._unwritten
 
     @property
@@ -324,7 +342,8 @@ class RowFile:
         return self._present_size() >= self._size
 
     def truncate(self) -> None:
-        """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining ones.
+        """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining
+        ones.
 
         Raises OSError if the last row of the restored state cannot be written.
         """
@@ -351,7 +370,8 @@ TIME, STAGE = "time", "stage"
 
 @dataclass(frozen=True)
 class SeriesColumn:
-    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number), values (n,)."""
+    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number),
+    values (n,)."""
 
     name: str
     unit: str
@@ -366,7 +386,8 @@ class SeriesColumn:
 
 @dataclass(frozen=True)
 class TimeSeriesTable:
-    """All columns over `time` (n,) [s], the stage of each row (n,), and start time [s] and name of each stage."""
+    """All columns over `time` (n,) [s], the stage of each row (n,), and start time [s] and name of each
+    stage."""
 
     time: np.ndarray
     stage: np.ndarray
@@ -384,7 +405,8 @@ def read_series(path: Path) -> TimeSeriesTable | None:
 
 
 def table_of_run(path: Path) -> Table | None:
-    """The table in a CSV file that a run wrote; None without a header. Raises GranflowError if it is not CSV."""
+    """The table in a CSV file that a run wrote; None without a header. Raises GranflowError if it is not
+    CSV."""
     try:
         return read_table(path)
     except FileError as error:
@@ -396,7 +418,8 @@ def series_in(found: Table) -> TimeSeriesTable | None:
 
     Cells that are not numbers become nan.
     """
-    table, labels = found.complete(), [_split(head) for head in found.names]
+    table = found.complete()
+    labels = [_split(head) for head in found.names]
     names = [name for name, _ in labels]
     if not table.rows or TIME not in names:
         return None
@@ -405,7 +428,9 @@ def series_in(found: Table) -> TimeSeriesTable | None:
     units = dict(labels)
     columns = tuple(SeriesColumn(name, units[name], values) for name, values in numbers.items())
     stage = table.texts(names.index(STAGE)) if STAGE in names else [""] * len(time)
-    begins = [(float(time[k]), name) for k, name in enumerate(stage) if name and (k == 0 or stage[k - 1] != name)]
+    begins = [
+        (float(time[k]), name) for k, name in enumerate(stage) if name and (k == 0 or stage[k - 1] != name)
+    ]
     return TimeSeriesTable(time, np.array(stage), columns, tuple(begins))
 
 

@@ -1,9 +1,9 @@
 """VTU files (VTK file formats, UnstructuredGrid), written and read by meshio.
 
-meshio is imported with the first file: its import takes 60 ms. Four things are done around its calls, which meshio
-5.3.5 does not do: special characters of names are escaped; units are added as field data; a frame without cells gets a
-cell that meshio can read; and before a file is read, its XML is checked, because meshio expands entities and compressed
-data without limits, and drops cells and arrays that it does not know.
+meshio is imported with the first file: its import takes 60 ms. Four things are done around its calls, which
+meshio 5.3.5 does not do: special characters of names are escaped; units are added as field data; a frame
+without cells gets a cell that meshio can read; and before a file is read, its XML is checked, because meshio
+expands entities and compressed data without limits, and drops cells and arrays that it does not know.
 """
 
 import base64
@@ -35,7 +35,8 @@ END = b"</UnstructuredGrid>\n</VTKFile>\n"
 """End of a file of meshio; field data are inserted before it."""
 
 EMPTY_CELL = "polygon"
-"""Type of the cell without corners in frames without particles, contacts or walls: meshio needs a cell to read."""
+"""Type of the cell without corners in frames without particles, contacts or walls: meshio needs a cell to
+read."""
 
 COMPRESSORS = ("vtkZLibDataCompressor", "vtkLZMADataCompressor")
 """Compressors of VTK that meshio supports."""
@@ -100,10 +101,11 @@ class VtuMesh:
         cell_data: Mapping[str, np.ndarray],
         units: Mapping[str, str] | None = None,
     ) -> "VtuMesh":
-        """Return a mesh of cells of one kind, such as "line" (k, 2) or "triangle" (k, 3), with points (n, 3) [m].
+        """Return a mesh of cells of one kind, such as "line" (k, 2) or "triangle" (k, 3), with points (n, 3)
+        [m].
 
-        `cells`: indices of points, converted to int64; `cell_data`: name -> array (k,) or (k, components); `units`: as
-        in the class.
+        `cells`: indices of points, converted to int64; `cell_data`: name -> array (k,) or (k, components);
+        `units`: as in the class.
         """
         per_block = {name: [values] for name, values in cell_data.items()}
         return cls(points, [CellBlock(kind, cells.astype(np.int64))], {}, per_block, units or {})
@@ -113,7 +115,9 @@ def write_vtu(path: Path, mesh: VtuMesh, compression: Compression = "zlib") -> N
     """Write the mesh to a VTU file, atomically. Raises OSError."""
     import meshio
 
-    stated = [f"{name} [{mesh.units[name]}]" for name in (*mesh.point_data, *mesh.cell_data) if name in mesh.units]
+    stated = [
+        f"{name} [{mesh.units[name]}]" for name in (*mesh.point_data, *mesh.cell_data) if name in mesh.units
+    ]
     is_empty = not any(len(block.data) for block in mesh.cells)
     cells, cell_data = _empty_cell(mesh) if is_empty else (mesh.cells, mesh.cell_data)
     with replacing(path) as temporary:
@@ -133,29 +137,38 @@ def write_vtu(path: Path, mesh: VtuMesh, compression: Compression = "zlib") -> N
 
 def _empty_cell(mesh: VtuMesh) -> tuple[list[CellBlock], dict[str, list[np.ndarray]]]:
     """A cell without corners, and zeros as its data."""
-    data = {name: [np.zeros((1, *blocks[0].shape[1:]), blocks[0].dtype)] for name, blocks in mesh.cell_data.items()}
+    data = {
+        name: [np.zeros((1, *blocks[0].shape[1:]), blocks[0].dtype)]
+        for name, blocks in mesh.cell_data.items()
+    }
     return [CellBlock(EMPTY_CELL, np.zeros((1, 0), np.int64))], data
 
 
 def _short(corners: np.ndarray) -> np.ndarray:
-    """Corners as int32 if also the offsets of the cells fit; meshio gives the offsets the type of the corners."""
+    """Corners as int32 if also the offsets of the cells fit; meshio gives the offsets the type of the
+    corners."""
     return corners.astype(np.int32 if corners.size < 2**31 else np.int64)
 
 
 def _attribute(text: str) -> str:
-    """Text as the value of an XML attribute, ASCII: meshio writes names as they are, in the encoding of the system."""
+    """Text as the value of an XML attribute, ASCII: meshio writes names as they are, in the encoding of the
+    system."""
     return escape(text, {'"': "&quot;"}).encode("ascii", "xmlcharrefreplace").decode()
 
 
 def _add_field_data(path: Path, names: list[str]) -> None:
-    """Insert field data that state units: an array `velocity [m/s]` with the number 1, because meshio reads no text.
+    """Insert field data that state units: an array `velocity [m/s]` with the number 1, because meshio reads
+    no text.
 
-    meshio writes no field data into VTU files. Readers accept them behind the piece, so that only the end is written.
+    meshio writes no field data into VTU files. Readers accept them behind the piece, so that only the end is
+    written.
     """
     if not names:
         return
-    arrays = (f'<DataArray type="Int8" Name="{_attribute(name)}" NumberOfTuples="1" format="ascii">1</DataArray>\n'
-              for name in names)  # fmt: skip
+    arrays = (
+        f'<DataArray type="Int8" Name="{_attribute(name)}" NumberOfTuples="1" format="ascii">1</DataArray>\n'
+        for name in names
+    )
     with open(path, "r+b") as file:
         file.seek(-len(END), 2)
         assert file.read() == END, "another version of meshio ends VTU files differently"
@@ -167,7 +180,8 @@ def read_vtu(path: Path, largest: int) -> VtuMesh:
     """Read the mesh in a file; several pieces are merged.
 
     largest:  maximum size [bytes] of all decoded arrays
-    Returns:  points (n, 3), cells by type, and arrays of points and cells, with those of one component as (n,)
+    Returns:  points (n, 3), cells by type, and arrays of points and cells, with those of one component as
+              (n,)
     Raises:   FormatError for an invalid or unsupported file, OSError if the file cannot be read
     """
     try:
@@ -176,7 +190,9 @@ def read_vtu(path: Path, largest: int) -> VtuMesh:
         raise FormatError(f"cannot be read as VTU: it is not XML: {error}") from None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # numpy stops at the first invalid number; the length is then wrong
+            warnings.simplefilter(
+                "ignore"
+            )  # numpy stops at the first invalid number; the length is then wrong
             return _mesh_of(_read_guarded(path, size))
     except FormatError:
         raise
@@ -193,7 +209,8 @@ def reason_of(error: BaseException) -> str:
 
 
 def _mesh_of(found: "meshio.Mesh") -> VtuMesh:
-    """Mesh in native byte order, without the cell of an empty frame. Raises FormatError for invalid indices."""
+    """Mesh in native byte order, without the cell of an empty frame. Raises FormatError for invalid
+    indices."""
     if found.points.ndim != 2 or found.points.shape[1] != 3:
         raise FormatError(f"has points of {found.points.shape[-1]} coordinates, but 3 are necessary")
     kept = [number for number, block in enumerate(found.cells) if block.data.size]
@@ -205,7 +222,11 @@ def _mesh_of(found: "meshio.Mesh") -> VtuMesh:
         _native(found.points),
         [CellBlock(found.cells[number].type, found.cells[number].data.astype(np.int64)) for number in kept],
         {name: _native(values) for name, values in found.point_data.items()},
-        {name: [_native(blocks[number]) for number in kept] for name, blocks in found.cell_data.items() if kept},
+        {
+            name: [_native(blocks[number]) for number in kept]
+            for name, blocks in found.cell_data.items()
+            if kept
+        },
     )
 
 
@@ -216,7 +237,8 @@ def _native(values: np.ndarray) -> np.ndarray:
 
 
 def _checked_size(raw: bytes, largest: int) -> int:
-    """Size of all arrays by the numbers that the XML of a file declares [bytes], with a margin for corners of cells.
+    """Size of all arrays by the numbers that the XML of a file declares [bytes], with a margin for corners of
+    cells.
 
     Raises FormatError for XML that meshio would expand without limit or misread.
     """
@@ -238,7 +260,9 @@ def _checked_size(raw: bytes, largest: int) -> int:
         rows = {"Points": points, "PointData": points, "Cells": cells, "CellData": cells}
         size += sum(rows[part.tag] * _row_size(each) for part in piece if part.tag in rows for each in part)
         cell_count += cells
-    size += sum(_count(each, "NumberOfTuples", 1) * _row_size(each) for each in root.findall(".//FieldData/DataArray"))
+    size += sum(
+        _count(each, "NumberOfTuples", 1) * _row_size(each) for each in root.findall(".//FieldData/DataArray")
+    )
     if size > largest:
         raise FormatError(f"declares arrays larger than the limit of {largest / 2**20:.0f} MiB")
     return size + CORNER_BYTES * cell_count
@@ -259,7 +283,9 @@ def _row_size(array: ElementTree.Element) -> int:
         raise FormatError(f"has an array of the type {kind[:40]}; supported are Float and Int types")
     components = _count(array, "NumberOfComponents", 1) if array.attrib.get("NumberOfComponents") else 1
     if not 1 <= components <= MAX_COMPONENTS:
-        raise FormatError(f"has an array of {components} components; the number must be from 1 to {MAX_COMPONENTS}")
+        raise FormatError(
+            f"has an array of {components} components; the number must be from 1 to {MAX_COMPONENTS}"
+        )
     return components * int(kind.strip("FloatUIn")) // 8
 
 
@@ -277,9 +303,11 @@ def _split_appended_data(raw: bytes) -> tuple[bytes, bytes]:
 def xml_of(text: bytes) -> ElementTree.Element:
     """XML elements without their text.
 
-    Raises FormatError for a document type, before any entity expands, and for deep nesting; ExpatError for other text.
+    Raises FormatError for a document type, before any entity expands, and for deep nesting; ExpatError for
+    other text.
     """
-    builder, depth = ElementTree.TreeBuilder(), 0
+    builder = ElementTree.TreeBuilder()
+    depth = 0
     parser = expat.ParserCreate()
 
     def refuse(*_: object) -> None:
@@ -298,7 +326,8 @@ def xml_of(text: bytes) -> ElementTree.Element:
         builder.end(name)
 
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
     parser.Parse(text, True)
     return builder.close()
 
@@ -306,9 +335,10 @@ def xml_of(text: bytes) -> ElementTree.Element:
 def _read_guarded(path: Path, size: int) -> "meshio.Mesh":
     """Read a file with meshio, six of whose names are replaced meanwhile; one thread at a time.
 
-    meshio 5.3.5 decompresses without limit, here at most `size` bytes. Where it would print a warning and drop data,
-    FormatError is raised. It keeps the cells of the last piece only, fails for files without cells and for compressed
-    arrays without values, and confuses raw appended arrays whose offsets in the file equal earlier ones in base64.
+    meshio 5.3.5 decompresses without limit, here at most `size` bytes. Where it would print a warning and
+    drop data, FormatError is raised. It keeps the cells of the last piece only, fails for files without cells
+    and for compressed arrays without values, and confuses raw appended arrays whose offsets in the file equal
+    earlier ones in base64.
     """
     from meshio.vtu import _vtu
 
@@ -316,7 +346,9 @@ def _read_guarded(path: Path, size: int) -> "meshio.Mesh":
         def read_compressed_binary(self, data: str, dtype: np.dtype) -> np.ndarray:
             width = 8 if self.header_type == "UInt64" else 4
             has_blocks = any(base64.b64decode(data[:12])[:width])
-            found: np.ndarray = super().read_compressed_binary(data, dtype) if has_blocks else np.empty(0, dtype)
+            found: np.ndarray = (
+                super().read_compressed_binary(data, dtype) if has_blocks else np.empty(0, dtype)
+            )
             return found
 
     replacements = {
@@ -343,7 +375,9 @@ class _Limited:
     """A compression module for meshio that decompresses at most `size` bytes. Raises FormatError for more."""
 
     def __init__(self, module: ModuleType, decompressor: Callable[[], Any], size: int) -> None:
-        self._module, self._decompressor, self._left = module, decompressor, size
+        self._module = module
+        self._decompressor = decompressor
+        self._left = size
 
     def __getattr__(self, name: str) -> Any:
         """All else is as in the module: another thread may write a file at the same time."""
@@ -391,7 +425,8 @@ def _with_raw_data_inline(path: str) -> ElementTree.Element:
 def _cells_of_pieces(
     first_points: np.ndarray, pieces: list[dict[str, np.ndarray]], cell_data: list[dict[str, np.ndarray]]
 ) -> tuple[list[Any], dict[str, list[np.ndarray]]]:
-    """Cells of all pieces by type, and their arrays. Raises FormatError for unsupported types and invalid offsets.
+    """Cells of all pieces by type, and their arrays. Raises FormatError for unsupported types and invalid
+    offsets.
 
     first_points:  index of the first point of each piece
     """
@@ -400,9 +435,11 @@ def _cells_of_pieces(
 
     if pieces and len(pieces) != len(first_points):
         raise FormatError("has pieces without cells; save it as one piece")
-    blocks, data = [], []
+    blocks = []
+    data = []
     for first_point, piece, arrays in zip(first_points, pieces, cell_data, strict=False):
-        kinds, ends = piece["types"].ravel(), piece["offsets"].ravel().astype(np.int64)
+        kinds = piece["types"].ravel()
+        ends = piece["offsets"].ravel().astype(np.int64)
         if len(kinds):
             _check_cells(kinds, ends, piece["connectivity"].size)
             found, of_cells = vtk_cells_from_data(piece["connectivity"].ravel(), ends, kinds, arrays)

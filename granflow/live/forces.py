@@ -23,13 +23,16 @@ ARGUMENTS = ("position", "velocity", "radius", "mass", "time", "parameters")
 class ForceParameters(MutableMapping[str, ParameterValue]):
     """Values of the parameters of a force by name: numbers, or vectors of three components; SI units.
 
-    A new value of the same kind takes effect with the next step, without compilation. Raises GranflowError for other
-    names or values that are not valid.
+    A new value of the same kind takes effect with the next step, without compilation. Raises GranflowError
+    for other names or values that are not valid.
     """
 
     def __init__(self, force: str, values: Mapping[str, Any]) -> None:
-        refuse_other(f"{force}: parameters", values, Mapping, 'a mapping of names to numbers, such as {"k": 0.5}')
-        self._force, self._values = force, dict[str, ParameterValue]()
+        refuse_other(
+            f"{force}: parameters", values, Mapping, 'a mapping of names to numbers, such as {"k": 0.5}'
+        )
+        self._force = force
+        self._values = dict[str, ParameterValue]()
         for name, value in values.items():
             if not (isinstance(name, str) and name.isidentifier()):
                 raise GranflowError(f"{force}: the parameter {name!r} must be named like a Python variable.")
@@ -88,17 +91,21 @@ class ParticleForce:
         simulation.forces.append(granflow.ParticleForce(drag, parameters={"viscosity": 1.8e-5}))
 
     function:    Python function or `ti.func` (position [m], velocity [m/s], radius [m], mass [kg], time [s],
-                 parameters) -> force [N]; position, velocity and result are vectors of three components. It may call
-                 other `ti.func`s and has one return statement. Position and velocity are those at `time`.
+                 parameters) -> force [N]; position, velocity and result are vectors of three components. It
+                 may call other `ti.func`s and has one return statement. Position and velocity are those at
+                 `time`.
     parameters:  numbers and vectors by name, which the function reads as `parameters.NAME`
     name:        in messages and checkpoints; default: name of the function
 
-    `parameters` may be changed while the simulation runs: `force.parameters["viscosity"] = 2e-5`. Raises GranflowError
-    for parameters that are not valid.
+    `parameters` may be changed while the simulation runs: `force.parameters["viscosity"] = 2e-5`. Raises
+    GranflowError for parameters that are not valid.
     """
 
     def __init__(
-        self, function: Callable[..., Any], parameters: Mapping[str, Any] | None = None, name: str | None = None
+        self,
+        function: Callable[..., Any],
+        parameters: Mapping[str, Any] | None = None,
+        name: str | None = None,
     ) -> None:
         if not callable(function):
             raise GranflowError(f"ParticleForce requires a function, not {function!r}.")
@@ -152,7 +159,9 @@ class ParticleForce:
     @property
     def planned(self) -> ExternalForce:
         """The force in a plan, with the values of this object."""
-        layout = tuple((name, 3 if isinstance(value, tuple) else 1) for name, value in self.parameters.items())
+        layout = tuple(
+            (name, 3 if isinstance(value, tuple) else 1) for name, value in self.parameters.items()
+        )
         return ExternalForce(self.name, self.function, layout, self.parameters)
 
     def __repr__(self) -> str:
@@ -165,18 +174,22 @@ def _refuse_other_arguments(name: str, function: Callable[..., Any]) -> None:
         return
     given = list(signature(function).parameters)
     if len(given) != len(ARGUMENTS):
-        raise GranflowError(f"force {name} takes ({', '.join(given)}), but must take ({', '.join(ARGUMENTS)}).")
+        raise GranflowError(
+            f"force {name} takes ({', '.join(given)}), but must take ({', '.join(ARGUMENTS)})."
+        )
 
 
 class Forces(Sequence[ParticleForce]):
-    """The forces of a simulation; `append` and `remove` take effect with the next step, which compiles the kernels.
+    """The forces of a simulation; `append` and `remove` take effect with the next step, which compiles the
+    kernels.
 
-    Without forces, nothing is compiled and no time is spent. The work of all forces is `external_work` in the energy
-    budget.
+    Without forces, nothing is compiled and no time is spent. The work of all forces is `external_work` in the
+    energy budget.
     """
 
     def __init__(self, state: RunState, forces: Sequence[ParticleForce]) -> None:
-        self._state, self._forces = state, tuple(forces)
+        self._state = state
+        self._forces = tuple(forces)
 
     def __getitem__(self, index: int) -> ParticleForce:  # type: ignore[override]
         """The force with an index. Raises GranflowError without such a force."""
@@ -206,7 +219,8 @@ class Forces(Sequence[ParticleForce]):
         return repr(list(self._forces))
 
     def append(self, force: ParticleForce) -> None:
-        """Add a force. Raises FunctionError if its function cannot be compiled, GranflowError if its name exists."""
+        """Add a force. Raises FunctionError if its function cannot be compiled, GranflowError if its name
+        exists."""
         forces = (*self._forces, force)
         refuse_invalid(forces)
         check_compiled(force, self._state.engine.state.backend, self._state.engine.time)
@@ -221,11 +235,13 @@ class Forces(Sequence[ParticleForce]):
     def _set(self, forces: tuple[ParticleForce, ...]) -> None:
         """Change the plan; the velocities are at the time of the positions when forces begin and end."""
         self._state.engine.begin_change()
-        self._forces, self._state.plan = forces, _with_forces(self._state.plan, forces)
+        self._forces = forces
+        self._state.plan = _with_forces(self._state.plan, forces)
 
 
 def plan_with_forces(plan: Plan, forces: Sequence[ParticleForce], backend: Backend) -> Plan:
-    """The plan with forces from the start. Raises GranflowError, or FunctionError for a function that is not valid."""
+    """The plan with forces from the start. Raises GranflowError, or FunctionError for a function that is not
+    valid."""
     if not forces:
         return plan
     if plan.features.clumps:
@@ -252,7 +268,9 @@ def check_compiled(force: ParticleForce, backend: Backend, time: float) -> None:
         compile_alone(backend, force.planned)
     except Exception as error:
         reason = reason_of(error, force.function)
-        raise FunctionError(f"The force {force.name} at {time:.6g} s cannot be compiled: {reason}.") from error
+        raise FunctionError(
+            f"The force {force.name} at {time:.6g} s cannot be compiled: {reason}."
+        ) from error
 
 
 def _with_forces(plan: Plan, forces: Sequence[ParticleForce]) -> Plan:

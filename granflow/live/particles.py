@@ -28,18 +28,23 @@ LARGEST = 1e30
 def real_array(name: str, given: Any) -> np.ndarray:
     """The numbers in a value as a new float64 array of any shape.
 
-    Raises GranflowError for what is not real numbers: text, None, truth values, complex numbers, masked entries.
+    Raises GranflowError for what is not real numbers: text, None, truth values, complex numbers, masked
+    entries.
     """
     try:
         values = np.array(given)
-        if values.dtype.kind not in "iuf" and not (values.dtype.kind == "O" and None not in values.ravel().tolist()):
+        if values.dtype.kind not in "iuf" and not (
+            values.dtype.kind == "O" and None not in values.ravel().tolist()
+        ):
             raise TypeError
         if np.ma.is_masked(given):
             raise GranflowError(f"{name} has masked entries, whose values are unknown: fill them.")
         return values.astype(np.float64)
     except (ValueError, TypeError, OverflowError):
         kind = "complex numbers" if np.iscomplexobj(given) else shown(given)
-        raise GranflowError(f"{name} is {kind}, but must be real numbers, such as 0.5 or [0, 0, 1].") from None
+        raise GranflowError(
+            f"{name} is {kind}, but must be real numbers, such as 0.5 or [0, 0, 1]."
+        ) from None
 
 
 def finite(name: str, values: np.ndarray) -> np.ndarray:
@@ -59,7 +64,9 @@ def array_of(name: str, given: object, count: int, width: int | None) -> np.ndar
     values = real_array(name, given)
     if values.shape not in (shape, shape[1:]):
         remedy = f"; give its transpose, {name}.T" if values.ndim == 2 and width == len(values) else ""
-        raise GranflowError(f"{name} has the shape {values.shape}, but must have {shape} or {shape[1:]}{remedy}.")
+        raise GranflowError(
+            f"{name} has the shape {values.shape}, but must have {shape} or {shape[1:]}{remedy}."
+        )
     return finite(name, np.broadcast_to(values, shape).copy())
 
 
@@ -116,7 +123,9 @@ def particle_data(
     velocity = array_of("velocity", velocity, count, 3)
     angular_velocity = array_of("angular_velocity", angular_velocity, count, 3)
     if chosen.fixed and (velocity.any() or angular_velocity.any()):
-        raise GranflowError(f"group is {chosen.name}, which is fixed: leave out velocity and angular_velocity.")
+        raise GranflowError(
+            f"group is {chosen.name}, which is fixed: leave out velocity and angular_velocity."
+        )
     return ParticleData(
         position=position,
         velocity=velocity,
@@ -132,18 +141,22 @@ def refuse_without_pair(plan: Plan, counts: np.ndarray) -> None:
 
     `counts`: number of particles of each group: present, added, and to be inserted.
     """
-    mobile, fixed = Counter[str](), Counter[str]()
+    mobile = Counter[str]()
+    fixed = Counter[str]()
     for group, count in zip(plan.groups, counts, strict=True):
         if count:
             (fixed if group.fixed else mobile)[group.material] += int(count)
     for both, reason in possible_contacts(mobile, fixed, walls={}).items():
         if (min(both), max(both)) not in plan.pair_materials:
-            raise GranflowError(f"{reason} now, but the scene has no pair {pair_name(both)}; add it to pairs.")
+            raise GranflowError(
+                f"{reason} now, but the scene has no pair {pair_name(both)}; add it to pairs."
+            )
 
 
 def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
     """Number of the group: given, or the only one of the material, or of the scene."""
-    names, materials = [each.name for each in plan.groups], [each.material for each in plan.groups]
+    names = [each.name for each in plan.groups]
+    materials = [each.material for each in plan.groups]
     if material is not None:
         named("material", material, list(dict.fromkeys(materials)))
     if group is None and material is None and len(names) > 1:
@@ -167,7 +180,8 @@ def _diameters(plan: Plan, group: PlannedGroup, given: Any, count: int) -> np.nd
             f"diameter is missing: the group {group.name} has diameters from {low:.6g} to {high:.6g} m."
         )
     diameter = array_of("diameter", low if given is None else given, count, None)
-    smallest, largest = 2.0 * plan.radius_min, 2.0 * plan.radius_max
+    smallest = 2.0 * plan.radius_min
+    largest = 2.0 * plan.radius_max
     outside = (diameter < smallest) | (diameter > largest)
     if outside.any():
         raise GranflowError(
@@ -181,22 +195,29 @@ def _diameters(plan: Plan, group: PlannedGroup, given: Any, count: int) -> np.nd
 
 
 class ParticleArray(NDArrayOperatorsMixin):
-    """One property of all particles, in the order of their ids: a reference to the simulation, not an array of its own.
+    """One property of all particles, in the order of their ids: a reference to the simulation, not an array
+    of its own.
 
-    Reading copies the present values from the device: indexing, `np.asarray`, arithmetic and comparisons return
-    independent numpy arrays, which later steps do not change. Assigning to an index (`velocity[mask] = 0`,
-    `velocity[mask, 2] *= 0.5`), and in-place operators (`velocity *= 0.5`), write through. Writing to a copy
-    (`velocity[mask][0] = 1`) has no effect on the simulation.
+    Reading copies the present values from the device: indexing, `np.asarray`, arithmetic and comparisons
+    return independent numpy arrays, which later steps do not change. Assigning to an index
+    (`velocity[mask] = 0`, `velocity[mask, 2] *= 0.5`), and in-place operators (`velocity *= 0.5`), write
+    through. Writing to a copy (`velocity[mask][0] = 1`) has no effect on the simulation.
 
-    `owner`, `name`: particles and name of the property; `read`: function that returns a new array; `write`: function
-    that writes an array of the same shape, or None if the property is read-only.
+    `owner`, `name`: particles and name of the property; `read`: function that returns a new array; `write`:
+    function that writes an array of the same shape, or None if the property is read-only.
     """
 
     def __init__(
-        self, owner: object, name: str, read: Callable[[], np.ndarray],
+        self,
+        owner: object,
+        name: str,
+        read: Callable[[], np.ndarray],
         write: Callable[[np.ndarray], None] | None = None,
-    ) -> None:  # fmt: skip
-        self._owner, self._name, self._read, self._write = owner, name, read, write
+    ) -> None:
+        self._owner = owner
+        self._name = name
+        self._read = read
+        self._write = write
 
     def is_of(self, owner: object, name: str) -> bool:
         """Whether this is the property `name` of these particles."""
@@ -209,7 +230,8 @@ class ParticleArray(NDArrayOperatorsMixin):
         return self._read()[index]
 
     def __setitem__(self, index: Any, values: Any) -> None:
-        """Write values; raises GranflowError for a read-only property, a wrong shape, or values that are not valid."""
+        """Write values; raises GranflowError for a read-only property, a wrong shape, or values that are not
+        valid."""
         present = self._read()
         if self._write is None:
             raise GranflowError(f"particles.{self._name} is read-only.")
@@ -218,10 +240,17 @@ class ParticleArray(NDArrayOperatorsMixin):
         try:
             changed[index] = np.asarray(values) if is_text else real_array(f"particles.{self._name}", values)
         except (ValueError, IndexError, TypeError) as error:
-            shape, selected = np.shape(values), _shape(present, index)
+            shape = np.shape(values)
+            selected = _shape(present, index)
             if selected is None or shape in ((), selected):
-                raise GranflowError(f"particles.{self._name}, of the shape {present.shape}: {error}.") from None
-            remedy = f"; give the transpose of the values, of the shape {selected}" if shape == selected[::-1] else ""
+                raise GranflowError(
+                    f"particles.{self._name}, of the shape {present.shape}: {error}."
+                ) from None
+            remedy = (
+                f"; give the transpose of the values, of the shape {selected}"
+                if shape == selected[::-1]
+                else ""
+            )
             raise GranflowError(
                 f"particles.{self._name}: values of the shape {shape} are given for {selected}{remedy}."
             ) from None
@@ -248,7 +277,9 @@ class ParticleArray(NDArrayOperatorsMixin):
     def __setattr__(self, name: str, value: Any) -> None:
         """Raises AttributeError: a name cannot be assigned, only an index."""
         if not name.startswith("_"):
-            raise AttributeError(f"particles.{self._name}.{name} cannot be set: assign to particles.{self._name}[...].")
+            raise AttributeError(
+                f"particles.{self._name}.{name} cannot be set: assign to particles.{self._name}[...]."
+            )
         super().__setattr__(name, value)
 
     @property
@@ -262,7 +293,8 @@ class ParticleArray(NDArrayOperatorsMixin):
         return self._read().dtype
 
     def __getattr__(self, name: str) -> Any:
-        """Attributes and methods of a copy, such as `mean`. Raises AttributeError for unknown and private ones."""
+        """Attributes and methods of a copy, such as `mean`. Raises AttributeError for unknown and private
+        ones."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self._read(), name)
@@ -288,10 +320,10 @@ class LiveParticles:
 
         simulation.particles.velocity[simulation.particles.group == "feed"] *= 0.5
 
-    Reading copies from the device, writing copies to it; see `ParticleArray`. No array is a view of device memory,
-    because particles are sorted by cell there. A change takes effect at once for later reads; neighbor lists and forces
-    are computed again before the next step or snapshot, once for all changes. The change of energy is part of
-    `removed_energy`. Writing raises GranflowError for values that are not valid.
+    Reading copies from the device, writing copies to it; see `ParticleArray`. No array is a view of device
+    memory, because particles are sorted by cell there. A change takes effect at once for later reads;
+    neighbor lists and forces are computed again before the next step or snapshot, once for all changes. The
+    change of energy is part of `removed_energy`. Writing raises GranflowError for values that are not valid.
     """
 
     def __init__(self, state: RunState) -> None:
@@ -309,11 +341,16 @@ class LiveParticles:
         return f"<{len(self)} particles at {self._engine.time:.6g} s>"
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Assignment to a property writes all particles; the result of an in-place operator is already written."""
+        """Assignment to a property writes all particles; the result of an in-place operator is already
+        written."""
         attribute = getattr(type(self), name, None)
         if not name.startswith("_") and not isinstance(attribute, property):
-            known = [key for key, each in vars(type(self)).items() if isinstance(each, property) and key[0] != "_"]
-            raise AttributeError(f"particles has no property {name}. {suggestion_sentence(name, known, 'properties')}")
+            known = [
+                key for key, each in vars(type(self)).items() if isinstance(each, property) and key[0] != "_"
+            ]
+            raise AttributeError(
+                f"particles has no property {name}. {suggestion_sentence(name, known, 'properties')}"
+            )
         if isinstance(attribute, property) and attribute.fset is None:
             getattr(self, name)[...] = value  # raises: the property follows from others
         super().__setattr__(name, value)
@@ -348,7 +385,8 @@ class LiveParticles:
 
     @property
     def angular_velocity(self) -> ParticleArray:
-        """Angular velocities (n, 3) [rad/s]; zero and read-only in a scene without friction and rolling friction."""
+        """Angular velocities (n, 3) [rad/s]; zero and read-only in a scene without friction and rolling
+        friction."""
         has_rotation = self._engine.plan.features.rotation
         write = self._write_angular_velocity if has_rotation else None
         return ParticleArray(self, "angular_velocity", self._angular_velocity, write)
@@ -391,11 +429,13 @@ class LiveParticles:
         return ParticleArray(self, "material", lambda: self._names("material"))
 
     def rows(self, ids: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Indices (k,) into the arrays of particles with these ids (k,). Raises GranflowError if one is absent.
+        """Indices (k,) into the arrays of particles with these ids (k,). Raises GranflowError if one is
+        absent.
 
         simulation.particles.velocity[simulation.particles.rows([3, 7])] = 0.0
         """
-        wanted, present = np.atleast_1d(real_array("particles.rows: ids", ids)), np.asarray(self.id)
+        wanted = np.atleast_1d(real_array("particles.rows: ids", ids))
+        present = np.asarray(self.id)
         rows = np.searchsorted(present, wanted)
         absent = wanted[(rows >= len(present)) | (present[np.minimum(rows, len(present) - 1)] != wanted)]
         if len(absent):
@@ -418,11 +458,13 @@ class LiveParticles:
         diameter:          (k,) or a number [m], between those of the scene; default: that of the group
         material:          name; default: that of the group
         velocity:          (k, 3) or (3,) [m/s]
-        group:             name of a group of the scene; default: the only one, of the material if that is given
+        group:             name of a group of the scene; default: the only one, of the material if that is
+                           given
         angular_velocity:  (k, 3) or (3,) [rad/s]
         Raises:            GranflowError for arguments that are not valid; no particle is added then
 
-        If there is no space for them, the arrays grow to twice their size, which may compile the kernels again.
+        If there is no space for them, the arrays grow to twice their size, which may compile the kernels
+        again.
         """
         refuse_other_arguments(others)
         engine = self._engine
@@ -445,7 +487,9 @@ class LiveParticles:
         try:
             removed = indices[np.asarray(mask)]
         except (IndexError, TypeError, ValueError) as error:
-            raise GranflowError(f"particles.remove: {error}, but there are {len(indices)} particles.") from None
+            raise GranflowError(
+                f"particles.remove: {error}, but there are {len(indices)} particles."
+            ) from None
         if np.size(removed):
             engine.begin_change()
             removed = np.unique(removed)
@@ -471,7 +515,9 @@ class LiveParticles:
     def _angular_velocity(self) -> np.ndarray:
         """Angular velocities (n, 3), float64; zero without rotation."""
         engine = self._engine
-        values = engine.synchronized(("angular_velocity",)).get("angular_velocity", np.zeros((engine.state.count, 3)))
+        values = engine.synchronized(("angular_velocity",)).get(
+            "angular_velocity", np.zeros((engine.state.count, 3))
+        )
         return values[present_indices(engine.state)].astype(float)
 
     def _force(self) -> np.ndarray:
@@ -497,7 +543,9 @@ class LiveParticles:
         rows = np.flatnonzero((present != compared).reshape(len(present), -1).any(axis=1))
         arrays = {name: values, **others}
         write_particles(
-            engine.state, present_indices(engine.state)[rows], {key: array[rows] for key, array in arrays.items()}
+            engine.state,
+            present_indices(engine.state)[rows],
+            {key: array[rows] for key, array in arrays.items()},
         )
 
     def _write_position(self, values: np.ndarray) -> None:
@@ -516,12 +564,16 @@ class LiveParticles:
         """Raise GranflowError if a fixed particle would move."""
         fixed = self._is_fixed(self._numbers("group"))
         if np.any(values[fixed] != 0.0):
-            raise GranflowError(f"particles.{name}: particles of a fixed group cannot move; write 0 for them.")
+            raise GranflowError(
+                f"particles.{name}: particles of a fixed group cannot move; write 0 for them."
+            )
 
     def _write_diameter(self, values: np.ndarray) -> None:
         plan = self._engine.plan
         finite("particles.diameter", values)
-        if len(values) and not (2.0 * plan.radius_min <= values.min() and values.max() <= 2.0 * plan.radius_max):
+        if len(values) and not (
+            2.0 * plan.radius_min <= values.min() and values.max() <= 2.0 * plan.radius_max
+        ):
             raise GranflowError(
                 f"particles.diameter would lie in [{values.min():.6g}, {values.max():.6g}] m, but the diameters of the "
                 f"scene, on which time step and neighbor lists depend, in [{2 * plan.radius_min:.6g}, "
@@ -551,7 +603,8 @@ class LiveParticles:
 
     def _counts_with(self, added: np.ndarray) -> np.ndarray:
         """Number of particles of each group: present, to be inserted, and `added`, their group numbers."""
-        plan, pending = self._state.plan, self._state.insertion.results()
+        plan = self._state.plan
+        pending = self._state.insertion.results()
         counts = np.bincount([*self._numbers("group"), *added], minlength=len(plan.groups))
         waiting = [pending.get(group.name, {}).get("not_inserted_count", 0.0) for group in plan.groups]
         return counts + np.array(waiting, dtype=np.int64)

@@ -20,7 +20,8 @@ class LiveWall:
     """One wall of a simulation; changes take effect with the next step."""
 
     def __init__(self, state: RunState, name: str) -> None:
-        self._state, self._name = state, name
+        self._state = state
+        self._name = name
 
     def __setattr__(self, name: str, value: object) -> None:
         """Assign a motion. Raises AttributeError for another attribute, which would have no effect."""
@@ -48,7 +49,8 @@ class LiveWall:
 
     @property
     def pose(self) -> WallPose:
-        """Present pose of the wall; `pose.moved(points)` are the present positions of points (n, 3) [m] at rest."""
+        """Present pose of the wall; `pose.moved(points)` are the present positions of points (n, 3) [m] at
+        rest."""
         return wall_poses(self._state.engine.state)[self.name]
 
     def remove(self) -> None:
@@ -63,15 +65,17 @@ class LiveWall:
                 point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm"
             )
 
-        A motion begins at the present time, unless it has a later `start`, and from the present pose; points and
-        directions are those in space. The first motion of a scene in which no wall moves compiles the kernels again.
-        Raises GranflowError for a force-controlled wall, or a motion that is too fast for the time step.
+        A motion begins at the present time, unless it has a later `start`, and from the present pose; points
+        and directions are those in space. The first motion of a scene in which no wall moves compiles the
+        kernels again. Raises GranflowError for a force-controlled wall, or a motion that is too fast for the
+        time step.
         """
         return tuple(each.given for each in wall_named(self._state.plan, self.name).motions)
 
     @motion.setter
     def motion(self, given: KINDS | Sequence[KINDS] | None) -> None:
-        state, time = self._state, self._state.engine.time
+        state = self._state
+        time = self._state.engine.time
         motions = [] if given is None else list(given) if isinstance(given, list | tuple) else [given]
         for each in motions:
             if not isinstance(each, KINDS):
@@ -83,7 +87,9 @@ class LiveWall:
                 raise GranflowError(f"walls[{self.name!r}].motion has stages: give start and end instead.")
         wall = wall_named(state.plan, self.name)
         if wall.vanishes_at is not None and wall.vanishes_at <= time:
-            raise GranflowError(f"walls[{self.name!r}] was removed at {wall.vanishes_at:.6g} s: it cannot move.")
+            raise GranflowError(
+                f"walls[{self.name!r}] was removed at {wall.vanishes_at:.6g} s: it cannot move."
+            )
         (present,) = wall_motions([wall.motions], state.progress.stage_times)
         planned = [each.given for each in planned_motions(motions, state.plan.gravity)]
         begun = [replace(each, start=max(each.start, time)) for each in planned]

@@ -19,11 +19,13 @@ MetricRow = dict[str, float | str]
 """Row of metrics.csv by column name."""
 
 
-def analyze_snapshots(scene: Scene, snapshots: Iterable[Snapshot], out: Path, source: str = "") -> list[MetricRow]:
+def analyze_snapshots(
+    scene: Scene, snapshots: Iterable[Snapshot], out: Path, source: str = ""
+) -> list[MetricRow]:
     """Compute the metrics of `scene` for each snapshot; write its fields and `metrics.csv` to `out`.
 
-    A row contains the time [s], the stage and each value under its column name with the unit. `source` names the origin
-    of the snapshots in messages.
+    A row contains the time [s], the stage and each value under its column name with the unit. `source` names
+    the origin of the snapshots in messages.
 
         run = granflow.read_run("out/hopper")
         snapshots = [run.snapshot(index) for index in range(len(run.frames))]
@@ -34,7 +36,9 @@ def analyze_snapshots(scene: Scene, snapshots: Iterable[Snapshot], out: Path, so
     plan = plan_for(scene)
     out = path_of("out", out)
     if isinstance(snapshots, Snapshot) or not isinstance(snapshots, Iterable):
-        raise GranflowError(f"snapshots is {shown(snapshots)}, but must be a list of snapshots of granflow.read_run.")
+        raise GranflowError(
+            f"snapshots is {shown(snapshots)}, but must be a list of snapshots of granflow.read_run."
+        )
     meters = metric_meters(plan)
     fields = [field_frames(plan, name, spec, out) for name, spec in scene.output.fields.items()]
     if not meters and not fields:

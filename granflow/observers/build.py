@@ -28,9 +28,9 @@ def observers_for(
 ) -> list[Observer]:
     """Return the observers of the output block, and the progress display if `progress`.
 
-    `writer` writes the frames, at once by default; `write_pieces`: see `runs.rank_frames`; None without MPI ranks.
-    Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`, collisions.
-    Without `out_dir`, only the time series, without a file, if it has meters.
+    `writer` writes the frames, at once by default; `write_pieces`: see `runs.rank_frames`; None without MPI
+    ranks. Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`,
+    collisions. Without `out_dir`, only the time series, without a file, if it has meters.
     """
     output = plan.output
     observers: list[Observer] = []
@@ -41,15 +41,20 @@ def observers_for(
         reach = _max_coordinate(plan)
         pieces = write_pieces(reach) if write_pieces and output.frames_per_rank else None
         observers.append(
-            ParticleFrames(out_dir, output.interval, 0.0, writer, reach, pieces, compression=output.compression)
+            ParticleFrames(
+                out_dir, output.interval, 0.0, writer, reach, pieces, compression=output.compression
+            )
         )
     if out_dir is not None and output.contacts:
         units = _history_units(plan)
         observers.append(
-            ContactFrames(out_dir, output.interval, writer=writer, history_units=units, compression=output.compression)
+            ContactFrames(
+                out_dir, output.interval, writer=writer, history_units=units, compression=output.compression
+            )
         )
     if out_dir is not None and output.walls and plan.walls:
-        triangles_of_walls, measured = _wall_triangles(plan), plan.measured_areas
+        triangles_of_walls = _wall_triangles(plan)
+        measured = plan.measured_areas
         unbounded = [wall.name for wall in plan.walls if area_of(wall.shape) is None]
         observers.append(
             WallFrames(
@@ -74,7 +79,9 @@ def observers_for(
 
 def _history_units(plan: Plan) -> dict[str, str]:
     """Units of the history fields of the contact models by name, without those of dimensionless ones."""
-    return {each.name: each.unit for fields in plan.laws.history.values() for each in fields if each.unit != "1"}
+    return {
+        each.name: each.unit for fields in plan.laws.history.values() for each in fields if each.unit != "1"
+    }
 
 
 def _wall_triangles(plan: Plan) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -87,8 +94,8 @@ def _wall_triangles(plan: Plan) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 def time_series_for(plan: Plan, out_dir: Path | None) -> TimeSeries:
     """Return the time series of a run with its flow meters, wall forces and metrics.
 
-    `out_dir`: directory of `timeseries.csv`; without it no file is written, but the meters are updated. The interval is
-    `output.timeseries_interval`, or `output.interval` if that is not given [s].
+    `out_dir`: directory of `timeseries.csv`; without it no file is written, but the meters are updated. The
+    interval is `output.timeseries_interval`, or `output.interval` if that is not given [s].
     """
     flow_meters = {
         name: FlowMeter(
@@ -112,8 +119,8 @@ def field_frames(
 ) -> FieldFrames:
     """Return the frames of the coarse-grained fields `name`.
 
-    `writer`: see `observers_for`; `spec`: entry of `output.fields`. With `width: auto`, the kernel width is half the
-    largest diameter [m].
+    `writer`: see `observers_for`; `spec`: entry of `output.fields`. With `width: auto`, the kernel width is
+    half the largest diameter [m].
     """
     grid = grid_for(plan.domain, spec)
     width = spec.width
@@ -122,7 +129,9 @@ def field_frames(
     interval = spec.interval or plan.output.interval
     kernel = GaussianKernel(width, spec.cutoff)
     compression = plan.output.compression
-    return FieldFrames(out_dir, name, interval, grid, kernel, spec.quantities, spec.stages or (), writer, compression)
+    return FieldFrames(
+        out_dir, name, interval, grid, kernel, spec.quantities, spec.stages or (), writer, compression
+    )
 
 
 def _max_coordinate(plan: Plan) -> float | None:

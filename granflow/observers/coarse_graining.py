@@ -1,8 +1,9 @@
-"""Coarse-grained fields on a grid: sums over particles and contacts, additive over snapshots, and fields from them.
+"""Coarse-grained fields on a grid: sums over particles and contacts, additive over snapshots, and fields from
+them.
 
-Goldhirsch, Granular Matter 12 (2010) 239; Weinhart et al., Granular Matter 14 (2012) 289 for walls. m, x, v: mass,
-center and velocity of a particle; f: force on particle i of a contact; b: branch vector from i to its partner, or to
-the contact point on a wall; W: kernel; L: its mean along the branch vector.
+Goldhirsch, Granular Matter 12 (2010) 239; Weinhart et al., Granular Matter 14 (2012) 289 for walls. m, x, v:
+mass, center and velocity of a particle; f: force on particle i of a contact; b: branch vector from i to its
+partner, or to the contact point on a wall; W: kernel; L: its mean along the branch vector.
 
     density rho = sum m W         momentum rho V = sum m v W         contact stress = sum f b L
     kinetic stress = -sum m (v - V)(v - V) W = rho V V - sum m v v W
@@ -37,12 +38,13 @@ class GaussianKernel:
 
         g(s) = exp(-s^2 / 2 w^2) / (sqrt(2 pi) w erf(c / sqrt(2)))      |s| < c w, else 0
 
-    `width`: w [m]; `cutoff`: c, in widths; `reach`: c w [m], half the edge of the cube outside which W is 0. Within the
-    cutoff, W depends only on the distance, since the product of the three Gaussians does.
+    `width`: w [m]; `cutoff`: c, in widths; `reach`: c w [m], half the edge of the cube outside which W is 0.
+    Within the cutoff, W depends only on the distance, since the product of the three Gaussians does.
     """
 
     def __init__(self, width: float, cutoff: float) -> None:
-        self.width, self.cutoff = width, cutoff
+        self.width = width
+        self.cutoff = cutoff
         self.reach = cutoff * width
         self._table = _distribution(cutoff)
 
@@ -57,7 +59,8 @@ class GaussianKernel:
 
 @cache
 def _distribution(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return nodes from -cutoff to cutoff, in widths, and the integral of the kernel up to each, from 0 to 1."""
+    """Return nodes from -cutoff to cutoff, in widths, and the integral of the kernel up to each, from 0 to
+    1."""
     nodes = np.linspace(-cutoff, cutoff, NODES)
     full = erf(cutoff / sqrt(2.0))
     return nodes, np.array([0.5 + 0.5 * erf(node / sqrt(2.0)) / full for node in nodes])
@@ -68,7 +71,8 @@ def _distribution(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
 CHUNK_POINTS = 2**17
 """Points processed at a time, which limits the temporary memory."""
 LARGEST_PRODUCT = 2**18
-"""Largest number of multiplications in a matrix product: above it, OpenBLAS starts threads that compete for cores."""
+"""Largest number of multiplications in a matrix product: above it, OpenBLAS starts threads that compete for
+cores."""
 BLOCK = 16
 """Cells along x whose points are processed in one matrix product."""
 CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
@@ -79,7 +83,8 @@ CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1,
 class CoarseGrid:
     """A box from `low` to `high` (3,) [m] with `counts` cells along x, y and z.
 
-    Cell (i, j, k) has the index i + nx (j + ny k): x fastest, as in VTK. Along a `periodic` axis the box is one period.
+    Cell (i, j, k) has the index i + nx (j + ny k): x fastest, as in VTK. Along a `periodic` axis the box is
+    one period.
     """
 
     low: tuple[float, float, float]
@@ -105,19 +110,23 @@ class CoarseGrid:
     def centers(self) -> np.ndarray:
         """Return the centers of all cells (cells, 3) [m], in the order of the cell indices."""
         x, y, z = (
-            low + (np.arange(n) + 0.5) * h for low, n, h in zip(self.low, self.counts, self.cell_size, strict=True)
+            low + (np.arange(n) + 0.5) * h
+            for low, n, h in zip(self.low, self.counts, self.cell_size, strict=True)
         )
         grid = np.meshgrid(z, y, x, indexing="ij")
         return np.stack([axis.ravel() for axis in grid[::-1]], axis=1)
 
     def deposit(self, kernel: GaussianKernel, points: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return the integrals (cells, k) over each cell of the values (n, k) distributed around points (n, 3) [m].
+        """Return the integrals (cells, k) over each cell of the values (n, k) distributed around points (n,
+        3) [m].
 
-        Contributions outside the grid are omitted, or wrap around along periodic axes. The integrals are exact: if the
-        grid contains the whole support of the kernels, the sum over the cells is the sum of the values. Division by
-        `cell_volume` gives densities [1/m3]. The memory is bounded: CHUNK_POINTS points are processed at a time.
+        Contributions outside the grid are omitted, or wrap around along periodic axes. The integrals are
+        exact: if the grid contains the whole support of the kernels, the sum over the cells is the sum of the
+        values. Division by `cell_volume` gives densities [1/m3]. The memory is bounded: CHUNK_POINTS points
+        are processed at a time.
         """
-        low, width = np.array(self.low), np.array(self.high) - self.low
+        low = np.array(self.low)
+        width = np.array(self.high) - self.low
         points = np.where(self.periodic, low + np.mod(points - low, width), points)
         first = np.floor((points - kernel.reach - self.low) / self.cell_size).astype(np.int64)
         reached_cells = np.ceil(2.0 * kernel.reach / self.cell_size).astype(np.int64) + 1
@@ -138,21 +147,27 @@ class CoarseGrid:
         return index @ np.array([1, self.counts[0], self.counts[0] * self.counts[1]]), inside
 
     def mesh(self, arrays: dict[str, np.ndarray]) -> VtuMesh:
-        """Return a mesh of hexahedra with cell arrays (cells,) or (cells, k), in the order of the cell indices."""
+        """Return a mesh of hexahedra with cell arrays (cells,) or (cells, k), in the order of the cell
+        indices."""
         nx, ny, nz = self.counts
-        axes = [np.linspace(low, high, n + 1) for low, high, n in zip(self.low, self.high, self.counts, strict=True)]
+        axes = [
+            np.linspace(low, high, n + 1)
+            for low, high, n in zip(self.low, self.high, self.counts, strict=True)
+        ]
         z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
         points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
         k, j, i = (part.ravel() for part in np.meshgrid(*(np.arange(n) for n in (nz, ny, nx)), indexing="ij"))
         corners = [(i + a) + (nx + 1) * ((j + b) + (ny + 1) * (k + c)) for a, b, c in CORNERS]
-        return VtuMesh.of_cells("hexahedron", points, np.stack(corners, axis=1), arrays, units(FIELD_QUANTITIES))
+        return VtuMesh.of_cells(
+            "hexahedron", points, np.stack(corners, axis=1), arrays, units(FIELD_QUANTITIES)
+        )
 
 
 def grid_for(domain: Domain, spec: GridSpec) -> CoarseGrid:
     """Return the grid that the scene specifies; the default region is the domain.
 
-    `spec`: entry of `output.fields` or of `output.metrics` with a grid. Axes that are periodic in the domain are
-    periodic in the grid.
+    `spec`: entry of `output.fields` or of `output.metrics` with a grid. Axes that are periodic in the domain
+    are periodic in the grid.
     """
     box = spec.region or domain
     x, y, z = (axis in domain.periodic for axis in AXES)
@@ -162,21 +177,26 @@ def grid_for(domain: Domain, spec: GridSpec) -> CoarseGrid:
 class _Padded:
     """The cells of a grid with a margin as wide as the kernels: array (z, y, x, k).
 
-    Points whose kernels begin in the same cells along y and z, and in the same block of cells along x, are added with
-    one matrix product.
+    Points whose kernels begin in the same cells along y and z, and in the same block of cells along x, are
+    added with one matrix product.
     """
 
     def __init__(self, grid: CoarseGrid, reached_cells: np.ndarray, width: int) -> None:
-        self.grid, self.reached_cells, self.width = grid, reached_cells, width
+        self.grid = grid
+        self.reached_cells = reached_cells
+        self.width = width
         self.window = reached_cells + np.array([BLOCK - 1, 0, 0])
         self.total = np.zeros((*(reached_cells + grid.counts + self.window)[::-1], width))
 
     def add(self, kernel: GaussianKernel, points: np.ndarray, values: np.ndarray, first: np.ndarray) -> None:
-        """Add points (n, 3) [m] with values (n, k); `first` (n, 3): first cell within the kernel of each point."""
+        """Add points (n, 3) [m] with values (n, k); `first` (n, 3): first cell within the kernel of each
+        point."""
         base = first + self.reached_cells
         base[:, 0] -= base[:, 0] % BLOCK
         order = np.lexsort(base.T)
-        base, points, values = base[order], points[order], values[order]
+        base = base[order]
+        points = points[order]
+        values = values[order]
         x, y, z = (self._shares(kernel, points[:, axis], base[:, axis], axis) for axis in range(3))
         max_points = max(LARGEST_PRODUCT // (y.shape[1] * x.shape[1] * self.width), 1)
         changes = (np.diff(base, axis=0) != 0).any(axis=1)
@@ -188,11 +208,14 @@ class _Padded:
                 target = self.total[k + layer, j : j + y.shape[1], i : i + x.shape[1]]
                 target += ((weight[:, None] * y[begin:end]).T @ along).reshape(target.shape)
 
-    def _shares(self, kernel: GaussianKernel, position: np.ndarray, base: np.ndarray, axis: int) -> np.ndarray:
+    def _shares(
+        self, kernel: GaussianKernel, position: np.ndarray, base: np.ndarray, axis: int
+    ) -> np.ndarray:
         """Return the share (n, cells) of each point in the cells of its window along one axis."""
         edges = base[:, None] - self.reached_cells[axis] + np.arange(self.window[axis] + 1)
         return np.diff(
-            kernel.cumulative(self.grid.low[axis] + self.grid.cell_size[axis] * edges - position[:, None]), axis=1
+            kernel.cumulative(self.grid.low[axis] + self.grid.cell_size[axis] * edges - position[:, None]),
+            axis=1,
         )
 
     def fold(self) -> np.ndarray:
@@ -201,7 +224,9 @@ class _Padded:
         Along other axes, the margin is dropped.
         """
         total = self.total
-        for axis, (count, pad) in enumerate(zip(self.grid.counts[::-1], self.reached_cells[::-1], strict=True)):
+        for axis, (count, pad) in enumerate(
+            zip(self.grid.counts[::-1], self.reached_cells[::-1], strict=True)
+        ):
             total = np.moveaxis(total, axis, 0)
             inner = total[pad : pad + count].copy()
             if self.grid.periodic[2 - axis]:
@@ -215,7 +240,8 @@ class _Padded:
 
 
 def mobile_particles(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    """Return the arrays without fixed particles, which count as walls; the same arrays if the scene has none."""
+    """Return the arrays without fixed particles, which count as walls; the same arrays if the scene has
+    none."""
     return selected(particles, particles["fixed"] == 0) if "fixed" in particles else particles
 
 
@@ -260,9 +286,9 @@ def accumulate(
 ) -> AccumulatedFields:
     """Return the sums over the particles of a snapshot, and over its contacts unless None.
 
-    `particles`: arrays `mass` [kg], `radius` [m], `coordination_number` (n,), `position` [m], `velocity` [m/s] (n, 3),
-    and `fixed` (n,) if the scene has fixed particles, which are excluded. `contacts`: arrays `position_i`, `position_j`
-    [m], `force` [N] on particle i, each (k, 3). Sums are in double precision.
+    `particles`: arrays `mass` [kg], `radius` [m], `coordination_number` (n,), `position` [m], `velocity`
+    [m/s] (n, 3), and `fixed` (n,) if the scene has fixed particles, which are excluded. `contacts`: arrays
+    `position_i`, `position_j` [m], `force` [N] on particle i, each (k, 3). Sums are in double precision.
     """
     found = _accumulate_particles(particles, grid, kernel)
     found["thermal"] = -_trace(_kinetic_stress(found))[:, None] / 3.0
@@ -272,24 +298,29 @@ def accumulate(
 
 
 def fields_from(accumulated: AccumulatedFields) -> dict[str, np.ndarray]:
-    """Return all fields that follow from the sums, by name in FIELD_QUANTITIES; NaN in cells without particles.
+    """Return all fields that follow from the sums, by name in FIELD_QUANTITIES; NaN in cells without
+    particles.
 
-    Scalars (cells,), vectors (cells, 3), tensors (cells, 9) in the order xx, xy, xz, yx, ...; stresses [Pa]. The
-    granular temperature is a third of the mean square of v - V [m2/s2]; it is 0 where rounding makes it negative.
+    Scalars (cells,), vectors (cells, 3), tensors (cells, 9) in the order xx, xy, xz, yx, ...; stresses [Pa].
+    The granular temperature is a third of the mean square of v - V [m2/s2]; it is 0 where rounding makes it
+    negative.
 
-    For time-averaged sums, fluctuations are those about the mean velocity in space and time (Goldhirsch 2010);
-    `granular_temperature_of_frames` is the mean of the temperatures of the snapshots, weighted by their density.
-    `contact_stress`, `pressure` and `fabric` are absent without contacts.
+    For time-averaged sums, fluctuations are those about the mean velocity in space and time (Goldhirsch
+    2010); `granular_temperature_of_frames` is the mean of the temperatures of the snapshots, weighted by
+    their density. `contact_stress`, `pressure` and `fabric` are absent without contacts.
     """
     s = accumulated.arrays
     density = s["mass"]
-    velocity, kinetic_stress = _ratio(s["momentum"], density), _kinetic_stress(s)
+    velocity = _ratio(s["momentum"], density)
+    kinetic_stress = _kinetic_stress(s)
     found = {
         "density": density[:, 0],
         "solid_fraction": s["volume"][:, 0],
         "momentum": s["momentum"],
         "velocity": velocity,
-        "granular_temperature": _ratio(np.maximum(-_trace(kinetic_stress)[:, None], 0.0) / 3.0, density)[:, 0],
+        "granular_temperature": _ratio(np.maximum(-_trace(kinetic_stress)[:, None], 0.0) / 3.0, density)[
+            :, 0
+        ],
         "granular_temperature_of_frames": _ratio(np.maximum(s["thermal"], 0.0), density)[:, 0],
         "kinetic_stress": kinetic_stress,
         "coordination_number": _ratio(s["touching"], s["number"])[:, 0],
@@ -311,14 +342,24 @@ def _kinetic_stress(sums: Mapping[str, np.ndarray]) -> np.ndarray:
 def _accumulate_particles(
     particles: Mapping[str, np.ndarray], grid: CoarseGrid, kernel: GaussianKernel
 ) -> dict[str, np.ndarray]:
-    """Return the sums of PARTICLE_FIELDS over the mobile particles, per cell volume: name -> (cells, components)."""
+    """Return the sums of PARTICLE_FIELDS over the mobile particles, per cell volume: name -> (cells,
+    components)."""
     particles = mobile_particles(particles)
     mass, velocity = (particles[name].astype(float) for name in ("mass", "velocity"))
     momentum = mass[:, None] * velocity
     volume = sphere_volume(particles["radius"].astype(float))
-    each = [mass, volume, np.ones_like(mass), particles["coordination_number"], momentum, _dyads(momentum, velocity)]
+    each = [
+        mass,
+        volume,
+        np.ones_like(mass),
+        particles["coordination_number"],
+        momentum,
+        _dyads(momentum, velocity),
+    ]
     values = np.column_stack(each)
-    return _split(PARTICLE_FIELDS, grid.deposit(kernel, particles["position"].astype(float), values) / grid.cell_volume)
+    return _split(
+        PARTICLE_FIELDS, grid.deposit(kernel, particles["position"].astype(float), values) / grid.cell_volume
+    )
 
 
 def _accumulate_contacts(
@@ -326,8 +367,8 @@ def _accumulate_contacts(
 ) -> dict[str, np.ndarray]:
     """Return the sums of CONTACT_ACCUMULATED over the contacts, per cell volume: name -> (cells, components).
 
-    The mean of the kernel along the branch vector, L, is a quadrature (Goldhirsch 2010). For a contact with a wall, the
-    branch vector ends at the contact point (Weinhart et al. 2012).
+    The mean of the kernel along the branch vector, L, is a quadrature (Goldhirsch 2010). For a contact with a
+    wall, the branch vector ends at the contact point (Weinhart et al. 2012).
     """
     start, end, force = (contacts[name].astype(float) for name in ("position_i", "position_j", "force"))
     branch = end - start
@@ -341,10 +382,11 @@ def _accumulate_contacts(
 
 
 def _quadrature_points(widths: float) -> list[tuple[float, float]]:
-    """Return positions in [0, 1] and weights of a Gauss-Legendre quadrature of the kernel along a branch vector.
+    """Return positions in [0, 1] and weights of a Gauss-Legendre quadrature of the kernel along a branch
+    vector.
 
-    `widths`: length of the branch vector over the kernel width. The error is below 1e-3 of the largest value for up to
-    ten widths.
+    `widths`: length of the branch vector over the kernel width. The error is below 1e-3 of the largest value
+    for up to ten widths.
     """
     positions, weights = np.polynomial.legendre.leggauss(2 + int(np.ceil(widths)))
     return list(zip(0.5 * (positions + 1.0), 0.5 * weights, strict=True))
@@ -366,6 +408,7 @@ def _ratio(number: np.ndarray, total: np.ndarray) -> np.ndarray:
 
 
 def _split(sizes: Mapping[str, int], values: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the columns of `values` (cells, components) by name; `sizes`: number of components of each name."""
+    """Return the columns of `values` (cells, components) by name; `sizes`: number of components of each
+    name."""
     ends = np.cumsum(list(sizes.values()))
     return dict(zip(sizes, np.split(values, ends[:-1], axis=1), strict=True))

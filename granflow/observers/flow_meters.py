@@ -28,27 +28,31 @@ class _Sample:
 
 
 class FlowCount:
-    """Net mass [kg] and number of particles so far, and the history of the mass: (time [s], stage, mass [kg]).
+    """Net mass [kg] and number of particles so far, and the history of the mass: (time [s], stage, mass
+    [kg]).
 
-    One count per flow meter, and one more for each material or group if the meter has `group_by`. `passed` and
-    `passed_before`: sums over the particles that passed forward, now and at the previous sample: their number, their
-    residence times [s] and the squares of these [s2].
+    One count per flow meter, and one more for each material or group if the meter has `group_by`. `passed`
+    and `passed_before`: sums over the particles that passed forward, now and at the previous sample: their
+    number, their residence times [s] and the squares of these [s2].
     """
 
     def __init__(self) -> None:
-        self.mass, self.count = 0.0, 0
+        self.mass = 0.0
+        self.count = 0
         self.history: list[tuple[float, str, float]] = []
         self.passed = self.passed_before = np.zeros(3)
 
     def add(self, mass: np.ndarray, direction: np.ndarray, residence_time: np.ndarray) -> None:
-        """Count particles of masses (n,) [kg] with directions (n,), 1 forward, -1 backward, and residence times [s]."""
+        """Count particles of masses (n,) [kg] with directions (n,), 1 forward, -1 backward, and residence
+        times [s]."""
         self.mass += float((mass * direction).sum())
         self.count += int(direction.sum())
         forward = residence_time[direction > 0]
         self.passed = self.passed + [len(forward), forward.sum(), (forward**2).sum()]
 
     def begin_sample(self, replaces_last: bool) -> None:
-        """Begin a sample after the last one, or in its place: residence times are those since the sample before."""
+        """Begin a sample after the last one, or in its place: residence times are those since the sample
+        before."""
         if replaces_last:
             self.history.pop()
         else:
@@ -66,14 +70,16 @@ class FlowCount:
         return (mass_now - mass_before) / (time_now - time_before)
 
     def readings(self) -> dict[str, float]:
-        """Return `flow_mass` [kg], `flow_count`; since the previous sample `mass_flow` [kg/s], `residence_time` [s]."""
+        """Return `flow_mass` [kg], `flow_count`; since the previous sample `mass_flow` [kg/s],
+        `residence_time` [s]."""
         mean, _ = _mean_and_deviation(self.passed - self.passed_before)
         return self._amounts() | {"mass_flow": self.mass_flow(), "residence_time": mean}
 
     def result(self) -> dict[str, float]:
         """Return the final numbers: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] from `steady_flow`.
 
-        `residence_time` and `residence_time_deviation` [s]: of all particles that passed forward, NaN without any.
+        `residence_time` and `residence_time_deviation` [s]: of all particles that passed forward, NaN without
+        any.
         """
         mean, deviation = _mean_and_deviation(self.passed)
         flow = {"mass_flow": steady_flow(self.history)}
@@ -88,24 +94,27 @@ class FlowCount:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
-        self.mass, self.count = saved["mass"], saved["count"]
-        self.passed, self.passed_before = saved["passed"], saved["passed_before"]
+        self.mass = saved["mass"]
+        self.count = saved["count"]
+        self.passed = saved["passed"]
+        self.passed_before = saved["passed_before"]
         self.history = [(time, stage, mass) for time, stage, mass in saved["history"]]
 
 
 class FlowMeter:
     """Net mass and number of particles through a plane, or through a disc or rectangle in it.
 
-    `point` (3,) [m]: on the plane, center of the disc of `radius` [m] or corner of the rectangle with the edges
-    `sides` (2, 3) [m], which are perpendicular. `normal` (3,), of any length: forward direction. `periodic_box`: None
-    without periodic axes. `group_by`: "material" or "group" for additional separate counts, with the names `parts`.
-    Particles are tracked by id between successive samples:
+    `point` (3,) [m]: on the plane, center of the disc of `radius` [m] or corner of the rectangle with the
+    edges `sides` (2, 3) [m], which are perpendicular. `normal` (3,), of any length: forward direction.
+    `periodic_box`: None without periodic axes. `group_by`: "material" or "group" for additional separate
+    counts, with the names `parts`. Particles are tracked by id between successive samples:
 
-    - A center that changes sides crosses where the straight line between its two positions intersects the plane. It
-      counts if that point is within the disc or rectangle: forward as plus, backward as minus.
-    - A particle deleted since the last sample counts as crossed if it was on the near side with its projection within
-      the disc or rectangle: it left the domain before it could be sampled on the far side.
-    - In a periodic box the line ends at the nearest image, so that a wrapped particle does not count as backward.
+    - A center that changes sides crosses where the straight line between its two positions intersects the
+      plane. It counts if that point is within the disc or rectangle: forward as plus, backward as minus.
+    - A particle deleted since the last sample counts as crossed if it was on the near side with its
+      projection within the disc or rectangle: it left the domain before it could be sampled on the far side.
+    - In a periodic box the line ends at the nearest image, so that a wrapped particle does not count as
+      backward.
     - A particle that is first sampled on the far side does not count.
     - The time of the passage, and with it the residence time, is the mean of the times of the two samples.
 
@@ -126,7 +135,8 @@ class FlowMeter:
         self.normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
         self.radius = np.inf if radius is None else radius
         self.sides = None if sides is None else np.asarray(sides, dtype=np.float64)
-        self._periodic_box, self._group_by = periodic_box, group_by
+        self._periodic_box = periodic_box
+        self._group_by = group_by
         self.total = FlowCount()
         self.parts = {name: FlowCount() for name in parts}
         self._last: _Sample | None = None
@@ -138,8 +148,8 @@ class FlowMeter:
     def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
         """Count the particles that passed since the last sample.
 
-        Reads id, mass, position, insertion_time and the array `group_by`. The first snapshot is the reference and
-        counts nothing. `replaces_last`: the rates are those since the sample before the last one.
+        Reads id, mass, position, insertion_time and the array `group_by`. The first snapshot is the reference
+        and counts nothing. `replaces_last`: the rates are those since the sample before the last one.
         """
         now = self._sample(snapshot)
         time = 0.5 * (self.total.history[-1][0] + snapshot.time) if self.total.history else snapshot.time
@@ -153,7 +163,8 @@ class FlowMeter:
             flow_count.end_sample(snapshot.time, snapshot.stage)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return counts, histories and the last sample, with arrays (n,) and (n, 3) for the n particles present."""
+        """Return counts, histories and the last sample, with arrays (n,) and (n, 3) for the n particles
+        present."""
         tallies = {name: flow_count.state_dict() for name, flow_count in self.flow_counts().items()}
         return {"tallies": tallies, "last": {} if self._last is None else vars(self._last)}
 
@@ -164,18 +175,25 @@ class FlowMeter:
         self._last = _Sample(**saved["last"]) if saved["last"] else None
 
     def _sample(self, snapshot: Snapshot) -> _Sample:
-        """Return the particles of a snapshot with their distances (n,) [m] from the plane, positive on the far side."""
+        """Return the particles of a snapshot with their distances (n,) [m] from the plane, positive on the
+        far side."""
         particles = snapshot.particles
         distance = (particles["position"] - self.point) @ self.normal
         part = np.zeros(len(distance), np.int32) if self._group_by is None else particles[self._group_by]
-        arrays = (particles["id"], particles["mass"], particles["position"], distance, particles["insertion_time"])
+        arrays = (
+            particles["id"],
+            particles["mass"],
+            particles["position"],
+            distance,
+            particles["insertion_time"],
+        )
         return _Sample(*arrays, part)
 
     def _count_crossed(self, last: _Sample, now: _Sample, time: float) -> None:
         """Count the particles that exist in both samples and crossed between them, at `time` [s].
 
-        In a periodic box, the lines to the nearest image of the end and from the nearest image of the start are both
-        tested, since the plane may be near either boundary.
+        In a periodic box, the lines to the nearest image of the end and from the nearest image of the start
+        are both tested, since the plane may be near either boundary.
         """
         _, before, after = np.intersect1d(last.id, now.id, assume_unique=True, return_indices=True)
         start, end = last.position[before], now.position[after]
@@ -189,7 +207,8 @@ class FlowMeter:
         self._add(now, crossed, direction[direction != 0], time)
 
     def _crossing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """Return (n,): 1, -1 or 0 for lines from `start` to `end` (n, 3) [m] that cross forward, backward or not."""
+        """Return (n,): 1, -1 or 0 for lines from `start` to `end` (n, 3) [m] that cross forward, backward or
+        not."""
         first, last = ((points - self.point) @ self.normal for points in (start, end))
         direction = (last > 0).astype(int) - (first > 0).astype(int)
         fraction = first / np.where(direction == 0, 1.0, first - last)
@@ -205,15 +224,18 @@ class FlowMeter:
         return np.asarray(np.logical_and(share >= 0.0, share <= 1.0).all(axis=1))
 
     def _count_deleted(self, last: _Sample, now: _Sample, time: float) -> None:
-        """Count as forward, at `time` [s], particles in the last sample only, in front of the disc or rectangle."""
+        """Count as forward, at `time` [s], particles in the last sample only, in front of the disc or
+        rectangle."""
         foot = last.position - last.distance[:, None] * self.normal
         near = (last.distance <= 0) & self._within(foot)
         deleted = np.flatnonzero(near & ~np.isin(last.id, now.id, assume_unique=True))
         self._add(last, deleted, np.ones(len(deleted), dtype=int), time)
 
     def _add(self, sample: _Sample, index: np.ndarray, direction: np.ndarray, time: float) -> None:
-        """Add particles (k,) of a sample with directions (k,) that passed at `time` [s], to the total and the parts."""
-        mass, part = sample.mass[index], sample.part[index]
+        """Add particles (k,) of a sample with directions (k,) that passed at `time` [s], to the total and the
+        parts."""
+        mass = sample.mass[index]
+        part = sample.part[index]
         residence_time = time - sample.insertion_time[index]
         self.total.add(mass, direction, residence_time)
         for number, flow_count in enumerate(self.parts.values()):
@@ -222,7 +244,8 @@ class FlowMeter:
 
 
 def _mean_and_deviation(sums: np.ndarray) -> tuple[float, float]:
-    """Mean and standard deviation from the number of values, their sum and that of their squares; NaN without any."""
+    """Mean and standard deviation from the number of values, their sum and that of their squares; NaN without
+    any."""
     count, total, squares = sums.tolist()
     if not count:
         return nan, nan
@@ -235,33 +258,43 @@ def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
 
         0.5 M / (t(3/4 M) - t(1/4 M))
 
-    `history`: (time [s], stage, cumulative mass [kg]) in order of time. M is the mass that passed in the last stage
-    whose final mass differs from its initial mass; a stage begins at the last sample of the previous one. t(m) is the
-    first time at which the mass reaches m, interpolated linearly. The start and the end of the flow have no influence.
-    Returns 0 without flow.
+    `history`: (time [s], stage, cumulative mass [kg]) in order of time. M is the mass that passed in the last
+    stage whose final mass differs from its initial mass; a stage begins at the last sample of the previous
+    one. t(m) is the first time at which the mass reaches m, interpolated linearly. The start and the end of
+    the flow have no influence. Returns 0 without flow.
 
     >>> gf.steady_flow([(0.0, "run", 0.0), (1.0, "run", 0.5), (2.0, "run", 1.0)])
     0.5
     """
     rows = items_of("history", history, "(time [s], stage, mass [kg])")
     for row in rows:
-        if not (isinstance(row, tuple | list) and len(row) == 3 and all(isinstance(row[k], Real) for k in (0, 2))):
-            raise GranflowError(f"history contains {shown(row)}, but must have rows of time [s], stage, mass [kg].")
+        if not (
+            isinstance(row, tuple | list) and len(row) == 3 and all(isinstance(row[k], Real) for k in (0, 2))
+        ):
+            raise GranflowError(
+                f"history contains {shown(row)}, but must have rows of time [s], stage, mass [kg]."
+            )
     times = np.array([time for time, _, _ in rows])
     masses = np.array([mass for _, _, mass in rows])
     for first, last in reversed(_stages(rows)):
         passed = masses[last] - masses[first]
         if passed != 0:
             share = (masses[first : last + 1] - masses[first]) / passed
-            quarters = [_first_reached(times[first : last + 1], share, share_reached) for share_reached in (0.25, 0.75)]
+            quarters = [
+                _first_reached(times[first : last + 1], share, share_reached)
+                for share_reached in (0.25, 0.75)
+            ]
             return float(0.5 * passed / (quarters[1] - quarters[0]))
     return 0.0
 
 
 def _stages(history: Sequence[tuple[float, str, float]]) -> list[tuple[int, int]]:
-    """Return the first and last index of each stage; the first one is the last index of the previous stage."""
+    """Return the first and last index of each stage; the first one is the last index of the previous
+    stage."""
     names = [stage for _, stage, _ in history]
-    ends = [index for index in range(len(names)) if index + 1 == len(names) or names[index] != names[index + 1]]
+    ends = [
+        index for index in range(len(names)) if index + 1 == len(names) or names[index] != names[index + 1]
+    ]
     return list(pairwise([0, *ends]))
 
 

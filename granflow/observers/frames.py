@@ -6,7 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from granflow.fields import CONTACT_QUANTITIES, FIELD_QUANTITIES, PARTICLE_QUANTITIES, WALL_ARRAY_QUANTITIES, units
+from granflow.fields import (
+    CONTACT_QUANTITIES,
+    FIELD_QUANTITIES,
+    PARTICLE_QUANTITIES,
+    WALL_ARRAY_QUANTITIES,
+    units,
+)
 from granflow.geometry.mesh import triangle_areas
 from granflow.io.checkpoint import CheckpointError
 from granflow.io.files import BackgroundWriter
@@ -29,22 +35,22 @@ from granflow.snapshot import Snapshot
 def traction_and_pressure(
     contacts: Mapping[str, np.ndarray], wall: int, areas: np.ndarray, area: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return force over area (k, 3) and normal force over area (k,) [Pa] of the particles on each triangle of a wall.
+    """Return force over area (k, 3) and normal force over area (k,) [Pa] of the particles on each triangle of
+    a wall.
 
-    `contacts`: as in a Snapshot, with `wall`, `force`, `normal_force` and `triangle`; `wall`: index of the wall in the
-    scene; `areas` (k,) [m2] of its triangles; `area` [m2] of the whole wall, None if infinite. For a mesh, the values
-    are those of each triangle; for another shape, the mean over the whole wall (NaN if infinite). The traction is that
-    of the particles on the wall; the pressure is positive in compression.
+    `contacts`: as in a Snapshot, with `wall`, `force`, `normal_force` and `triangle`; `wall`: index of the
+    wall in the scene; `areas` (k,) [m2] of its triangles; `area` [m2] of the whole wall, None if infinite.
+    For a mesh, the values are those of each triangle; for another shape, the mean over the whole wall (NaN if
+    infinite). The traction is that of the particles on the wall; the pressure is positive in compression.
     """
     on_wall = contacts["wall"] == wall
-    force, normal_force, triangle = (
-        -contacts["force"][on_wall],
-        contacts["normal_force"][on_wall],
-        contacts["triangle"][on_wall],
-    )
+    force = -contacts["force"][on_wall]
+    normal_force = contacts["normal_force"][on_wall]
+    triangle = contacts["triangle"][on_wall]
     if len(triangle) == 0 or triangle[0] < 0:
         total_area = np.nan if area is None else area
-        mean, pressure = force.sum(axis=0) / total_area, normal_force.sum() / total_area
+        mean = force.sum(axis=0) / total_area
+        pressure = normal_force.sum() / total_area
         return np.broadcast_to(mean, (len(areas), 3)).copy(), np.full(len(areas), pressure)
     traction = np.stack([np.bincount(triangle, component, len(areas)) for component in force.T], axis=1)
     return traction / areas[:, None], np.bincount(triangle, normal_force, len(areas)) / areas
@@ -52,7 +58,8 @@ def traction_and_pressure(
 
 # Frames for ParaView: particles as points, contacts as lines, walls as triangles.
 
-# Largest rounding error of float32 positions over the smallest radius; above it, files contain float64 positions.
+# Largest rounding error of float32 positions over the smallest radius; above it, files contain float64
+# positions.
 POSITION_TOLERANCE = 1e-4
 _CONTACT_POINTS = ("position_i", "position_j")
 """Arrays of contacts that become the points of the mesh."""
@@ -61,9 +68,9 @@ _CONTACT_POINTS = ("position_i", "position_j")
 class Frames(ScheduledObserver):
     """Base class of frames: a schedule and a series of files.
 
-    Subclasses define `stem`, the start of the file names, `wants`, and `mesh`. `directory`: of the files; `interval`,
-    `start` [s]: of the frames, in simulated time; `writer`, `compression`: see `FrameSeries`. Raises ValueError for an
-    interval that is not positive.
+    Subclasses define `stem`, the start of the file names, `wants`, and `mesh`. `directory`: of the files;
+    `interval`, `start` [s]: of the frames, in simulated time; `writer`, `compression`: see `FrameSeries`.
+    Raises ValueError for an interval that is not positive.
     """
 
     stem = ""
@@ -117,10 +124,10 @@ class Frames(ScheduledObserver):
 class ParticleFrames(Frames):
     """`particles_NNNN.vtu`: one vertex per particle, with the arrays of the snapshot.
 
-    `reach` [m]: largest absolute coordinate (from the domain), which determines whether float32 positions resolve 1e-4
-    of the smallest radius. If None, the positions of each frame determine it. Positions that float32 does not resolve
-    are written as float64. Types of the other arrays: `granflow.fields`. `write_pieces`: lets MPI ranks write
-    `particles_NNNN.pvtu` and one file each instead.
+    `reach` [m]: largest absolute coordinate (from the domain), which determines whether float32 positions
+    resolve 1e-4 of the smallest radius. If None, the positions of each frame determine it. Positions that
+    float32 does not resolve are written as float64. Types of the other arrays: `granflow.fields`.
+    `write_pieces`: lets MPI ranks write `particles_NNNN.pvtu` and one file each instead.
     """
 
     stem = "particles"
@@ -136,7 +143,8 @@ class ParticleFrames(Frames):
         compression: Compression = "zlib",
     ) -> None:
         super().__init__(directory, interval, start, writer, compression)
-        self._reach, self._write_pieces = reach, write_pieces
+        self._reach = reach
+        self._write_pieces = write_pieces
         self.wants = frozenset() if write_pieces else frozenset({PARTICLES})
 
     def write(self, snapshot: Snapshot) -> None:
@@ -148,7 +156,8 @@ class ParticleFrames(Frames):
 
     def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame, see `particle_mesh`."""
-        position, radius = snapshot.particles["position"], snapshot.particles["radius"]
+        position = snapshot.particles["position"]
+        radius = snapshot.particles["radius"]
         reach = self._reach if self._reach is not None else np.abs(position).max(initial=0.0)
         return particle_mesh(snapshot.particles, reach, radius.min(initial=np.inf))
 
@@ -196,7 +205,9 @@ class ContactFrames(Frames):
         Arrays: CONTACT_QUANTITIES, and history fields of contact models.
         """
         contacts = snapshot.contacts or {}
-        ends = [np.asarray(contacts.get(name, np.zeros((0, 3))), dtype=np.float64) for name in _CONTACT_POINTS]
+        ends = [
+            np.asarray(contacts.get(name, np.zeros((0, 3))), dtype=np.float64) for name in _CONTACT_POINTS
+        ]
         points = np.stack(ends, axis=1).reshape(-1, 3)
         lines = np.arange(len(points)).reshape(-1, 2)
         arrays = {
@@ -204,17 +215,19 @@ class ContactFrames(Frames):
             for name, quantity in CONTACT_QUANTITIES.items()
             if name in contacts and name not in _CONTACT_POINTS
         }
-        histories = {name: contacts[name].astype(np.float32) for name in contacts if name not in CONTACT_QUANTITIES}
+        histories = {
+            name: contacts[name].astype(np.float32) for name in contacts if name not in CONTACT_QUANTITIES
+        }
         return VtuMesh.of_cells("line", points, lines, arrays | histories, self._units)
 
 
 class WallFrames(Frames):
     """`walls_NNNN.vtu`: the triangles of the present walls at their current position.
 
-    `triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array `wall`
-    is the index of the wall in that order. `measured`: areas [m2] of the walls with measured forces, None for an
-    infinite wall; the cell arrays `traction` and `pressure` [Pa] are their instantaneous values. `has_belts`: write the
-    cell array `surface_velocity` [m/s], which is 0 on walls without one.
+    `triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene. The cell
+    array `wall` is the index of the wall in that order. `measured`: areas [m2] of the walls with measured
+    forces, None for an infinite wall; the cell arrays `traction` and `pressure` [Pa] are their instantaneous
+    values. `has_belts`: write the cell array `surface_velocity` [m/s], which is 0 on walls without one.
     """
 
     stem = "walls"
@@ -232,18 +245,24 @@ class WallFrames(Frames):
         compression: Compression = "zlib",
     ) -> None:
         super().__init__(directory, interval, start, writer, compression)
-        self._triangles, self._measured = dict(triangles), dict(measured or {})
-        self._unbounded, self._has_belts = frozenset(unbounded), has_belts
+        self._triangles = dict(triangles)
+        self._measured = dict(measured or {})
+        self._unbounded = frozenset(unbounded)
+        self._has_belts = has_belts
         self._areas = {name: triangle_areas(*triangles[name]) for name in self._measured}
         self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
 
     def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame: the triangles of all present walls, in the order of the scene.
 
-        Walls that are absent in this stage have no triangles. `traction` (k, 3) and `pressure` (k,) [Pa] are float32.
+        Walls that are absent in this stage have no triangles. `traction` (k, 3) and `pressure` (k,) [Pa] are
+        float32.
         """
-        points, corners, walls = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
-        wall_forces, belts = [(np.zeros((0, 3)), np.zeros(0))], [np.zeros((0, 3))]
+        points = [np.zeros((0, 3))]
+        corners = [np.zeros((0, 3), np.int64)]
+        walls = [np.zeros(0, np.int32)]
+        wall_forces = [(np.zeros((0, 3)), np.zeros(0))]
+        belts = [np.zeros((0, 3))]
         point_count = 0
         for index, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
             pose = snapshot.walls.get(name)
@@ -268,7 +287,8 @@ class WallFrames(Frames):
     def _traction_and_pressure(
         self, snapshot: Snapshot, index: int, name: str, count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return traction (count, 3) and pressure (count,) [Pa] on a wall; NaN if its force is not measured."""
+        """Return traction (count, 3) and pressure (count,) [Pa] on a wall; NaN if its force is not
+        measured."""
         if name not in self._measured:
             return np.full((count, 3), np.nan), np.full(count, np.nan)
         return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._measured[name])
@@ -295,7 +315,8 @@ def _kept_in_place(moved: np.ndarray, rest: np.ndarray) -> np.ndarray:
 
 
 def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the arrays of a snapshot with `diameter` [m] and, given mass and velocity, `kinetic_energy` [J] (n,)."""
+    """Return the arrays of a snapshot with `diameter` [m] and, given mass and velocity, `kinetic_energy` [J]
+    (n,)."""
     arrays = dict(particles)
     arrays["diameter"] = 2 * arrays["radius"]
     if "mass" in arrays and "velocity" in arrays:
@@ -306,9 +327,9 @@ def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 class FieldFrames(Frames):
     """`fields_NAME_NNNN.vtu`: hexahedra with the fields `quantities`; at the end `fields_NAME_mean.vtu`.
 
-    `interval` [s] of simulated time between frames; `grid`, `kernel`: of the coarse graining; `quantities`: names in
-    FIELD_QUANTITIES, which determine whether contacts are requested; `stages`: stages with frames, all if empty. The
-    mean weights all frames equally.
+    `interval` [s] of simulated time between frames; `grid`, `kernel`: of the coarse graining; `quantities`:
+    names in FIELD_QUANTITIES, which determine whether contacts are requested; `stages`: stages with frames,
+    all if empty. The mean weights all frames equally.
     """
 
     def __init__(
@@ -327,8 +348,10 @@ class FieldFrames(Frames):
         super().__init__(directory, interval, writer=writer, compression=compression)
         with_contacts = not set(CONTACT_FIELDS).isdisjoint(quantities)
         self.wants = frozenset({PARTICLES, CONTACTS} if with_contacts else {PARTICLES})
-        self.grid, self.kernel = grid, kernel
-        self._quantities, self._stages = tuple(quantities), tuple(stages)
+        self.grid = grid
+        self.kernel = kernel
+        self._quantities = tuple(quantities)
+        self._stages = tuple(stages)
         self._accumulated: AccumulatedFields | None = None
         self._count = 0
 

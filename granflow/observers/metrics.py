@@ -35,8 +35,9 @@ from granflow.snapshot import Snapshot
 class MetricMeter:
     """Evaluates `measure` for snapshots with the parts `wants`; values by name in METRIC_QUANTITIES.
 
-    The mean restarts with each stage. Values that are NaN (not defined for the present state) do not enter the mean.
-    `remark`: of the last evaluation, a sentence for a warning at the end of the run, or an empty text.
+    The mean restarts with each stage. Values that are NaN (not defined for the present state) do not enter
+    the mean. `remark`: of the last evaluation, a sentence for a warning at the end of the run, or an empty
+    text.
 
     get_remark:  function that returns the remark after an evaluation
     """
@@ -48,7 +49,8 @@ class MetricMeter:
         get_remark: Callable[[], str] = lambda: "",
     ) -> None:
         self.wants = wants
-        self._measure, self._get_remark = measure, get_remark
+        self._measure = measure
+        self._get_remark = get_remark
         self.remark = ""
         self._stage = ""
         self._last: dict[str, float] = {}
@@ -63,10 +65,14 @@ class MetricMeter:
         `replaces_last`: the last values, of the same stage, do not enter the mean any more.
         """
         if replaces_last:
-            self._sums, self._counts = self._sums_before, self._counts_before
+            self._sums = self._sums_before
+            self._counts = self._counts_before
         if snapshot.stage != self._stage:
-            self._stage, self._sums, self._counts = snapshot.stage, {}, {}
-        self._sums_before, self._counts_before = dict(self._sums), dict(self._counts)
+            self._stage = snapshot.stage
+            self._sums = {}
+            self._counts = {}
+        self._sums_before = dict(self._sums)
+        self._counts_before = dict(self._counts)
         self._last = {name: float(value) for name, value in self._measure(snapshot).items()}
         self.remark = self._get_remark()
         for name, number in self._last.items():
@@ -75,47 +81,58 @@ class MetricMeter:
             self._counts[name] = self._counts.get(name, 0) + known
 
     def readings(self) -> dict[str, float]:
-        """Return the values of the last snapshot, in the units of METRIC_QUANTITIES; empty before the first."""
+        """Return the values of the last snapshot, in the units of METRIC_QUANTITIES; empty before the
+        first."""
         return self._last
 
     def result(self) -> dict[str, float]:
-        """Return the last values, and as `NAME_mean` the means over the values of the last stage that are not NaN."""
+        """Return the last values, and as `NAME_mean` the means over the values of the last stage that are not
+        NaN."""
         means = {
-            f"{name}_mean": self._sums[name] / count if count else float("nan") for name, count in self._counts.items()
+            f"{name}_mean": self._sums[name] / count if count else float("nan")
+            for name, count in self._counts.items()
         }
         return self._last | means
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the stage, the last values and their remark, and sums and counts of the stage, also without these."""
+        """Return the stage, the last values and their remark, and sums and counts of the stage, also without
+        these."""
         sums = {"sums": self._sums, "counts": self._counts}
         sums |= {"sums_before": self._sums_before, "counts_before": self._counts_before}
         return {"stage": self._stage, "last": self._last, "remark": self.remark, **sums}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
-        self._stage, self._last, self.remark = saved["stage"], saved["last"], saved["remark"]
-        self._sums, self._counts = saved["sums"], saved["counts"]
-        self._sums_before, self._counts_before = saved["sums_before"], saved["counts_before"]
+        self._stage = saved["stage"]
+        self._last = saved["last"]
+        self.remark = saved["remark"]
+        self._sums = saved["sums"]
+        self._counts = saved["counts"]
+        self._sums_before = saved["sums_before"]
+        self._counts_before = saved["counts_before"]
 
 
 # Lacey's mixing index of two kinds of particles, by number.
 
 
 def lacey_index(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, at_least: int) -> float:
-    """Return Lacey's mixing index of particles at `position` (n, 3) [m]; `is_kind_a` (n,): whether of the first kind.
+    """Return Lacey's mixing index of particles at `position` (n, 3) [m]; `is_kind_a` (n,): whether of the
+    first kind.
 
-        M = (S0^2 - S^2) / (S0^2 - SR^2),   S^2 = sum n_k (p_k - p)^2 / sum n_k,   S0^2 = p (1 - p),   SR^2 = S0^2 / n
+        M = (S0^2 - S^2) / (S0^2 - SR^2),   S^2 = sum n_k (p_k - p)^2 / sum n_k,   S0^2 = p (1 - p),   SR^2 =
+        S0^2 / n
 
-    p_k is the share by number of the first kind among the n_k particles of cell k, p the share in all cells, n the mean
-    of n_k; cells with fewer than `at_least` particles are excluded. 0: each cell contains one kind only; 1: randomly
-    mixed, except for statistical scatter; above 1: more uniform than random. NaN without such cells or with one kind.
-    (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
+    p_k is the share by number of the first kind among the n_k particles of cell k, p the share in all cells,
+    n the mean of n_k; cells with fewer than `at_least` particles are excluded. 0: each cell contains one kind
+    only; 1: randomly mixed, except for statistical scatter; above 1: more uniform than random. NaN without
+    such cells or with one kind. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
     """
     cell, inside = grid.cells_of(position)
     number = np.bincount(cell[inside], minlength=grid.cell_count)
     kind = np.bincount(cell[inside], weights=is_kind_a[inside], minlength=grid.cell_count)
     used = number >= max(at_least, 1)
-    number, kind = number[used], kind[used]
+    number = number[used]
+    kind = kind[used]
     total = number.sum()
     share = kind.sum() / total if total else np.nan
     segregated = share * (1.0 - share)
@@ -127,22 +144,28 @@ def lacey_index(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, a
 
 
 def dropped_share(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, at_least: int) -> float:
-    """Return the share by number of the particles of one kind that `lacey_index` excludes, the larger of both kinds.
+    """Return the share by number of the particles of one kind that `lacey_index` excludes, the larger of both
+    kinds.
 
     Arguments as `lacey_index`. 0 without particles in the grid.
     """
     cell, inside = grid.cells_of(position)
     number = np.bincount(cell[inside], minlength=grid.cell_count)
-    is_dropped, is_kind_a = number[cell[inside]] < at_least, is_kind_a[inside]
-    return max((float(is_dropped[kind].mean()) for kind in (is_kind_a, ~is_kind_a) if kind.any()), default=0.0)
+    is_dropped = number[cell[inside]] < at_least
+    is_kind_a = is_kind_a[inside]
+    return max(
+        (float(is_dropped[kind].mean()) for kind in (is_kind_a, ~is_kind_a) if kind.any()), default=0.0
+    )
 
 
 FLANK = (0.8, 0.2)
-"""Upper and lower end of the fitted flank, over the height of the cone: excludes the rounded top and the foot."""
+"""Upper and lower end of the fitted flank, over the height of the cone: excludes the rounded top and the
+foot."""
 FEWEST = 4
 """Smallest number of surface points for a fit."""
 SIGNIFICANCE = 0.05
-"""Largest share of rough level surfaces, with independent heights of the points, that a fit takes for a slope."""
+"""Largest share of rough level surfaces, with independent heights of the points, that a fit takes for a
+slope."""
 RELATIVE_ERROR = 0.25
 """Largest standard error of a gradient over its magnitude."""
 
@@ -164,13 +187,17 @@ def no_slope(reason: str) -> Slope:
     return Slope(float("nan"), float("nan"), reason)
 
 
-def slope_of_cone(points: np.ndarray, radius: np.ndarray, edge: float, axis: np.ndarray | None = None) -> Slope:
-    """Return the slope of the flank of a conical heap of spheres with centers (n, 3), z upward, and radii (n,) [m].
+def slope_of_cone(
+    points: np.ndarray, radius: np.ndarray, edge: float, axis: np.ndarray | None = None
+) -> Slope:
+    """Return the slope of the flank of a conical heap of spheres with centers (n, 3), z upward, and radii
+    (n,) [m].
 
-    `edge` [m]: of the columns, about two diameters; `axis` (2,) [m]: of the cone, the mean of all centers if None. The
-    flank is where the mean height of a ring around the axis is between 0.8 and 0.2 of the largest; a straight line is
-    fitted to the height over the distance from the axis by least squares. The angle is not negative. NaN without
-    particles, with fewer than FEWEST surface points on the flank, or if the fit is not significant, see `_slope`.
+    `edge` [m]: of the columns, about two diameters; `axis` (2,) [m]: of the cone, the mean of all centers if
+    None. The flank is where the mean height of a ring around the axis is between 0.8 and 0.2 of the largest;
+    a straight line is fitted to the height over the distance from the axis by least squares. The angle is not
+    negative. NaN without particles, with fewer than FEWEST surface points on the flank, or if the fit is not
+    significant, see `_slope`.
     """
     if not len(points):
         return no_slope("there are no particles with enough contacts in the region")
@@ -188,10 +215,12 @@ def slope_of_cone(points: np.ndarray, radius: np.ndarray, edge: float, axis: np.
 
 
 def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope:
-    """Return the slope of the plane fitted to the surface of spheres with centers (n, 3), z upward, and radii (n,) [m].
+    """Return the slope of the plane fitted to the surface of spheres with centers (n, 3), z upward, and radii
+    (n,) [m].
 
-    `edge` [m]: of the columns. For one side of a wedge, or for the middle of a drum. NaN without particles, with fewer
-    than FEWEST surface points, if these lie on a line, or if the fit is not significant, see `_slope`.
+    `edge` [m]: of the columns. For one side of a wedge, or for the middle of a drum. NaN without particles,
+    with fewer than FEWEST surface points, if these lie on a line, or if the fit is not significant, see
+    `_slope`.
     """
     if not len(points):
         return no_slope("there are no particles with enough contacts in the region")
@@ -202,8 +231,8 @@ def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope
 def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.ndarray:
     """Return the tops (m, 3) [m] of the highest spheres, one for each column that contains spheres.
 
-    The columns are about `edge` [m] wide and divide the extent of the points evenly: in a narrow column at the border,
-    the highest sphere would be deep inside the heap.
+    The columns are about `edge` [m] wide and divide the extent of the points evenly: in a narrow column at
+    the border, the highest sphere would be deep inside the heap.
     """
     low = points[:, :2].min(axis=0)
     extent = np.maximum(points[:, :2].max(axis=0) - low, np.finfo(float).tiny)
@@ -217,14 +246,16 @@ def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.nd
 
 
 def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
-    """Return the angle of the line or plane fitted to heights (n,) [m] over horizontal positions (n, d = 1 or 2) [m].
+    """Return the angle of the line or plane fitted to heights (n,) [m] over horizontal positions (n, d = 1 or
+    2) [m].
 
         angle = arctan |g|,      error = sqrt(d C d) / (1 + |g|^2)
 
-    g: gradient, d = g / |g|, C: covariance of g from the residuals of the least-squares fit. The fit is a slope if a
-    level surface with independent, normally distributed heights has the same coefficient of determination R^2 with a
-    probability below SIGNIFICANCE (F-test of the regression), and if sqrt(d C d) is at most RELATIVE_ERROR |g|. The
-    second condition is the stricter one for few points, or if the points extend little along g.
+    g: gradient, d = g / |g|, C: covariance of g from the residuals of the least-squares fit. The fit is a
+    slope if a level surface with independent, normally distributed heights has the same coefficient of
+    determination R^2 with a probability below SIGNIFICANCE (F-test of the regression), and if sqrt(d C d) is
+    at most RELATIVE_ERROR |g|. The second condition is the stricter one for few points, or if the points
+    extend little along g.
     """
     if len(height) < FEWEST:
         return no_slope(f"the surface has {len(height)} points, but a fit needs at least {FEWEST}")
@@ -233,7 +264,8 @@ def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
     found, _, rank, _ = np.linalg.lstsq(matrix, height, rcond=None)
     if rank < matrix.shape[1]:
         return no_slope("the points of the surface lie on a line")
-    gradient, freedom = found[1:], len(height) - matrix.shape[1]
+    gradient = found[1:]
+    freedom = len(height) - matrix.shape[1]
     steepness = float(np.linalg.norm(gradient))
     residual = height - matrix @ found
     total = float(((height - height.mean()) ** 2).sum())
@@ -256,7 +288,8 @@ def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
 
 
 def _chance(unexplained: float, slopes: int, freedom: int) -> float:
-    """Probability that a fit of `slopes` coefficients to independent heights leaves at most this share unexplained.
+    """Probability that a fit of `slopes` coefficients to independent heights leaves at most this share
+    unexplained.
 
     The share 1 - R^2 has the beta distribution with the parameters freedom / 2 and slopes / 2.
     """
@@ -268,20 +301,23 @@ def _chance(unexplained: float, slopes: int, freedom: int) -> float:
 # Intensity of segregation of two kinds of particles, by volume.
 
 
-def segregation_intensity(position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid) -> float:
+def segregation_intensity(
+    position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid
+) -> float:
     """Return the intensity of segregation of particles at `position` (n, 3) [m] with volumes (n,) [m3].
 
         I = sum V_k (c_k - c)^2 / (c (1 - c) sum V_k)
 
-    V_k: volume of the particles with centers in cell k; c_k, c: share by volume of the first kind (`is_kind_a` (n,)) in
-    cell k and in all cells. 1: each cell contains one kind only; 0: the same share in all cells. No cell is excluded.
-    NaN with one kind. (sigma^2 / (c (1 - c)) of P. V. Danckwerts, Appl. Sci. Res. A 3 (1952) 279, with samples
-    weighted by their volume.)
+    V_k: volume of the particles with centers in cell k; c_k, c: share by volume of the first kind
+    (`is_kind_a` (n,)) in cell k and in all cells. 1: each cell contains one kind only; 0: the same share in
+    all cells. No cell is excluded. NaN with one kind. (sigma^2 / (c (1 - c)) of P. V. Danckwerts, Appl. Sci.
+    Res. A 3 (1952) 279, with samples weighted by their volume.)
     """
     cell, inside = grid.cells_of(position)
     total = np.bincount(cell[inside], weights=volume[inside], minlength=grid.cell_count)
     first = np.bincount(cell[inside], weights=(volume * is_kind_a)[inside], minlength=grid.cell_count)
-    first, total = first[total > 0.0], total[total > 0.0]
+    first = first[total > 0.0]
+    total = total[total > 0.0]
     share = first.sum() / total.sum() if len(total) else np.nan
     segregated = share * (1.0 - share) * total.sum()
     if not segregated > 0.0:
@@ -289,21 +325,26 @@ def segregation_intensity(position: np.ndarray, volume: np.ndarray, is_kind_a: n
     return float((total * (first / total - share) ** 2).sum() / segregated)
 
 
-def random_intensity(position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid) -> float:
-    """Return the expected intensity of segregation of a random mixture of the same particles in the same cells.
+def random_intensity(
+    position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid
+) -> float:
+    """Return the expected intensity of segregation of a random mixture of the same particles in the same
+    cells.
 
         I_R = K (c v_b + (1 - c) v_a) / sum V_k,      v_a, v_b = sum v^2 / sum v
 
-    K: number of cells with particles; v_a, v_b: mean volumes of the particles of each kind, weighted by volume. In a
-    random mixture, the volumes V_a and V_b in a cell are sums over independent particles, with the variances V_a v_a
-    and V_b v_b. To first order, the variance of c = V_a / (V_a + V_b) = V_a / V is
+    K: number of cells with particles; v_a, v_b: mean volumes of the particles of each kind, weighted by
+    volume. In a random mixture, the volumes V_a and V_b in a cell are sums over independent particles, with
+    the variances V_a v_a and V_b v_b. To first order, the variance of c = V_a / (V_a + V_b) = V_a / V is
 
         ((1 - c)^2 V_a v_a + c^2 V_b v_b) / V^2 = c (1 - c) (c v_b + (1 - c) v_a) / V
 
-    For equal volumes v, it is that of Lacey, c (1 - c) v / V. Arguments as `segregation_intensity`; NaN with one kind.
+    For equal volumes v, it is that of Lacey, c (1 - c) v / V. Arguments as `segregation_intensity`; NaN with
+    one kind.
     """
     cell, inside = grid.cells_of(position)
-    volume, is_kind_a = volume[inside], is_kind_a[inside]
+    volume = volume[inside]
+    is_kind_a = is_kind_a[inside]
     if is_kind_a.all() or not is_kind_a.any():
         return float("nan")
     mean_a, mean_b = ((volume[kind] ** 2).sum() / volume[kind].sum() for kind in (is_kind_a, ~is_kind_a))
@@ -322,12 +363,13 @@ def coordination(with_particles: np.ndarray, with_walls: np.ndarray) -> dict[str
 
         Zm = (sum Z_i) / (N - N0 - N1)       over the particles with at least two contacts
 
-    `with_particles`, `with_walls` (n,): number of contacts of each particle. Rattlers carry no load: N0 have no contact
-    and N1 have one, of either kind. Z and Zm count contacts with particles only, so that they do not depend on the size
-    of the container. NaN without particles, Zm also without particles that carry a load. (C. Thornton, Geotechnique 50
-    (2000) 43, for a periodic box.)
+    `with_particles`, `with_walls` (n,): number of contacts of each particle. Rattlers carry no load: N0 have
+    no contact and N1 have one, of either kind. Z and Zm count contacts with particles only, so that they do
+    not depend on the size of the container. NaN without particles, Zm also without particles that carry a
+    load. (C. Thornton, Geotechnique 50 (2000) 43, for a periodic box.)
     """
-    count, carries = len(with_particles), with_particles + with_walls >= MIN_CONTACTS
+    count = len(with_particles)
+    carries = with_particles + with_walls >= MIN_CONTACTS
     return {
         "coordination_number": _mean(with_particles),
         "mechanical_coordination_number": _mean(with_particles[carries]),
@@ -337,7 +379,8 @@ def coordination(with_particles: np.ndarray, with_walls: np.ndarray) -> dict[str
 
 
 def center_of_mass(position: np.ndarray, mass: np.ndarray) -> dict[str, float]:
-    """Return the center of mass [m] of particles at `position` (n, 3) [m] with `mass` (n,) [kg]; NaN without any."""
+    """Return the center of mass [m] of particles at `position` (n, 3) [m] with `mass` (n,) [kg]; NaN without
+    any."""
     total = float(mass.sum())
     center = mass.astype(float) @ position.astype(float) / total if total else np.full(3, np.nan)
     return {f"center_of_mass_{axis}": float(center[k]) for k, axis in enumerate("xyz")}
@@ -346,8 +389,8 @@ def center_of_mass(position: np.ndarray, mass: np.ndarray) -> dict[str, float]:
 def sliding_share(contacts: Mapping[str, np.ndarray], walls: Collection[int] | None) -> dict[str, float]:
     """Return the share of contacts whose friction force is at the Coulomb limit; NaN without contacts.
 
-    `contacts`: arrays `wall` and `sliding` (n,); `walls`: numbers of the walls in the scene, or None for the contacts
-    between particles.
+    `contacts`: arrays `wall` and `sliding` (n,); `walls`: numbers of the walls in the scene, or None for the
+    contacts between particles.
     """
     selected = contacts["wall"] < 0 if walls is None else np.isin(contacts["wall"], list(walls))
     return {"sliding_share": _mean(contacts["sliding"][selected])}
@@ -358,10 +401,11 @@ def _mean(values: np.ndarray) -> float:
 
 
 def fabric_tensor(contacts: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the mean of n n over the contacts between particles, n their direction: (3, 3), symmetric, with trace 1.
+    """Return the mean of n n over the contacts between particles, n their direction: (3, 3), symmetric, with
+    trace 1.
 
-    `contacts`: arrays `wall` (n,) (negative between particles), `position_i` and `position_j` (n, 3) [m]. NaN without
-    contacts. (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+    `contacts`: arrays `wall` (n,) (negative between particles), `position_i` and `position_j` (n, 3) [m]. NaN
+    without contacts. (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
     """
     between = contacts["wall"] < 0
     branch = contacts["position_j"][between] - contacts["position_i"][between]
@@ -385,7 +429,8 @@ def anisotropy(fabric: np.ndarray) -> float:
 COLUMN_WIDTH = 2.0
 """Edge of the columns in which the surface of a heap is determined, in largest diameters."""
 DROPPED_SHARE = 0.1
-"""Share of the particles of a component outside the cells of a Lacey index above which a remark reports it."""
+"""Share of the particles of a component outside the cells of a Lacey index above which a remark reports
+it."""
 NEEDS_PARTICLES, NEEDS_CONTACTS = frozenset({PARTICLES}), frozenset({CONTACTS})
 
 
@@ -460,7 +505,8 @@ def _segregation_meter(plan: Plan, spec: SegregationMetric) -> MetricMeter:
 
 
 def _first_component(plan: Plan, spec: TwoComponentGrid) -> Callable[[Mapping[str, np.ndarray]], np.ndarray]:
-    """Return the function that selects particles (n,): given groups or materials, or diameters below `smaller_than`."""
+    """Return the function that selects particles (n,): given groups or materials, or diameters below
+    `smaller_than`."""
     names = [group.name for group in plan.groups]
     groups = [names.index(name) for name in spec.groups or ()]
     materials = [list(plan.solids).index(name) for name in spec.materials or ()]
@@ -474,7 +520,8 @@ def _first_component(plan: Plan, spec: TwoComponentGrid) -> Callable[[Mapping[st
 
 
 def _center_of_mass_meter(plan: Plan, spec: CenterOfMassMetric) -> MetricMeter:
-    """Return a meter of the center of mass [m] of the mobile particles of the given groups, by default of all."""
+    """Return a meter of the center of mass [m] of the mobile particles of the given groups, by default of
+    all."""
     names = [group.name for group in plan.groups]
     groups = [names.index(name) for name in spec.groups or names]
 
@@ -487,9 +534,11 @@ def _center_of_mass_meter(plan: Plan, spec: CenterOfMassMetric) -> MetricMeter:
 
 
 def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
-    """Return a meter of the angle of repose [rad]; the vertical is opposite to gravity, also if gravity is inclined.
+    """Return a meter of the angle of repose [rad]; the vertical is opposite to gravity, also if gravity is
+    inclined.
 
-    Particles with fewer than MIN_CONTACTS contacts are not part of the heap: one that rolls away on the floor has one.
+    Particles with fewer than MIN_CONTACTS contacts are not part of the heap: one that rolls away on the floor
+    has one.
     """
     upwards = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
     frame = frame_along(upwards)
@@ -514,7 +563,8 @@ def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
 
 
 def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
-    """Return the anisotropy and the diagonal of the fabric tensor of contacts with midpoints inside the region."""
+    """Return the anisotropy and the diagonal of the fabric tensor of contacts with midpoints inside the
+    region."""
     contacts = snapshot.contacts or {}
     middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
     tensor = fabric_tensor(selected(contacts, _inside(middle, region)))
@@ -535,11 +585,16 @@ def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:
     selected_particles = selected(particles, _inside(particles["position"], region))
     volume = float(sphere_volume(selected_particles["radius"].astype(float)).sum())
     mass = float(selected_particles["mass"].astype(float).sum())
-    return {"content_count": float(len(selected_particles["mass"])), "content_mass": mass, "content_volume": volume}
+    return {
+        "content_count": float(len(selected_particles["mass"])),
+        "content_mass": mass,
+        "content_volume": volume,
+    }
 
 
 def _probe(particles: Mapping[str, np.ndarray], particle_id: int) -> Mapping[str, float]:
-    """Return position [m], velocity [m/s] and angular velocity [rad/s] of a particle; NaN if it does not exist.
+    """Return position [m], velocity [m/s] and angular velocity [rad/s] of a particle; NaN if it does not
+    exist.
 
     Without friction, particles do not rotate and have the angular velocity 0.
     """
@@ -556,5 +611,6 @@ def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:
     """Return whether points (n, 3) [m] are inside the region; True without a region."""
     if region is None:
         return np.ones(len(points), bool)
-    above, below = points >= np.array(region.min), points <= np.array(region.max)
+    above = points >= np.array(region.min)
+    below = points <= np.array(region.max)
     return np.asarray(np.logical_and(above, below).all(axis=1))

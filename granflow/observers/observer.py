@@ -3,7 +3,14 @@
 import math
 import weakref
 from collections.abc import Callable, Iterable
-from inspect import isasyncgen, isasyncgenfunction, iscoroutine, iscoroutinefunction, isgenerator, isgeneratorfunction
+from inspect import (
+    isasyncgen,
+    isasyncgenfunction,
+    iscoroutine,
+    iscoroutinefunction,
+    isgenerator,
+    isgeneratorfunction,
+)
 from typing import Any, Protocol, runtime_checkable
 
 from granflow.arguments import items_of, refuse_other, shown
@@ -54,7 +61,8 @@ class Checkpointable(Protocol):
         """Return the state: nested dictionaries of numbers, texts and numpy arrays."""
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state of `state_dict`, which may come from another process; files are not modified yet."""
+        """Restore the state of `state_dict`, which may come from another process; files are not modified
+        yet."""
 
     def truncate(self) -> None:
         """Restore the files to their content at the time of the restored state."""
@@ -62,8 +70,8 @@ class Checkpointable(Protocol):
 
 # Due times at a regular interval.
 
-# A time that precedes a due time by less than this fraction of the interval counts as due: the simulated clock is
-# rounded, and a frame one step later would duplicate the state.
+# A time that precedes a due time by less than this fraction of the interval counts as due: the simulated
+# clock is rounded, and a frame one step later would duplicate the state.
 EARLY_FRACTION = 1e-3
 
 
@@ -92,7 +100,8 @@ class Schedule:
 
     def reset(self) -> None:
         """Begin again."""
-        self._count, self._last_time = 0, None
+        self._count = 0
+        self._last_time = None
 
     def resume_after(self, last_time: float | None) -> None:
         """Continue after a time [s] of an earlier run, which may have used another interval."""
@@ -134,7 +143,8 @@ class ScheduledObserver:
         )
 
     def begin(self, run: object) -> bool:
-        """Belong to a run from its start on; False if another run, which has not ended, already has this observer."""
+        """Belong to a run from its start on; False if another run, which has not ended, already has this
+        observer."""
         other = None if self._run is None else self._run()
         if other is not None and other is not run:
             return False
@@ -173,17 +183,18 @@ class ScheduledObserver:
 class on_interval(ScheduledObserver):
     """Calls `function(snapshot)` every `interval` from `start`, and at the end of the run.
 
-    `interval`, `start`: simulated time, a number [s] or text with a unit ("1 ms"). `wants`: parts of the snapshot that
-    the function reads; "contacts" must be added explicitly, because their output costs time. The arrays of the snapshot
-    are read-only; the function may change the simulation itself (`simulation.particles`, `simulation.walls`), and
-    raises `granflow.StopRun` to end the run. A second snapshot of the same time has no effect.
+    `interval`, `start`: simulated time, a number [s] or text with a unit ("1 ms"). `wants`: parts of the
+    snapshot that the function reads; "contacts" must be added explicitly, because their output costs time.
+    The arrays of the snapshot are read-only; the function may change the simulation itself
+    (`simulation.particles`, `simulation.walls`), and raises `granflow.StopRun` to end the run. A second
+    snapshot of the same time has no effect.
 
         simulation.observers.append(granflow.on_interval("1 ms", lambda snapshot: print(snapshot.time)))
 
-    `name`: of the function, in messages and checkpoints; it and `wants` can be set, interval and function cannot. An
-    observer belongs to one simulation at a time. Raises GranflowError for an interval that is not positive and finite,
-    a unit that is not one of time, an unknown part, or an object that is not a function; generators and coroutines
-    are none, because a call does not execute them.
+    `name`: of the function, in messages and checkpoints; it and `wants` can be set, interval and function
+    cannot. An observer belongs to one simulation at a time. Raises GranflowError for an interval that is not
+    positive and finite, a unit that is not one of time, an unknown part, or an object that is not a function;
+    generators and coroutines are none, because a call does not execute them.
     """
 
     def __init__(
@@ -225,7 +236,9 @@ class on_interval(ScheduledObserver):
         try:
             returned = self._function(snapshot)
             if isgenerator(returned) or isasyncgen(returned) or iscoroutine(returned):
-                raise GranflowError("it returns a generator or a coroutine, whose code is not executed; use no yield")
+                raise GranflowError(
+                    "it returns a generator or a coroutine, whose code is not executed; use no yield"
+                )
         except StopRun:
             self._schedule.mark_done(snapshot.time)
             raise

@@ -13,19 +13,21 @@ from granflow.snapshot import Snapshot
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-# Updates per run: at fixed simulated times, independent of the wall clock, so that the display does not affect a run.
+# Updates per run: at fixed simulated times, independent of the wall clock, so that the display does not
+# affect a run.
 UPDATE_COUNT = 500
 SECONDS_BETWEEN_LINES = 10.0
-# Number of updates over which rates are averaged: large enough for a steady value, small enough to follow insertion.
+# Number of updates over which rates are averaged: large enough for a steady value, small enough to follow
+# insertion.
 RATE_SAMPLES = 25
 
 
 class ProgressDisplay(ScheduledObserver):
     """Shows simulated time, stage, steps per second, particle-steps per second and time left.
 
-    `stages`: (name, maximum duration [s]) in order. A stage that ends early reduces the total. `stream`: standard
-    error by default. If it is not a terminal, a line is printed at the start of each stage, every ten seconds of wall
-    clock, and at the end.
+    `stages`: (name, maximum duration [s]) in order. A stage that ends early reduces the total. `stream`:
+    standard error by default. If it is not a terminal, a line is printed at the start of each stage, every
+    ten seconds of wall clock, and at the end.
     """
 
     def __init__(self, stages: Sequence[tuple[str, float]], stream: TextIO | None = None) -> None:
@@ -43,7 +45,8 @@ class ProgressDisplay(ScheduledObserver):
         self._display.show(snapshot, self._stage_plan.end, self._rates)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the time of the last update, the stage, and the latest end of the run; updates affect the steps."""
+        """Return the time of the last update, the stage, and the latest end of the run; updates affect the
+        steps."""
         return super().state_dict() | {"stage": self._stage_plan.stage, "end": self._stage_plan.end}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -59,7 +62,8 @@ class ProgressDisplay(ScheduledObserver):
 class StagePlan:
     """Latest end of a run [s], from the actual start times of its stages.
 
-    `stages`: (name, maximum duration [s]) in order; at least one. `end` [s] is the sum of all durations at first.
+    `stages`: (name, maximum duration [s]) in order; at least one. `end` [s] is the sum of all durations at
+    first.
     """
 
     def __init__(self, stages: Sequence[tuple[str, float]]) -> None:
@@ -77,7 +81,8 @@ class StagePlan:
 
     def resume_in(self, stage: str, end: float) -> None:
         """Restore the stage and the latest end [s] of the run."""
-        self.stage, self.end = stage, max(end, self.end)
+        self.stage = stage
+        self.end = max(end, self.end)
 
 
 class StepRates:
@@ -151,7 +156,8 @@ class _Lines:
         self._pending = f"{snapshot.stage}: {reached}, step {snapshot.step}, {_rates_text(rates)}"
         now = clock.monotonic()
         if snapshot.stage != self._stage or now - self._printed_at >= SECONDS_BETWEEN_LINES:
-            self._stage, self._printed_at = snapshot.stage, now
+            self._stage = snapshot.stage
+            self._printed_at = now
             self._print()
 
     def close(self) -> None:
@@ -172,5 +178,6 @@ def _time_text(time: float, end: float) -> str:
 
 def _rates_text(rates: StepRates) -> str:
     """Return the step rates as text; millions of particle-steps per second with two decimals."""
-    steps, particle_steps = rates.steps_per_second(), rates.particle_steps_per_second()
+    steps = rates.steps_per_second()
+    particle_steps = rates.particle_steps_per_second()
     return f"{steps:.0f} steps/s, {particle_steps / 1e6:.2f} M particle-steps/s"

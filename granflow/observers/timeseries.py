@@ -27,8 +27,8 @@ from granflow.snapshot import Snapshot
 class CollisionEnergies(ScheduledObserver):
     """Writes one row per interval, kind of contact ("particle" or "wall") and class of impact energy.
 
-    The first class of each kind has no lower edge (0 J), the last one no upper edge (inf). `count` is the number of
-    contacts that began in the interval, `count_total` that since the start of the run.
+    The first class of each kind has no lower edge (0 J), the last one no upper edge (inf). `count` is the
+    number of contacts that began in the interval, `count_total` that since the start of the run.
 
     interval:  [s], in simulated time
     edges:     (n + 1,) [J], of the classes
@@ -43,7 +43,8 @@ class CollisionEnergies(ScheduledObserver):
         self._counted = {kind: np.zeros(len(edges) + 1, dtype=np.int64) for kind in ("particle", "wall")}
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Write the rows of the interval since the last snapshot; the first snapshot begins the first interval."""
+        """Write the rows of the interval since the last snapshot; the first snapshot begins the first
+        interval."""
         before = self._schedule.last_time
         if not self._schedule.mark_done(snapshot.time):
             return
@@ -89,48 +90,66 @@ class WallForceMeter:
 
         mean force = (J(t2) - J(t1)) / (t2 - t1),      J: accumulated impulse
 
-    `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure. Force [N] and torque [N m] are
-    those of the particles on the wall; the pressure [Pa] is the normal force over the area.
+    `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure. Force [N] and torque [N
+    m] are those of the particles on the wall; the pressure [Pa] is the normal force over the area.
     """
 
     def __init__(self, wall: str, area: float | None) -> None:
-        self.wall, self.area = wall, area
-        self._time, self._impulse = 0.0, NO_IMPULSE
-        self._stage, self._stage_time, self._stage_impulse = "", 0.0, NO_IMPULSE
+        self.wall = wall
+        self.area = area
+        self._time = 0.0
+        self._impulse = NO_IMPULSE
+        self._stage = ""
+        self._stage_time = 0.0
+        self._stage_impulse = NO_IMPULSE
         self._mean = NO_IMPULSE
-        self._max_force, self._max_normal_force = 0.0, 0.0
-        self._time_before, self._impulse_before = 0.0, NO_IMPULSE
-        self._max_force_before, self._max_normal_force_before = 0.0, 0.0
+        self._max_force = 0.0
+        self._max_normal_force = 0.0
+        self._time_before = 0.0
+        self._impulse_before = NO_IMPULSE
+        self._max_force_before = 0.0
+        self._max_normal_force_before = 0.0
 
     def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
         """Compute the means since the last sample, or since the start; reads `impulses` of the snapshot.
 
-        `replaces_last`: since the sample before the last one, as if that had not been taken; it is of the same stage.
+        `replaces_last`: since the sample before the last one, as if that had not been taken; it is of the
+        same stage.
         """
         if replaces_last:
-            self._time, self._impulse = self._time_before, self._impulse_before
-            self._max_force, self._max_normal_force = self._max_force_before, self._max_normal_force_before
-        self._time_before, self._impulse_before = self._time, self._impulse
-        self._max_force_before, self._max_normal_force_before = self._max_force, self._max_normal_force
-        time, impulse = snapshot.time, snapshot.impulses[self.wall]
+            self._time = self._time_before
+            self._impulse = self._impulse_before
+            self._max_force = self._max_force_before
+            self._max_normal_force = self._max_normal_force_before
+        self._time_before = self._time
+        self._impulse_before = self._impulse
+        self._max_force_before = self._max_force
+        self._max_normal_force_before = self._max_normal_force
+        time = snapshot.time
+        impulse = snapshot.impulses[self.wall]
         if snapshot.stage != self._stage:
-            self._stage, self._stage_time, self._stage_impulse = snapshot.stage, self._time, self._impulse
+            self._stage = snapshot.stage
+            self._stage_time = self._time
+            self._stage_impulse = self._impulse
         if time > self._time:
             self._mean = (impulse - self._impulse) / (time - self._time)
             self._max_force = max(self._max_force, _length(self._mean[:3]))
             self._max_normal_force = max(self._max_normal_force, float(self._mean[6]))
-        self._time, self._impulse = time, impulse
+        self._time = time
+        self._impulse = impulse
 
     def readings(self) -> dict[str, float]:
-        """Return means between the last two samples: force [N], torque [N m] and, with an area, pressure [Pa]."""
+        """Return means between the last two samples: force [N], torque [N m] and, with an area, pressure
+        [Pa]."""
         return self._named(self._mean)
 
     def result(self) -> dict[str, float]:
-        """Return means over the last stage, those between the last two samples, and the largest readings of the run.
+        """Return means over the last stage, those between the last two samples, and the largest readings of
+        the run.
 
-        The stage begins at the last sample before it. `wall_force` [N] and `wall_torque` [N m] are magnitudes of the
-        mean vectors; `wall_force_largest` [N] and `wall_pressure_largest` [Pa] are the largest means between two
-        samples. Names of the values between the last two samples end with `_last`.
+        The stage begins at the last sample before it. `wall_force` [N] and `wall_torque` [N m] are magnitudes
+        of the mean vectors; `wall_force_largest` [N] and `wall_pressure_largest` [Pa] are the largest means
+        between two samples. Names of the values between the last two samples end with `_last`.
         """
         duration = self._time - self._stage_time
         mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
@@ -150,7 +169,8 @@ class WallForceMeter:
         vars(self).update(saved)
 
     def _named(self, mean: np.ndarray) -> dict[str, float]:
-        """Return the components of a mean (7,) by name: force [N], torque [N m] and, with an area, pressure [Pa]."""
+        """Return the components of a mean (7,) by name: force [N], torque [N m] and, with an area, pressure
+        [Pa]."""
         quantities = ("force", "torque")
         names = [f"wall_{quantity}_{axis}" for quantity in quantities for axis in "xyz"]
         pressure = {} if self.area is None else {"wall_pressure": float(mean[6]) / self.area}
@@ -175,7 +195,8 @@ Meter = FlowMeter | WallForceMeter | MetricMeter
 
 @dataclass(frozen=True)
 class Row:
-    """One row of a time series: its time and that of the row before it [s], and its numbers by name as in `expect`."""
+    """One row of a time series: its time and that of the row before it [s], and its numbers by name as in
+    `expect`."""
 
     time: float
     time_before: float
@@ -183,17 +204,20 @@ class Row:
 
 
 class TimeSeries(ScheduledObserver):
-    """Writes the totals of the snapshots and the readings of flow meters, wall forces and metrics; flushes each row.
+    """Writes the totals of the snapshots and the readings of flow meters, wall forces and metrics; flushes
+    each row.
 
-    The first snapshot determines the columns: time [s], stage, its totals in the order of `granflow.fields`, then
-    for each flow meter the mass and number passed and the mass flow rate since the previous row, then for each measured
-    wall the mean force since the previous row, then the metrics. The header contains the units. Without a directory no
-    file is written, but meters, wall forces and metrics are updated.
+    The first snapshot determines the columns: time [s], stage, its totals in the order of `granflow.fields`,
+    then for each flow meter the mass and number passed and the mass flow rate since the previous row, then
+    for each measured wall the mean force since the previous row, then the metrics. The header contains the
+    units. Without a directory no file is written, but meters, wall forces and metrics are updated.
 
-    Each row covers at least SHORTEST_ROW of the interval: a snapshot that follows the last row earlier, at the end of a
-    run, replaces it, and its means are those since the row before. They would otherwise be those of one or a few steps.
+    Each row covers at least SHORTEST_ROW of the interval: a snapshot that follows the last row earlier, at
+    the end of a run, replaces it, and its means are those since the row before. They would otherwise be those
+    of one or a few steps.
 
-    `interval`, `start` [s]: of the rows, in simulated time. Raises ValueError for an interval that is not positive.
+    `interval`, `start` [s]: of the rows, in simulated time. Raises ValueError for an interval that is not
+    positive.
     """
 
     def __init__(
@@ -207,8 +231,10 @@ class TimeSeries(ScheduledObserver):
     ) -> None:
         super().__init__(interval, start)
         kinds: dict[str, Mapping[str, Meter] | None] = {
-            "flow_meters": flow_meters, "wall_forces": wall_forces, "metrics": metrics
-        }  # fmt: skip
+            "flow_meters": flow_meters,
+            "wall_forces": wall_forces,
+            "metrics": metrics,
+        }
         self.meters = {kind: dict(meters or {}) for kind, meters in kinds.items()}
         self.wants = frozenset({TOTALS, PARTICLES} if flow_meters else {TOTALS})
         self.wants = self.wants.union(*(metric.wants for metric in (metrics or {}).values()))
@@ -247,14 +273,16 @@ class TimeSeries(ScheduledObserver):
         self._rows.write([snapshot.time, snapshot.stage, *totals, *readings.values()], replaces_last)
 
     def _replaces_last(self, last: float | None, snapshot: Snapshot) -> bool:
-        """Whether the row of a snapshot replaces the last one, at `last` [s]: it is short, and of the same stage."""
+        """Whether the row of a snapshot replaces the last one, at `last` [s]: it is short, and of the same
+        stage."""
         if last is None or self._time_before is None or snapshot.stage != self._stage:
             return False
         return snapshot.time - last < SHORTEST_ROW * self._schedule.interval
 
     @property
     def last_row(self) -> Row | None:
-        """The last row of this process, from the present readings of the meters; without a request it costs nothing."""
+        """The last row of this process, from the present readings of the meters; without a request it costs
+        nothing."""
         if self._last is None:
             return None
         time, time_before, totals = self._last
@@ -267,7 +295,8 @@ class TimeSeries(ScheduledObserver):
             self._rows.close()
 
     def results_by_kind(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Return the final numbers of flow meters, measured walls and metrics: kind -> name -> quantity -> value.
+        """Return the final numbers of flow meters, measured walls and metrics: kind -> name -> quantity ->
+        value.
 
         The parts of a flow meter follow it, as `outlet.glass`.
         """
@@ -275,14 +304,21 @@ class TimeSeries(ScheduledObserver):
 
     def remarks(self) -> list[str]:
         """Return sentences on the last values of the metrics, such as the reason why one is NaN."""
-        found = {name: meter.remark for name, meter in self.meters["metrics"].items() if isinstance(meter, MetricMeter)}
+        found = {
+            name: meter.remark
+            for name, meter in self.meters["metrics"].items()
+            if isinstance(meter, MetricMeter)
+        }
         return [f"output.metrics.{name}: {sentence}." for name, sentence in found.items() if sentence]
 
     def _named(self, kind: str) -> Iterator[tuple[str, FlowCount | WallForceMeter | MetricMeter]]:
-        """Yield the meters of a kind by name; for flow meters the counts, of which parts have names of their own."""
+        """Yield the meters of a kind by name; for flow meters the counts, of which parts have names of their
+        own."""
         for name, meter in self.meters[kind].items():
             if isinstance(meter, FlowMeter):
-                yield from ((f"{name}.{part}".rstrip("."), count) for part, count in meter.flow_counts().items())
+                yield from (
+                    (f"{name}.{part}".rstrip("."), count) for part, count in meter.flow_counts().items()
+                )
             else:
                 yield name, meter
 
@@ -303,17 +339,25 @@ class TimeSeries(ScheduledObserver):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the file size [bytes], the columns, the last rows and the state of the meters."""
-        rows: dict[str, Any] = {"columns": self._names, "time_before": self._time_before, "stage": self._stage}
+        rows: dict[str, Any] = {
+            "columns": self._names,
+            "time_before": self._time_before,
+            "stage": self._stage,
+        }
         rows |= NO_ROWS if self._rows is None else self._rows.state_dict()
         meters = {
-            kind: {name: each.state_dict() for name, each in named.items()} for kind, named in self.meters.items()
+            kind: {name: each.state_dict() for name, each in named.items()}
+            for kind, named in self.meters.items()
         }
         return super().state_dict() | rows | meters
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state; later rows have the same columns. The meters must have the same names as those saved."""
+        """Restore the state; later rows have the same columns. The meters must have the same names as those
+        saved."""
         super().load_state_dict(saved)
-        self._names, self._time_before, self._stage = saved["columns"], saved["time_before"], saved["stage"]
+        self._names = saved["columns"]
+        self._time_before = saved["time_before"]
+        self._stage = saved["stage"]
         if self._rows is not None:
             self._rows.load_state_dict(saved)
         for kind, meters in self.meters.items():
@@ -326,7 +370,8 @@ class TimeSeries(ScheduledObserver):
         return self._rows is None or self._rows.is_intact
 
     def truncate(self) -> None:
-        """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining ones."""
+        """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining
+        ones."""
         if self._rows is not None:
             self._rows.truncate()
 

@@ -14,7 +14,8 @@ COMMAND_TAG, GHOST_TAG = 1, 2
 """Tags of messages."""
 
 POLL_SECONDS = 2e-4
-"""Interval [s] at which an idle rank looks for a command: it must not occupy a core while the root writes files."""
+"""Interval [s] at which an idle rank looks for a command: it must not occupy a core while the root writes
+files."""
 
 
 class Communicator:
@@ -28,8 +29,10 @@ class Communicator:
             raise GranflowError(
                 f"--mpi needs mpi4py and an MPI library ({reason}): pip install mpi4py mpich."
             ) from None
-        self._mpi, self._world = MPI, MPI.COMM_WORLD
-        self.rank, self.size = self._world.rank, self._world.size
+        self._mpi = MPI
+        self._world = MPI.COMM_WORLD
+        self.rank = self._world.rank
+        self.size = self._world.size
         self._depth = 0
 
     @property
@@ -51,7 +54,8 @@ class Communicator:
 
     @contextmanager
     def commanding(self, name: str, arguments: Sequence[Any] = ()) -> Iterator[None]:
-        """On the root: let the other ranks execute the command that the block executes here; nested blocks do not."""
+        """On the root: let the other ranks execute the command that the block executes here; nested blocks do
+        not."""
         if self.is_root and self._depth == 0:
             self.send_command(name, arguments)
         self._depth += 1
@@ -131,7 +135,9 @@ class Communicator:
 
     def _gathered(self, values: np.ndarray) -> np.ndarray:
         """One array (n, ...) of all ranks on the root; that of this rank on the others."""
-        sizes, found, receive = self._world.gather(values.nbytes), values, None
+        sizes = self._world.gather(values.nbytes)
+        found = values
+        receive = None
         if sizes is not None:
             row = values.dtype.itemsize * int(np.prod(values.shape[1:]))
             found = np.empty((sum(sizes) // row, *values.shape[1:]), values.dtype)

@@ -38,7 +38,8 @@ class Decomposition:
             is_cut = self.axis[node] != NO_CUT
             if not is_cut.any():
                 return self.rank[node]
-            rows, inner = np.flatnonzero(is_cut), node[is_cut]
+            rows = np.flatnonzero(is_cut)
+            inner = node[is_cut]
             above = position[rows, self.axis[inner]] >= self.cut[inner]
             node[rows] = self.child[inner] + above
 
@@ -49,17 +50,22 @@ def bisected(communicator: Communicator, position: np.ndarray, weights: np.ndarr
     position:  (n, 3) [m] of the particles of this rank
     weights:   (n,) integers: their sums are exact, so that all ranks find the same cuts
 
-    Each level of the tree cuts all its nodes at once, across their longest side, between the numbers of ranks of both
-    parts. Only sums are communicated.
+    Each level of the tree cuts all its nodes at once, across their longest side, between the numbers of ranks
+    of both parts. Only sums are communicated.
     """
-    first, ranks = [0], [communicator.size]
-    axis, cut, child = [NO_CUT], [0.0], [0]
-    node, level = np.zeros(len(position), np.int64), [0]
+    first = [0]
+    ranks = [communicator.size]
+    axis = [NO_CUT]
+    cut = [0.0]
+    child = [0]
+    node = np.zeros(len(position), np.int64)
+    level = [0]
     while level := [each for each in level if ranks[each] > 1]:
         row = np.full(len(ranks), -1)
         row[level] = np.arange(len(level))
         inside = row[node] >= 0
-        part, points = row[node[inside]], position[inside]
+        part = row[node[inside]]
+        points = position[inside]
         shares = np.array([(ranks[each] // 2) / ranks[each] for each in level])
         axes, cuts = _cuts(communicator, part, points, weights[inside], shares)
         below = []
@@ -69,7 +75,9 @@ def bisected(communicator: Communicator, position: np.ndarray, weights: np.ndarr
             below += [len(ranks), len(ranks) + 1]
             first += [first[each], first[each] + low]
             ranks += [low, ranks[each] - low]
-            axis, cut, child = [*axis, NO_CUT, NO_CUT], [*cut, 0.0, 0.0], [*child, 0, 0]
+            axis = [*axis, NO_CUT, NO_CUT]
+            cut = [*cut, 0.0, 0.0]
+            child = [*child, 0, 0]
         above = points[np.arange(len(points)), axes[part]] >= cuts[part]
         node[inside] = np.array(child)[node[inside]] + above
         level = below
@@ -95,7 +103,9 @@ def _cuts(
     high, low = largest[0], -largest[1]
     axes = np.argmax(high - low, axis=1)
     rows = np.arange(parts)
-    begin, end, along = low[rows, axes], high[rows, axes], points[np.arange(len(points)), axes[part]]
+    begin = low[rows, axes]
+    end = high[rows, axes]
+    along = points[np.arange(len(points)), axes[part]]
 
     def summed(selected: np.ndarray) -> np.ndarray:
         """Weight (k,) of the selected particles (n,) of each part."""
@@ -124,7 +134,8 @@ PARTICLE_WEIGHT, CONTACT_WEIGHT = 2, 1
 LARGEST_FACTOR = 2.0
 """Limit of the measured cost of a unit of weight on a rank over the mean, and of its inverse."""
 SHORTEST_STEP = 5e-4
-"""Mean computing time [s] of a step below which costs are those of the weights: it is mostly that of the launches."""
+"""Mean computing time [s] of a step below which costs are those of the weights: it is mostly that of the
+launches."""
 WEIGHT_STEPS = 256
 """Integer steps of a weight: sums of integers are equal on all ranks."""
 
@@ -146,8 +157,9 @@ class MeasuredCost:
 class LoadBalance:
     """Decomposes space into parts of equal cost.
 
-    The cost of a particle is its weight, which grows with its contacts, times the time per weight that its rank has
-    measured: the mean of the steps since the last migration, so that a slower or shared core has fewer particles.
+    The cost of a particle is its weight, which grows with its contacts, times the time per weight that its
+    rank has measured: the mean of the steps since the last migration, so that a slower or shared core has
+    fewer particles.
 
     `migration_seconds`: time [s] of the last migration.
     """
@@ -155,12 +167,14 @@ class LoadBalance:
     def __init__(self, communicator: Communicator) -> None:
         self._communicator = communicator
         self._decomposition: Decomposition | None = None
-        self._seconds, self._steps = 0.0, 0
+        self._seconds = 0.0
+        self._steps = 0
         self.migration_seconds = np.inf
 
     def record(self, seconds: float) -> None:
         """Account for a step that took this computing time [s] on this rank, without messages."""
-        self._seconds, self._steps = self._seconds + seconds, self._steps + 1
+        self._seconds = self._seconds + seconds
+        self._steps = self._steps + 1
 
     @property
     def cost(self) -> MeasuredCost:
@@ -177,7 +191,8 @@ class LoadBalance:
         weights = PARTICLE_WEIGHT + CONTACT_WEIGHT * contacts
         gathered = self._communicator.from_each((int(weights.sum()), self.cost.step))
         sums, seconds = map(np.array, zip(*gathered, strict=True))
-        self._seconds, self._steps = 0.0, 0
+        self._seconds = 0.0
+        self._steps = 0
         factors = relative_costs(sums, seconds)
         costs = factors * sums
         if self._decomposition is None or costs.max() > IMBALANCE * costs.mean():

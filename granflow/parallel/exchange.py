@@ -14,7 +14,8 @@ from granflow.fields import PARTICLE_QUANTITIES
 from granflow.parallel.communicator import Communicator
 
 REBUILD, ABORT, PARTICLE, STOP, FLAGS = range(5)
-"""Flags of a rank: rebuild requested, abort code, minus the id of the abort, stop requested; and their number."""
+"""Flags of a rank: rebuild requested, abort code, minus the id of the abort, stop requested; and their
+number."""
 MARGIN = 1.0 + 1e-5
 """Factor of distances above rounding, in all precisions: more ghosts than necessary are harmless."""
 
@@ -29,7 +30,8 @@ class Box:
 
 
 def reaches(state: State, arrays: Arrays, reach_time: float) -> np.ndarray:
-    """Radius plus an upper bound of the reach (n,) [m] of particles, see `engine.neighbor.bounds.bounds_phases`."""
+    """Radius plus an upper bound of the reach (n,) [m] of particles, see
+    `engine.neighbor.bounds.bounds_phases`."""
     plan = state.plan
     velocity = arrays["velocity"].astype(float)
     speed = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
@@ -55,8 +57,10 @@ def within(state: State, box: Box, position: np.ndarray, reach: np.ndarray) -> n
     """
     if box.low[0] > box.high[0]:
         return np.zeros(0, np.int64)
-    plan, gaps = state.plan, np.zeros((len(position), 3))
-    motion, sheared = plan.periodic_box.image_motion, np.full(len(position), np.inf)
+    plan = state.plan
+    gaps = np.zeros((len(position), 3))
+    motion = plan.periodic_box.image_motion
+    sheared = np.full(len(position), np.inf)
     for axis in range(3):
         gaps[:, axis] = _gap(position[:, axis], box.low[axis], box.high[axis])
         if axis in plan.periodic_box.axes:
@@ -76,7 +80,9 @@ def within(state: State, box: Box, position: np.ndarray, reach: np.ndarray) -> n
 def _image_gap(state: State, box: Box, position: np.ndarray, axis: int) -> np.ndarray:
     """Distance (n,) [m] of the nearest periodic images from the box along an axis."""
     width = state.plan.domain_high[axis] - state.plan.domain_low[axis]
-    above, below = (_gap(position[:, axis] + shift, box.low[axis], box.high[axis]) for shift in (width, -width))
+    above, below = (
+        _gap(position[:, axis] + shift, box.low[axis], box.high[axis]) for shift in (width, -width)
+    )
     found: np.ndarray = np.minimum(above, below)
     return found
 
@@ -93,7 +99,8 @@ class GhostExchange:
     """
 
     def __init__(self, state: State, communicator: Communicator) -> None:
-        self._state, self._communicator = state, communicator
+        self._state = state
+        self._communicator = communicator
         self._flags = np.zeros(FLAGS, np.int32)
         self.first = self.count = 0
         self._prepare([], [])
@@ -104,7 +111,8 @@ class GhostExchange:
         arrays:      position, velocity, radius and reach of the owned particles
         reach_time:  [s], see `engine.neighbor.bounds.bounds_phases`
         """
-        communicator, position = self._communicator, arrays["position"].astype(float)
+        communicator = self._communicator
+        position = arrays["position"].astype(float)
         reach = reaches(self._state, arrays, reach_time)
         boxes = communicator.from_each(box_of(position, reach))
         return [
@@ -123,8 +131,10 @@ class GhostExchange:
         return joined_arrays(received)
 
     def _prepare(self, entries: list[np.ndarray], received: list[int]) -> None:
-        """Allocate the buffers: `entries` (k,) to send to each rank, number of ghosts `received` from each rank."""
-        records, self.count = _records(self._state), sum(received)
+        """Allocate the buffers: `entries` (k,) to send to each rank, number of ghosts `received` from each
+        rank."""
+        records = _records(self._state)
+        self.count = sum(received)
         self._entries = np.concatenate(entries or [np.zeros(0, np.int64)])
         self._out, self._in = (np.zeros(size, records.dtype) for size in (len(self._entries), self.count))
         self._sends = _parts(self._out, [len(rows) for rows in entries])
@@ -138,11 +148,13 @@ class GhostExchange:
         records[self.first : self.first + self.count] = self._in
 
     def agree(self, stop: int, rebuild: bool = False) -> tuple[bool, int]:
-        """Whether any rank requests a rebuild, and the largest request of a stop; an abort of one is that of all.
+        """Whether any rank requests a rebuild, and the largest request of a stop; an abort of one is that of
+        all.
 
         stop, rebuild:  what this rank requests
         """
-        control, flags = self._state.control, self._flags
+        control = self._state.control
+        flags = self._flags
         flags[STOP], flags[REBUILD] = stop, int(rebuild)
         flags[ABORT], flags[PARTICLE] = int(control.abort[0]), -NO_PARTICLE
         if flags[ABORT]:
@@ -154,7 +166,8 @@ class GhostExchange:
 
 
 def _records(state: State) -> np.ndarray:
-    """Records (capacity,) of positions, velocities and angular velocities, with radii and masses between them."""
+    """Records (capacity,) of positions, velocities and angular velocities, with radii and masses between
+    them."""
     return state.built(_motion_records)
 
 
@@ -164,8 +177,10 @@ def _motion_records(state: State) -> np.ndarray:
 
 
 def _parts(buffer: np.ndarray, lengths: list[int]) -> list[tuple[int, np.ndarray]]:
-    """Rank and part of the buffer of records (sum of the lengths,), as bytes, for each rank with a length above 0."""
-    ends, bytes_of = buffer.itemsize * np.cumsum([0, *lengths]), buffer.view(np.uint8)
+    """Rank and part of the buffer of records (sum of the lengths,), as bytes, for each rank with a length
+    above 0."""
+    ends = buffer.itemsize * np.cumsum([0, *lengths])
+    bytes_of = buffer.view(np.uint8)
     return [(rank, bytes_of[ends[rank] : ends[rank + 1]]) for rank, length in enumerate(lengths) if length]
 
 
@@ -179,7 +194,8 @@ class Share:
     arrays:     saved fields (n, ...)
     histories:  of the particles before the migration, and of the arrived ones
     rows:       (n,) which of `histories` each particle is, counted over both
-    left, left_id:  (m,) which of `histories` the particles are that other ranks own now, and their ids, ascending
+    left, left_id:  (m,) which of `histories` the particles are that other ranks own now, and their ids,
+                    ascending
     """
 
     arrays: Arrays
@@ -189,7 +205,8 @@ class Share:
     left_id: np.ndarray
 
     def ghost_rows(self, ids: np.ndarray) -> np.ndarray:
-        """Which of `histories` the ghosts with these ids (k,) are; WITHOUT_HISTORY if this rank has not owned them."""
+        """Which of `histories` the ghosts with these ids (k,) are; WITHOUT_HISTORY if this rank has not owned
+        them."""
         if not len(self.left):
             return np.full(len(ids), WITHOUT_HISTORY)
         place = np.minimum(np.searchsorted(self.left_id, ids), len(self.left) - 1)
@@ -197,7 +214,11 @@ class Share:
 
 
 def migrated(
-    communicator: Communicator, particles: HostParticles, present: np.ndarray, to_rank: np.ndarray, cell_size: float
+    communicator: Communicator,
+    particles: HostParticles,
+    present: np.ndarray,
+    to_rank: np.ndarray,
+    cell_size: float,
 ) -> Share:
     """Send particles to their ranks, and receive those of this rank; all ranks call this together.
 
@@ -210,7 +231,8 @@ def migrated(
     leaving = [present[to_rank == rank] if rank != communicator.rank else present[:0] for rank in ranks]
     arrived = joined_particles(communicator.exchanged([particles.of(rows) for rows in leaving]))
     rows = np.concatenate([present[to_rank == communicator.rank], particles.count + np.arange(arrived.count)])
-    before, ids = particles.arrays, particles.arrays["id"]
+    before = particles.arrays
+    ids = particles.arrays["id"]
     rows = rows[cell_order(_rows_of_both(before["position"], arrived.arrays["position"], rows), cell_size)]
     arrays = {name: _rows_of_both(values, arrived.arrays[name], rows) for name, values in before.items()}
     left = np.concatenate(leaving)

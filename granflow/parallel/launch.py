@@ -5,7 +5,8 @@ import os
 from granflow.errors import GranflowError
 
 SIZE_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "SLURM_STEP_NUM_TASKS")
-"""Environment variables with the number of ranks, set by the mpirun of Open MPI, MPICH and Intel MPI, and by srun."""
+"""Environment variables with the number of ranks, set by the mpirun of Open MPI, MPICH and Intel MPI, and by
+srun."""
 
 
 def launched_ranks() -> int:

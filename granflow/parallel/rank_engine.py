@@ -39,13 +39,15 @@ def share_of_checkpoint(
     files: RankFiles | None,
     accounting: Mapping[str, Any],
 ) -> tuple[HostParticles, str | None]:
-    """The particles that this rank reads, and a sentence on a problem of any rank, or None; all ranks call this.
+    """The particles that this rank reads, and a sentence on a problem of any rank, or None; all ranks call
+    this.
 
     particles:   of the checkpoint itself, on the root
     files:       with the other particles
     accounting:  state of `Accounting`
     """
-    parts, problem = [no_particles(state) if particles is None else particles], None
+    parts = [no_particles(state) if particles is None else particles]
+    problem = None
     try:
         if files is not None:  # the root, which has particles already, is the last one to read a file
             for number in range((communicator.rank - 1) % communicator.size, files.count, communicator.size):
@@ -74,9 +76,12 @@ def _first(communicator: Communicator, problem: str | None) -> str | None:
 def _contradiction(communicator: Communicator, particles: HostParticles) -> str | None:
     """A sentence if a particle is in two files, or a contact between two particles at one of them only.
 
-    Each rank compares the ids, and the contacts by their lower id, with its number modulo the number of ranks.
+    Each rank compares the ids, and the contacts by their lower id, with its number modulo the number of
+    ranks.
     """
-    ids, histories, size = particles.arrays["id"], particles.histories, communicator.size
+    ids = particles.arrays["id"]
+    histories = particles.histories
+    size = communicator.size
     pairs = np.stack([ids[histories.owner], histories.partner], axis=1)[histories.partner >= 0]
     lower = pairs.min(axis=1, initial=2**31 - 1)
     sent = [(ids[ids % size == rank], pairs[lower % size == rank]) for rank in range(size)]
@@ -189,7 +194,8 @@ class RankEngine(Engine):
         """Take a part of the particles; the next rebuild moves them to the ranks that own their positions."""
         assert isinstance(self.stepper, RankStepper)
         share = np.array_split(np.arange(len(arrays["id"])), self.communicator.size)[self.communicator.rank]
-        table, part = saved_particle_table(self.state), {}
+        table = saved_particle_table(self.state)
+        part = {}
         for name, example in table.take(np.zeros(0, np.int32)).items():
             values = arrays.get(name, PARTICLE_QUANTITIES[name].default)
             values = np.broadcast_to(values, (len(arrays["id"]), *example.shape[1:]))
@@ -197,7 +203,8 @@ class RankEngine(Engine):
         self.stepper.pending.append(part)
 
     def on_each_rank(self, task: Callable[[Engine, int], _T]) -> list[_T]:
-        """As `Engine`; the results of all ranks on the root. `task` is a function of a module, or a partial one."""
+        """As `Engine`; the results of all ranks on the root. `task` is a function of a module, or a partial
+        one."""
         found: _T | OSError
         with self.communicator.commanding("on_each_rank", (task,)):
             try:
@@ -224,7 +231,9 @@ class RankEngine(Engine):
         """
         arguments = (dict(saved) | {"energy_budget": {}}, None, motions, files)
         with self.communicator.commanding("restore", arguments):
-            share, problem = share_of_checkpoint(self.state, self.communicator, particles, files, saved["accounting"])
+            share, problem = share_of_checkpoint(
+                self.state, self.communicator, particles, files, saved["accounting"]
+            )
             if problem is None:
                 super().restore(saved, share, motions)
         if problem is not None and self.communicator.is_root:
@@ -249,7 +258,8 @@ class RankEngine(Engine):
         """Diagnosis on the root, computed by the rank of the particle; None on the other ranks."""
         assert isinstance(self.stepper, RankStepper)
         with self.communicator.commanding("rank_diagnosis"):
-            code, particle = self.stepper.abort_code, int(self.state.control.abort_particle[0])
+            code = self.stepper.abort_code
+            particle = int(self.state.control.abort_particle[0])
             found = None
             if self.stepper.holds(particle) or (code == ABORT_WALL and self.communicator.is_root):
                 found = diagnose(code, particle, self.state, self.time, self._started, self._stopping_change)

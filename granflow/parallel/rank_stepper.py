@@ -1,4 +1,5 @@
-"""Time steps of one MPI rank: integration, exchange of ghosts, rebuild if any rank requests it, contact forces."""
+"""Time steps of one MPI rank: integration, exchange of ghosts, rebuild if any rank requests it, contact
+forces."""
 
 import time as clock
 from collections.abc import Callable, Iterator
@@ -39,8 +40,8 @@ from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS
 UNUSED = -1
 """Id of array entries that contain no particle."""
 MIGRATION_INTERVAL = 8
-"""Rebuilds from one migration to the next, unless deletion, insertion, the number of ghosts or unequal times of the
-ranks require it earlier."""
+"""Rebuilds from one migration to the next, unless deletion, insertion, the number of ghosts or unequal times
+of the ranks require it earlier."""
 MORE_GHOSTS = 1.25
 """Ghosts of a rank over those after the last migration above which particles migrate."""
 SEARCHED = ("position", "velocity", "radius", "reach", "fixed")
@@ -52,10 +53,11 @@ class RankRebuild:
 
     state:       device data of this rank
     on_deleted:  receives the arrays DELETED_FIELDS of the particles of all ranks that are deleted
-    grow:        compiles all kernels again for arrays of larger capacities, (particles, list entries, longest list)
+    grow:        compiles all kernels again for arrays of larger capacities, (particles, list entries, longest
+                 list)
 
-    `pending`: particles that the next rebuild appends, all saved fields. `total_count`: particles of all ranks at the
-    last rebuild. `balance`: decides which rank owns a particle.
+    `pending`: particles that the next rebuild appends, all saved fields. `total_count`: particles of all
+    ranks at the last rebuild. `balance`: decides which rank owns a particle.
     """
 
     def __init__(
@@ -65,7 +67,10 @@ class RankRebuild:
         on_deleted: Callable[[Arrays], None],
         grow: Callable[[int, int, int], None],
     ) -> None:
-        self._state, self._communicator, self._on_deleted, self._grow = state, communicator, on_deleted, grow
+        self._state = state
+        self._communicator = communicator
+        self._on_deleted = on_deleted
+        self._grow = grow
         self.ghosts = GhostExchange(state, communicator)
         self.pending: list[Arrays] = []
         self.total_count = 0
@@ -86,12 +91,14 @@ class RankRebuild:
         pose:     index of the wall poses at the time of the positions
         workers:  number of workers of the launch
         """
-        state, reach_time = self._state, REACH_STEPS * self._state.clock.time_step
+        state = self._state
+        reach_time = REACH_STEPS * self._state.clock.time_step
         mark_rebuild(state)  # displacements of walls count from here
         if self._replace_ghosts(pose, workers, reach_time):
             self._fill(pose, workers, reach_time)
         else:
-            began, particles = clock.perf_counter(), self._taken()
+            began = clock.perf_counter()
+            particles = self._taken()
             present, deleted = self._without_deleted(particles.arrays)
             self._list(particles, present, deleted, pose, workers, reach_time)
             self.balance.migration_seconds = clock.perf_counter() - began
@@ -133,7 +140,8 @@ class RankRebuild:
         if not self._agree_to_keep(stays, [len(rows) for rows in entries]):
             return False
         self._rebuilds_left -= 1
-        table, first = saved_particle_table(state), self.ghosts.first
+        table = saved_particle_table(state)
+        first = self.ghosts.first
         ghosts = self.ghosts.exchanged(entries, table.take)
         self._deleted = set()
         self._ids = np.concatenate([self._ids[:first], ghosts["id"]])
@@ -154,7 +162,8 @@ class RankRebuild:
         return all(all_stay) and bool((np.sum(numbers, axis=0) <= limits).all()) and not migration_pays(costs)
 
     def _prepare(self, pose: int, workers: int, count: int) -> bool:
-        """Wrap the owned particles and save their contact histories on the device; False if these do not fit."""
+        """Wrap the owned particles and save their contact histories on the device; False if these do not
+        fit."""
         state = self._state
         launch = state.built(ChunkKernel).launch
         if launch is None:
@@ -179,8 +188,11 @@ class RankRebuild:
         """
         share = self._share(particles, present)
         entries = self.ghosts.selected(share.arrays, reach_time)
-        ghosts = self.ghosts.exchanged(entries, lambda rows: {name: each[rows] for name, each in share.arrays.items()})
-        self._rebuilds_left, self._ghosts_at_migration = MIGRATION_INTERVAL - 1, self.ghosts.count
+        ghosts = self.ghosts.exchanged(
+            entries, lambda rows: {name: each[rows] for name, each in share.arrays.items()}
+        )
+        self._rebuilds_left = MIGRATION_INTERVAL - 1
+        self._ghosts_at_migration = self.ghosts.count
         self._place(share, ghosts, deleted)
         self._fill(pose, workers, reach_time)
         return share
@@ -191,7 +203,9 @@ class RankRebuild:
 
     def _taken(self) -> HostParticles:
         """The particles of the device and the pending ones, in the periodic box."""
-        state, pending, self.pending = self._state, self.pending, []
+        state = self._state
+        pending = self.pending
+        self.pending = []
         arrays = joined_arrays([saved_particle_table(state).take(slice(0, state.count)), *pending])
         # Integration has wrapped all but pending particles.
         arrays["position"][...] = state.plan.periodic_box.at(state.clock.time).wrap(arrays["position"])
@@ -209,15 +223,19 @@ class RankRebuild:
 
     def _share(self, particles: HostParticles, present: np.ndarray) -> Share:
         """The particles that this rank owns from now on."""
-        plan, communicator = self._state.plan, self._communicator
+        plan = self._state.plan
+        communicator = self._communicator
         self.total_count = int(communicator.sums(np.array([len(present)]))[0])
-        position, contacts = particles.arrays["position"][present].astype(float), self._contacts(particles)[present]
+        position = particles.arrays["position"][present].astype(float)
+        contacts = self._contacts(particles)[present]
         owners = self.balance.owners(position, contacts)
         return migrated(communicator, particles, present, owners, 2.0 * plan.radius_max + plan.skin)
 
     def _contacts(self, particles: HostParticles) -> np.ndarray:
-        """Number (n,) of contacts in the list of each particle; without a history, that of candidate pairs."""
-        neighbors, listed = self._state.neighbors, self._state.count
+        """Number (n,) of contacts in the list of each particle; without a history, that of candidate
+        pairs."""
+        neighbors = self._state.neighbors
+        listed = self._state.count
         if neighbors.history:
             return particles.histories.count
         found = np.zeros(particles.count, np.int64)
@@ -227,24 +245,30 @@ class RankRebuild:
     def _place(self, share: Share, ghosts: Arrays, deleted: Arrays) -> None:
         """Write owned particles, contact histories and ghosts to the device.
 
-        Entries between the particles and the ghosts repeat the last owned particle. Deleted particles are behind the
-        ghosts, for the diagnosis of an abort.
+        Entries between the particles and the ghosts repeat the last owned particle. Deleted particles are
+        behind the ghosts, for the diagnosis of an abort.
         """
-        state, count, ghost_count = self._state, len(share.rows), len(ghosts["id"])
+        state = self._state
+        count = len(share.rows)
+        ghost_count = len(ghosts["id"])
         first = -(-count // state.plan.chunk_size) * state.plan.chunk_size
         end = first + ghost_count
         self._grow_arrays(end + len(deleted["id"]), sum(len(each.partner) for each in share.histories))
-        state.count, self.ghosts.first = count, first
+        state.count = count
+        self.ghosts.first = first
         state.cell_sort.owned_count[0], state.cell_sort.ghost_first[0] = count, first
         gap = np.full(first - count, count - 1)
         between = {name: values[gap] for name, values in share.arrays.items()}
         between["id"] = np.full(len(gap), UNUSED, np.int32)
-        table, begin = saved_particle_table(state), 0
+        table = saved_particle_table(state)
+        begin = 0
         for part in (share.arrays, between, ghosts, deleted):
             table.put(slice(begin, begin + len(part["id"])), part)
             begin += len(part["id"])
         without = np.full(len(gap), WITHOUT_HISTORY)
-        self._histories.write(share.histories, np.concatenate([share.rows, without, share.ghost_rows(ghosts["id"])]))
+        self._histories.write(
+            share.histories, np.concatenate([share.rows, without, share.ghost_rows(ghosts["id"])])
+        )
         self._ids = np.concatenate([share.arrays["id"], between["id"], ghosts["id"]])
         self._deleted = {*deleted["id"].tolist()}
 
@@ -263,7 +287,9 @@ class RankRebuild:
         """Fill the neighbor lists; again after they have grown on all ranks, if one of them is too short."""
         state = self._state
         while True:
-            kernel, step, needed = state.built(RebuildKernel), state.clock.time_step, 0
+            kernel = state.built(RebuildKernel)
+            step = state.clock.time_step
+            needed = 0
             control = state.control
             if state.count:
                 end = self.ghosts.first + self.ghosts.count
@@ -271,7 +297,9 @@ class RankRebuild:
                 needed = int(control.list_length_needed[0])
             control.rebuild_due[0] = control.rebuild_requested[0] = 0
             too_long, length = divmod(needed, TOO_LONG)
-            length, longest = self._communicator.largest_of(np.array([length, length * min(too_long, 1)])).tolist()
+            length, longest = self._communicator.largest_of(
+                np.array([length, length * min(too_long, 1)])
+            ).tolist()
             if length <= state.capacities.list_entries_per_segment and not longest:
                 return
             self._grow(0, length, longest and longest + BATCH + LANES)
@@ -286,11 +314,13 @@ def grown_plan_capacity(state: State, particles: int) -> None:
 class RankStepper(Stepper):
     """As `Stepper`, for the particles of one rank; all ranks call each function together.
 
-    Each phase of a step is a separate launch. The ranks agree on rebuilds, aborts and stops after the integration and
-    after the forces, so that all of them take the same steps.
+    Each phase of a step is a separate launch. The ranks agree on rebuilds, aborts and stops after the
+    integration and after the forces, so that all of them take the same steps.
     """
 
-    def __init__(self, state: State, communicator: Communicator, on_deleted: Callable[[Arrays], None]) -> None:
+    def __init__(
+        self, state: State, communicator: Communicator, on_deleted: Callable[[Arrays], None]
+    ) -> None:
         self._requested = self._agreed = 0
         self._communicator = communicator
         super().__init__(state, on_deleted)
@@ -322,7 +352,8 @@ class RankStepper(Stepper):
 
     def begin_advance(self) -> None:
         """Clear the stop of the last call of `advance`, after which the root has continued."""
-        self._agreed, self.stop_signal = 0, 0
+        self._agreed = 0
+        self.stop_signal = 0
 
     def end_advance(self) -> None:
         """Clear the request of this rank, if all ranks have stopped; the root clears its own."""
@@ -336,7 +367,8 @@ class RankStepper(Stepper):
 
     def _grow_capacities(self, particles: int, needed: int, longest: int) -> None:
         """Increase the arrays to at least these capacities, and build all kernels again."""
-        state, self.timing.growth_count = self.state, self.timing.growth_count + 1
+        state = self.state
+        self.timing.growth_count = self.timing.growth_count + 1
         grown_plan_capacity(state, particles)
         capacities = state.capacities.grown(max(needed, state.capacities.list_entries_per_segment), longest)
         if particles:
@@ -352,7 +384,8 @@ class RankStepper(Stepper):
         self._sum_wall_forces()
 
     def _sum_wall_forces(self) -> None:
-        """Write the force of all ranks on each force-controlled wall as that of the first chunk of each rank."""
+        """Write the force of all ranks on each force-controlled wall as that of the first chunk of each
+        rank."""
         if self.state.wall_dynamics is None:
             return
         field = self.state.wall_dynamics.wall_force
@@ -363,7 +396,8 @@ class RankStepper(Stepper):
         field.from_numpy(by_chunk)
 
     def _agree(self, rebuild: bool = False) -> bool:
-        """Whether any rank requests a rebuild; also agrees on an abort and a stop. Waits for the slowest rank."""
+        """Whether any rank requests a rebuild; also agrees on an abort and a stop. Waits for the slowest
+        rank."""
         is_due, self._agreed = self._rank_rebuild.ghosts.agree(self._requested, rebuild)
         return is_due
 
@@ -373,7 +407,8 @@ class RankStepper(Stepper):
         self._prepare_workers()
         self.poses.prepare(step, self.steps_since_rebuild)
         state.control.steps_done[0] = 0
-        began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
+        began = clock.perf_counter()
+        rebuild_seconds = self.timing.neighbor_list
         write_force_inputs(state, step + 1)
         moving = self._launch_phase(forcing=0)
         with self._recorded("waiting"):

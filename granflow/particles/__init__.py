@@ -1,1 +1,2 @@
-"""Particles of a scene: sizes, regions, packings, particle files, insertion, and the counts that follow from them."""
+"""Particles of a scene: sizes, regions, packings, particle files, insertion, and the counts that follow from
+them."""

@@ -1,4 +1,5 @@
-"""Motions of walls from CSV files: the rows of a file become the columns of the motion in the resolved scene."""
+"""Motions of walls from CSV files: the rows of a file become the columns of the motion in the resolved
+scene."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -30,17 +31,30 @@ RowProblem = tuple[int, str]
 SEPARATORS = (";", ",", "\t", None)
 """Separators of text files, in the order in which they are tried; None stands for white space."""
 COLUMN_NAMES = {
-    "position": ("", "p", "pos", "position", "point", "points", "coord", "coordinate", "coordinates", "center"),
+    "position": (
+        "",
+        "p",
+        "pos",
+        "position",
+        "point",
+        "points",
+        "coord",
+        "coordinate",
+        "coordinates",
+        "center",
+    ),
     "velocity": ("v", "vel", "velocity"),
     "angular_velocity": ("w", "omega", "spin", "angular_velocity", "angvel", "angularvelocity"),
 }
-"""Names of each vector without its axis, in lowercase without punctuation; with an empty name, the axis alone."""
+"""Names of each vector without its axis, in lowercase without punctuation; with an empty name, the axis
+alone."""
 SCALAR_NAMES = {
     "radius": ("r", "rad", "radius"),
     "diameter": ("d", "dia", "diam", "diameter"),
     "material": ("material", "mat", "materialname", "materialid"),
 }
-"""Names of the columns with the size of the particles, and with the material: its name, or its number in the scene."""
+"""Names of the columns with the size of the particles, and with the material: its name, or its number in the
+scene."""
 COLUMN_DIMENSIONS = dict.fromkeys(("position", "radius", "diameter"), "length") | {
     name: name for name in ("velocity", "angular_velocity")
 }
@@ -54,9 +68,9 @@ UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 class ParticleTable:
     """Arrays of the n particles of a file.
 
-    `position` (n, 3) [m], `radius` (n,) [m]; `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s] and `material`
-    (n,) (text), or None if the file does not have them; `line` (n,): line number from 1, or for a frame the point
-    number from 0. Floats are float64.
+    `position` (n, 3) [m], `radius` (n,) [m]; `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s] and
+    `material` (n,) (text), or None if the file does not have them; `line` (n,): line number from 1, or for a
+    frame the point number from 0. Floats are float64.
     """
 
     path: Path
@@ -79,18 +93,20 @@ class ParticleTable:
 def read_particles(path: Path) -> ParticleTable:
     """The particles in a file: text (CSV or columns separated by semicolons, tabs or spaces), or a VTU frame.
 
-    Numbers are converted to SI by the units in the header; without a unit they are SI. A file is read once per
-    modification time and size (cache).
+    Numbers are converted to SI by the units in the header; without a unit they are SI. A file is read once
+    per modification time and size (cache).
 
-    Raises SceneError with a message for each invalid row, up to `MOST_SHOWN`, or one message if the file is not
-    readable, too large, or has no particles.
+    Raises SceneError with a message for each invalid row, up to `MOST_SHOWN`, or one message if the file is
+    not readable, too large, or has no particles.
     """
     try:
         status = path.stat()
         if not path.is_file():
             raise SceneError(f"{path}: this is not a regular file; give a table of particles.")
         if status.st_size > LARGEST_FILE:
-            raise SceneError(f"{path}: this file is larger than {LARGEST_FILE // 2**30} GiB, too large for a table.")
+            raise SceneError(
+                f"{path}: this file is larger than {LARGEST_FILE // 2**30} GiB, too large for a table."
+            )
         return _read(path, status.st_mtime_ns, status.st_size)
     except FileError as error:
         raise SceneError(error.problems) from None
@@ -117,7 +133,9 @@ def _read(path: Path, changed: int, size: int) -> ParticleTable:
     if problems:
         shown = [f"{path}:{line}: {sentence}" for line, sentence in problems[:MOST_SHOWN]]
         more = len(problems) - MOST_SHOWN
-        raise SceneError([*shown, *([f"{path}: {more} more rows have problems, which are not shown."] * (more > 0))])
+        raise SceneError(
+            [*shown, *([f"{path}: {more} more rows have problems, which are not shown."] * (more > 0))]
+        )
     if not len(table):
         raise SceneError(f"{path}: the file contains no particles.")
     return table
@@ -145,7 +163,9 @@ def _frame(path: Path) -> ParticleTable:
     data = mesh.point_data
     known = [name for name in ("radius", "diameter") if name in data]
     if not known:
-        raise SceneError(f"{path}: the points have no array radius; their arrays are: {', '.join(data) or 'none'}.")
+        raise SceneError(
+            f"{path}: the points have no array radius; their arrays are: {', '.join(data) or 'none'}."
+        )
     count = len(mesh.points)
     if len(known) == 2 and data["radius"].size == data["diameter"].size == count:
         differs = _differ(2.0 * data["radius"].reshape(count), data["diameter"].reshape(count))
@@ -173,11 +193,13 @@ def _frame(path: Path) -> ParticleTable:
 
 
 def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
-    """Particles of a text file, and the problems of its rows, sorted by line. Raises SceneError for the header."""
+    """Particles of a text file, and the problems of its rows, sorted by line. Raises SceneError for the
+    header."""
     table = table_in(read_regular_text(path, LARGEST_FILE), path, SEPARATORS, _is_header)
     if table is None:
         raise SceneError(f"{path}: the file contains no particles.")
-    columns, width = _columns_by_quantity(table.names), len(table.names)
+    columns = _columns_by_quantity(table.names)
+    width = len(table.names)
     if not _is_header(table.names):
         raise SceneError(
             f"{path}:{table.heading_line}: the first line must be a header with the columns x, y, z and r (or radius, "
@@ -200,7 +222,9 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
     radius = numbers["radius"] if "radius" in numbers else 0.5 * numbers["diameter"]
     motion = numbers.get("velocity"), numbers.get("angular_velocity")
     line = np.array([line for line, _ in table.rows], dtype=np.int64)
-    return ParticleTable(path, numbers["position"], radius.reshape(-1), *motion, material, line), sorted(problems)
+    return ParticleTable(path, numbers["position"], radius.reshape(-1), *motion, material, line), sorted(
+        problems
+    )
 
 
 def _refuse_incomplete(path: Path, table: Table) -> None:
@@ -215,7 +239,8 @@ def _refuse_incomplete(path: Path, table: Table) -> None:
 
 
 def _contradictions(path: Path, table: Table) -> Iterator[RowProblem]:
-    """The first row of each two columns that give different values for one number, such as radius and diameter."""
+    """The first row of each two columns that give different values for one number, such as radius and
+    diameter."""
     matches = _matches(table.names)
     pairs = [
         (quantity, columns[0], other, 1.0)
@@ -231,7 +256,9 @@ def _contradictions(path: Path, table: Table) -> Iterator[RowProblem]:
             yield problem
 
 
-def _contradiction(path: Path, table: Table, quantity: str, first: int, other: int, factor: float) -> RowProblem | None:
+def _contradiction(
+    path: Path, table: Table, quantity: str, first: int, other: int, factor: float
+) -> RowProblem | None:
     """The first row in which a column is not `factor` times another one, `other`; None without such a row."""
     if quantity == "material":
         differs = np.array(table.texts(first)) != np.array(table.texts(other))
@@ -256,15 +283,17 @@ def _numbers(table: Table, index: int, problems: list[RowProblem]) -> np.ndarray
     for k in np.flatnonzero(np.isnan(numbers)):
         line, cells = table.rows[k]
         if not is_number(cells[index]):
-            problems.append((line, f"{table.names[index]} is {cells[index] or 'empty'}, but a number is expected."))
+            problems.append(
+                (line, f"{table.names[index]} is {cells[index] or 'empty'}, but a number is expected.")
+            )
     return numbers
 
 
 def _columns_by_quantity(names: Sequence[str]) -> dict[str, list[int]]:
     """Column numbers of each quantity whose components are complete.
 
-    Names are compared in lowercase without units and punctuation, so that "Velocity:0", "v_x" and "vx [m/s]" are
-    recognized; see COLUMN_NAMES.
+    Names are compared in lowercase without units and punctuation, so that "Velocity:0", "v_x" and "vx [m/s]"
+    are recognized; see COLUMN_NAMES.
     """
     found = {}
     for quantity, components in _matches(names).items():
@@ -326,7 +355,9 @@ def table_of(group: SceneGroup) -> ParticleTable:
     try:
         path = resolved(group.folder / insertion.file)
     except OSError as error:
-        raise SceneError(f"{group.folder / insertion.file}: the file cannot be read: {error.strerror}.") from None
+        raise SceneError(
+            f"{group.folder / insertion.file}: the file cannot be read: {error.strerror}."
+        ) from None
     location = group.locate("insert", "file")
     if not path.exists():
         key = f"particles.{group.name}.insert.file"
@@ -347,14 +378,16 @@ def rows_of(group: SceneGroup) -> ParticleTable:
         return table
     is_own = np.isin(table.material, _material_names(group))
     if not is_own.any():
-        location, material = group.locate("material"), group.spec.material
+        location = group.locate("material")
+        material = group.spec.material
         others = ", ".join(sorted(set(table.material.tolist()))[:5])
         raise SceneError(f"{location}: no row of {table.path} is of {material}; its materials are {others}.")
     return table.subset(is_own)
 
 
 def unassigned_rows(groups: Iterable[SceneGroup]) -> list[str]:
-    """An error message for each file with rows of a material that no group uses; missing files are skipped."""
+    """An error message for each file with rows of a material that no group uses; missing files are
+    skipped."""
     files: dict[str, list[SceneGroup]] = {}
     for group in groups:
         insertion = group.spec.insert
@@ -367,7 +400,8 @@ def unassigned_rows(groups: Iterable[SceneGroup]) -> list[str]:
             used_materials = [known for group in sharing for known in _material_names(group)]
             unassigned = ~np.isin(table.material, used_materials)
             if unassigned.any():
-                row, material = table.line[unassigned][0], table.material[unassigned][0]
+                row = table.line[unassigned][0]
+                material = table.material[unassigned][0]
                 problems.append(
                     f"{table.path}:{row}: this particle is of {material}, but no group has this material; add one."
                 )
@@ -377,16 +411,21 @@ def unassigned_rows(groups: Iterable[SceneGroup]) -> list[str]:
 def particles_from_file(group: SceneGroup) -> ParticleData:
     """The particles of a group from its file, in the order of its rows.
 
-    Velocities are those of the file if it has them, otherwise those of the group; fixed particles are at rest. Raises
-    SceneError if the number of rows has changed since the scene was resolved.
+    Velocities are those of the file if it has them, otherwise those of the group; fixed particles are at
+    rest. Raises SceneError if the number of rows has changed since the scene was resolved.
     """
-    rows, count = rows_of(group), group.spec.count
+    rows = rows_of(group)
+    count = group.spec.count
     if len(rows) != count:
-        raise SceneError(f"{rows.path}: this file has changed: it had {count} particles, and has {len(rows)} now.")
+        raise SceneError(
+            f"{rows.path}: this file has changed: it had {count} particles, and has {len(rows)} now."
+        )
     particles = particles_of(group, rows.position, rows.radius)
     if group.spec.fixed:
         return particles
-    moving = {key: getattr(rows, key) for key in ("velocity", "angular_velocity") if getattr(rows, key) is not None}
+    moving = {
+        key: getattr(rows, key) for key in ("velocity", "angular_velocity") if getattr(rows, key) is not None
+    }
     return replace(particles, **moving)
 
 
@@ -410,10 +449,11 @@ DIMENSIONS = {"times": "time"} | TABLE_COLUMNS
 def with_motion_files(scene: SceneInput, read: bool) -> SceneInput:
     """The scene with the columns of all motions from files.
 
-    `read`: read existing files again even if the scene has their columns. Raises SceneError with the problems of all
-    files.
+    `read`: read existing files again even if the scene has their columns. Raises SceneError with the problems
+    of all files.
     """
-    walls, problems = dict(scene.walls), list[str]()
+    walls = dict(scene.walls)
+    problems = list[str]()
     for name, wall in scene.walls.items():
         motions = list(wall.motion)
         for index, motion in enumerate(motions):
@@ -442,9 +482,12 @@ def _with_columns(folder: Path, motion: TableMotion) -> TableMotion:
     path = resolved(folder / str(motion.file))
     if not path.exists():
         raise FormatError("there is no such file; its path is relative to the folder of the scene")
-    table, source = read_table(path), folder / str(motion.file)
+    table = read_table(path)
+    source = folder / str(motion.file)
     if table is None or not table.rows:
-        raise FileError([f"{source}: the table has no rows; give a header such as time [s], displacement [m]."])
+        raise FileError(
+            [f"{source}: the table has no rows; give a header such as time [s], displacement [m]."]
+        )
     columns = _columns(source, table)
     if len(table.rows) > MOST_ROWS:
         raise FileError([f"{source}: the table has {len(table.rows)} rows, and the limit is {MOST_ROWS}."])
@@ -474,7 +517,9 @@ def _columns(path: Path, table: Table) -> dict[str, tuple[float, ...]]:
     columns = {key: table.numbers(index) * factor for key, (index, factor) in indices.items()}
     invalid = ~np.all([np.isfinite(values) for values in columns.values()], axis=0)
     if invalid.any():
-        raise FileError([f"{path}:{table.rows[int(invalid.argmax())][0]}: a finite number is expected in each column."])
+        raise FileError(
+            [f"{path}:{table.rows[int(invalid.argmax())][0]}: a finite number is expected in each column."]
+        )
     late = np.diff(columns["times"]) <= 0.0
     if late.any() or columns["times"][0] < 0.0:
         line = table.rows[int(late.argmax()) + 1 if late.any() else 0][0]

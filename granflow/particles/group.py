@@ -61,7 +61,8 @@ class SceneGroup:
         return self.seed, zlib.crc32(self.name.encode())
 
     def random(self) -> np.random.Generator:
-        """The random number generator of the group (PCG64), independent of all other groups and of their order."""
+        """The random number generator of the group (PCG64), independent of all other groups and of their
+        order."""
         return np.random.default_rng(np.random.SeedSequence(self.seeds))
 
     def velocity_random(self) -> np.random.Generator:
@@ -111,8 +112,8 @@ SAMPLE = 10_000
 def draw_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> np.ndarray:
     """Exactly `count` diameters (count,) [m] in random order; a list keeps its order.
 
-    Normal and log-normal distributions are truncated: values beyond the limits are excluded, not clamped. A single
-    diameter is repeated. Classes have the exact number of `class_counts`. float64.
+    Normal and log-normal distributions are truncated: values beyond the limits are excluded, not clamped. A
+    single diameter is repeated. Classes have the exact number of `class_counts`. float64.
     """
     if isinstance(sizes, ClassSizes):
         diameter = np.array([each.diameter for each in sizes.classes])
@@ -132,8 +133,8 @@ def draw_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> 
 def count_for_volume(sizes: SizeSpec, cubes: float, random: Callable[[], np.random.Generator]) -> int:
     """Number of diameters from `draw_diameters` whose sum of cubes is nearest to `cubes` [m3]; at least 1.
 
-    `random` returns a new generator with the seed of the later draw at each call, so that the sum is that of the later
-    particles. Above MAX_COUNTED particles, and for one size, the count follows from the mean cube.
+    `random` returns a new generator with the seed of the later draw at each call, so that the sum is that of
+    the later particles. Above MAX_COUNTED particles, and for one size, the count follows from the mean cube.
     """
     if isinstance(sizes, ClassSizes):
         return max(round(min(cubes / mean_cube(sizes), 1e18)), 1)
@@ -163,7 +164,8 @@ def number_shares(sizes: ClassSizes) -> np.ndarray:
 
 
 def ordered_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> np.ndarray:
-    """Diameters (count,) [m] in the order of insertion; classes alternate, so that their fractions are constant.
+    """Diameters (count,) [m] in the order of insertion; classes alternate, so that their fractions are
+    constant.
 
     Particle j of the n particles of a class is at the fraction (j + 1/2) / n of the sequence.
     """
@@ -185,13 +187,16 @@ def truncated_normal(
     F: distribution function of `normal`. One uniform number per value, so that no value is rejected.
     """
     share = random.uniform(normal.cdf(low), normal.cdf(high), count)
-    inside = np.clip(share, np.finfo(float).tiny, 1 - np.finfo(float).epsneg)  # inv_cdf is undefined at 0 and 1
+    inside = np.clip(
+        share, np.finfo(float).tiny, 1 - np.finfo(float).epsneg
+    )  # inv_cdf is undefined at 0 and 1
     drawn = np.fromiter(map(normal.inv_cdf, inside.tolist()), dtype=np.float64, count=count)
     return np.clip(drawn, low, high)
 
 
 def class_counts(sizes: ClassSizes, count: int) -> np.ndarray:
-    """Number of particles (k,) of each class: integers with the sum `count`, by the largest-remainder method."""
+    """Number of particles (k,) of each class: integers with the sum `count`, by the largest-remainder
+    method."""
     exact = count * number_shares(sizes)
     whole = np.floor(exact).astype(np.int64)
     largest_remainders = np.argsort(whole - exact, kind="stable")
@@ -206,7 +211,8 @@ EXCEEDED = 1e-3
 
 
 def thermal_velocities(thermal: ThermalMotion, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Velocities (n, 3) [m/s] of particles of one density with radii (n,) [m]: normal components, scaled to the rms.
+    """Velocities (n, 3) [m/s] of particles of one density with radii (n,) [m]: normal components, scaled to
+    the rms.
 
     u <- u - sum m u / sum m    (zero_momentum)        u <- u rms / sqrt(sum u^2 / n)
     """
@@ -218,7 +224,8 @@ def thermal_velocities(thermal: ThermalMotion, radius: np.ndarray, random: np.ra
 
 
 def largest_speed(thermal: ThermalMotion, count: int) -> float:
-    """Speed [m/s] that the random velocities of `count` particles hardly exceed: rms / sqrt(3) sqrt(2 ln(n / p))."""
+    """Speed [m/s] that the random velocities of `count` particles hardly exceed: rms / sqrt(3) sqrt(2 ln(n /
+    p))."""
     return min(thermal.rms / sqrt(3.0) * sqrt(2.0 * log(count / EXCEEDED)), thermal.rms * sqrt(count))
 
 
@@ -229,10 +236,11 @@ def largest_speed(thermal: ThermalMotion, count: int) -> float:
 class ParticleData:
     """Arrays of n new particles.
 
-    `position` (n, 3) [m], `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s], `radius` (n,) [m], all float64;
-    `material` (n,) int32 index into list(scene.materials), `group` (n,) int32 index into list(scene.particles).
-    `orientation` (n, 4): unit quaternions (w, x, y, z) by which clumps are turned; None without clumps. The position of
-    a clump is its center of mass, its radius that of the sphere around it.
+    `position` (n, 3) [m], `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s], `radius` (n,) [m], all
+    float64; `material` (n,) int32 index into list(scene.materials), `group` (n,) int32 index into
+    list(scene.particles). `orientation` (n, 4): unit quaternions (w, x, y, z) by which clumps are turned;
+    None without clumps. The position of a clump is its center of mass, its radius that of the sphere around
+    it.
 
     >>> import numpy as np
     >>> vectors, numbers = np.zeros((1, 3)), np.zeros(1, dtype=np.int32)
@@ -255,7 +263,9 @@ class ParticleData:
         for name, wanted in expected.items():
             values = getattr(self, name)
             if not isinstance(values, np.ndarray) or values.dtype.kind not in "iuf" or len(shape) != 1:
-                raise GranflowError(f"ParticleData: {name} is {shown(values)}, but must be an array of numbers.")
+                raise GranflowError(
+                    f"ParticleData: {name} is {shown(values)}, but must be an array of numbers."
+                )
             if values.shape != wanted:
                 raise GranflowError(
                     f"ParticleData: {name} has the shape {values.shape}, but must have {wanted}, as radius has {shape}."
@@ -268,7 +278,9 @@ class ParticleData:
     def joined(cls, parts: Sequence["ParticleData"]) -> "ParticleData":
         """Concatenation of all parts in order; no particles without parts."""
         if not parts:
-            empty, empty_vectors, empty_numbers = np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.int32)
+            empty = np.empty(0)
+            empty_vectors = np.empty((0, 3))
+            empty_numbers = np.empty(0, dtype=np.int32)
             return cls(empty_vectors, empty_vectors, empty_vectors, empty, empty_numbers, empty_numbers)
         names = [name for name in cls.__dataclass_fields__ if name != "orientation"]
         arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
@@ -281,23 +293,30 @@ def _joined_orientations(parts: Sequence[ParticleData]) -> np.ndarray | None:
         return None
     identity = np.array([1.0, 0.0, 0.0, 0.0])
     return np.concatenate(
-        [np.tile(identity, (len(part), 1)) if part.orientation is None else part.orientation for part in parts]
+        [
+            np.tile(identity, (len(part), 1)) if part.orientation is None else part.orientation
+            for part in parts
+        ]
     )
 
 
 def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray, batch: int = 0) -> ParticleData:
-    """Particles of one group at centers (n, 3) [m] with radii (n,) [m], and the motion and material of the group.
+    """Particles of one group at centers (n, 3) [m] with radii (n,) [m], and the motion and material of the
+    group.
 
-    A single velocity [m/s] or angular velocity [rad/s] of the group applies to all particles. `batch`: number of the
-    batch of an insertion, for random orientations.
+    A single velocity [m/s] or angular velocity [rad/s] of the group applies to all particles. `batch`: number
+    of the batch of an insertion, for random orientations.
     """
-    count, velocity = len(radius), np.asarray(group.spec.velocity, dtype=np.float64)
+    count = len(radius)
+    velocity = np.asarray(group.spec.velocity, dtype=np.float64)
     if group.spec.thermal is not None:
         velocity = velocity + thermal_velocities(group.spec.thermal, radius, group.velocity_random())
     return ParticleData(
         position=position,
         velocity=np.broadcast_to(velocity, (count, 3)).copy(),
-        angular_velocity=np.broadcast_to(np.asarray(group.spec.angular_velocity, dtype=np.float64), (count, 3)).copy(),
+        angular_velocity=np.broadcast_to(
+            np.asarray(group.spec.angular_velocity, dtype=np.float64), (count, 3)
+        ).copy(),
         radius=radius,
         material=np.full(count, group.material_number, dtype=np.int32),
         group=np.full(count, group.number, dtype=np.int32),

@@ -52,12 +52,14 @@ BATCH_FRACTION = 0.05
 DUE_TOLERANCE = 1e-6
 """Tolerance of due times, as a fraction of the mean interval between particles: `next_time` is rounded."""
 MAX_RETRIED_BATCHES = 4
-"""Largest number of queued particles that are tried again in one batch, in batch sizes: limits the cost of a full
-region."""
+"""Largest number of queued particles that are tried again in one batch, in batch sizes: limits the cost of a
+full region."""
 SAVED_FIELDS = ("queued", "due_count", "batch_count", "next_time")
-"""Attributes of an inserter in checkpoints: particle numbers (q,), counts, and the time of the next batch [s]."""
+"""Attributes of an inserter in checkpoints: particle numbers (q,), counts, and the time of the next batch
+[s]."""
 ATTEMPTS = (8, 56)
-"""Positions tried for a particle: in the first round, and in the second round after a failure of the first."""
+"""Positions tried for a particle: in the first round, and in the second round after a failure of the
+first."""
 
 
 class Inserter:
@@ -67,22 +69,24 @@ class Inserter:
 
         t_k = start + (m_0 + ... + m_(k-1)) / mass_flow
 
-    Due particles are inserted in batches. A particle without a free position is queued and has priority in the next
-    batch. Walls are not considered. The positions depend on the seed of the scene, the number of the batch, and the
-    existing particles.
+    Due particles are inserted in batches. A particle without a free position is queued and has priority in
+    the next batch. Walls are not considered. The positions depend on the seed of the scene, the number of the
+    batch, and the existing particles.
 
-    `radius`, `mass`, `due_at` (count,): radii [m], masses [kg] and due times [s] in the order of insertion, read-only;
-    of clumps the radius of the sphere around each.
-    `queued` (q,) int64: particle numbers in the order of priority. `batch`: particles per batch. `interval` [s]: mean
-    time between particles. `next_time` [s]: time of the next batch; infinite after the last.
+    `radius`, `mass`, `due_at` (count,): radii [m], masses [kg] and due times [s] in the order of insertion,
+    read-only; of clumps the radius of the sphere around each.
+    `queued` (q,) int64: particle numbers in the order of priority. `batch`: particles per batch. `interval`
+    [s]: mean time between particles. `next_time` [s]: time of the next batch; infinite after the last.
 
-    Raises ValueError for a group without rain or inlet, and RegionFullError if the largest particle does not fit into
-    the region.
+    Raises ValueError for a group without rain or inlet, and RegionFullError if the largest particle does not
+    fit into the region.
     """
 
     def __init__(self, group: SceneGroup) -> None:
-        self.group, self.group_name = group, group.name
-        spec, insertion = group.spec, group.spec.insert
+        self.group = group
+        self.group_name = group.name
+        spec = group.spec
+        insertion = group.spec.insert
         if not isinstance(insertion, RainInsertion | InletInsertion):
             raise ValueError(f"{group.name} has neither insert: {{kind: rain}} nor insert: {{kind: inlet}}.")
         self.start = insertion.start
@@ -92,7 +96,9 @@ class Inserter:
             self.mass = np.full(spec.count, group.particle_mass)
         self.due_at = self.start + _delays(insertion, self.mass)
         self.interval = (
-            1.0 / insertion.rate if insertion.rate else float(self.mass.mean()) / (insertion.mass_flow or math.inf)
+            1.0 / insertion.rate
+            if insertion.rate
+            else float(self.mass.mean()) / (insertion.mass_flow or math.inf)
         )
         for array in (self.radius, self.mass, self.due_at):
             array.setflags(write=False)
@@ -131,9 +137,9 @@ class Inserter:
     def insert_due(self, time: float, position: np.ndarray, radius: np.ndarray) -> ParticleData:
         """Particles inserted at `time` [s], without overlap with existing ones or each other.
 
-        `position` (m, 3) [m], `radius` (m,) [m]: existing particles, whose periodic images are considered too.
-        Particles without a free position are added to `queued`; at most MAX_RETRIED_BATCHES batches of queued particles
-        are tried. Changes `queued`, `due_count`, `batch_count` and `next_time`.
+        `position` (m, 3) [m], `radius` (m,) [m]: existing particles, whose periodic images are considered
+        too. Particles without a free position are added to `queued`; at most MAX_RETRIED_BATCHES batches of
+        queued particles are tried. Changes `queued`, `due_count`, `batch_count` and `next_time`.
         """
         due = int(np.searchsorted(self.due_at, time + DUE_TOLERANCE * self.interval, side="right"))
         arriving = np.arange(self.due_count, due)
@@ -172,8 +178,9 @@ class Inserter:
     ) -> dict[int, np.ndarray]:
         """Free centers (3,) [m] found for `candidates`, by particle number, in the order tried.
 
-        `candidates` (c,) int64: particle numbers; `obstacles`: existing spheres near the region. Each particle has
-        ATTEMPTS[0] attempts in the first round, and ATTEMPTS[1] in the second if the first fails.
+        `candidates` (c,) int64: particle numbers; `obstacles`: existing spheres near the region. Each
+        particle has ATTEMPTS[0] attempts in the first round, and ATTEMPTS[1] in the second if the first
+        fails.
         """
         positions: dict[int, np.ndarray] = {}
         for attempts in ATTEMPTS:
@@ -187,9 +194,11 @@ class Inserter:
         return positions
 
     def place_first_clear(self, k: int, proposed: np.ndarray, positions: dict[int, np.ndarray]) -> None:
-        """Add the first proposed center of particle `k` without overlap with those of this batch to `positions`.
+        """Add the first proposed center of particle `k` without overlap with those of this batch to
+        `positions`.
 
-        `proposed` (t, 3) [m]: centers without overlap with existing particles. Nothing is added if none is clear.
+        `proposed` (t, 3) [m]: centers without overlap with existing particles. Nothing is added if none is
+        clear.
         """
         if len(proposed) and positions:
             occupied = np.array(list(positions.values()))
@@ -205,8 +214,8 @@ def batch_size(radius: np.ndarray, volume: float) -> int:
 
         n = min(count / MAX_BATCHES, BATCH_FRACTION V / mean sphere volume)
 
-    `radius` (count,) [m]: of all particles of the group; `volume` V [m3] of the region. The second limit keeps the
-    region dilute, so that free positions are found.
+    `radius` (count,) [m]: of all particles of the group; `volume` V [m3] of the region. The second limit
+    keeps the region dilute, so that free positions are found.
     """
     mean_volume = float(np.mean(sphere_volume(radius)))
     capacity = int(BATCH_FRACTION * volume / mean_volume)
@@ -226,8 +235,8 @@ def insertion_region(
 ) -> RegionSampler:
     """Insertion region: as given, or the volume behind a face that particles cross in the time of one batch.
 
-    `radius` [m]: largest; `velocity` (3,) [m/s] of the group; `gathered` [s]: time of one batch. The depth is one
-    diameter plus the normal velocity times that time.
+    `radius` [m]: largest; `velocity` (3,) [m/s] of the group; `gathered` [s]: time of one batch. The depth is
+    one diameter plus the normal velocity times that time.
     """
     if isinstance(insertion, RainInsertion):
         return sampler_of(insertion.region)
@@ -248,7 +257,8 @@ def inserters(scene: SceneInput) -> tuple[Inserter, ...]:
 
     Raises SceneError with one message for each group that does not fit into its region.
     """
-    inserters, problems = [], []
+    inserters = []
+    problems = []
     for group in groups_of(scene).values():
         if isinstance(group.spec.insert, RainInsertion | InletInsertion):
             try:
@@ -267,14 +277,16 @@ def inserters(scene: SceneInput) -> tuple[Inserter, ...]:
 
 __all__ = ["ParticleData", "Inserter", "initial_particles", "inserters"]
 INSERTION_ORDER = ("positions", "file", "lattice", "pack")
-"""Groups with given positions first, random packings last, so that each kind can avoid the particles before it."""
+"""Groups with given positions first, random packings last, so that each kind can avoid the particles before
+it."""
 
 
 def initial_particles(scene: SceneInput, earlier: Mapping[str, ParticleData] | None = None) -> ParticleData:
     """All particles at t = 0, group by group in the order of the scene.
 
-    Groups in `earlier` keep their particles from an earlier run; the other groups avoid them. Particles do not
-    overlap, except where given positions or files overlap. Groups with rain, inlet or python have no particles yet.
+    Groups in `earlier` keep their particles from an earlier run; the other groups avoid them. Particles do
+    not overlap, except where given positions or files overlap. Groups with rain, inlet or python have no
+    particles yet.
 
     Raises SceneError with one message for each group that does not fit.
     """
@@ -305,12 +317,13 @@ def all_spheres(inserted: dict[str, ParticleData], periodic_box: PeriodicBox) ->
 def insert_group(group: SceneGroup, existing: Spheres) -> ParticleData:
     """Initial particles of one group, without overlap with `existing`.
 
-    Radii are drawn before positions, with the random number generator of the group. Given positions and files are not
-    checked for overlap.
+    Radii are drawn before positions, with the random number generator of the group. Given positions and files
+    are not checked for overlap.
 
     Raises RegionFullError if a lattice or packing does not fit, and SceneError for an invalid file.
     """
-    spec, insertion = group.spec, group.spec.insert
+    spec = group.spec
+    insertion = group.spec.insert
     if isinstance(insertion, FileInsertion):
         return particles_from_file(group)
     random = group.random()

@@ -1,6 +1,7 @@
 """Packing of spheres in a region: on a lattice, or at random without overlap.
 
-Both avoid existing spheres. The results depend on the random number generator only, not on the number of threads.
+Both avoid existing spheres. The results depend on the random number generator only, not on the number of
+threads.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,9 +24,9 @@ from granflow.scene.blocks.particles import BoxRegion, CylinderRegion
 def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Indices (p,), (p,) of all pairs of spheres with a gap below `reach` [m], each pair once.
 
-    `position` (n, 3) [m], `radius` (n,) [m]. Size classes with a factor of 2 between them keep the cells small if a few
-    large spheres are mixed with many small ones. The order of the pairs, and of the two indices in a pair, depends on
-    the size classes.
+    `position` (n, 3) [m], `radius` (n,) [m]. Size classes with a factor of 2 between them keep the cells
+    small if a few large spheres are mixed with many small ones. The order of the pairs, and of the two
+    indices in a pair, depends on the size classes.
     """
     classes = list(size_classes(radius))
     found: list[np.ndarray] = [np.empty((2, 0), dtype=np.int64)]
@@ -34,7 +35,9 @@ def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[
             if smaller is larger:
                 first, second = pairs_within(position[larger], radius[larger], reach)
             else:
-                first, second = cross_pairs(position[smaller], radius[smaller], position[larger], radius[larger], reach)
+                first, second = cross_pairs(
+                    position[smaller], radius[smaller], position[larger], radius[larger], reach
+                )
             found.append(np.stack([smaller[first], larger[second]]))
     first, second = np.concatenate(found, axis=1)
     return first, second
@@ -53,25 +56,34 @@ def size_classes(radius: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def pairs_within(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (p,), (p,) of all pairs of spheres with a gap below `reach` [m], each pair once, smaller index first.
+    """Indices (p,), (p,) of all pairs of spheres with a gap below `reach` [m], each pair once, smaller index
+    first.
 
-    `position` (n, 3) [m], `radius` (n,) [m], n > 0. Visits the rest of the own row of cells and four of the eight
-    adjacent rows. The pairs have the order in which the smaller indices find their partners in all nine rows.
+    `position` (n, 3) [m], `radius` (n,) [m], n > 0. Visits the rest of the own row of cells and four of the
+    eight adjacent rows. The pairs have the order in which the smaller indices find their partners in all nine
+    rows.
     """
     key_of = CellKeys(position.min(axis=0), position.max(axis=0), 2 * radius.max() + reach)
-    keys, count = key_of(position), len(position)
+    keys = key_of(position)
+    count = len(position)
     order = np.argsort(keys, kind="stable")
-    keys, columns, radius = keys[order], np.ascontiguousarray(position[order].T), radius[order]
-    found, places = [], []
+    keys = keys[order]
+    columns = np.ascontiguousarray(position[order].T)
+    radius = radius[order]
+    found = []
+    places = []
     for row, shift in list(enumerate(key_of.adjacent_rows()))[4:]:
-        start = np.arange(1, count + 1) if shift == 0 else np.searchsorted(keys, keys + (shift - 1), side="left")
+        start = (
+            np.arange(1, count + 1) if shift == 0 else np.searchsorted(keys, keys + (shift - 1), side="left")
+        )
         stop = np.searchsorted(keys, keys + (shift + 1), side="right")
         querying, entry = expanded(start, stop - start)
         one, other = close_pairs(columns, radius, columns, radius, reach, querying, entry)
         pair = np.stack([order[one], order[other]])
         reversed_pair = pair[0] > pair[1]
         found.append(np.where(reversed_pair, pair[::-1], pair))
-        rows, entries = np.where(reversed_pair, 8 - row, row), np.where(reversed_pair, one, other)
+        rows = np.where(reversed_pair, 8 - row, row)
+        entries = np.where(reversed_pair, one, other)
         places.append((rows * count + found[-1][0]) * count + entries)
     first, second = np.concatenate(found, axis=1)[:, np.argsort(np.concatenate(places))]
     return first, second
@@ -80,9 +92,11 @@ def pairs_within(position: np.ndarray, radius: np.ndarray, reach: float) -> tupl
 def cross_pairs(
     first: np.ndarray, first_radius: np.ndarray, second: np.ndarray, second_radius: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (p,), (p,) into the first and the second set of all pairs between them with a gap below `reach` [m].
+    """Indices (p,), (p,) into the first and the second set of all pairs between them with a gap below `reach`
+    [m].
 
-    `first` (n, 3), `second` (m, 3) [m]: centers; radii (n,), (m,) [m]. A sphere in both sets is a pair with itself.
+    `first` (n, 3), `second` (m, 3) [m]: centers; radii (n,), (m,) [m]. A sphere in both sets is a pair with
+    itself.
     """
     if len(first) == 0 or len(second) == 0:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
@@ -91,7 +105,8 @@ def cross_pairs(
     key_of = CellKeys(low, np.maximum(first.max(axis=0), second.max(axis=0)), cell)
     keys = key_of(second)
     order = np.argsort(keys, kind="stable")
-    columns, other_columns = np.ascontiguousarray(first.T), np.ascontiguousarray(second.T)
+    columns = np.ascontiguousarray(first.T)
+    other_columns = np.ascontiguousarray(second.T)
     found = [
         close_pairs(columns, first_radius, other_columns, second_radius, reach, *members)
         for members in cell_neighbors(key_of, key_of(first), keys[order], order)
@@ -102,8 +117,8 @@ def cross_pairs(
 class CellKeys:
     """Cell keys of a grid, numbered row by row along x, with a margin of one cell.
 
-    `low`, `high` (3,) [m]: corners of the grid; `cell` [m]: edge of a cell. The neighbors of a cell along x have the
-    keys key - 1 and key + 1; because of the margin, no neighbor is in another row.
+    `low`, `high` (3,) [m]: corners of the grid; `cell` [m]: edge of a cell. The neighbors of a cell along x
+    have the keys key - 1 and key + 1; because of the margin, no neighbor is in another row.
     """
 
     def __init__(self, low: np.ndarray, high: np.ndarray, cell: float) -> None:
@@ -112,7 +127,8 @@ class CellKeys:
         self.shape = np.floor((high - low) / cell).astype(np.int64) + 3
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """The key (n,) int64 of the cell of each point (n, 3) [m]; the points must lie between `low` and `high`."""
+        """The key (n,) int64 of the cell of each point (n, 3) [m]; the points must lie between `low` and
+        `high`."""
         x, y, z = np.floor((points - self.low) / self.cell).astype(np.int64).T + 1
         return x + self.shape[0] * (y + self.shape[1] * z)
 
@@ -124,12 +140,14 @@ class CellKeys:
 def cell_neighbors(
     key_of: CellKeys, query: np.ndarray, keys: np.ndarray, order: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """For each of the nine rows: indices of the query points and of all members of the three cells in that row.
+    """For each of the nine rows: indices of the query points and of all members of the three cells in that
+    row.
 
-    `query` (n,): cell keys of the query points; `keys` (m,): sorted cell keys of the members; `order` (m,): index of
-    the member with each sorted key. Each of the nine results is two arrays of equal length.
+    `query` (n,): cell keys of the query points; `keys` (m,): sorted cell keys of the members; `order` (m,):
+    index of the member with each sorted key. Each of the nine results is two arrays of equal length.
     """
-    rank, ascending = np.empty(len(query), dtype=np.int64), np.argsort(query, kind="stable")
+    rank = np.empty(len(query), dtype=np.int64)
+    ascending = np.argsort(query, kind="stable")
     rank[ascending] = np.arange(len(query))
     sorted_query = query[ascending]  # searchsorted is several times as fast with sorted queries
     for shift in key_of.adjacent_rows():
@@ -150,8 +168,8 @@ def close_pairs(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The pairs (i, j) with a gap below `reach` [m].
 
-    `first`, `second` (3, n), (3, m) [m]: centers, one row for each coordinate; `i`, `j` (p,): indices of candidate
-    pairs. Distances are compared as squares.
+    `first`, `second` (3, n), (3, m) [m]: centers, one row for each coordinate; `i`, `j` (p,): indices of
+    candidate pairs. Distances are compared as squares.
     """
     squared = sum((row[i] - other_row[j]) ** 2 for row, other_row in zip(first, second, strict=True))
     limit = first_radius[i] + second_radius[j] + reach
@@ -159,7 +177,9 @@ def close_pairs(
     return i[close], j[close]
 
 
-def overlaps_any(points: np.ndarray, radius: np.ndarray, others: np.ndarray, other_radius: np.ndarray) -> np.ndarray:
+def overlaps_any(
+    points: np.ndarray, radius: np.ndarray, others: np.ndarray, other_radius: np.ndarray
+) -> np.ndarray:
     """Whether each sphere (n,) overlaps any of the others.
 
     `points` (n, 3), `others` (m, 3): centers [m]; `radius` (n,), `other_radius` (m,) [m].
@@ -192,7 +212,8 @@ class RegionSampler(Protocol):
         """
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """Whether spheres of radius `reach` (n,) [m] around the points may intersect the region; no false negatives."""
+        """Whether spheres of radius `reach` (n,) [m] around the points may intersect the region; no false
+        negatives."""
 
 
 class BoxSampler:
@@ -213,10 +234,12 @@ class BoxSampler:
         return np.clip(points, self.low + radius[:, None], self.high - radius[:, None])
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """Centers (n, 3) [m] of a lattice with cells not smaller than `spacing`, and displacement vectors (3, 3) [m].
+        """Centers (n, 3) [m] of a lattice with cells not smaller than `spacing`, and displacement vectors (3,
+        3) [m].
 
-        Spheres of radius `margin` remain inside after a displacement by any sum of the vectors (rows) times numbers
-        in [-1, 1]. Order: in layers from the bottom of the box. The cells are stretched to fill the box.
+        Spheres of radius `margin` remain inside after a displacement by any sum of the vectors (rows) times
+        numbers in [-1, 1]. Order: in layers from the bottom of the box. The cells are stretched to fill the
+        box.
         """
         size = self.high - self.low
         cells = np.floor(size / spacing * (1 + SLACK)).astype(int)
@@ -272,7 +295,8 @@ class CylinderSampler:
         return self.from_local(local)
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """As of `BoxSampler`; layers from the start of the axis are square lattices, stretched to fill the length."""
+        """As of `BoxSampler`; layers from the start of the axis are square lattices, stretched to fill the
+        length."""
         axes = int(2 * self.radius / spacing * (1 + SLACK))
         layers = int(self.length / spacing * (1 + SLACK))
         height = self.length / max(layers, 1)
@@ -298,9 +322,11 @@ class SlabSampler:
     def __init__(self, corner: np.ndarray, first: np.ndarray, second: np.ndarray, depth: float) -> None:
         lengths = np.array([np.linalg.norm(first), np.linalg.norm(second)])
         axes = first / lengths[0], second / lengths[1]
-        self.corner, self.frame = corner, np.array([*axes, np.cross(*axes)])
+        self.corner = corner
+        self.frame = np.array([*axes, np.cross(*axes)])
         self.box = BoxSampler(np.zeros(3), np.array([*lengths, depth]))
-        self.volume, self.radius_max = self.box.volume, self.box.radius_max
+        self.volume = self.box.volume
+        self.radius_max = self.box.radius_max
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
         return np.asarray(self.corner + self.box.sample(radius, random) @ self.frame)
@@ -334,11 +360,14 @@ SWELLING = 0.02
 MAX_SWEEPS = 2000
 """Number of sweeps after which overlapping spheres are reported as not fitting."""
 STALLED_SWEEPS = 300
-"""Number of sweeps without a smaller largest overlap after which they are reported: a sphere is inside an obstacle."""
+"""Number of sweeps without a smaller largest overlap after which they are reported: a sphere is inside an
+obstacle."""
 OVERSHOOT = 1.4
-"""Separation of overlapping pairs per sweep, over their overlap: halves the number of sweeps (tested: 1, 1.2, 1.4)."""
+"""Separation of overlapping pairs per sweep, over their overlap: halves the number of sweeps (tested: 1, 1.2,
+1.4)."""
 Sites = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Function of the spacing [m] that returns the sites (n, 3) [m] of a lattice and displacement vectors (3, 3) [m]."""
+"""Function of the spacing [m] that returns the sites (n, 3) [m] of a lattice and displacement vectors (3, 3)
+[m]."""
 
 
 class RegionFullError(Exception):
@@ -369,7 +398,9 @@ class Spheres:
 
     def joined(self, other: "Spheres") -> "Spheres":
         """Both sets of spheres, `other` last: n + m spheres."""
-        return Spheres(np.concatenate([self.position, other.position]), np.concatenate([self.radius, other.radius]))
+        return Spheres(
+            np.concatenate([self.position, other.position]), np.concatenate([self.radius, other.radius])
+        )
 
 
 def fill_lattice(
@@ -379,10 +410,12 @@ def fill_lattice(
     existing: Spheres,
     random: np.random.Generator,
 ) -> np.ndarray:
-    """Centers (n, 3) [m] on the widest square lattice with a site for each sphere, filled in layers from the bottom.
+    """Centers (n, 3) [m] on the widest square lattice with a site for each sphere, filled in layers from the
+    bottom.
 
-    `radius` (n,) [m]. `jitter`: largest random displacement along each axis, as a fraction of the gap around the
-    largest sphere in its cell. Sites that overlap spheres in `existing` are skipped. The order of `radius` is kept:
+    `radius` (n,) [m]. `jitter`: largest random displacement along each axis, as a fraction of the gap around
+    the largest sphere in its cell. Sites that overlap spheres in `existing` are skipped. The order of
+    `radius` is kept:
     sizes are not sorted.
 
     Raises RegionFullError with the number of sites if there are fewer than spheres.
@@ -404,10 +437,11 @@ def fill_lattice(
 
 
 def widest_spacing(free_sites: Sites, count: int, least: float, guess: float) -> float:
-    """The widest spacing [m] with at least `count` sites, to about 0.1 %; `least` if no spacing has enough sites.
+    """The widest spacing [m] with at least `count` sites, to about 0.1 %; `least` if no spacing has enough
+    sites.
 
-    `free_sites`: spacing [m] -> (sites (k, 3) [m], displacements); `least`, `guess` [m]. The number of sites is assumed
-    to decrease with the spacing; bisection between a sufficient and an insufficient spacing.
+    `free_sites`: spacing [m] -> (sites (k, 3) [m], displacements); `least`, `guess` [m]. The number of sites
+    is assumed to decrease with the spacing; bisection between a sufficient and an insufficient spacing.
     """
     spacing = max(guess, least)
     while spacing > least and len(free_sites(spacing)[0]) < count:
@@ -425,13 +459,14 @@ def widest_spacing(free_sites: Sites, count: int, least: float, guess: float) ->
 def pack_at_random(
     region: BoxSampler | CylinderSampler, radius: np.ndarray, existing: Spheres, random: np.random.Generator
 ) -> np.ndarray:
-    """Centers (n, 3) [m] of a random packing: random initial positions, then separation until no overlap remains.
+    """Centers (n, 3) [m] of a random packing: random initial positions, then separation until no overlap
+    remains.
 
-    `radius` (n,) [m]; `existing`: spheres that do not move. Reaches a solid fraction of about 0.55 (0.5 or less in
-    regions only a few diameters wide).
+    `radius` (n,) [m]; `existing`: spheres that do not move. Reaches a solid fraction of about 0.55 (0.5 or
+    less in regions only a few diameters wide).
 
-    Raises RegionFullError if the solid fraction would exceed MAX_PACKING_FRACTION, or if overlaps remain after
-    MAX_SWEEPS sweeps.
+    Raises RegionFullError if the solid fraction would exceed MAX_PACKING_FRACTION, or if overlaps remain
+    after MAX_SWEEPS sweeps.
     """
     check_width(region, radius.max())
     obstacles = existing.near(region)
@@ -467,7 +502,8 @@ def check_width(region: RegionSampler, radius: float) -> None:
     """Raise RegionFullError if a single sphere of the largest radius [m] does not fit."""
     if radius > region.radius_max * (1 + 1e-9):
         raise RegionFullError(
-            only_fit(0), f"The largest, {2 * radius:g} m, is wider than the region, {2 * region.radius_max:g} m."
+            only_fit(0),
+            f"The largest, {2 * radius:g} m, is wider than the region, {2 * region.radius_max:g} m.",
         )
 
 
@@ -477,25 +513,31 @@ def separate_overlapping(
     """Positions (n, 3) [m] after sweeps that separate the first `mobile_count` spheres from all others.
 
     The sweeps end if no overlap remains, if the largest overlap has not decreased in STALLED_SWEEPS, or after
-    MAX_SWEEPS. Each sweep separates every overlapping pair by its overlap, with displacements proportional to the
-    inverse square of the radii; the remaining spheres are fixed. The list of close pairs is rebuilt when a displacement
-    exceeds half the skin. `swelling`: factor of the radii during the sweeps, above 1, so that the result has gaps.
+    MAX_SWEEPS. Each sweep separates every overlapping pair by its overlap, with displacements proportional to
+    the inverse square of the radii; the remaining spheres are fixed. The list of close pairs is rebuilt when
+    a displacement exceeds half the skin. `swelling`: factor of the radii during the sweeps, above 1, so that
+    the result has gaps.
     """
-    position, radius = spheres.position.copy(), spheres.radius * swelling
+    position = spheres.position.copy()
+    radius = spheres.radius * swelling
     mobility = np.where(np.arange(len(radius)) < mobile_count, radius**-2.0, 0.0)
     skin = 0.6 * float(np.median(radius))
-    listed_position, pairs = position, mobile_pairs(position, radius, skin, mobile_count)
-    smallest, smallest_at = np.inf, 0
+    listed_position = position
+    pairs = mobile_pairs(position, radius, skin, mobile_count)
+    smallest = np.inf
+    smallest_at = 0
     for sweep in range(MAX_SWEEPS):
         shift, worst = separation(position, radius, mobility, pairs)
         if worst < smallest:
-            smallest, smallest_at = worst, sweep
+            smallest = worst
+            smallest_at = sweep
         if worst < 1 - 1 / swelling or sweep - smallest_at >= STALLED_SWEEPS:
             break
         position = position + OVERSHOOT * shift
         position[:mobile_count] = region.confine(position[:mobile_count], spheres.radius[:mobile_count])
         if 2 * np.linalg.norm(position - listed_position, axis=1).max() > skin:
-            listed_position, pairs = position, mobile_pairs(position, radius, skin, mobile_count)
+            listed_position = position
+            pairs = mobile_pairs(position, radius, skin, mobile_count)
     return position
 
 
@@ -514,12 +556,13 @@ def mobile_pairs(
 def separation(
     position: np.ndarray, radius: np.ndarray, mobility: np.ndarray, pairs: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, float]:
-    """Displacements (n, 3) [m] that separate each overlapping pair by its overlap, and the largest relative overlap.
+    """Displacements (n, 3) [m] that separate each overlapping pair by its overlap, and the largest relative
+    overlap.
 
         d_i = b_i (R_i + R_j - |r|) / (b_i + b_j) r / |r|,      r = x_i - x_j
 
-    `mobility` b (n,), 0 for fixed spheres; `pairs` (p,), (p,): indices of candidate pairs, of which at least one sphere
-    is mobile. The relative overlap is over the sum of the radii; 0 without overlapping pairs.
+    `mobility` b (n,), 0 for fixed spheres; `pairs` (p,), (p,): indices of candidate pairs, of which at least
+    one sphere is mobile. The relative overlap is over the sum of the radii; 0 without overlapping pairs.
     """
     first, second = pairs
     branch = [row[first] - row[second] for row in np.ascontiguousarray(position.T)]
@@ -527,7 +570,9 @@ def separation(
     x, y, z = branch
     squared = x * x + z * z + y * y
     overlapping = np.flatnonzero(squared < contact_distance * contact_distance)
-    first, second, contact_distance = first[overlapping], second[overlapping], contact_distance[overlapping]
+    first = first[overlapping]
+    second = second[overlapping]
+    contact_distance = contact_distance[overlapping]
     distance = np.maximum(np.sqrt(squared[overlapping]), 1e-12 * contact_distance)
     factor = (contact_distance - distance) / distance / (mobility[first] + mobility[second])
     shift = np.empty_like(position)
@@ -548,7 +593,8 @@ def overlapping_pairs(spheres: Spheres, mobile_count: int) -> np.ndarray:
 def greedy_cover(pairs: np.ndarray, mobile_count: int) -> int:
     """Number of mobile spheres to remove, those with most overlaps first, until no overlapping pair remains.
 
-    `pairs` (p, 2): indices, at least one of each pair below `mobile_count`. An upper bound of the necessary number.
+    `pairs` (p, 2): indices, at least one of each pair below `mobile_count`. An upper bound of the necessary
+    number.
     """
     removed = 0
     while len(pairs):

@@ -1,7 +1,7 @@
 """Resolved scenes: defaults that depend on several parts or on files become plain numbers after reading.
 
-Resolves counts from masses and end times, summaries of particle files, tables of motions, and `scale`. Resolving is
-idempotent. The resolved scene is used for the run and saved with it.
+Resolves counts from masses and end times, summaries of particle files, tables of motions, and `scale`.
+Resolving is idempotent. The resolved scene is used for the run and saved with it.
 """
 
 from collections.abc import Iterator
@@ -27,8 +27,9 @@ ROUNDING_SHARE = 1e-9
 def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
     """The scene with all counts, at scale 1.
 
-    `read`: read existing particle files again even if the scene has their summary, and check that each of their rows
-    belongs to a group. Remarks for the user are in `remarks` of the result. The argument is not modified.
+    `read`: read existing particle files again even if the scene has their summary, and check that each of
+    their rows belongs to a group. Remarks for the user are in `remarks` of the result. The argument is not
+    modified.
 
     Raises SceneError with the problems of all groups.
     """
@@ -89,8 +90,8 @@ def _at_scale_1(scene: SceneInput) -> tuple[SceneInput, list[str]]:
 def scaled(part: Any, factor: float) -> Any:
     """A part of a scene with lengths multiplied by `factor`, and numbers of particles by its cube.
 
-    The types of the schema define the exponent of each number (`Number.scaling`). Numbers of particles are rounded, and
-    are at least 1.
+    The types of the schema define the exponent of each number (`Number.scaling`). Numbers of particles are
+    rounded, and are at least 1.
     """
     changes = {
         name: _scaled_value(getattr(part, name), _power(field), factor)
@@ -100,7 +101,8 @@ def scaled(part: Any, factor: float) -> Any:
 
 
 def _scaled_value(value: Any, power: int, factor: float) -> Any:
-    """A value with all its numbers multiplied by `factor` to the given power; texts, flags and None are unchanged."""
+    """A value with all its numbers multiplied by `factor` to the given power; texts, flags and None are
+    unchanged."""
     if isinstance(value, Model):
         return scaled(value, factor)
     if isinstance(value, dict):
@@ -122,7 +124,9 @@ def _power(field: FieldInfo) -> int:
         for each in get_args(annotation):
             yield from powers(each)
 
-    return max((*powers(field.annotation), *(each for meta in field.metadata for each in powers(meta))), default=0)
+    return max(
+        (*powers(field.annotation), *(each for meta in field.metadata for each in powers(meta))), default=0
+    )
 
 
 def _with_count(group: SceneGroup) -> Group:
@@ -146,7 +150,8 @@ def _counts(group: SceneGroup) -> Iterator[tuple[str, int]]:
 
     insert.end: rate * (end - start), or the number with the mass mass_flow * (end - start)
     """
-    spec, insertion = group.spec, group.spec.insert
+    spec = group.spec
+    insertion = group.spec.insert
     if spec.count_given is not None:
         yield "count", spec.count_given
     if spec.mass is not None:
@@ -160,7 +165,8 @@ def _counts(group: SceneGroup) -> Iterator[tuple[str, int]]:
 
 
 def _count_of_mass(group: SceneGroup, mass: float) -> int:
-    """Number of particles with a total mass [kg] nearest to the given one, for the sizes and the material of a group.
+    """Number of particles with a total mass [kg] nearest to the given one, for the sizes and the material of
+    a group.
 
     sum d^3 = 6 m / (pi rho)
     """
@@ -182,16 +188,22 @@ def _with_rows(group: SceneGroup, insertion: FileInsertion) -> Group:
     )
     diameters = 2.0 * float(rows.radius.min()), 2.0 * float(rows.radius.max())
     summary = FileSummary(
-        count=len(rows), diameter_min=diameters[0], diameter_max=diameters[1], speed_max=speed,
-        angular_velocity_max=angular_velocity, overlap_max=overlap, overlap_rows=overlap_rows,
-    )  # fmt: skip
+        count=len(rows),
+        diameter_min=diameters[0],
+        diameter_max=diameters[1],
+        speed_max=speed,
+        angular_velocity_max=angular_velocity,
+        overlap_max=overlap,
+        overlap_rows=overlap_rows,
+    )
     read_insertion = insertion.model_copy(update={"found": summary})
     return group.spec.model_copy(update={"count_given": len(rows), "insert": read_insertion})
 
 
 def _inconsistencies(group: SceneGroup, rows: ParticleTable) -> Iterator[str]:
     """Contradictions between a group in the scene and the rows of its file, one sentence each."""
-    spec, name = group.spec, group.name
+    spec = group.spec
+    name = group.name
     if spec.count_given not in (None, len(rows)) and group.is_given("count"):
         location = group.locate("count")
         yield f"{location}: particles.{name}.count is {spec.count_given}, but {rows.path} has {len(rows)} rows for it."
@@ -201,7 +213,8 @@ def _inconsistencies(group: SceneGroup, rows: ParticleTable) -> Iterator[str]:
     low, high = np.array(group.domain.min), np.array(group.domain.max)
     outside = ~np.all((rows.position >= low) & (rows.position <= high), axis=1)
     if outside.any():
-        first, count = rows.line[outside][0], int(outside.sum())
+        first = rows.line[outside][0]
+        count = int(outside.sum())
         others = f" and {count - 1} more lie" if count > 1 else " lies"
         yield f"{rows.path}:{first}: this particle{others} outside the domain."
 

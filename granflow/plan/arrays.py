@@ -47,7 +47,8 @@ class DeviceArray:
     saved:         part of checkpoints
     per_particle:  the first axis is that of the particles
     block:         consecutive arrays with the same block are interleaved entry by entry
-    by_chunk:      the first axis is that of the chunks, or of rows that they share; checkpoints contain the sum over it
+    by_chunk:      the first axis is that of the chunks, or of rows that they share; checkpoints contain the
+                   sum over it
     """
 
     name: str
@@ -67,7 +68,13 @@ class DeviceArray:
 
     def size(self, precision: Precision) -> int:
         """Allocated memory [bytes]."""
-        is_long = {"position": precision != "f32", "real": precision == "f64", "f64": True, "i32": False, "i64": True}
+        is_long = {
+            "position": precision != "f32",
+            "real": precision == "f64",
+            "f64": True,
+            "i32": False,
+            "i64": True,
+        }
         return (8 if is_long[self.dtype] else 4) * (self.width or 1) * prod(self.shape) * self.wanted
 
 
@@ -95,11 +102,17 @@ def particle_arrays(plan: Plan) -> list[DeviceArray]:
 
 
 def neighbor_arrays(plan: Plan, capacities: Capacities) -> list[DeviceArray]:
-    """Ranges and entries of the neighbor lists; names of contact histories begin with `history.` and `saved.`."""
-    count, entries, saved_entries = (capacities.particles,), (capacities.list_entries,), (capacities.saved_entries,)
+    """Ranges and entries of the neighbor lists; names of contact histories begin with `history.` and
+    `saved.`."""
+    count = (capacities.particles,)
+    entries = (capacities.list_entries,)
+    saved_entries = (capacities.saved_entries,)
     has_history = bool(plan.history)
     return [
-        *(DeviceArray(name, "i32", count, per_particle=True) for name in ("list_begin", "list_walls_end", "list_end")),
+        *(
+            DeviceArray(name, "i32", count, per_particle=True)
+            for name in ("list_begin", "list_walls_end", "list_end")
+        ),
         DeviceArray("partner", "i32", entries),
         *(DeviceArray(f"history.{name}", "real", entries, width) for name, width in plan.history.items()),
         *(DeviceArray(f"saved.{name}", "real", saved_entries, width) for name, width in plan.history.items()),
@@ -114,10 +127,14 @@ def neighbor_arrays(plan: Plan, capacities: Capacities) -> list[DeviceArray]:
 
 def cell_arrays(plan: Plan) -> list[DeviceArray]:
     """Cells and new order of the particles; see `CellSort`."""
-    count, classes = (plan.capacities.particles,), (plan.capacities.size_classes,)
-    cells, class_cells = plan.capacities.cells, plan.capacities.class_cells
-    largest, by_class = max(cells, class_cells), bool(class_cells)
-    subparts, one_particle_chunks = (BOUNDS * SUBPARTS,), plan.chunk_size == 1
+    count = (plan.capacities.particles,)
+    classes = (plan.capacities.size_classes,)
+    cells = plan.capacities.cells
+    class_cells = plan.capacities.class_cells
+    largest = max(cells, class_cells)
+    by_class = bool(class_cells)
+    subparts = (BOUNDS * SUBPARTS,)
+    one_particle_chunks = plan.chunk_size == 1
     return [
         DeviceArray("order", "i32", count, per_particle=True),
         DeviceArray("cell_start", "i32", (cells + 2,)),
@@ -158,10 +175,11 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
     """Sums of each chunk, for the energy budget, wall forces and collisions.
 
-    Terms of the energy budget, wall forces, work at periodic boundaries and of external forces, numbers of collisions.
-    Each term has two components, see `engine.exact_sums`.
+    Terms of the energy budget, wall forces, work at periodic boundaries and of external forces, numbers of
+    collisions. Each term has two components, see `engine.exact_sums`.
     """
-    chunks, measured = plan.capacities.chunks, plan.capacities.measured_walls
+    chunks = plan.capacities.chunks
+    measured = plan.capacities.measured_walls
     wall_rows = plan.capacities.wall_rows
     energy_budget = plan.features.energy_budget
     classes = 2 * plan.capacities.energy_classes
@@ -182,8 +200,10 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
 
 
 def mesh_arrays(plan: Plan) -> list[DeviceArray]:
-    """Triangles, edges (three per triangle), points and cell grids of all meshes; see `engine.mesh_fields`."""
-    adjacencies, grids = [mesh.adjacency for mesh in plan.meshes.values()], plan.mesh_grids.values()
+    """Triangles, edges (three per triangle), points and cell grids of all meshes; see
+    `engine.mesh_fields`."""
+    adjacencies = [mesh.adjacency for mesh in plan.meshes.values()]
+    grids = plan.mesh_grids.values()
     triangles, points, vertex_edges, competitors, cells, cell_triangles = (
         (rounded_capacity(sum(lengths), MIN_TRIANGLES),)
         for lengths in (
@@ -195,11 +215,15 @@ def mesh_arrays(plan: Plan) -> list[DeviceArray]:
             [len(grid.triangle) for grid in grids],
         )
     )
-    walls, edges = (plan.capacities.walls,), (3 * triangles[0],)
+    walls = (plan.capacities.walls,)
+    edges = (3 * triangles[0],)
     return [
         DeviceArray("wall", "i32", triangles),
         DeviceArray("normal", "position", triangles, 3),
-        *(DeviceArray(name, "position", edges, 3) for name in ("vertex", "edge_direction", "inward", "inward_other")),
+        *(
+            DeviceArray(name, "position", edges, 3)
+            for name in ("vertex", "edge_direction", "inward", "inward_other")
+        ),
         DeviceArray("length", "position", edges),
         *(DeviceArray(name, "i32", edges) for name in ("point", "base", "owns_tie", "role")),
         DeviceArray("owner", "i32", points),
@@ -245,7 +269,12 @@ class MemoryEstimate:
 
 def largest_block(plan: Plan, capacities: Capacities) -> int:
     """Bytes of the largest array, or arrays that are interleaved entry by entry."""
-    arrays = [*particle_arrays(plan), *neighbor_arrays(plan, capacities), *cell_arrays(plan), *sum_arrays(plan)]
+    arrays = [
+        *particle_arrays(plan),
+        *neighbor_arrays(plan, capacities),
+        *cell_arrays(plan),
+        *sum_arrays(plan),
+    ]
     blocks = groupby(arrays, key=lambda array: array.block or array.name)
     return max(sum(array.size(plan.precision) for array in block) for _, block in blocks)
 
@@ -262,8 +291,11 @@ def estimate_memory(plan: Plan, precision: Precision, capacities: Capacities | N
     if precision not in get_args(Precision):
         raise GranflowError(f"precision is {shown(precision)}; give one of {', '.join(get_args(Precision))}.")
     capacities = capacities or plan.capacities
-    lists, cells = neighbor_arrays(plan, capacities), cell_arrays(plan)
-    particles = sum(each.size(precision) for each in (*particle_arrays(plan), *lists, *cells) if each.per_particle)
+    lists = neighbor_arrays(plan, capacities)
+    cells = cell_arrays(plan)
+    particles = sum(
+        each.size(precision) for each in (*particle_arrays(plan), *lists, *cells) if each.per_particle
+    )
     list_bytes = sum(each.size(precision) for each in lists if not each.per_particle)
     return MemoryEstimate(
         per_particle=particles // capacities.particles,
@@ -300,14 +332,18 @@ def required_memory(plan: Plan) -> int:
 def memory_warning(plan: Plan) -> str | None:
     """A sentence if a run does not fit or almost fills the memory; None if it fits or the memory is unknown.
 
-    "Almost" is WARNED_SHARE of the available memory. The sentence names needed and free memory [GB] and remedies.
+    "Almost" is WARNED_SHARE of the available memory. The sentence names needed and free memory [GB] and
+    remedies.
     """
-    needed, available = required_memory(plan), available_memory()
+    needed = required_memory(plan)
+    available = available_memory()
     if available is None or needed <= WARNED_SHARE * available:
         return None
     count = plan.particle_capacity
     free = f"{available / 1e9:.3g} GB"
-    statement = f"but only {free} are free" if needed > available else f"which is most of the {free} that are free"
+    statement = (
+        f"but only {free} are free" if needed > available else f"which is most of the {free} that are free"
+    )
     sizes = f"{count} particles need about {needed / 1e9:.3g} GB of memory, {statement}"
     return f"{sizes}: {_remedies(plan, needed, available)}."
 
@@ -320,7 +356,9 @@ def refuse_too_many(plan: Plan) -> None:
     list_entries = plan.capacities.list_entries
     if list_entries > MAX_LIST_ENTRIES:
         max_count = float(f"{plan.particle_capacity * (MAX_LIST_ENTRIES / list_entries):.2g}")
-        request = f"{plan.particle_capacity} particles are requested, but about {max_count:.0f} is the maximum"
+        request = (
+            f"{plan.particle_capacity} particles are requested, but about {max_count:.0f} is the maximum"
+        )
         raise SceneError(f"{_location(plan)}: {request} for 32-bit neighbor-list indices. Lower the count.")
 
 
@@ -331,11 +369,13 @@ def refuse_without_memory(plan: Plan) -> None:
 
 
 def refuse_without_device_memory(plan: Plan, free: int | None, largest_buffer: int | None) -> None:
-    """Raise SceneError if the fields of a run on a GPU exceed its free memory, or one of them the largest buffer.
+    """Raise SceneError if the fields of a run on a GPU exceed its free memory, or one of them the largest
+    buffer.
 
     free, largest_buffer:  [bytes]; None if unknown
     """
-    total, longest = estimate_memory(plan, plan.precision).total, largest_block(plan, plan.capacities)
+    total = estimate_memory(plan, plan.precision).total
+    longest = largest_block(plan, plan.capacities)
     if free is not None and total > free:
         raise _too_large(plan, total, free, f"{{needed}} on the GPU, but only {free / 1e9:.3g} GB are free")
     if largest_buffer is not None and longest > largest_buffer:
@@ -348,7 +388,8 @@ def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_
 
     available, largest_buffer:  [bytes], those of the present fields included; None if unknown
     """
-    total, longest = estimate_memory(plan, plan.precision, grown).total, largest_block(plan, grown)
+    total = estimate_memory(plan, plan.precision, grown).total
+    longest = largest_block(plan, grown)
     if available is not None and total > available or largest_buffer is not None and longest > largest_buffer:
         entries = f"{grown.list_entries / plan.particle_capacity:.3g} candidate pairs per particle"
         raise SceneError(
@@ -359,7 +400,9 @@ def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_
 
 def _too_large(plan: Plan, needed: int, available: int, statement: str) -> SceneError:
     """The error for `needed` above `available` [bytes], with the number of particles that fits."""
-    sizes = f"{plan.particle_capacity} particles need about " + statement.format(needed=f"{needed / 1e9:.3g} GB")
+    sizes = f"{plan.particle_capacity} particles need about " + statement.format(
+        needed=f"{needed / 1e9:.3g} GB"
+    )
     count = float(f"{plan.particle_capacity * WARNED_SHARE * available / needed:.2g}")
     remedy = " or set run.precision to mixed" if plan.precision == "f64" else ""
     return SceneError(f"{_location(plan)}: {sizes}: lower the count to about {count:.0f}{remedy}.")
@@ -379,11 +422,16 @@ def _location(plan: Plan) -> str:
 def _remedies(plan: Plan, needed: int, available: int) -> str:
     """Remedies: fewer particles, lower precision, more memory.
 
-    `needed`, `available` [bytes]; the suggested number of particles fills WARNED_SHARE of the available memory.
+    `needed`, `available` [bytes]; the suggested number of particles fills WARNED_SHARE of the available
+    memory.
     """
-    fitting_count = int(WARNED_SHARE * max(available - RUNTIME, 0) / ((needed - RUNTIME) / plan.particle_capacity))
+    fitting_count = int(
+        WARNED_SHARE * max(available - RUNTIME, 0) / ((needed - RUNTIME) / plan.particle_capacity)
+    )
     precision_remedy = ", set run.precision to mixed" if plan.precision == "f64" else ""
-    count_remedy = f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free memory"
+    count_remedy = (
+        f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free memory"
+    )
     return f"{count_remedy}{precision_remedy}, or use a machine with more memory"
 
 
@@ -401,7 +449,8 @@ class Parameter:
 
 
 def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
-    """All parameters of a plan and of its arrays; equal features give the same names and lengths. Units as in the plan.
+    """All parameters of a plan and of its arrays; equal features give the same names and lengths. Units as in
+    the plan.
 
     Squared limits have the precision of velocities, also those compared with positions.
     """
@@ -442,7 +491,8 @@ def _counts(plan: Plan, capacities: Capacities) -> dict[str, int]:
 
 
 def _limits(plan: Plan) -> dict[str, float]:
-    """Limits [m], a squared limit [m2] of displacements, the relative overlap limit and the longest time step [s]."""
+    """Limits [m], a squared limit [m2] of displacements, the relative overlap limit and the longest time step
+    [s]."""
     return {
         "travel_limit_squared": plan.travel_limit**2,
         "max_overlap": plan.max_overlap,
@@ -462,11 +512,13 @@ def _lengths(plan: Plan) -> dict[str, float]:
 
 
 def _of_sums(plan: Plan) -> Iterator[Parameter]:
-    """Reciprocal units in the order of `sum_units`, and the numbers that round forces and torques to their units.
+    """Reciprocal units in the order of `sum_units`, and the numbers that round forces and torques to their
+    units.
 
     For energies, the reciprocal unit of the high word.
 
-    A number is rounded to multiples of a unit by adding 3/2 unit / eps, see `engine.exact_sums.build_to_grid`.
+    A number is rounded to multiples of a unit by adding 3/2 unit / eps, see
+    `engine.exact_sums.build_to_grid`.
     """
     units = np.array(astuple(plan.sum_units))
     eps = np.finfo(np.float64 if plan.precision == "f64" else np.float32).eps
@@ -500,10 +552,11 @@ def _of_motion(prefix: str, motion: ControlledMotion) -> Iterator[Parameter]:
 
 
 def structure_of(plan: Plan) -> Hashable:
-    """Features, contact laws, kinds of walls, outlets and motions, arrays, and their lengths but the neighbor lists'.
+    """Features, contact laws, kinds of walls, outlets and motions, arrays, and their lengths but the neighbor
+    lists'.
 
-    Contact laws count without their numbers, see `contact.law.Law.structure`; external forces with their functions and
-    names of parameters.
+    Contact laws count without their numbers, see `contact.law.Law.structure`; external forces with their
+    functions and names of parameters.
     """
     return (
         plan.precision,
@@ -525,7 +578,8 @@ def structure_of(plan: Plan) -> Hashable:
 
 
 def fits_lists(available: Capacities, needed: Capacities) -> bool:
-    """True if arrays of equal structure hold the neighbor lists; lists that have grown hold more than needed."""
+    """True if arrays of equal structure hold the neighbor lists; lists that have grown hold more than
+    needed."""
     lengths = [(each.list_entries, each.saved_entries, each.batch) for each in (available, needed)]
     return all(length >= least for length, least in zip(*lengths, strict=True))
 

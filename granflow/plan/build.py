@@ -65,11 +65,13 @@ from granflow.plan.walls import MeshNote, PlannedMotion, PlannedWall, notes_on, 
 from granflow.scene.blocks.run import Numerics
 
 SMALL_SCENE_PARTICLES = 64
-"""Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""
+"""Number of particles up to which each is a separate chunk: the longer run time is less than the saved
+compile time."""
 CHUNK_COUNT = 32
 """Number of chunks to distribute over the threads, if their size is within CHUNK_BOUNDS."""
 CHUNK_BOUNDS = (512, 2048)
-"""Particles per chunk: smaller chunks have more pairs across chunks, computed twice; larger ones exceed the cache."""
+"""Particles per chunk: smaller chunks have more pairs across chunks, computed twice; larger ones exceed the
+cache."""
 SKIN_STEPS = 60
 """Minimum number of steps in which a particle at the maximum velocity crosses half the skin."""
 LARGEST_SKIN = 20.0
@@ -79,10 +81,12 @@ SKIN_SHARES = (0.05, 0.3)
 
 
 def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
-    """Compute the plan of a scene; `on_gpu`: each particle is a chunk, because a thread processes one particle.
+    """Compute the plan of a scene; `on_gpu`: each particle is a chunk, because a thread processes one
+    particle.
 
-    Raises SceneError if a contact model is not valid for a pair, if the given time step is not stable, if velocities
-    are too high for the time step, if the precision is too coarse for the domain, or if a periodic box is too narrow.
+    Raises SceneError if a contact model is not valid for a pair, if the given time step is not stable, if
+    velocities are too high for the time step, if the precision is too coarse for the domain, or if a periodic
+    box is too narrow.
 
     >>> gf.plan_for(gf.load_scene("two.yaml")).step.value > 0
     True
@@ -101,7 +105,8 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})
     impact_velocity = max_impact_velocity(scene)
     velocity = impact_velocity.value
-    groups, models = planned_groups(scene), active_models(scene)
+    groups = planned_groups(scene)
+    models = active_models(scene)
     radii = [0.5 * diameter for group in groups for diameter in group.diameters]
     radius_min, radius_max = min(radii), max(radii)
     solids = {name: solid(given) for name, given in scene.materials.items()}
@@ -154,7 +159,8 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
 
 
 def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: float, reach: float) -> None:
-    """Raise SceneError for a periodic box or walls that do not fit neighbor lists of this reach beyond contact [m]."""
+    """Raise SceneError for a periodic box or walls that do not fit neighbor lists of this reach beyond
+    contact [m]."""
     refuse_narrow_box(scene, radius_max, 2.0 * reach if scene.domain.lees_edwards is not None else reach)
     refuse_cut_walls(scene, walls, radius_max + reach)
     refuse_infinite_rotations(scene, walls)
@@ -191,22 +197,32 @@ def _as_given(scene: Scene) -> dict[str, Any]:
 
 
 def _sources(scene: Scene) -> dict[str, str]:
-    """Positions in the scene file for messages: of the key that sets the number of steps, given numerics, `on_exit`."""
+    """Positions in the scene file for messages: of the key that sets the number of steps, given numerics,
+    `on_exit`."""
     given_step = not isinstance(scene.run.time_step, str)
     steps = ("run", "time_step") if given_step else ("stages",) if scene.stages else ("run", "duration")
     sources = {"steps": scene.locate(*steps), "domain.on_exit": scene.where("domain", "on_exit")}
-    is_given = {"skin": scene.numerics.skin != "auto", "max_overlap": scene.is_given("numerics", "max_overlap")}
-    return sources | {f"numerics.{name}": scene.where("numerics", name) for name, given in is_given.items() if given}
+    is_given = {
+        "skin": scene.numerics.skin != "auto",
+        "max_overlap": scene.is_given("numerics", "max_overlap"),
+    }
+    return sources | {
+        f"numerics.{name}": scene.where("numerics", name) for name, given in is_given.items() if given
+    }
 
 
 def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> None:
-    """Raise SceneError for velocities [m/s] at which contacts can be missed from the start, and for a fast decay."""
+    """Raise SceneError for velocities [m/s] at which contacts can be missed from the start, and for a fast
+    decay."""
     refuse_unresolved_drag(scene, plan.longest_time_step)
     refuse_fast_start(scene, initial_speeds(scene.particles), plan.time_step, plan.radius_min)
     refuse_fast_rotation(scene, initial_rotation_rates(scene.particles), plan.time_step)
-    step, skin = plan.longest_time_step, f"of the skin {plan.skin:.3g} m"
-    limit, displacement = plan.wall_travel_limit, plan.wall_displacement_limit
-    travel, share = share_of(limit, plan.radius_min), f"{displacement / plan.skin:.2g} {skin}"
+    step = plan.longest_time_step
+    skin = f"of the skin {plan.skin:.3g} m"
+    limit = plan.wall_travel_limit
+    displacement = plan.wall_displacement_limit
+    travel = share_of(limit, plan.radius_min)
+    share = f"{displacement / plan.skin:.2g} {skin}"
     refuse_fast_walls(scene, wall_speeds, step, *min((limit, travel), (displacement, share)))
     image_limits = (plan.travel_limit, share_of(plan.travel_limit, plan.radius_min)), (plan.skin, f"1 {skin}")
     refuse_fast_images(scene, plan.image_speed, step, *min(image_limits))
@@ -239,9 +255,13 @@ def _time_step(
     numerics = scene.numerics
     try:
         step = choose_time_step(
-            given, pair_cases, law, velocity,
-            numerics.time_step_fraction, numerics.rayleigh_fraction,
-        )  # fmt: skip
+            given,
+            pair_cases,
+            law,
+            velocity,
+            numerics.time_step_fraction,
+            numerics.rayleigh_fraction,
+        )
     except ValueError as error:
         raise SceneError(f"{scene.locate('run', 'time_step')}: run.time_step {error}") from None
     precision = scene.run.precision
@@ -264,7 +284,8 @@ def _adaptive_time_step(
 
 
 def _chunk_size(numerics: Numerics, particle_count: int) -> int:
-    """Particles per chunk, a power of two. It depends on the scene only, because sums are computed chunk by chunk."""
+    """Particles per chunk, a power of two. It depends on the scene only, because sums are computed chunk by
+    chunk."""
     if numerics.chunk_size != "auto":
         return int(numerics.chunk_size)
     if particle_count <= SMALL_SCENE_PARTICLES:
@@ -274,7 +295,8 @@ def _chunk_size(numerics: Numerics, particle_count: int) -> int:
 
 
 def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
-    """The skin [m] of the scene. Raises SceneError if it exceeds LARGEST_SKIN times the smallest radius [m]."""
+    """The skin [m] of the scene. Raises SceneError if it exceeds LARGEST_SKIN times the smallest radius
+    [m]."""
     if skin > LARGEST_SKIN * radius_min:
         raise SceneError(
             f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} times the "
@@ -284,9 +306,11 @@ def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
 
 
 def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:
-    """Skin [m]: given, or twice the distance of SKIN_STEPS steps at the maximum velocity, limited by SKIN_SHARES.
+    """Skin [m]: given, or twice the distance of SKIN_STEPS steps at the maximum velocity, limited by
+    SKIN_SHARES.
 
-    `radius_min` [m], `velocity` [m/s], `step` [s]. A thicker skin means fewer rebuilds, but more candidate pairs.
+    `radius_min` [m], `velocity` [m/s], `step` [s]. A thicker skin means fewer rebuilds, but more candidate
+    pairs.
     """
     if scene.numerics.skin != "auto":
         return _given_skin(scene, float(scene.numerics.skin), radius_min)
@@ -303,7 +327,8 @@ GHOST_LAYERS = 1.5
 
 
 def rank_plan(plan: Plan, ranks: int) -> Plan:
-    """The plan of each of `ranks` ranks: capacity for its share of the particles and for the ghosts of a cube of them.
+    """The plan of each of `ranks` ranks: capacity for its share of the particles and for the ghosts of a cube
+    of them.
 
     n + [(n^(1/3) + 2 layers)^3 - n]        n = 1.2 N / ranks
     """
@@ -324,7 +349,8 @@ def without_wall(plan: Plan, name: str, time: float) -> Plan:
 def with_motions(
     plan: Plan, name: str, motions: Sequence[motion.Motion], time: float, present: Sequence[motion.Motion]
 ) -> Plan:
-    """The plan with a wall that moves with `motions` from `time` [s], from the pose of its present motions there.
+    """The plan with a wall that moves with `motions` from `time` [s], from the pose of its present motions
+    there.
 
     Raises GranflowError for a force-controlled wall, or if the wall would be too fast for the time step.
     """
@@ -334,13 +360,16 @@ def with_motions(
     try:
         motion.single_rotation(motions)
     except ValueError:
-        raise GranflowError(f"walls[{name!r}].motion has two rotations, but a wall can have at most one.") from None
+        raise GranflowError(
+            f"walls[{name!r}].motion has two rotations, but a wall can have at most one."
+        ) from None
     placed = (motion.placement_at(present, time), *motions)
     return with_wall(plan, replace(wall, motions=tuple(PlannedMotion(each, None) for each in placed)))
 
 
 def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
-    """The plan with another wall of the same name. Raises GranflowError if it is too fast for the time step."""
+    """The plan with another wall of the same name. Raises GranflowError if it is too fast for the time
+    step."""
     speed = _speed(plan, wall)
     limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
     if speed * plan.longest_time_step > limit:
@@ -370,35 +399,49 @@ def wall_named(plan: Plan, name: str) -> PlannedWall:
     """The wall with this name. Raises GranflowError."""
     found = {wall.name: wall for wall in plan.walls}
     if name not in found:
-        raise GranflowError(f"walls: {name!r} is not a wall of the scene; its walls are {', '.join(found) or 'none'}.")
+        raise GranflowError(
+            f"walls: {name!r} is not a wall of the scene; its walls are {', '.join(found) or 'none'}."
+        )
     return found[name]
 
 
 def _speed(plan: Plan, wall: PlannedWall) -> float:
-    """Largest speed [m/s] of the geometry of the wall within the domain, by its prescribed motions without stages.
+    """Largest speed [m/s] of the geometry of the wall within the domain, by its prescribed motions without
+    stages.
 
-    A rotation of a placed wall is about an axis in space; the axis through the wall at rest is inversely placed.
+    A rotation of a placed wall is about an axis in space; the axis through the wall at rest is inversely
+    placed.
     """
     motions = [each.given for each in wall.motions if each.stages is None]
     rotation = motion.single_rotation(motions)
     reach = 0.0
     if rotation is not None:
-        point, axis = np.array(rotation.point), np.array(rotation.axis)
+        point = np.array(rotation.point)
+        axis = np.array(rotation.axis)
         corners = np.abs([plan.domain_low - point, plan.domain_high - point]).max(axis=0)
         if isinstance(motions[0], motion.Placement):
             turned = np.array(motions[0].rotation).T
-            point, axis = turned @ (point - np.array(motions[0].translation)), turned @ axis
+            point = turned @ (point - np.array(motions[0].translation))
+            axis = turned @ axis
         reach = reach_about(wall.shape, point, axis, float(np.linalg.norm(corners)))
     return motion_speed.speed_bound(motions, reach)
 
 
 MOTIONS = {
     kind.__name__: kind
-    for kind in (motion.Translation, motion.Rotation, motion.Vibration, motion.SurfaceVelocity, motion.Placement)
+    for kind in (
+        motion.Translation,
+        motion.Rotation,
+        motion.Vibration,
+        motion.SurfaceVelocity,
+        motion.Placement,
+    )
 }
 """Motions that checkpoints contain, by name."""
 
 
 def changed_walls(plan: Plan, original: Plan) -> Mapping[str, PlannedWall]:
     """The walls that differ from those of the original plan, by name."""
-    return {wall.name: wall for wall, before in zip(plan.walls, original.walls, strict=True) if wall is not before}
+    return {
+        wall.name: wall for wall, before in zip(plan.walls, original.walls, strict=True) if wall is not before
+    }

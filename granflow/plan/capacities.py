@@ -1,4 +1,5 @@
-"""Capacities of the device arrays, which are rounded up so that scenes of similar size share their machine code.
+"""Capacities of the device arrays, which are rounded up so that scenes of similar size share their machine
+code.
 
 Neighbor lists that are too short grow; all kernels are then compiled again.
 """
@@ -19,25 +20,29 @@ MIN_SIZE_CLASSES, MIN_WALLS, MIN_PAIRS = 8, 8, 64
 MIN_TRIANGLES = 1024
 """Smallest capacity for triangles, edges, vertices and cells of meshes."""
 MIN_BATCH, MIN_CHUNK_PARTICLES = 1024, 512
-"""Smallest capacities of a batch of contacts, those of several particles or of one with many neighbors, and of the
-force sums of a chunk."""
+"""Smallest capacities of a batch of contacts, those of several particles or of one with many neighbors, and
+of the force sums of a chunk."""
 WORKERS = 16
 """Number of CPU threads up to which all thread counts have the same arrays."""
 GENEROUS_BELOW = 20_000
-"""Number of particles below which memory is negligible and each particle gets `GENEROUS_NEIGHBORS` list entries."""
+"""Number of particles below which memory is negligible and each particle gets `GENEROUS_NEIGHBORS` list
+entries."""
 GENEROUS_NEIGHBORS = 7.0
 """List entries per particle in small scenes."""
 IN_CONTACT_NEIGHBORS, NEIGHBORS_PER_SKIN = 3.4, 10.0
 """Candidate pairs per particle in a settled bed: contacts, and an increase with skin over radius.
 
-Measured in beds with friction 0.5 and 10 % size spread: 3.6 to 4.0 at a skin of 0.11 radii; the rest is reserve.
+Measured in beds with friction 0.5 and 10 % size spread: 3.6 to 4.0 at a skin of 0.11 radii; the rest is
+reserve.
 """
 HISTORY_SHARE = 0.8
 """Share of the list entries that can hold a contact history at a neighbor-list rebuild."""
 SAVED_CONTACTS = 3.1
-"""Contacts per particle whose history can be saved in large scenes with one segment; packings without friction have 3.
+"""Contacts per particle whose history can be saved in large scenes with one segment; packings without
+friction have 3.
 
-Less than HISTORY_SHARE of the list entries. Segments of one chunk each need more: contacts are denser in some of them.
+Less than HISTORY_SHARE of the list entries. Segments of one chunk each need more: contacts are denser in some
+of them.
 """
 SPARE = 8
 """Entries per segment in addition to a share, for segments with few list entries."""
@@ -48,8 +53,8 @@ SUBPARTS = 64
 LARGE = 100_000
 """Capacity above which the steps between capacities are smaller."""
 SHARED_ROWS = 64
-"""Rows of the sums of wall forces if each particle is a chunk: few particles are at walls, and atomic additions of
-integers are exact."""
+"""Rows of the sums of wall forces if each particle is a chunk: few particles are at walls, and atomic
+additions of integers are exact."""
 SCAN_BLOCK = 1024
 """Number of cells summed by one task of the prefix sum."""
 REACH_STEPS = 40
@@ -63,7 +68,8 @@ SHARE_AT_MESHES = 0.1
 
 
 def near_triangles(edge: float, skin: float) -> float:
-    """Candidate triangles of a sphere at a mesh with this edge length [m]: those within the skin of the contact.
+    """Candidate triangles of a sphere at a mesh with this edge length [m]: those within the skin of the
+    contact.
 
         n = 2 (1 + 2 skin / edge)^2
 
@@ -75,8 +81,8 @@ def near_triangles(edge: float, skin: float) -> float:
 def neighbors_per_particle(particle_count: int, skin_over_radius: float) -> float:
     """List entries per particle, as a real number.
 
-    Linear in `skin_over_radius`, at least GENEROUS_NEIGHBORS for fewer than GENEROUS_BELOW particles. Each pair within
-    a chunk has one entry, each pair across two chunks has two.
+    Linear in `skin_over_radius`, at least GENEROUS_NEIGHBORS for fewer than GENEROUS_BELOW particles. Each
+    pair within a chunk has one entry, each pair across two chunks has two.
     """
     neighbors = IN_CONTACT_NEIGHBORS + NEIGHBORS_PER_SKIN * skin_over_radius
     return max(neighbors, GENEROUS_NEIGHBORS) if particle_count < GENEROUS_BELOW else neighbors
@@ -96,7 +102,8 @@ def history_share(particle_count: int, segments: int, list_entries: int) -> floa
 class Capacities:
     """Lengths of the device arrays, rounded by `rounded_capacity`, but for `segments` and `history_share`.
 
-    segments:        equal parts of `list_entries`, one for each chunk, or 1 if each particle is a chunk; not a length
+    segments:        equal parts of `list_entries`, one for each chunk, or 1 if each particle is a chunk; not
+                     a length
     list_entries:    entries of all neighbor lists
     class_cells:     cells of the grids of all size classes; 0 without size classes
     measured_walls:  walls with measured forces; 0 without
@@ -125,7 +132,8 @@ class Capacities:
 
     @property
     def saved_entries(self) -> int:
-        """History entries that a rebuild can save; fewer than list entries, because only contacts have a history."""
+        """History entries that a rebuild can save; fewer than list entries, because only contacts have a
+        history."""
         return int(self.history_share * self.list_entries) + SPARE
 
     @property
@@ -143,7 +151,8 @@ class Capacities:
         return ceil((saved + 1) / self.history_share)
 
     def grown(self, needed: int, batch: int) -> "Capacities":
-        """Capacities for at least GROWTH_FACTOR times `needed` list entries per segment, and `batch` contacts."""
+        """Capacities for at least GROWTH_FACTOR times `needed` list entries per segment, and `batch`
+        contacts."""
         entries = self.segments * (int(GROWTH_FACTOR * needed) + SPARE)
         return replace(
             self,
@@ -165,11 +174,18 @@ def rounded_capacity(needed: int, smallest: int) -> int:
 
 # Quantities that each chunk of particles sums: terms of the energy budget, and impulses of walls.
 
-LOSSES = ("plastic_dissipation", "friction_dissipation", "rolling_dissipation", "damping_dissipation", "wall_work")
+LOSSES = (
+    "plastic_dissipation",
+    "friction_dissipation",
+    "rolling_dissipation",
+    "damping_dissipation",
+    "wall_work",
+)
 """Terms of the energy budget that each chunk sums [J], with the names of the totals."""
 PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
 IMPULSE_SIZE = 7
-"""Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force (1)."""
+"""Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force
+(1)."""
 
 
 # Units of the sums over contacts: sums of integers are exact, and do not depend on the order of their
@@ -193,11 +209,12 @@ IMPULSE_SIZE = 7
 FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 53, 43
 """Binary digits of the largest force in units of a force, and so on: fewer, if more terms are added.
 
-An energy is added in two words, so that the contacts of small particles count in the presence of very large ones.
+An energy is added in two words, so that the contacts of small particles count in the presence of very large
+ones.
 """
 SUM_BITS = 50
-"""Binary digits of the largest sum of forces on a particle in its unit, a quarter of what f64 represents exactly in
-half units: partial sums can be larger than the sum."""
+"""Binary digits of the largest sum of forces on a particle in its unit, a quarter of what f64 represents
+exactly in half units: partial sums can be larger than the sum."""
 CARRY_BITS = 40
 """Binary digits of the low word of a sum over a run; a high word counts the rest."""
 FORCE, TORQUE, ENERGY, IMPULSE, ANGULAR_IMPULSE, WALL_FORCE = range(6)
@@ -254,14 +271,18 @@ def sum_units(
     size:         largest distance [m] of a particle from the pivot of a wall
     weight:       [N], of the heaviest sphere
     """
-    force, energy = weight, 0.0
+    force = weight
+    energy = 0.0
     for case in [case for case in pair_cases if case.pair_key] or pair_cases:
-        overlap, arguments = max_overlap * case.largest_radius, (case.pair, case.radius_eff, case.mass_eff, velocity)
+        overlap = max_overlap * case.largest_radius
+        arguments = (case.pair, case.radius_eff, case.mass_eff, velocity)
         hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.largest_radius) * overlap**1.5
         viscosity = law.viscosity(*case.dashpot_arguments, velocity)
         spring = law.loading_stiffness(*arguments) * overlap + viscosity * velocity
-        force, energy = max(force, hertz, spring), max(energy, max(hertz, spring) * overlap)
-    force_scale, radius_scale = _power_of_two(force), _power_of_two(radius)
+        force = max(force, hertz, spring)
+        energy = max(energy, max(hertz, spring) * overlap)
+    force_scale = _power_of_two(force)
+    radius_scale = _power_of_two(radius)
     impulse = force_scale * _power_of_two(time_step) / 2.0**IMPULSE_BITS
     return SumUnits(
         force=force_scale / 2.0**FORCE_BITS,

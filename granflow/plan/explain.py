@@ -40,17 +40,34 @@ from granflow.plan.time_step import rayleigh_time
 # the cache.
 
 INTEGRATION_READ = (
-    "position", "velocity", "angular_velocity", "mass", "radius", "force", "torque", "position_at_rebuild", "reach"
-)  # fmt: skip
+    "position",
+    "velocity",
+    "angular_velocity",
+    "mass",
+    "radius",
+    "force",
+    "torque",
+    "position_at_rebuild",
+    "reach",
+)
 INTEGRATION_WRITTEN = ("position", "velocity", "velocity_synchronized", "angular_velocity")
-FORCES_READ = ("position", "velocity", "velocity_synchronized", "angular_velocity", "radius", "mass", "material")
+FORCES_READ = (
+    "position",
+    "velocity",
+    "velocity_synchronized",
+    "angular_velocity",
+    "radius",
+    "mass",
+    "material",
+)
 FORCES_WRITTEN = ("force", "torque")
 CONTACTS, LIST_ENTRIES, STEPS_PER_REBUILD = 6.0, 9.0, 50.0
 """Contacts and list entries per particle and steps between rebuilds, as in a settled bed that is agitated."""
 INTEGER, LIST_RANGE, SORT_INTEGERS = 4, 3, 8
 """Bytes of an integer; integers per particle of its list range, and of the sort."""
 INTEGRATION_OPERATIONS, ENTRY_OPERATIONS, CONTACT_OPERATIONS = 75.0, 10.0, 388.0
-"""Per particle, list entry and frictional contact (zhou): sums and products, and 20 for each root or quotient."""
+"""Per particle, list entry and frictional contact (zhou): sums and products, and 20 for each root or
+quotient."""
 
 
 @dataclass(frozen=True)
@@ -118,17 +135,21 @@ ROUNDING = 1e-6
 
 
 def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
-    """Raise SceneError if a stage is shorter than a step, steps do not advance the time, or the run time is excessive.
+    """Raise SceneError if a stage is shorter than a step, steps do not advance the time, or the run time is
+    excessive.
 
     `allow_long` allows an excessive run time.
     """
     _refuse_no_step(plan)
     steps = duration_of(plan) / plan.time_step
     if steps > CLOCK_STEPS:
-        raise SceneError(f"{_steps_text(plan, steps)}, more than the {CLOCK_STEPS:.2g} that time in f64 resolves.")
+        raise SceneError(
+            f"{_steps_text(plan, steps)}, more than the {CLOCK_STEPS:.2g} that time in f64 resolves."
+        )
     seconds = least_run_time(plan)
     if seconds > LONGEST and not allow_long:
-        count, steps = plan.particle_capacity, duration_of(plan) / plan.longest_time_step
+        count = plan.particle_capacity
+        steps = duration_of(plan) / plan.longest_time_step
         raise SceneError(
             f"{_steps_text(plan, steps)}. With a particle count of {count} and {_writes(plan):.3g} frames, rows and "
             f"checkpoints, the run would take at least {_in_years(seconds)}. Check the units of durations, intervals, "
@@ -144,7 +165,9 @@ def least_run_time(plan: Plan) -> float:
     N: steps of the longest possible duration, P: particles, W: frames, rows and checkpoints.
     """
     steps = duration_of(plan) / plan.longest_time_step
-    computed = max(steps / MAX_STEPS_PER_SECOND, steps * plan.particle_capacity / MAX_PARTICLE_STEPS_PER_SECOND)
+    computed = max(
+        steps / MAX_STEPS_PER_SECOND, steps * plan.particle_capacity / MAX_PARTICLE_STEPS_PER_SECOND
+    )
     return computed + _writes(plan) / WRITES_PER_SECOND
 
 
@@ -155,7 +178,8 @@ def duration_of(plan: Plan) -> float:
 
 def _writes(plan: Plan) -> float:
     """Number of frames, rows and checkpoints at intervals of simulated time: at most one of each per step."""
-    output, duration = plan.output, duration_of(plan)
+    output = plan.output
+    duration = duration_of(plan)
     intervals = (output.interval, output.timeseries_interval, output.checkpoint.interval)
     steps = duration / plan.longest_time_step
     return sum(min(duration / interval, steps) for interval in intervals if interval is not None)
@@ -209,9 +233,11 @@ class ExplainRow(NamedTuple):
 
 
 def explain(plan: Plan, on_gpu: bool = False) -> str:
-    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time; with `on_gpu`, GPU rates.
+    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time; with `on_gpu`,
+    GPU rates.
 
-    Text of at most about WIDTH columns, one section per subject; quantities have units. Empty sections are omitted.
+    Text of at most about WIDTH columns, one section per subject; quantities have units. Empty sections are
+    omitted.
 
     >>> print(gf.explain(gf.plan_for(gf.load_scene("two.yaml"))).splitlines()[0])
     Two steel spheres (two.yaml)
@@ -232,7 +258,9 @@ def explain(plan: Plan, on_gpu: bool = False) -> str:
         "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in plan.settings],
     }
     if plan.remarks:
-        sections["Changes to the scene as written"] = [ExplainRow("", "", sentence) for sentence in plan.remarks]
+        sections["Changes to the scene as written"] = [
+            ExplainRow("", "", sentence) for sentence in plan.remarks
+        ]
     title = f"{plan.title} ({plan.path})" if plan.path else plan.title
     tables = {head: list(_aligned(rows)) for head, rows in sections.items()}
     return "\n\n".join([title, *("\n".join([head, *lines]) for head, lines in tables.items() if lines)])
@@ -248,17 +276,19 @@ def feature_label(name: str) -> str:
 
 
 def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
-    """Rows of the time step and of the quantities that limit it: stability, Rayleigh time, maximum impact velocity."""
-    step, impact_velocity = plan.step, plan.impact_velocity
+    """Rows of the time step and of the quantities that limit it: stability, Rayleigh time, maximum impact
+    velocity."""
+    step = plan.step
+    impact_velocity = plan.impact_velocity
     shortest, radius = min((rayleigh_time(each.solid, each.radius), each.radius) for each in plan.pair_cases)
     yield ExplainRow("time step", f"{step.value:.4g} s", step.limited_by)
     if plan.adaptive_time_step is not None:
-        slow = (
-            f"{step.value:.3g} s at {impact_velocity.value:.3g} m/s to {plan.adaptive_time_step.longest:.3g} s at rest"
-        )
+        slow = f"{step.value:.3g} s at {impact_velocity.value:.3g} m/s to {plan.adaptive_time_step.longest:.3g} s at rest"
         yield ExplainRow("", "initially", f"then for the current maximum impact velocity: {slow}")
     yield ExplainRow(
-        "stability limit", f"{step.stable_below:.4g} s", f"{step.stable_limit} at {impact_velocity.value:.3g} m/s"
+        "stability limit",
+        f"{step.stable_below:.4g} s",
+        f"{step.stable_limit} at {impact_velocity.value:.3g} m/s",
     )
     yield ExplainRow(
         "Rayleigh time",
@@ -278,9 +308,13 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 
 def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
-    """Row of the Bond number, the largest ratio of pull-off force to weight; empty without gravity or cohesion."""
-    law, gravity = plan.laws.cohesion, math.hypot(*plan.gravity)
-    forces = [(law.pull_off_force(each.pair, each.radius_eff), each) for each in plan.pair_cases] if law else []
+    """Row of the Bond number, the largest ratio of pull-off force to weight; empty without gravity or
+    cohesion."""
+    law = plan.laws.cohesion
+    gravity = math.hypot(*plan.gravity)
+    forces = (
+        [(law.pull_off_force(each.pair, each.radius_eff), each) for each in plan.pair_cases] if law else []
+    )
     numbers = [
         (force / (sphere_mass(each.radius, each.solid.density) * gravity), force, each.name)
         for force, each in forces
@@ -288,7 +322,9 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
     ]
     if numbers:
         bond_number, force, name = max(numbers)
-        yield ExplainRow("Bond number", f"{bond_number:.3g}", f"pull-off force {force:.3g} N over weight, {name}")
+        yield ExplainRow(
+            "Bond number", f"{bond_number:.3g}", f"pull-off force {force:.3g} N over weight, {name}"
+        )
 
 
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
@@ -297,7 +333,9 @@ def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     yield ExplainRow("particles", count(plan.particle_capacity), groups)
     same = plan.radius_min == plan.radius_max
     largest = "" if same else f" to {plan.radius_max:.4g}"
-    yield ExplainRow("radius", f"{plan.radius_min:.4g}{largest} m", "one size" if same else "smallest to largest")
+    yield ExplainRow(
+        "radius", f"{plan.radius_min:.4g}{largest} m", "one size" if same else "smallest to largest"
+    )
     yield ExplainRow("materials", str(plan.material_count), _materials(plan))
     share = f"{plan.skin / plan.radius_min:.3g} of the smallest radius"
     given = f" ({plan.sources['numerics.skin']})" if "numerics.skin" in plan.sources else ""
@@ -324,12 +362,13 @@ def _table_rows(plan: Plan) -> Iterator[ExplainRow]:
     for wall in plan.walls:
         for motion in (each.given for each in wall.motions):
             if isinstance(motion, TableTranslation | TableRotation):
-                table, length = motion.table, "m" if isinstance(motion, TableTranslation) else "rad"
-                largest = (
-                    f"at most {table.largest_rate:.3g} {length}/s and {table.largest_change_of_rate:.3g} {length}/s2"
-                )
+                table = motion.table
+                length = "m" if isinstance(motion, TableTranslation) else "rad"
+                largest = f"at most {table.largest_rate:.3g} {length}/s and {table.largest_change_of_rate:.3g} {length}/s2"
                 rows = f"{len(table.times)} rows from {table.times[0]:g} to {table.times[-1]:g} s"
-                yield ExplainRow(wall.name, f"{table.values[-1]:.4g} {length} at the end", f"{rows}, {largest}")
+                yield ExplainRow(
+                    wall.name, f"{table.values[-1]:.4g} {length} at the end", f"{rows}, {largest}"
+                )
 
 
 def _materials(plan: Plan) -> str:
@@ -363,7 +402,8 @@ def _forecast_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     """Rows of the memory estimate by part, and the total."""
-    list_entries, capacity = plan.capacities.list_entries, plan.capacities.particles
+    list_entries = plan.capacities.list_entries
+    capacity = plan.capacities.particles
     capacity_text = f"state, force and sorting arrays for up to {count(capacity)} particles"
     each = f"{size(memory.per_particle)} per particle: {capacity_text}"
     yield ExplainRow("particles", size(memory.particles), each)
@@ -378,7 +418,9 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
         yield ExplainRow("meshes", size(memory.meshes), "triangles, their edges and grids")
     if memory.sums:
         yield ExplainRow("sums", size(memory.sums), "energies and wall forces")
-    yield ExplainRow("total", size(memory.total), f"{size(memory.total / plan.particle_capacity)} per particle")
+    yield ExplainRow(
+        "total", size(memory.total), f"{size(memory.total / plan.particle_capacity)} per particle"
+    )
 
 
 def _gpu_rows(plan: Plan) -> Iterator[ExplainRow]:
@@ -398,14 +440,18 @@ def _history_text(plan: Plan) -> str:
 
 
 def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
-    """Rows of precision, simulated time, numbers of steps and frames, and an estimate of the run time on a CPU.
+    """Rows of precision, simulated time, numbers of steps and frames, and an estimate of the run time on a
+    CPU.
 
-    The estimate assumes the rates PARTICLE_STEPS_PER_SECOND and STEPS_PER_SECOND, whichever gives the longer time.
+    The estimate assumes the rates PARTICLE_STEPS_PER_SECOND and STEPS_PER_SECOND, whichever gives the longer
+    time.
     """
     ends_early = any(stage.has_condition for stage in plan.stages)
     longest = duration_of(plan)
     steps = ceil(longest / plan.time_step)
-    prefix, stages_at_most = ("at most ", ", if every stage reaches its maximum duration") if ends_early else ("", "")
+    prefix, stages_at_most = (
+        ("at most ", ", if every stage reaches its maximum duration") if ends_early else ("", "")
+    )
     stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.stages)
     yield ExplainRow("precision", plan.precision, "")
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
@@ -413,7 +459,9 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     frames = int(longest / plan.output.interval) + 1
     yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {plan.output.interval:g} s")
     seconds = max(steps * plan.particle_capacity / PARTICLE_STEPS_PER_SECOND, steps / STEPS_PER_SECOND)
-    assumed = f"at {PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU{stages_at_most}"
+    assumed = (
+        f"at {PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU{stages_at_most}"
+    )
     yield ExplainRow("run time", f"about {duration(seconds)}", assumed)
 
 
@@ -429,7 +477,8 @@ def _aligned(rows: Iterable[ExplainRow]) -> Iterator[str]:
     wrapper = textwrap.TextWrapper(WIDTH, break_long_words=False, break_on_hyphens=False)
     for row in found:
         lead = f"  {row.name:<{names}}  {row.value:<{values}}  "
-        wrapper.initial_indent, wrapper.subsequent_indent = lead, " " * len(lead)
+        wrapper.initial_indent = lead
+        wrapper.subsequent_indent = " " * len(lead)
         wrapped = wrapper.fill(row.remark) if row.remark else lead
         yield wrapped.replace("\N{NO-BREAK SPACE}", " ").rstrip()
 

@@ -1,7 +1,8 @@
 """Impact velocities on the paths of particles that fall onto walls and slide over their edges.
 
-A particle falls from its insertion along a parabola onto the first wall. The impact ends its velocity across the wall;
-that along the wall remains and grows without friction down to the lowest edges, over which the particle falls further:
+A particle falls from its insertion along a parabola onto the first wall. The impact ends its velocity across
+the wall; that along the wall remains and grows without friction down to the lowest edges, over which the
+particle falls further:
 
     v1^2 = v0^2 + 2 g h1                       impact after a fall by h1
     v2^2 = |v1 - (v1.n) n|^2 + 2 g h2          slide by the height h2 of a wall with the normal n
@@ -41,12 +42,15 @@ from granflow.scene.blocks.walls import Plane
 
 
 def region_of(group: Group) -> RegionSampler | None:
-    """The region in which particles of a group are inserted at random or on a lattice; None for given positions."""
+    """The region in which particles of a group are inserted at random or on a lattice; None for given
+    positions."""
     insertion = group.insert
     if isinstance(insertion, LatticeInsertion | PackInsertion | RainInsertion):
         return sampler_of(insertion.region)
     if isinstance(insertion, InletInsertion):
-        return insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.array(group.velocity, float), 0.0)
+        return insertion_region(
+            insertion, 0.5 * outer_diameter_range(group)[1], np.array(group.velocity, float), 0.0
+        )
     return None
 
 
@@ -55,14 +59,16 @@ def region_of(group: Group) -> RegionSampler | None:
 PATH_SEGMENTS = 48
 """Straight segments of the parabola of a particle with a horizontal velocity."""
 EDGE = 1e-9
-"""Tolerance of the barycentric coordinates of a point in a triangle: no gap between triangles with a common edge."""
+"""Tolerance of the barycentric coordinates of a point in a triangle: no gap between triangles with a common
+edge."""
 EDGE_SAMPLES = 32
 """Largest number of points on the lowest edges of a wall."""
 
 
 @dataclass(frozen=True)
 class Hit:
-    """Where a path ends at a wall: index of the wall, point (3,) [m], velocity (3,) [m/s], unit normal (3,)."""
+    """Where a path ends at a wall: index of the wall, point (3,) [m], velocity (3,) [m/s], unit normal
+    (3,)."""
 
     wall: int
     point: np.ndarray
@@ -83,13 +89,15 @@ class WallFacets:
     """
 
     def __init__(self, walls: Sequence[PlannedWall], low: np.ndarray, high: np.ndarray) -> None:
-        center, extent = 0.5 * (low + high), 4.0 * float(np.linalg.norm(high - low))
+        center = 0.5 * (low + high)
+        extent = 4.0 * float(np.linalg.norm(high - low))
         self.walls = list(walls)
         self.points = [triangles(wall.shape, center, extent) for wall in walls]
         corners = [points[each] for points, each in self.points]
         self.corners = np.concatenate([np.empty((0, 3, 3)), *corners])
         self.wall = np.repeat(np.arange(len(corners)), [len(each) for each in corners])
-        self.low, self.high = self.corners.min(axis=1).T.copy(), self.corners.max(axis=1).T.copy()
+        self.low = self.corners.min(axis=1).T.copy()
+        self.high = self.corners.max(axis=1).T.copy()
 
     def near(self, path: np.ndarray, within: np.ndarray | None = None) -> np.ndarray:
         """Numbers (k,) of the triangles whose bounding box intersects that of points (n, 3) [m].
@@ -103,28 +111,36 @@ class WallFacets:
             index = index[self.high[axis, index] >= coordinate.min()]
         return index
 
-    def first_on_segment(self, start: np.ndarray, end: np.ndarray, within: np.ndarray) -> tuple[float, int] | None:
-        """Share of the segment (3,) to (3,) [m] at which it meets the first triangle, and the triangle; or None.
+    def first_on_segment(
+        self, start: np.ndarray, end: np.ndarray, within: np.ndarray
+    ) -> tuple[float, int] | None:
+        """Share of the segment (3,) to (3,) [m] at which it meets the first triangle, and the triangle; or
+        None.
 
         By Moeller and Trumbore (1997). `within`: numbers of the triangles to search.
         """
         index = self.near(np.array([start, end]), within)
         first, second = (self.corners[index, k] - self.corners[index, 0] for k in (1, 2))
-        along, offset = end - start, start - self.corners[index, 0]
+        along = end - start
+        offset = start - self.corners[index, 0]
         across = np.cross(along, second)
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = 1.0 / np.sum(first * across, axis=1)
             u = scale * np.sum(offset * across, axis=1)
             turned = np.cross(offset, first)
-            v, share = scale * (turned @ along), scale * np.sum(second * turned, axis=1)
+            v = scale * (turned @ along)
+            share = scale * np.sum(second * turned, axis=1)
             inside = (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1.0 + EDGE) & (share >= 0.0) & (share <= 1.0)
         if not inside.any():
             return None
         best = int(np.flatnonzero(inside)[share[inside].argmin()])
         return float(share[best]), int(index[best])
 
-    def first_hit(self, start: np.ndarray, velocity: np.ndarray, gravity: np.ndarray, fall: float) -> Hit | None:
-        """The first wall on a parabola from `start` (3,) [m] with `velocity` (3,) [m/s]; None if there is none.
+    def first_hit(
+        self, start: np.ndarray, velocity: np.ndarray, gravity: np.ndarray, fall: float
+    ) -> Hit | None:
+        """The first wall on a parabola from `start` (3,) [m] with `velocity` (3,) [m/s]; None if there is
+        none.
 
         gravity:  (3,) [m/s2]
         fall:     height [m] below the start at which the path ends
@@ -148,8 +164,11 @@ class WallFacets:
         within = self.near(np.array([start, end]))
         return self.first_on_segment(start, end, within[self.wall[within] != without]) is None
 
-    def _hit(self, facet: int, start: np.ndarray, point: np.ndarray, velocity: np.ndarray, gravity: np.ndarray) -> Hit:
-        """The hit of a triangle; the velocity across gravity is constant, the energy gives that along gravity."""
+    def _hit(
+        self, facet: int, start: np.ndarray, point: np.ndarray, velocity: np.ndarray, gravity: np.ndarray
+    ) -> Hit:
+        """The hit of a triangle; the velocity across gravity is constant, the energy gives that along
+        gravity."""
         strength = float(np.linalg.norm(gravity))
         down = gravity / strength
         along = float(velocity @ down)
@@ -164,10 +183,11 @@ class WallFacets:
         return float((self.points[wall][0] @ up).min())
 
     def edges(self, wall: int, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n, 3) [m] on the lowest edges of a wall, and horizontal unit vectors (n, 3) away from its center.
+        """Points (n, 3) [m] on the lowest edges of a wall, and horizontal unit vectors (n, 3) away from its
+        center.
 
-        Surfaces of revolution and meshes, which may have openings, also have vectors toward the center. Planes, which
-        have no edges, have no points.
+        Surfaces of revolution and meshes, which may have openings, also have vectors toward the center.
+        Planes, which have no edges, have no points.
         """
         shape = self.walls[wall].shape
         if not isinstance(shape, Mesh) and shape.kind is HALF_SPACE:
@@ -182,7 +202,8 @@ class WallFacets:
         outward = found - 0.5 * (points.min(axis=0) + points.max(axis=0))
         outward -= np.outer(outward @ up, up)
         length = np.linalg.norm(outward, axis=1)
-        found, outward = found[length > 0.0], outward[length > 0.0] / length[length > 0.0][:, None]
+        found = found[length > 0.0]
+        outward = outward[length > 0.0] / length[length > 0.0][:, None]
         if isinstance(shape, Mesh) or shape.kind is REVOLVED:
             return np.concatenate([found, found]), np.concatenate([outward, -outward])
         return found, outward
@@ -240,7 +261,11 @@ class FallingParticles:
         belts: Sequence[float],
         bounds: tuple[np.ndarray, np.ndarray],
     ) -> None:
-        self.facets, self.gravity, self.low, self.radius, self.belts = facets, gravity, low, radius, belts
+        self.facets = facets
+        self.gravity = gravity
+        self.low = low
+        self.radius = radius
+        self.belts = belts
         self.bounds = bounds
         self.strength = float(np.linalg.norm(gravity))
         self.up = -gravity / self.strength
@@ -248,7 +273,8 @@ class FallingParticles:
     def fastest(self, points: np.ndarray, velocities: np.ndarray) -> Path:
         """The fastest impact of particles that start at points (n, 3) [m] with velocities (n, 3) [m/s]."""
         starts = [_Start(*both, ()) for both in zip(points, velocities, strict=True)]
-        best, visited = Path(0.0), np.full(len(self.facets.walls), -1.0)
+        best = Path(0.0)
+        visited = np.full(len(self.facets.walls), -1.0)
         for _ in range(ROUNDS * len(visited) + 1):
             following: list[_Start] = []
             for start in starts:
@@ -264,7 +290,8 @@ class FallingParticles:
         return float(start.point @ self.up) - self.low
 
     def _largest(self, start: _Start) -> float:
-        """Largest squared velocity [m2/s2] that can follow from a start; 0 outside the domain and at its bottom."""
+        """Largest squared velocity [m2/s2] that can follow from a start; 0 outside the domain and at its
+        bottom."""
         height = self._height(start)
         if height <= 0.0 or np.any(start.point < self.bounds[0]) or np.any(start.point > self.bounds[1]):
             return 0.0
@@ -283,7 +310,8 @@ class FallingParticles:
         return Path(max(float(hit.velocity @ hit.velocity), slide), walls), further
 
     def _after(self, hit: Hit, walls: tuple[str, ...], visited: np.ndarray) -> tuple[float, list[_Start]]:
-        """Squared velocity [m2/s2] at the end of a slide, and the starts of further falls; updates `visited`."""
+        """Squared velocity [m2/s2] at the end of a slide, and the starts of further falls; updates
+        `visited`."""
         tangential = hit.tangential_velocity
         is_below = float(hit.velocity @ self.up) > 0.0
         if abs(float(hit.normal @ self.up)) < STEEP or is_below:
@@ -315,7 +343,8 @@ class FallingParticles:
 # The time step keeps the velocity of `max_impact_velocity`, which covers runs that lift particles.
 
 PARALLEL = 1e-6
-"""Largest deviation of the normal of a plane from the vertical for a floor: on a steeper one, particles slide on."""
+"""Largest deviation of the normal of a plane from the vertical for a floor: on a steeper one, particles slide
+on."""
 SLOW = 0.1
 """Given velocity over that of a fall below which a unit is probably wrong."""
 SAMPLES = 64
@@ -327,26 +356,32 @@ def forecast_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
 
         v = max sqrt(max(v0, u)^2 + 2 |g| h) + u,      at most the planned velocity
 
-    v0: initial speed, h: drop height of a group, u: largest speed of belts, at which particles may fall from them. That
-    of the plan if the drop heights are not known, see `_drop_heights`.
+    v0: initial speed, h: drop height of a group, u: largest speed of belts, at which particles may fall from
+    them. That of the plan if the drop heights are not known, see `_drop_heights`.
     """
-    planned, heights = plan.impact_velocity, _drop_heights(scene, plan)
+    planned = plan.impact_velocity
+    heights = _drop_heights(scene, plan)
     if not heights:
         return planned
-    magnitude, belt = float(np.linalg.norm(plan.gravity)), _belt_speed(plan.walls)
+    magnitude = float(np.linalg.norm(plan.gravity))
+    belt = _belt_speed(plan.walls)
     speeds = {name: max(speed, belt) for name, speed in initial_speeds(scene.particles).items()}
     fastest = max(heights, key=lambda name: speeds[name] ** 2 + 2.0 * magnitude * heights[name])
     value = sqrt(speeds[fastest] ** 2 + 2.0 * magnitude * heights[fastest])
     initial = f" with an initial speed of {speeds[fastest]:.3g} m/s" if speeds[fastest] else ""
-    return _at_most(planned, value, plan, f"a fall of particles.{fastest} by {heights[fastest]:.3g} m{initial}")
+    return _at_most(
+        planned, value, plan, f"a fall of particles.{fastest} by {heights[fastest]:.3g} m{initial}"
+    )
 
 
 def path_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
-    """As `forecast_velocity`, but particles fall onto the first wall below, and slide over its edges onto the next.
+    """As `forecast_velocity`, but particles fall onto the first wall below, and slide over its edges onto the
+    next.
 
     Walls that are present during the whole run stop a fall. See `paths` for the velocities.
     """
-    simple, heights = forecast_velocity(scene, plan), _drop_heights(scene, plan)
+    simple = forecast_velocity(scene, plan)
+    heights = _drop_heights(scene, plan)
     if not heights or any(scene.particles[name].thermal is not None for name in heights):
         return simple
     gravity = np.array(plan.gravity, float)
@@ -356,17 +391,20 @@ def path_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
     walls = [wall for wall in plan.walls if wall.is_permanent]
     bounds = _bounds(scene)
     facets = WallFacets(walls, np.array(scene.domain.min), np.array(scene.domain.max))
-    falling = FallingParticles(facets, gravity, low, plan.radius_min, [_belt_speed([wall]) for wall in walls], bounds)
+    falling = FallingParticles(
+        facets, gravity, low, plan.radius_min, [_belt_speed([wall]) for wall in walls], bounds
+    )
     paths = {name: falling.fastest(*_starts(scene.particles[name], up)) for name in heights}
     name = max(paths, key=lambda each: paths[each].value)
     return _at_most(simple, sqrt(paths[name].value), plan, _path_words(name, paths[name]))
 
 
 def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
-    """A sentence on a given `run.velocity_max` that is far below the velocity after the fall of inserted particles.
+    """A sentence on a given `run.velocity_max` that is far below the velocity after the fall of inserted
+    particles.
 
-    Particles of a packing fall less, and damped ones more slowly: SLOW times the velocity is the limit, and damping
-    excludes the warning.
+    Particles of a packing fall less, and damped ones more slowly: SLOW times the velocity is the limit, and
+    damping excludes the warning.
     """
     given = scene.run.velocity_max
     if given is None or scene.damping or image_speed(scene.domain) or not np.any(plan.gravity):
@@ -374,7 +412,9 @@ def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
     magnitude = float(np.linalg.norm(plan.gravity))
     regions = (LatticeInsertion, PackInsertion, RainInsertion, InletInsertion)
     heights = _heights(scene, plan, -np.array(plan.gravity) / magnitude)
-    heights = {name: each for name, each in heights.items() if isinstance(scene.particles[name].insert, regions)}
+    heights = {
+        name: each for name, each in heights.items() if isinstance(scene.particles[name].insert, regions)
+    }
     if not heights:
         return
     name = max(heights, key=lambda each: heights[each])
@@ -388,10 +428,11 @@ def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
 
 
 def _drop_heights(scene: Scene, plan: Plan) -> dict[str, float]:
-    """Height [m] of the highest particle of each group above the lowest level, by name; empty if it is not known.
+    """Height [m] of the highest particle of each group above the lowest level, by name; empty if it is not
+    known.
 
-    It is not known if `run.velocity_max` is given, without gravity, if walls or images move or belts go up, which lift
-    or accelerate particles, or if the region of a group is not known.
+    It is not known if `run.velocity_max` is given, without gravity, if walls or images move or belts go up,
+    which lift or accelerate particles, or if the region of a group is not known.
     """
     if scene.run.velocity_max is not None or image_speed(scene.domain) or not np.any(plan.gravity):
         return {}
@@ -422,13 +463,15 @@ def _is_level_belt(motion: PlannedMotion, up: np.ndarray) -> bool:
 def _belt_speed(walls: Iterable[PlannedWall]) -> float:
     """Largest surface speed [m/s] of walls whose motions are those of belts."""
     speeds = (
-        sum(top_speed(each.given) for each in wall.motions if isinstance(each.given, SurfaceVelocity)) for wall in walls
+        sum(top_speed(each.given) for each in wall.motions if isinstance(each.given, SurfaceVelocity))
+        for wall in walls
     )
     return max(speeds, default=0.0)
 
 
 def _at_most(limit: ImpactVelocity, value: float, plan: Plan, words: str) -> ImpactVelocity:
-    """The smaller one of an impact velocity and of `value` [m/s], against the fastest belt, estimated from `words`."""
+    """The smaller one of an impact velocity and of `value` [m/s], against the fastest belt, estimated from
+    `words`."""
     belt = _belt_speed(plan.walls)
     if not 0.0 < value + belt < limit.value:
         return limit
@@ -440,13 +483,15 @@ def _path_words(name: str, path: Path) -> str:
     """Words for the fall of a group along a path."""
     *over, last = (f"walls.{each}" for each in dict.fromkeys(path.walls)) if path.walls else ("",)
     if path.falls:
-        over, last = [*over, last], "the lowest level"
+        over = [*over, last]
+        last = "the lowest level"
     end = f" to {last}" if last else ""
     return f"a fall of particles.{name}{' over ' if any(over) else ''}{', '.join(filter(None, over))}{end}"
 
 
 def _bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (3,) [m] of the space in which particles exist: the domain, infinite along axes without an end."""
+    """Corners (3,) [m] of the space in which particles exist: the domain, infinite along axes without an
+    end."""
     low, high = np.array(scene.domain.min), np.array(scene.domain.max)
     margin = 1e-9 * (high - low)
     is_open = np.full(3, scene.domain.on_exit == "expand") | np.isin(list(AXES), list(scene.domain.periodic))
@@ -454,7 +499,8 @@ def _bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _starts(group: Group, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) [m] at which particles of a group start, in regions at the greatest height, and velocities."""
+    """Points (n, 3) [m] at which particles of a group start, in regions at the greatest height, and
+    velocities."""
     region = region_of(group)
     if region is None:
         assert isinstance(group.insert, PositionsInsertion)
@@ -488,10 +534,12 @@ def highest_point(group: Group, up: np.ndarray) -> float | None:
 
 
 def lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) -> float | None:
-    """Smallest height [m] along `up` (3,) at which particles hit a wall or another particle; None if not known.
+    """Smallest height [m] along `up` (3,) at which particles hit a wall or another particle; None if not
+    known.
 
-    The highest permanent plane across `up`, otherwise the lowest point of the walls, or the end of the domain if it is
-    higher or there are no walls. Not known along a periodic axis, or without walls in a domain that expands.
+    The highest permanent plane across `up`, otherwise the lowest point of the walls, or the end of the domain
+    if it is higher or there are no walls. Not known along a periodic axis, or without walls in a domain that
+    expands.
     """
     domain = scene.domain
     if any(abs(up[AXES.index(axis)]) > PARALLEL for axis in domain.periodic):

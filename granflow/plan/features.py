@@ -15,8 +15,8 @@ from granflow.scene.blocks.run import Damping
 class Features:
     """Compile-time switches of the kernels. A feature that is off costs no time and no memory.
 
-    All are derived from the scene by `features_of`; `granflow explain` shows each one with its reason. Taichi compiles
-    only the branches of features that are on.
+    All are derived from the scene by `features_of`; `granflow explain` shows each one with its reason. Taichi
+    compiles only the branches of features that are on.
     """
 
     friction: bool
@@ -62,11 +62,13 @@ def features_of(
 ) -> Features:
     """Derive all features from the scene.
 
-    `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous term, so
-    that forces depend on synchronized velocities; `has_joined_walls`: whether surfaces of walls may touch. Rotation is
-    on only with friction, rolling or twisting friction, or with clumps: otherwise no torque exists.
+    `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous
+    term, so that forces depend on synchronized velocities; `has_joined_walls`: whether surfaces of walls may
+    touch. Rotation is on only with friction, rolling or twisting friction, or with clumps: otherwise no
+    torque exists.
     """
-    classes, clumps = size_classes(scene.particles), any(group.clump for group in scene.particles.values())
+    classes = size_classes(scene.particles)
+    clumps = any(group.clump for group in scene.particles.values())
     return Features(
         friction="tangential" in models,
         rolling=_name(models, "rolling"),
@@ -167,7 +169,8 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "external_forces": "forces are added from Python only",
     }
     return tuple(
-        Reason(item.name, _setting(getattr(features, item.name)), reasons[item.name]) for item in fields(features)
+        Reason(item.name, _setting(getattr(features, item.name)), reasons[item.name])
+        for item in fields(features)
     )
 
 
@@ -179,7 +182,8 @@ def _setting(value: bool | str) -> str:
 
 
 def _model_reason(scene: Scene, slot: str, on: bool) -> str:
-    """The first pair with a value other than 0 of a pair option of the model, or why the model is not active."""
+    """The first pair with a value other than 0 of a pair option of the model, or why the model is not
+    active."""
     model = registry.models(slot).get(scene.contact.name(slot))
     keys = [option.key for option in model.pair_options] if model else []
     if slot == "tangential":
@@ -196,7 +200,8 @@ def _model_reason(scene: Scene, slot: str, on: bool) -> str:
 
 def _rate_reason(scene: Scene, features: Features) -> str:
     """The damping ratio, or the property of the contact model, that makes forces depend on velocities."""
-    normal, options = scene.contact.normal, scene.contact.options("normal")
+    normal = scene.contact.normal
+    options = scene.contact.options("normal")
     damping_ratio = options.get("damping_ratio")
     if damping_ratio is not None:
         rests = not features.rate_dependent and options.get("rest_damping")
@@ -204,9 +209,7 @@ def _rate_reason(scene: Scene, features: Features) -> str:
         return f"contact.normal.damping_ratio is {damping_ratio:g}{addition} ({scene.where('contact', 'normal')})"
     if not features.rate_dependent:
         return f"the {normal.law} contact model with these settings has no viscous force"
-    return (
-        f"the {normal.law} contact model obtains a restitution below 1 by damping ({scene.where('contact', 'normal')})"
-    )
+    return f"the {normal.law} contact model obtains a restitution below 1 by damping ({scene.where('contact', 'normal')})"
 
 
 def _walls_reason(scene: Scene) -> str:
@@ -251,7 +254,11 @@ def _wall_forces_reason(scene: Scene, features: Features) -> str:
 
 
 def _outlets_reason(scene: Scene) -> str:
-    return f"{', '.join(scene.outlets)} ({scene.where('outlets')})" if scene.outlets else "the scene has no outlets"
+    return (
+        f"{', '.join(scene.outlets)} ({scene.where('outlets')})"
+        if scene.outlets
+        else "the scene has no outlets"
+    )
 
 
 def _fixed_reason(scene: Scene, features: Features) -> str:

@@ -1,4 +1,5 @@
-"""Dimensions of walls and diameters that are far above the size of the domain or of an inlet: probably a wrong unit."""
+"""Dimensions of walls and diameters that are far above the size of the domain or of an inlet: probably a
+wrong unit."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations, pairwise
@@ -51,13 +52,15 @@ from granflow.scene.blocks.walls import Servo, Translation, Vibration, Wall
 # Forecasts of clumps with a sphere that occurs twice, and of clumps with a gap between their spheres.
 
 SAME = 1e-6
-"""Distance and difference of radii, over the radius, below which spheres are equal, or a gap below which they touch."""
+"""Distance and difference of radii, over the radius, below which spheres are equal, or a gap below which they
+touch."""
 COMMON_OVERLAP = 0.1
 """Overlap over the smaller radius of the position that closes a gap."""
 
 
 def clump_warnings(scene: Scene) -> Iterator[str]:
-    """A sentence for each clump with a sphere that occurs twice, and for each whose spheres are not connected.
+    """A sentence for each clump with a sphere that occurs twice, and for each whose spheres are not
+    connected.
 
     The forces on a sphere that occurs twice count twice, and volume and inertia once.
     """
@@ -85,7 +88,8 @@ def _repeated(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
 
 
 def _clump_gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
-    """A sentence on the narrowest gap between the spheres that are connected with the first one and the others."""
+    """A sentence on the narrowest gap between the spheres that are connected with the first one and the
+    others."""
     from scipy.sparse.csgraph import connected_components  # imported here: most scenes have no clump
 
     centers, radii, distance = _spheres(clump)
@@ -109,7 +113,8 @@ def _clump_gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
 
 def _spheres(clump: Clump) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centers (k, 3) [m], radii (k,) [m], and distances (k, k) [m] of the centers."""
-    centers, radii = np.array([each.position for each in clump.spheres]), np.array([s.radius for s in clump.spheres])
+    centers = np.array([each.position for each in clump.spheres])
+    radii = np.array([s.radius for s in clump.spheres])
     return centers, radii, np.linalg.norm(centers[:, None] - centers[None], axis=2)
 
 
@@ -129,14 +134,16 @@ def _center(values: np.ndarray) -> str:
 OVERLAP_TOLERANCE = 1.5
 """Overlap of a file over the forecast one above which a warning appears."""
 ROUNDING = 1e-3
-"""Overlap over the radius that is never reported: positions in VTU files resolve 1e-4 of the smallest radius."""
+"""Overlap over the radius that is never reported: positions in VTU files resolve 1e-4 of the smallest
+radius."""
 
 
 def file_warnings(particles: Mapping[str, Group], static: float, impact: float) -> Iterator[str]:
     """A sentence for each group from a file whose particles overlap more than the state of a bed explains.
 
-    Overlaps over the smaller radius: `static` under weight, walls and cohesion; `impact` at the maximum velocity, for
-    files with moving particles. Touching particles of a settled bed overlap and cause no warning.
+    Overlaps over the smaller radius: `static` under weight, walls and cohesion; `impact` at the maximum
+    velocity, for files with moving particles. Touching particles of a settled bed overlap and cause no
+    warning.
     """
     for name, group in particles.items():
         insertion = group.insert
@@ -145,7 +152,9 @@ def file_warnings(particles: Mapping[str, Group], static: float, impact: float) 
         found = insertion.found
         explained = max(static, impact) if found.speed_max > 0.0 else static
         if found.overlap_max > max(OVERLAP_TOLERANCE * explained, ROUNDING):
-            reason = f"loading and impacts explain {explained:.3g}" if explained > 0.0 else "no force explains it"
+            reason = (
+                f"loading and impacts explain {explained:.3g}" if explained > 0.0 else "no force explains it"
+            )
             yield (
                 f"particles.{name}: particles in {insertion.file} overlap by up to {found.overlap_max:.3g} of the "
                 f"smaller radius ({found.overlap_rows}), but {reason}: they separate abruptly. Check the file."
@@ -158,12 +167,14 @@ def file_warnings(particles: Mapping[str, Group], static: float, impact: float) 
 DENSEST_FLOW = 0.45
 """Solid fraction that the flow out of an inlet does not exceed.
 
-Random sequential packings reach 0.38. Free fall from a disc of 10 diameters has 0.40, from one of 1.5 diameters 0.25.
+Random sequential packings reach 0.38. Free fall from a disc of 10 diameters has 0.40, from one of 1.5
+diameters 0.25.
 """
 COUNT_TOLERANCE = 0.01
 """Fraction of the count that may be missing without a warning: the mean mass of particles is a sample."""
 ALONG_FACE = 1e-3
-"""Component along the normal over the magnitude below which a vector is parallel to a face: decimals are rounded."""
+"""Component along the normal over the magnitude below which a vector is parallel to a face: decimals are
+rounded."""
 
 
 def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
@@ -189,7 +200,8 @@ def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[
 
 
 def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
-    """A sentence for each inlet through which, or rain from whose region, fewer particles than required can flow."""
+    """A sentence for each inlet through which, or rain from whose region, fewer particles than required can
+    flow."""
     for name, group in scene.particles.items():
         insertion = group.insert
         if not isinstance(insertion, RainInsertion | InletInsertion):
@@ -201,9 +213,12 @@ def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
         largest, held = _largest_flow(scene, group, insertion, interval)
         key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
         if isinstance(insertion, InletInsertion):
-            is_small, place, also = True, "face", ""
+            is_small = True
+            place = "face"
+            also = ""
         else:
-            is_small, place = group.count * (1.0 - interval * largest) > held, "region"
+            is_small = group.count * (1.0 - interval * largest) > held
+            place = "region"
             also = f", which holds {held:.2g}"
         if is_small and 1.0 / interval > largest > 0.0:
             yield (
@@ -220,16 +235,19 @@ def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
 
 
 def _direction(scene: Scene, plan: Plan, name: str, insertion: InletInsertion) -> str:
-    """A sentence on an inlet that new particles leave backward or not at all; empty if they move into the scene.
+    """A sentence on an inlet that new particles leave backward or not at all; empty if they move into the
+    scene.
 
-    The velocity decides, and gravity if the velocity has no component along the normal. The proposed velocity is the
-    given one with the opposite component, or with the smallest one that is sufficient for the rate.
+    The velocity decides, and gravity if the velocity has no component along the normal. The proposed velocity
+    is the given one with the opposite component, or with the smallest one that is sufficient for the rate.
     """
     group = scene.particles[name]
-    velocity, gravity = np.array(group.velocity, float), np.array(scene.gravity, float)
+    velocity = np.array(group.velocity, float)
+    gravity = np.array(scene.gravity, float)
     region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.zeros(3), 0.0)
     normal, _, area, _ = _face(region, velocity)
-    through, along = _through(velocity, normal), _through(gravity, normal)
+    through = _through(velocity, normal)
+    along = _through(gravity, normal)
     if through > 0.0 or (through == 0.0 and along > 0.0):
         return ""
     is_still = not velocity.any()
@@ -275,26 +293,34 @@ def _stays(plan: Plan, group: Group) -> bool:
 def _largest_flow(
     scene: Scene, group: Group, insertion: RainInsertion | InletInsertion, interval: float
 ) -> tuple[float, float]:
-    """Upper bounds of the particles per second that leave the region of an insertion, and of those in the region.
+    """Upper bounds of the particles per second that leave the region of an insertion, and of those in the
+    region.
 
         rate = phi (A v_n + W h v_t) / V,     v_n^2 = v0_n^2 + 2 g_n h,     v_t^2 = v0_t^2 + 2 g_t W
 
-    A, W: area and width of a face; h: depth of the region; n, t: along the normal of the face and across it; phi:
-    DENSEST_FLOW; V: mean volume of a particle, of a clump that of the sphere around it. Particles leave an inlet along
-    the normal only, the region of rain at both ends. 0 if particles neither start with a velocity nor fall: walls can
-    carry them away. `interval` [s]: mean time between particles.
+    A, W: area and width of a face; h: depth of the region; n, t: along the normal of the face and across it;
+    phi:
+    DENSEST_FLOW; V: mean volume of a particle, of a clump that of the sphere around it. Particles leave an
+    inlet along the normal only, the region of rain at both ends. 0 if particles neither start with a velocity
+    nor fall: walls can carry them away. `interval` [s]: mean time between particles.
     """
-    velocity, gravity = np.array(group.velocity, float), np.array(scene.gravity, float)
+    velocity = np.array(group.velocity, float)
+    gravity = np.array(scene.gravity, float)
     gathered = ceil(group.count / MAX_BATCHES) * interval
     region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], velocity, gathered)
     normal, depth, area, width = _face(region, gravity if gravity.any() else velocity)
     ends = (velocity @ normal, gravity @ normal)
-    initial, falling = map(abs, ends) if isinstance(insertion, RainInsertion) else (max(each, 0.0) for each in ends)
+    initial, falling = (
+        map(abs, ends) if isinstance(insertion, RainInsertion) else (max(each, 0.0) for each in ends)
+    )
     along = sqrt(initial**2 + 2.0 * falling * depth)
     slide = float(np.linalg.norm(gravity - (gravity @ normal) * normal))
     across = sqrt(float(np.sum((velocity - (velocity @ normal) * normal) ** 2)) + 2.0 * slide * width)
-    volume = mean_volume(group) if group.clump is None else sphere_volume(0.5 * outer_diameter_range(group)[1])
-    flow, held = area * along + width * depth * across, region.volume
+    volume = (
+        mean_volume(group) if group.clump is None else sphere_volume(0.5 * outer_diameter_range(group)[1])
+    )
+    flow = area * along + width * depth * across
+    held = region.volume
     return DENSEST_FLOW * float(flow) / volume, DENSEST_FLOW * held / volume
 
 
@@ -306,10 +332,13 @@ def _face(region: RegionSampler, direction: np.ndarray) -> tuple[np.ndarray, flo
     if isinstance(region, CylinderSampler):
         return region.frame[2], region.length, pi * region.radius**2, 2.0 * region.radius
     if isinstance(region, SlabSampler):
-        axis, normal, size = 2, region.frame[2], region.box.high
+        axis = 2
+        normal = region.frame[2]
+        size = region.box.high
     else:
         assert isinstance(region, BoxSampler)
-        axis, size = int(np.argmax(np.abs(direction))), region.high - region.low
+        axis = int(np.argmax(np.abs(direction)))
+        size = region.high - region.low
         normal = np.eye(3)[axis]
     sides = np.delete(size, axis)
     return normal, float(size[axis]), float(np.prod(sides)), float(np.hypot(*sides))
@@ -348,8 +377,8 @@ def vibration_forecasts(scene: Scene) -> Iterator[Forecast]:
 
         interval = (n + 1/2) T within 1 %:     sin(w t + phase) has the values +- sin(phase) only
 
-    With the default phase of 0, the wall is at the same position in all frames. Multiples of the whole period are often
-    intended, because they show the slow motion of a bed.
+    With the default phase of 0, the wall is at the same position in all frames. Multiples of the whole period
+    are often intended, because they show the slow motion of a bed.
     """
     for period, name in _periods(scene).items():
         wall = f"walls.{name}.motion ({scene.where('walls', name, 'motion')})"
@@ -357,7 +386,10 @@ def vibration_forecasts(scene: Scene) -> Iterator[Forecast]:
             ratio = interval / period
             if ratio <= COARSE * (1.0 + PERIOD_TOLERANCE):
                 continue
-            odd = round(2.0 * ratio) % 2 == 1 and abs(2.0 * ratio / round(2.0 * ratio) - 1.0) <= PERIOD_TOLERANCE
+            odd = (
+                round(2.0 * ratio) % 2 == 1
+                and abs(2.0 * ratio / round(2.0 * ratio) - 1.0) <= PERIOD_TOLERANCE
+            )
             warning = (
                 f"{'.'.join(output)} ({scene.where(*output)}) is {interval:.4g} s, {0.5 * round(2.0 * ratio):g} times "
                 f"the period {period:.4g} s of {wall}: the output shows this motion at two opposite phases only, which "
@@ -365,7 +397,9 @@ def vibration_forecasts(scene: Scene) -> Iterator[Forecast]:
                 f"less, {FRAMES_PER_PERIOD} times per period, or to {period:.4g} s for one fixed phase."
             )
             remark = f"{'.'.join(output)}, of the period {period:.4g} s of {wall}"
-            yield Forecast("vibration in the output", f"{1.0 / ratio:.3g} per period", remark, warning if odd else None)
+            yield Forecast(
+                "vibration in the output", f"{1.0 / ratio:.3g} per period", remark, warning if odd else None
+            )
 
 
 def _periods(scene: Scene) -> dict[float, str]:
@@ -381,7 +415,8 @@ def _periods(scene: Scene) -> dict[float, str]:
 
 
 def _intervals(scene: Scene) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Paths of the keys of the output intervals, and the intervals [s]; those that are not given are `interval`."""
+    """Paths of the keys of the output intervals, and the intervals [s]; those that are not given are
+    `interval`."""
     yield ("output", "interval"), scene.output.interval
     if scene.is_given("output", "timeseries_interval"):
         yield ("output", "timeseries_interval"), scene.output.timeseries_interval
@@ -409,11 +444,12 @@ def servo_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]
 
         v t < L - V / (phi A) - d,     v = min(v_max, gain F)
 
-    v: velocity of a servo without contacts; t: time of its motion; L: distance along its direction to the next wall or
-    the end of the domain; V: volume of all particles, which fill at most the height V / (phi A) above that wall with a
-    loose solid fraction phi over the area A of the servo; d: largest diameter, of particles on the surface of the bed.
-    A bed beyond the edges of the servo is lower: the distance is a lower bound. Servos across gravity can touch the
-    side of a bed, and other motions before a servo move its wall: neither has a forecast.
+    v: velocity of a servo without contacts; t: time of its motion; L: distance along its direction to the
+    next wall or the end of the domain; V: volume of all particles, which fill at most the height V / (phi A)
+    above that wall with a loose solid fraction phi over the area A of the servo; d: largest diameter, of
+    particles on the surface of the bed. A bed beyond the edges of the servo is lower: the distance is a lower
+    bound. Servos across gravity can touch the side of a bed, and other motions before a servo move its wall:
+    neither has a forecast.
     """
     for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
         motions = [each for each in plan.controlled_motions if each.name == name]
@@ -437,7 +473,9 @@ def servo_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]
 
 def _distance(scene: Scene, plan: Plan, motion: ControlledMotion, area: float) -> float:
     """Distance [m] of a servo with an area [m2] from the bed."""
-    is_loose = plan.laws.cohesion is not None or any(group.clump is not None for group in scene.particles.values())
+    is_loose = plan.laws.cohesion is not None or any(
+        group.clump is not None for group in scene.particles.values()
+    )
     height = solid_volume(scene.particles) / ((LOOSEST if is_loose else LOOSE) * area)
     layer = max(outer_diameter_range(group)[1] for group in scene.particles.values())
     return _free_path(plan.domain, plan.walls, motion) - height - layer
@@ -450,7 +488,8 @@ def _is_along(gravity: Sequence[float], motion: ControlledMotion) -> bool:
 
 
 def _remedy(motion: ControlledMotion, distance: float, duration: float) -> str:
-    """Instruction with which the servo moves by `distance` [m] in `duration` [s], by what limits the velocity."""
+    """Instruction with which the servo moves by `distance` [m] in `duration` [s], by what limits the
+    velocity."""
     needed = MARGIN * distance / duration
     free = motion.gain * abs(motion.force)
     parts = [f"set velocity_max to {needed:.2g} m/s or more"] if needed > motion.velocity_max else []
@@ -475,7 +514,8 @@ def _span(given: Servo, times: StageTimes) -> tuple[float, float]:
 
 
 def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledMotion) -> float:
-    """Distance [m] from the center of a servo wall along its direction to the next wall or the end of the domain."""
+    """Distance [m] from the center of a servo wall along its direction to the next wall or the end of the
+    domain."""
     direction = np.array(motion.direction)
     low, high = np.array(domain.min), np.array(domain.max)
     center = triangles(walls[motion.wall].shape, 0.5 * (low + high), 0.0)[0].mean(axis=0)
@@ -485,7 +525,8 @@ def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledM
     if not np.isfinite(length) or length <= 0.0:
         return 0.0
     steps = np.linspace(0.0, length, SAMPLES_ALONG)
-    points, spacing = center + steps[:, None] * direction, length / (SAMPLES_ALONG - 1)
+    points = center + steps[:, None] * direction
+    spacing = length / (SAMPLES_ALONG - 1)
     for index, wall in enumerate(walls):
         if index != motion.wall:
             near = np.flatnonzero(np.abs(distance_from(wall.shape, points, spacing)) <= spacing)
@@ -494,20 +535,22 @@ def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledM
 
 
 LARGE_DIAMETER = 10.0
-"""Diameter over the longest side of the domain above which a unit is probably wrong; large spheres serve as walls."""
+"""Diameter over the longest side of the domain above which a unit is probably wrong; large spheres serve as
+walls."""
 LARGE_WALL = 20.0
-"""Dimension of a wall over the longest side of the domain above which a unit is probably wrong; walls can be larger
-than the domain."""
+"""Dimension of a wall over the longest side of the domain above which a unit is probably wrong; walls can be
+larger than the domain."""
 RADII = ("radius", "radius_from", "radius_to", "hole_radius")
 """Keys of walls with one length."""
 MILLI = 1e-3
 
 
 def size_warnings(scene: Scene) -> Iterator[str]:
-    """A sentence for each group with particles that are larger than the domain, and for each wall that is much larger.
+    """A sentence for each group with particles that are larger than the domain, and for each wall that is
+    much larger.
 
-    Particles of inlets are compared with the face. Domains that expand have no size. Meshes have notes of their own,
-    and faces of boxes are compared with the domain by their positions.
+    Particles of inlets are compared with the face. Domains that expand have no size. Meshes have notes of
+    their own, and faces of boxes are compared with the domain by their positions.
     """
     for path, sentence in _oversizes(scene):
         yield f"{'.'.join(path)} ({scene.where(*path)}) {sentence}"
@@ -524,13 +567,17 @@ def _oversizes(scene: Scene) -> Iterator[tuple[tuple[str, ...], str]]:
     side = _longest_side(scene)
     domain = f"the longest side of the domain, {side:.3g} m"
     for name, group in scene.particles.items():
-        diameter, path = outer_diameter_range(group)[1], ("particles", name, "diameter")
+        diameter = outer_diameter_range(group)[1]
+        path = ("particles", name, "diameter")
         width = _width(group.insert) if isinstance(group.insert, InletInsertion) else inf
         if diameter > width:
             face = f"larger than the face of the inlet, which is {width:.3g} m wide"
             yield path, f"is {diameter:.3g} m, {face}. {_likely(diameter, width)}"
         elif diameter > LARGE_DIAMETER * side and scene.domain.on_exit != "expand":
-            yield path, f"is {diameter:.3g} m, {diameter / side:.0f} times {domain}. {_likely(diameter, side)}"
+            yield (
+                path,
+                f"is {diameter:.3g} m, {diameter / side:.0f} times {domain}. {_likely(diameter, side)}",
+            )
     for name, wall in scene.walls.items():
         if large := oversized(scene, name, wall):
             key, length = large
@@ -562,7 +609,11 @@ def _longest_side(scene: Scene) -> float:
 def _width(insertion: InletInsertion) -> float:
     """Diameter of the largest sphere that fits through the face of an inlet [m]."""
     face = insertion.face
-    return 2.0 * face.disc.radius if isinstance(face, DiscFace) else min(hypot(*each) for each in face.rectangle.sides)
+    return (
+        2.0 * face.disc.radius
+        if isinstance(face, DiscFace)
+        else min(hypot(*each) for each in face.rectangle.sides)
+    )
 
 
 def _likely(length: float, limit: float) -> str:
@@ -591,8 +642,10 @@ def spheres_by_particle(
 
 
 def spheres_of(scene: Scene, particles: ParticleData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centers (m, 3) [m] and radii (m,) [m] of the spheres of all particles, and the index (m,) of their particle."""
-    centers, radii = [np.empty((0, 3))], [np.empty(0)]
+    """Centers (m, 3) [m] and radii (m,) [m] of the spheres of all particles, and the index (m,) of their
+    particle."""
+    centers = [np.empty((0, 3))]
+    radii = [np.empty(0)]
     owners: list[np.ndarray] = [np.empty(0, dtype=np.int64)]
     for number, group in enumerate(scene.particles.values()):
         own = np.flatnonzero(particles.group == number)
@@ -613,9 +666,9 @@ def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
 
         (R_i + R_j - |x_i - x_j|) / min(R_i, R_j)
 
-    Particles on lattices and in packings do not overlap: only scenes with positions or files are searched. Fixed
-    particles overlap each other without a force, as do the spheres of one clump. Images across periodic faces are
-    included.
+    Particles on lattices and in packings do not overlap: only scenes with positions or files are searched.
+    Fixed particles overlap each other without a force, as do the spheres of one clump. Images across periodic
+    faces are included.
     """
     given = (PositionsInsertion, FileInsertion)
     if not any(isinstance(each.insert, given) for each in scene.particles.values()):
@@ -648,12 +701,16 @@ def _mobile_pairs(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The pairs (p,), (p,) of spheres of two particles that are not both fixed.
 
-    `owner` (m,): index of the particle of each sphere, first of the `count` spheres, then of their images. Pairs of two
-    images are left out: they are pairs of spheres too.
+    `owner` (m,): index of the particle of each sphere, first of the `count` spheres, then of their images.
+    Pairs of two images are left out: they are pairs of spheres too.
     """
     first, second = pairs
     fixed = np.array([group.fixed for group in scene.particles.values()])[particles.group][owner]
-    counts = (np.minimum(first, second) < count) & (owner[first] != owner[second]) & ~(fixed[first] & fixed[second])
+    counts = (
+        (np.minimum(first, second) < count)
+        & (owner[first] != owner[second])
+        & ~(fixed[first] & fixed[second])
+    )
     return first[counts], second[counts]
 
 
@@ -725,8 +782,11 @@ def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iter
         own = np.flatnonzero(particles.group == number)
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
-        points, turns = particles.position[own], particles.orientation
-        bodies = spheres_by_particle(group, points, particles.radius[own], None if turns is None else turns[own])
+        points = particles.position[own]
+        turns = particles.orientation
+        bodies = spheres_by_particle(
+            group, points, particles.radius[own], None if turns is None else turns[own]
+        )
         for wall, overlap in _overlaps(plan.walls, bodies, 0.0, times):
             count = int((overlap > plan.max_overlap).sum())
             if count:
@@ -742,11 +802,13 @@ def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iter
 def _overlaps(
     walls: Sequence[PlannedWall], bodies: tuple[np.ndarray, np.ndarray], time: float, times: StageTimes
 ) -> Iterator[tuple[PlannedWall, np.ndarray]]:
-    """For each wall that is present at `time` [s]: largest overlap over the radius (n,) of the spheres of a particle.
+    """For each wall that is present at `time` [s]: largest overlap over the radius (n,) of the spheres of a
+    particle.
 
     `bodies`: centers (n, k, 3) [m] and radii (n, k) [m] of spheres.
     """
-    points, radius = bodies[0].reshape(-1, 3), bodies[1].reshape(-1)
+    points = bodies[0].reshape(-1, 3)
+    radius = bodies[1].reshape(-1)
     for wall in walls:
         if not is_present(wall, time, times):
             continue
@@ -829,7 +891,9 @@ def _unused_cohesion(scene: Scene) -> Iterator[str]:
 def _speed_warnings(scene: Scene) -> Iterator[str]:
     """A sentence on the fastest wall, if angular velocities are probably not in rad/s."""
     rotating = [
-        name for name, wall in scene.walls.items() if any(hasattr(each, "angular_velocity") for each in wall.motion)
+        name
+        for name, wall in scene.walls.items()
+        if any(hasattr(each, "angular_velocity") for each in wall.motion)
     ]
     if rotating and (speed := surface_speed(scene)) > FASTEST_SURFACE:
         name = rotating[0]
@@ -850,10 +914,11 @@ TIMES = 40
 
 
 def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes) -> Iterator[str]:
-    """A sentence for each wall that no particle can touch, or that leaves the domain without an end of its motion.
+    """A sentence for each wall that no particle can touch, or that leaves the domain without an end of its
+    motion.
 
-    Domains that expand have no outside. Meshes outside the domain have notes of their own, and walls that are much
-    larger than the domain are reported by `size_warnings`.
+    Domains that expand have no outside. Meshes outside the domain have notes of their own, and walls that are
+    much larger than the domain are reported by `size_warnings`.
     """
     if scene.domain.on_exit == "expand":
         return
@@ -893,7 +958,8 @@ def _are_equal(one: Surface, other: Surface) -> bool:
         if one.kind is not other.kind:
             return False
         if one.kind is HALF_SPACE:
-            normal, distance = one.parameters[3:6], (other.parameters[0:3] - one.parameters[0:3]) @ one.parameters[3:6]
+            normal = one.parameters[3:6]
+            distance = (other.parameters[0:3] - one.parameters[0:3]) @ one.parameters[3:6]
             size = np.abs([one.parameters[0:3], other.parameters[0:3]]).max()
             is_parallel = np.linalg.norm(normal - other.parameters[3:6]) <= SAME_CORNER
             return bool(is_parallel and abs(distance) <= SAME_CORNER * size)
@@ -906,10 +972,11 @@ def _are_equal(one: Surface, other: Surface) -> bool:
 
 
 def _wall_gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -> np.ndarray:
-    """Lower bound of the gap [m] between the wall and the nearest particle in the domain, at `count` times of the run.
+    """Lower bound of the gap [m] between the wall and the nearest particle in the domain, at `count` times of
+    the run.
 
-    The centers of particles are anywhere in the domain. Of points at a spacing h, one is within h sqrt(3)/2 of the
-    nearest center. The first time is that at which the wall appears, the last one the end of the run.
+    The centers of particles are anywhere in the domain. Of points at a spacing h, one is within h sqrt(3)/2
+    of the nearest center. The first time is that at which the wall appears, the last one the end of the run.
     """
     low, high = np.array(scene.domain.min), np.array(scene.domain.max)
     axes = [np.linspace(*span, POINTS_PER_AXIS) for span in zip(low, high, strict=True)]
@@ -917,7 +984,9 @@ def _wall_gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -
     reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1)))
     reach += 0.5 * max(outer_diameter_range(group)[1] for group in scene.particles.values())
     end = max(stage_end for _, stage_end in times.values())
-    poses = pose([each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count))
+    poses = pose(
+        [each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count)
+    )
     gaps = []
     for offset, rotation in zip(poses.offset, poses.rotation, strict=True):
         local = (points - poses.pivot - offset) @ rotation + poses.pivot
@@ -957,7 +1026,8 @@ def _leaves(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray)
 
 def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
     """Forecasts of overlaps, walls, regions and servos; `plan`: that of the scene, without forecasts."""
-    pairs, times = list(touching_pairs(plan)), nominal_times(plan.stages)
+    pairs = list(touching_pairs(plan))
+    times = nominal_times(plan.stages)
     supported = list(supported_pairs(scene, plan))
     hitting = [*pairs, *(pair for pair, _weight in supported)]
     expected = forecast_velocity(scene, plan)

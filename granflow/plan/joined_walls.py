@@ -1,4 +1,5 @@
-"""Walls whose surfaces touch, so that one contact of a particle can be found on several of them; found before the run.
+"""Walls whose surfaces touch, so that one contact of a particle can be found on several of them; found before
+the run.
 
 The kernels look for contacts that are found twice only at these walls, see `engine.wall_kinematics`.
 """
@@ -20,7 +21,8 @@ ITSELF, OTHERS = 1, 2
 """Bits of `joints_of`: parts of the wall touch each other; the wall touches other walls."""
 
 PLACE_TOLERANCE = 1e-3
-"""Distance of surfaces over the largest radius below which they may touch: ten times that of one contact on both."""
+"""Distance of surfaces over the largest radius below which they may touch: ten times that of one contact on
+both."""
 
 ANGLE_TOLERANCE = 1e-2
 """Sine of the angle below which two half spaces may have the same surface."""
@@ -32,14 +34,18 @@ Bounds = tuple[np.ndarray, np.ndarray]
 """Low and high corner (3,) [m] of a bounding box."""
 
 
-def joints_of(walls: Sequence[PlannedWall], radius_max: float, periodic_axes: Sequence[int]) -> tuple[int, ...]:
+def joints_of(
+    walls: Sequence[PlannedWall], radius_max: float, periodic_axes: Sequence[int]
+) -> tuple[int, ...]:
     """For each wall a sum of ITSELF and OTHERS, or 0.
 
-    `radius_max` [m]: largest radius of the particles. Bounding boxes decide for bounded walls, so that some of the
-    walls found do not touch. Walls that move differently are assumed to touch at some time.
+    `radius_max` [m]: largest radius of the particles. Bounding boxes decide for bounded walls, so that some
+    of the walls found do not touch. Walls that move differently are assumed to touch at some time.
     """
     tolerance = PLACE_TOLERANCE * radius_max
-    joints = [ITSELF if isinstance(w.shape, Mesh) and _has_touching_parts(w.shape, tolerance) else 0 for w in walls]
+    joints = [
+        ITSELF if isinstance(w.shape, Mesh) and _has_touching_parts(w.shape, tolerance) else 0 for w in walls
+    ]
     for a, b in combinations(range(len(walls)), 2):
         if _may_touch(walls[a], walls[b], tolerance, periodic_axes):
             joints[a] |= OTHERS
@@ -81,10 +87,12 @@ def _motions_of_surface(wall: PlannedWall) -> tuple[object, ...]:
 
 def _can_coincide(one: PlannedWall, other: PlannedWall, tolerance: float, moves_alike: bool) -> bool:
     """Whether two half spaces have the same surface on the same side, or could have it after a motion."""
-    surface, other_surface = one.shape, other.shape
+    surface = one.shape
+    other_surface = other.shape
     assert isinstance(surface, Shape) and isinstance(other_surface, Shape)
     turns = any(isinstance(m.given, Rotation | TableRotation) for w in (one, other) for m in _motions_in(w))
-    normal, other_normal = surface.parameters[3:6], other_surface.parameters[3:6]
+    normal = surface.parameters[3:6]
+    other_normal = other_surface.parameters[3:6]
     is_parallel = bool(np.linalg.norm(normal - other_normal) <= ANGLE_TOLERANCE)
     if moves_alike:
         distance = abs((other_surface.parameters[0:3] - surface.parameters[0:3]) @ normal)
@@ -100,8 +108,8 @@ def _motions_in(wall: PlannedWall) -> tuple[PlannedMotion, ...]:
 def _can_end_on(bounded: Surface, plane: Surface, tolerance: float) -> bool:
     """Whether a particle above a half space can be in contact with a bounded surface at the plane.
 
-    It cannot with an upright rectangle, cylinder or part of a mesh that rises from the plane: the contact is as high as
-    its center.
+    It cannot with an upright rectangle, cylinder or part of a mesh that rises from the plane: the contact is
+    as high as its center.
     """
     assert isinstance(plane, Shape)
     normal = plane.parameters[3:6]
@@ -139,7 +147,8 @@ def _bounds(points: np.ndarray) -> Bounds:
 
 
 def _overlap(one: Bounds, other: Bounds, tolerance: float, periodic_axes: Sequence[int] = ()) -> bool:
-    """Whether two boxes overlap within a tolerance [m]; along periodic axes they always do, by their images."""
+    """Whether two boxes overlap within a tolerance [m]; along periodic axes they always do, by their
+    images."""
     is_near = (one[0] <= other[1] + tolerance) & (other[0] <= one[1] + tolerance)
     is_near[list(periodic_axes)] = True
     return bool(is_near.all())

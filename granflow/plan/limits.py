@@ -1,4 +1,5 @@
-"""Largest distance per step of particles and walls, so that no center crosses a wall without a detected contact."""
+"""Largest distance per step of particles and walls, so that no center crosses a wall without a detected
+contact."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,7 +39,8 @@ def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
     The width along each periodic axis must be at least 4 radius_max + 2 skin. `radius_max`, `skin` [m]; under
     Lees-Edwards shear, give twice the skin.
     """
-    periodic_box, needed = scene.domain.periodic_box(), 4.0 * radius_max + 2.0 * skin
+    periodic_box = scene.domain.periodic_box()
+    needed = 4.0 * radius_max + 2.0 * skin
     remark = "" if periodic_box.image_motion is None else ", which is double under shear"
     for axis in periodic_box.axes:
         if periodic_box.width[axis] < needed:
@@ -53,15 +55,17 @@ def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
 def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> None:
     """Raise SceneError for a wall within `reach` [m] of a periodic boundary that does not continue across it.
 
-    The distance from the wall is compared at SAMPLES x SAMPLES points of opposite faces, with the wall at rest.
-    `reach`: largest radius plus skin.
+    The distance from the wall is compared at SAMPLES x SAMPLES points of opposite faces, with the wall at
+    rest. `reach`: largest radius plus skin.
     """
     periodic_box = scene.domain.periodic_box()
     for axis in periodic_box.axes:
         face = _face(periodic_box, axis)
         for wall in walls:
             opposite = face + periodic_box.width[axis] * np.eye(3)[axis]
-            distance_low, distance_high = (distance_from(wall.shape, points, reach) for points in (face, opposite))
+            distance_low, distance_high = (
+                distance_from(wall.shape, points, reach) for points in (face, opposite)
+            )
             is_near = np.minimum(np.abs(distance_low), np.abs(distance_high)) < reach
             if np.any(is_near & ~(np.abs(distance_low - distance_high) <= DISTANCE_TOLERANCE * reach)):
                 raise SceneError(
@@ -72,13 +76,16 @@ def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -
 
 
 def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> None:
-    """Raise SceneError for an unbounded rotating wall in an expanding domain: its velocity has no upper bound."""
+    """Raise SceneError for an unbounded rotating wall in an expanding domain: its velocity has no upper
+    bound."""
     if scene.domain.on_exit != "expand":
         return
     times = always(scene.schedule)
     for wall in walls:
         rotation = single_rotation([each.at(times) for each in wall.motions])
-        if rotation and isinf(reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), inf)):
+        if rotation and isinf(
+            reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), inf)
+        ):
             raise SceneError(
                 f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is unbounded and rotates, which "
                 "is not supported in a domain that expands. Use a bounded shape (shape: rectangle), or set "
@@ -112,7 +119,8 @@ class ImpactVelocity:
 
 
 def max_impact_velocity(scene: Scene) -> ImpactVelocity:
-    """Read it from the scene, or estimate it from free fall through the domain, initial velocities and moving walls.
+    """Read it from the scene, or estimate it from free fall through the domain, initial velocities and moving
+    walls.
 
         v = max(v_fall, v_initial) + max(v_wall, v_image)
 
@@ -120,18 +128,27 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
     2 v_initial. Without any motion and gravity, DEFAULT_SPEED. The result is finite and above 0.
     """
     if scene.run.velocity_max is not None:
-        return ImpactVelocity(scene.run.velocity_max, f"run.velocity_max ({scene.where('run', 'velocity_max')})")
-    fall, initial = free_fall(scene), initial_speed(scene)
+        return ImpactVelocity(
+            scene.run.velocity_max, f"run.velocity_max ({scene.where('run', 'velocity_max')})"
+        )
+    fall = free_fall(scene)
+    initial = initial_speed(scene)
     surface = max(surface_speed(scene), image_speed(scene.domain))
     if not max(fall, initial, surface) > 0.0:
         return ImpactVelocity(DEFAULT_SPEED, "assumed: no initial motion and no gravity")
-    speed, source = fall, f"free fall through the domain ({fall:.3g} m/s)"
-    opposing_name = "the fastest wall" if not image_speed(scene.domain) else "the image across the sheared boundary"
-    opposing, opposing_source = surface, f"{opposing_name} ({surface:.3g} m/s)"
+    speed = fall
+    source = f"free fall through the domain ({fall:.3g} m/s)"
+    opposing_name = (
+        "the fastest wall" if not image_speed(scene.domain) else "the image across the sheared boundary"
+    )
+    opposing = surface
+    opposing_source = f"{opposing_name} ({surface:.3g} m/s)"
     if initial > fall:
-        speed, source = initial, f"the fastest particle at the start ({initial:.3g} m/s)"
+        speed = initial
+        source = f"the fastest particle at the start ({initial:.3g} m/s)"
         if initial > surface:
-            opposing, opposing_source = initial, "another one of the same speed"
+            opposing = initial
+            opposing_source = "another one of the same speed"
     parts = ([source] if speed > 0.0 else []) + ([opposing_source] if opposing > 0.0 else [])
     return ImpactVelocity(speed + opposing, f"estimated from {' against '.join(parts)}")
 
@@ -171,7 +188,8 @@ def initial_speeds(particles: Mapping[str, Group]) -> dict[str, float]:
 
 
 def initial_rotation_rates(particles: Mapping[str, Group]) -> dict[str, float]:
-    """Largest initial angular velocity [rad/s] of each group, by name, from the scene or from its particle file."""
+    """Largest initial angular velocity [rad/s] of each group, by name, from the scene or from its particle
+    file."""
     return {
         name: max(_largest_norm(group.angular_velocity), _in_file(group, "angular_velocity_max"))
         for name, group in particles.items()
@@ -197,14 +215,15 @@ def _largest_norm(vectors: ArrayLike) -> float:
 # Wall motions: the time step must resolve their period, or the rows of their table.
 
 STEPS_PER_PERIOD = 10
-"""Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion (aliasing)."""
+"""Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion
+(aliasing)."""
 
 
 def refuse_fast_motion(scene: Scene, walls: Sequence[PlannedWall], time_step: float) -> None:
     """Raise SceneError for each vibration or rotation whose period is shorter than ten time steps [s].
 
-    Rows of a table must be at least one time step apart. One SceneError names all such motions, each with the largest
-    permitted time step. `walls`: those of the scene in numeric form.
+    Rows of a table must be at least one time step apart. One SceneError names all such motions, each with the
+    largest permitted time step. `walls`: those of the scene in numeric form.
     """
     problems = []
     planned = {wall.name: wall.motions for wall in walls}
@@ -247,7 +266,8 @@ def _period(motion: Vibration | Rotation, gravity: Vector3) -> float:
 # Checks that the precision resolves positions at the largest distance from the origin.
 
 COARSEST = 0.1
-"""Largest spacing of positions over the smallest radius: above it contact forces are noise in any contact model."""
+"""Largest spacing of positions over the smallest radius: above it contact forces are noise in any contact
+model."""
 
 
 def position_type(precision: str) -> type[np.floating]:
@@ -270,7 +290,8 @@ def coordinate_limit(precision: str, radius_min: float) -> float:
 
 
 def refuse_coarse(scene: Scene, radius_min: float) -> None:
-    """Raise SceneError if positions at the farthest face of the domain are too coarse for the smallest particle.
+    """Raise SceneError if positions at the farthest face of the domain are too coarse for the smallest
+    particle.
 
     `radius_min` [m]. The message suggests mixed precision if that resolves the positions.
     """
@@ -279,7 +300,9 @@ def refuse_coarse(scene: Scene, radius_min: float) -> None:
     if farthest <= coordinate_limit(precision, radius_min):
         return
     better = (
-        "Use --precision mixed, or move" if precision == "f32" and _mixed_resolves(farthest, radius_min) else "Move"
+        "Use --precision mixed, or move"
+        if precision == "f32" and _mixed_resolves(farthest, radius_min)
+        else "Move"
     )
     key = ("run", "precision") if scene.is_given("run", "precision") else ("domain",)
     raise SceneError(
@@ -309,11 +332,14 @@ def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, ra
             given = scene.is_given("particles", name, "velocity")
             place = scene.locate("particles", name, *(["velocity"] if given else []))
             statement = f"{place}: particles.{name} starts with {speed:.3g} m/s"
-            raise SceneError(f"{statement}{_per_step(scene, speed, step, limit, share_of(limit, radius_min))}")
+            raise SceneError(
+                f"{statement}{_per_step(scene, speed, step, limit, share_of(limit, radius_min))}"
+            )
 
 
 def refuse_fast_rotation(scene: Scene, rates: Mapping[str, float], step: float) -> None:
-    """Raise SceneError if the surface of a particle moves by more than the same share of its radius in a step [s].
+    """Raise SceneError if the surface of a particle moves by more than the same share of its radius in a step
+    [s].
 
     `rates`: largest initial angular velocity [rad/s] of each group.
     """
@@ -328,14 +354,18 @@ def refuse_fast_rotation(scene: Scene, rates: Mapping[str, float], step: float) 
             )
 
 
-def refuse_fast_walls(scene: Scene, speeds: Mapping[str, float], step: float, limit: float, share: str) -> None:
+def refuse_fast_walls(
+    scene: Scene, speeds: Mapping[str, float], step: float, limit: float, share: str
+) -> None:
     """Raise SceneError if a prescribed motion moves a wall by more than `limit` [m] in a step [s].
 
     `share`: the limit relative to the length from which it follows.
     """
     for name, speed in speeds.items():
         if speed * step > limit:
-            statement = f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
+            statement = (
+                f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
+            )
             raise SceneError(f"{statement}{_per_step(scene, speed, step, limit, share)}")
 
 
@@ -375,7 +405,8 @@ def remedy(step_is_given: bool, speed: float, planned_speed: float, limit: float
 # Force-controlled walls: servo walls with a target force, and free walls with a mass.
 
 GAIN_SHARE = 0.2
-"""Share of the force error that a servo corrects in one step, if all particles within reach are in contact."""
+"""Share of the force error that a servo corrects in one step, if all particles within reach are in
+contact."""
 MAX_GAIN = 2.0
 """This share at which the overshoot of a servo grows from step to step."""
 
@@ -386,8 +417,8 @@ class WallContacts:
 
     count:       of contacts
     stiffness:   [N/m] of one contact at the maximum impact velocity
-    resistance:  C + K dt / 2 [N s/m] of one contact, with the largest tangent stiffness K and viscosity C that it can
-                 have, see `NormalLaw.present_response`
+    resistance:  C + K dt / 2 [N s/m] of one contact, with the largest tangent stiffness K and viscosity C
+                 that it can have, see `NormalLaw.present_response`
     """
 
     count: float
@@ -399,8 +430,8 @@ class WallContacts:
 class ControlledMotion:
     """One force-controlled motion: index of the wall, index of the motion of this wall, and its parameters.
 
-    `force` [N] along the unit vector `direction`: target force of a servo on the particles; applied force and weight of
-    a free wall.
+    `force` [N] along the unit vector `direction`: target force of a servo on the particles; applied force and
+    weight of a free wall.
     """
 
     wall: int
@@ -423,7 +454,8 @@ class ControlledMotion:
     """Line of the motion in the scene file."""
 
     def approach(self, error: float) -> tuple[float, str]:
-        """Velocity [m/s] of a servo at a force error [N] of either sign, and the limit that determines it in words."""
+        """Velocity [m/s] of a servo at a force error [N] of either sign, and the limit that determines it in
+        words."""
         velocity = self.gain * abs(error)
         if velocity < self.velocity_max:
             force = "force" if error == self.force else "force error"
@@ -446,7 +478,8 @@ def controlled_motions_of(
 ) -> tuple[ControlledMotion, ...]:
     """All force-controlled motions in order of the walls.
 
-    `velocity` [m/s]: maximum expected impact velocity, at which `law` gives the stiffness of `pair_cases`; `step` [s].
+    `velocity` [m/s]: maximum expected impact velocity, at which `law` gives the stiffness of `pair_cases`;
+    `step` [s].
 
     Raises SceneError for a motion that is unstable with the step.
     """
@@ -465,16 +498,18 @@ def _servo(
 ) -> ControlledMotion:
     """A servo approaches v = gain (F - f), limited to velocity_max, within `lag` steps.
 
-    Contacts of stiffness K change their force by K dt v = gain K dt (F - f) in a step: for gain K dt < 2 the force
-    error decreases in every step. The servo is a dashpot of 1/gain: it dissipates energy of the particles.
+    Contacts of stiffness K change their force by K dt v = gain K dt (F - f) in a step: for gain K dt < 2 the
+    force error decreases in every step. The servo is a dashpot of 1/gain: it dissipates energy of the
+    particles.
 
-    With v' = v + (gain (F - f) - v) / (1 + lag), the characteristic equation on contacts of stiffness K and viscosity C
+    With v' = v + (gain (F - f) - v) / (1 + lag), the characteristic equation on contacts of stiffness K and
+    viscosity C
 
         z^2 - (1 + p - gain K dt / (1 + lag)) z + p = 0,     p = (lag - gain C) / (1 + lag)
 
-    has both roots inside the unit circle for lag >= gain (C + K dt / 2), because then 0 <= p < 1 and 2 + 2 p exceeds
-    gain K dt / (1 + lag). Without lag the wall would overshoot at every step on contacts with gain C > 1: the force
-    that it reacts to contains that of its own velocity.
+    has both roots inside the unit circle for lag >= gain (C + K dt / 2), because then 0 <= p < 1 and 2 + 2 p
+    exceeds gain K dt / (1 + lag). Without lag the wall would overshoot at every step on contacts with gain C
+    > 1: the force that it reacts to contains that of its own velocity.
     """
     max_gain = MAX_GAIN / (layer.stiffness * step)
     default_gain = GAIN_SHARE / (layer.count * layer.stiffness * step)
@@ -507,10 +542,11 @@ def _servo(
 def _free(
     scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, layer: WallContacts, step: float
 ) -> ControlledMotion:
-    """A free wall of mass M on contacts of stiffness K and viscosity C is stable for M > (C + K dt / 2) dt / 2.
+    """A free wall of mass M on contacts of stiffness K and viscosity C is stable for M > (C + K dt / 2) dt /
+    2.
 
-    The least mass is twice as large, and at least K dt^2 [kg], with the contacts of a layer of particles. Raises
-    SceneError for a smaller mass.
+    The least mass is twice as large, and at least K dt^2 [kg], with the contacts of a layer of particles.
+    Raises SceneError for a smaller mass.
     """
     min_mass = layer.count * step * max(layer.resistance, layer.stiffness * step)
     if given.mass < min_mass:
@@ -551,13 +587,17 @@ def _layer(
 
     A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
     """
-    single = max(law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases)
+    single = max(
+        law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases
+    )
     responses = [law.present_response(*case.dashpot_arguments, velocity, step) for case in pair_cases]
     resistance = max(viscosity + 0.5 * step * stiffness for stiffness, viscosity in responses)
     radius = min(pair_case.radius for pair_case in pair_cases)
     area = area_of(wall.shape) or section(scene.domain, _unit(given))
     particle_count = sum(group.sphere_count for group in scene.particles.values())
-    return WallContacts(max(min(particle_count, area / (2.0 * sqrt(3.0) * radius**2)), 1.0), single, resistance)
+    return WallContacts(
+        max(min(particle_count, area / (2.0 * sqrt(3.0) * radius**2)), 1.0), single, resistance
+    )
 
 
 def section(domain: Domain, direction: Sequence[float] | np.ndarray) -> float:

@@ -23,7 +23,13 @@ from granflow.plan.limits import section
 from granflow.plan.parts import PlannedGroup, diameter_range
 from granflow.plan.plan import Forecast, Plan
 from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.particles import FileInsertion, Group, LatticeInsertion, PackInsertion, PositionsInsertion
+from granflow.scene.blocks.particles import (
+    FileInsertion,
+    Group,
+    LatticeInsertion,
+    PackInsertion,
+    PositionsInsertion,
+)
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 # Largest overlap of one contact in an impact and under a static load, by the reference implementation of
@@ -68,16 +74,19 @@ class TouchingPair:
 
 
 class ContactForces:
-    """Force of the normal and the cohesion model of a pair, by their reference implementations; keeps the history.
+    """Force of the normal and the cohesion model of a pair, by their reference implementations; keeps the
+    history.
 
-    `time_step` [s]: for which models average their damping. At rest, an inelastic contact (restitution 0) carries any
-    load up to the loading curve, which does not depend on the restitution: it is evaluated for the restitution 1.
+    `time_step` [s]: for which models average their damping. At rest, an inelastic contact (restitution 0)
+    carries any load up to the loading curve, which does not depend on the restitution: it is evaluated for
+    the restitution 1.
     """
 
     def __init__(self, laws: ContactLaws, pair: TouchingPair, time_step: float) -> None:
         self.laws: list[tuple[float, Law]] = [(1.0, laws.normal)]
         self.laws += [(-1.0, laws.cohesion)] if laws.cohesion is not None else []
-        self.pair, self.time_step = pair, time_step
+        self.pair = pair
+        self.time_step = time_step
         self.reset()
         loading = replace(pair.pair, restitution=1.0) if pair.pair.restitution == 0.0 else pair.pair
         self.constants = [
@@ -97,9 +106,14 @@ class ContactForces:
         forces = []
         for index, (sign, law) in enumerate(self.laws):
             state = ContactState(
-                self.constants[index], self.pair.radius_eff, self.pair.mass_eff, self.time_step, overlap, rate,
+                self.constants[index],
+                self.pair.radius_eff,
+                self.pair.mass_eff,
+                self.time_step,
+                overlap,
+                rate,
                 SimpleNamespace(**self.history[index]),
-            )  # fmt: skip
+            )
             force, changed = law.reference(state)  # type: ignore[attr-defined]
             self.history[index] |= changed
             forces.append(sign * float(force))
@@ -115,9 +129,10 @@ def impact_overlap(laws: ContactLaws, pair: TouchingPair, velocity: float, enoug
 
         M d'' = -F(d, d'),     d(0) = 0,     d'(0) = v,     until d' = 0
 
-    by leapfrog, unless the closed form is below `enough`: without attraction it is an upper bound. For elastic loading
-    the energy balance gives d = (5 M v^2 / (4 k))^(2/5) with k = (4/3) E sqrt(R) (Hertz 1882; Zhou 2011, Eq. 5);
-    viscous forces lower it, attractions raise it. Closed form of the model if it has no reference implementation.
+    by leapfrog, unless the closed form is below `enough`: without attraction it is an upper bound. For
+    elastic loading the energy balance gives d = (5 M v^2 / (4 k))^(2/5) with k = (4/3) E sqrt(R) (Hertz 1882;
+    Zhou 2011, Eq. 5); viscous forces lower it, attractions raise it. Closed form of the model if it has no
+    reference implementation.
     """
     arguments = (pair.pair, pair.radius_eff, pair.mass_eff, velocity)
     elastic = laws.normal.overlap_max(*arguments) / pair.radius
@@ -125,7 +140,8 @@ def impact_overlap(laws: ContactLaws, pair: TouchingPair, velocity: float, enoug
         return elastic
     step = laws.normal.phase_durations(*arguments)[0] / STEPS_OF_LOADING
     forces = ContactForces(laws, pair, step)
-    overlap, rate = 0.5 * step * velocity, velocity
+    overlap = 0.5 * step * velocity
+    rate = velocity
     try:
         for _ in range(MAX_LOADING_TIMES * STEPS_OF_LOADING):
             rate -= step * forces.total(overlap, rate) / pair.mass_eff
@@ -138,12 +154,14 @@ def impact_overlap(laws: ContactLaws, pair: TouchingPair, velocity: float, enoug
 
 
 def impact_velocity(laws: ContactLaws, pair: TouchingPair, overlap: float, approach: float) -> float:
-    """Velocity [m/s] of an impact that has reached `overlap` [m] and approaches at `approach` [m/s], without losses.
+    """Velocity [m/s] of an impact that has reached `overlap` [m] and approaches at `approach` [m/s], without
+    losses.
 
-        v^2 = approach^2 + (2 / M) int_0^d F(x, 0) dx     e.g. (4/5) (k/M) d^2.5, k = (4/3) E sqrt(R) (Hertz 1882)
+        v^2 = approach^2 + (2 / M) int_0^d F(x, 0) dx     e.g. (4/5) (k/M) d^2.5, k = (4/3) E sqrt(R) (Hertz
+        1882)
 
-    The work of attractions, which act before contact too, is not included. Hertz's if the model has no reference
-    implementation.
+    The work of attractions, which act before contact too, is not included. Hertz's if the model has no
+    reference implementation.
     """
     width = overlap / STEPS_OF_LOADING
     forces = ContactForces(laws, pair, 1.0)
@@ -155,11 +173,13 @@ def impact_velocity(laws: ContactLaws, pair: TouchingPair, overlap: float, appro
 
 
 def static_overlap(laws: ContactLaws, pair: TouchingPair, load: float) -> float:
-    """Overlap over the smaller radius at which a contact carries `load` [N] at rest; 2 if no smaller one does.
+    """Overlap over the smaller radius at which a contact carries `load` [N] at rest; 2 if no smaller one
+    does.
 
         F(d, 0) = load       e.g. d = (load / k)^(2/3), k = (4/3) E sqrt(R), without attraction (Hertz 1882)
 
-    The contact has no history: it is loaded for the first time. NaN if a model has no reference implementation.
+    The contact has no history: it is loaded for the first time. NaN if a model has no reference
+    implementation.
     """
 
     forces = ContactForces(laws, pair, 1.0)
@@ -192,7 +212,8 @@ def attraction_share(laws: ContactLaws, pair: TouchingPair, overlap: float) -> f
 # the law.
 
 LARGEST_FACTOR = 1e12
-"""Largest factor on the moduli that is searched; no modulus helps a model whose stiffness is given as a number."""
+"""Largest factor on the moduli that is searched; no modulus helps a model whose stiffness is given as a
+number."""
 HARDEST = 1.2e12
 """Young's modulus [Pa] of diamond: if more is required, a unit is probably wrong."""
 MARGIN = 1.1
@@ -204,10 +225,12 @@ Overlap = Callable[[TouchingPair], float]
 
 
 def modulus_factor(pair: TouchingPair, overlap: Overlap, limit: float) -> float | None:
-    """Smallest factor on the effective modulus at which the overlap is at most `limit`; None if no factor suffices.
+    """Smallest factor on the effective modulus at which the overlap is at most `limit`; None if no factor
+    suffices.
 
     For Hertz contacts it is (d/limit)^(5/2) for an impact, and (d/limit)^(3/2) for a static load, because
-    d ~ E^(-2/5) at a given energy and d ~ E^(-2/3) at a given force. Solved by bisection for any contact model.
+    d ~ E^(-2/5) at a given energy and d ~ E^(-2/3) at a given force. Solved by bisection for any contact
+    model.
     """
     low, high = 1.0, LARGEST_FACTOR
     if overlap(pair.stiffer(high)) > limit:
@@ -221,22 +244,26 @@ def modulus_factor(pair: TouchingPair, overlap: Overlap, limit: float) -> float 
 
 
 def without_modulus(pair: TouchingPair, overlap: Overlap) -> str:
-    """Instruction for an overlap that no modulus reduces enough: the stiffness is a number, or a unit is wrong."""
+    """Instruction for an overlap that no modulus reduces enough: the stiffness is a number, or a unit is
+    wrong."""
     if overlap(pair.stiffer(LARGEST_FACTOR)) > 0.99 * overlap(pair):
         return "raise the stiffness of contact.normal"
     return "check the units of densities, sizes, velocities and forces, because no Young's modulus is high enough"
 
 
-def required_moduli(solids: Mapping[str, Solid], materials: tuple[str, str], factor: float) -> dict[str, float]:
+def required_moduli(
+    solids: Mapping[str, Solid], materials: tuple[str, str], factor: float
+) -> dict[str, float]:
     """Young's moduli [Pa] by material that raise the effective modulus of two materials by `factor`.
 
         1/E = (1 - nu1^2)/E1 + (1 - nu2^2)/E2
 
-    Only the softer material changes if it stays softer than the other one; otherwise both get the same modulus. Rounded
-    up to two digits, with MARGIN.
+    Only the softer material changes if it stays softer than the other one; otherwise both get the same
+    modulus. Rounded up to two digits, with MARGIN.
     """
     names = sorted(dict.fromkeys(materials), key=lambda name: solids[name].young_modulus)
-    soft, hard = solids[names[0]], solids[names[-1]]
+    soft = solids[names[0]]
+    hard = solids[names[-1]]
     of_soft, of_hard = (1.0 - each.poisson_ratio**2 for each in (soft, hard))
     target = (of_soft / soft.young_modulus + of_hard / hard.young_modulus) / (MARGIN * factor)
     both = (of_soft + of_hard) / target
@@ -299,9 +326,9 @@ class BedPressure:
 
             F = f pi d^2 p / (phi Z),      f = ln(2 N) / beta
 
-        The mean normal force in a packing of equal spheres under a pressure p is pi d^2 p / (phi Z) (H. Rumpf, Chem.
-        Ing. Tech. 42 (1970) 538). Of N forces with the tail exp(-beta f), the largest is about ln(2 N) / beta times the
-        mean.
+        The mean normal force in a packing of equal spheres under a pressure p is pi d^2 p / (phi Z) (H.
+        Rumpf, Chem. Ing. Tech. 42 (1970) 538). Of N forces with the tail exp(-beta f), the largest is about
+        ln(2 N) / beta times the mean.
         """
         mean = pi * diameter**2 * self.pressure / (SOLID_FRACTION * COORDINATION)
         return max(log(2.0 * self.contact_count) / FORCE_DECAY, 1.0) * mean
@@ -314,41 +341,51 @@ def bed_pressures(scene: Scene, plan: Plan) -> Iterator[BedPressure]:
     weight, area = weight_pressure(scene, plan.solids)
     if weight > 0.0:
         contacts = min(3.0 * count, max(3.0 * area / diameter**2, 1.0))
-        yield BedPressure("weight", f"the weight of the bed ({pressure_words(weight)} at its bottom)", weight, contacts)
+        yield BedPressure(
+            "weight", f"the weight of the bed ({pressure_words(weight)} at its bottom)", weight, contacts
+        )
     for motion in plan.controlled_motions:
         area = area_of(plan.walls[motion.wall].shape) or section(plan.domain, motion.direction)
         if motion.force > 0.0 and count > 1:
             pressure = motion.force / area
-            cause = f"walls.{motion.name}, which presses with {motion.force:.3g} N ({pressure_words(pressure)})"
+            cause = (
+                f"walls.{motion.name}, which presses with {motion.force:.3g} N ({pressure_words(pressure)})"
+            )
             yield BedPressure("wall", cause, pressure, 3.0 * count)
 
 
 def weight_pressure(scene: Scene, solids: Mapping[str, Solid]) -> tuple[float, float]:
-    """Pressure [Pa] of the weight of all mobile particles at the bottom of the bed, and the section of the bed [m2].
+    """Pressure [Pa] of the weight of all mobile particles at the bottom of the bed, and the section of the
+    bed [m2].
 
         p = |g| sum M_i / A_i,       at most 0.64 rho |g| H
 
-    A lattice or a packing has the section A of its region, given positions that of their bounding box; other particles
-    can fill the domain. With H, the height of
-    the domain, and the density of the random close packing, the pressure is not above that of a full domain. The walls
-    carry a part of the weight (Janssen 1895), which is not considered: the pressure is an upper bound for a bed that
-    keeps its section.
+    A lattice or a packing has the section A of its region, given positions that of their bounding box; other
+    particles can fill the domain. With H, the height of
+    the domain, and the density of the random close packing, the pressure is not above that of a full domain.
+    The walls carry a part of the weight (Janssen 1895), which is not considered: the pressure is an upper
+    bound for a bed that keeps its section.
     """
     gravity = np.array(scene.gravity)
     size = np.subtract(scene.domain.max, scene.domain.min)
-    total, largest_section, densest = 0.0, 0.0, 0.0
+    total = 0.0
+    largest_section = 0.0
+    densest = 0.0
     magnitude = float(np.linalg.norm(gravity))
     for group in scene.particles.values():
         if group.fixed or not magnitude:
             continue
-        area, density = _section_of(scene.domain, group, gravity / magnitude), solids[group.material].density
+        area = _section_of(scene.domain, group, gravity / magnitude)
+        density = solids[group.material].density
         total += magnitude * group.count * mean_volume(group) * density / area
-        largest_section, densest = max(largest_section, area), max(densest, density)
+        largest_section = max(largest_section, area)
+        densest = max(densest, density)
     return min(total, 0.64 * densest * float(np.abs(gravity) @ size)), largest_section
 
 
 def mean_volume(group: Group) -> float:
-    """Mean volume [m3] of the particles of a group, from a sample of at most SAMPLE diameters; that of a clump."""
+    """Mean volume [m3] of the particles of a group, from a sample of at most SAMPLE diameters; that of a
+    clump."""
     if group.clump is not None:
         return group.clump.shape.volume
     if isinstance(group.insert, FileInsertion):
@@ -365,7 +402,8 @@ def solid_volume(particles: Mapping[str, Group]) -> float:
 
 
 def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
-    """Section [m2] of the region of a group across the unit vector `down`; that of the domain for other insertions."""
+    """Section [m2] of the region of a group across the unit vector `down`; that of the domain for other
+    insertions."""
     if isinstance(group.insert, PositionsInsertion):
         x, y, z = np.ptp(np.array(group.insert.positions), axis=0) + diameter_range(group)[1]
         return float(np.abs(down) @ [y * z, z * x, x * y])
@@ -378,7 +416,8 @@ def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
     assert isinstance(region, CylinderSampler)
     along = abs(float(region.frame[2] @ down))
     return (
-        along * pi * region.radius**2 + float(np.sqrt(1.0 - min(along, 1.0) ** 2)) * 2.0 * region.radius * region.length
+        along * pi * region.radius**2
+        + float(np.sqrt(1.0 - min(along, 1.0) ** 2)) * 2.0 * region.radius * region.length
     )
 
 
@@ -388,14 +427,17 @@ ENOUGH = 1.05
 
 @dataclass(frozen=True)
 class _Largest:
-    """The pair with the largest overlap of one cause, and the instruction that all pairs of this cause require."""
+    """The pair with the largest overlap of one cause, and the instruction that all pairs of this cause
+    require."""
 
     pair: TouchingPair
     overlap: float
     instruction: str
 
 
-def impact_forecast(plan: Plan, pairs: Iterable[TouchingPair], velocity: float, source: str) -> Forecast | None:
+def impact_forecast(
+    plan: Plan, pairs: Iterable[TouchingPair], velocity: float, source: str
+) -> Forecast | None:
     """The largest overlap of an impact at the maximum velocity [m/s]; `source`: origin of the velocity."""
     limit = plan.max_overlap
     largest = _largest(plan, pairs, lambda pair: impact_overlap(plan.laws, pair, velocity, limit))
@@ -411,7 +453,9 @@ def impact_forecast(plan: Plan, pairs: Iterable[TouchingPair], velocity: float, 
     return Forecast("overlap of impacts", _share(largest.overlap), remark, warning, "impact", largest.overlap)
 
 
-def static_forecasts(plan: Plan, pairs: Iterable[TouchingPair], pressures: Iterable[BedPressure]) -> Iterator[Forecast]:
+def static_forecasts(
+    plan: Plan, pairs: Iterable[TouchingPair], pressures: Iterable[BedPressure]
+) -> Iterator[Forecast]:
     """The largest overlap at rest without load (only with cohesion), and under each load.
 
     A warning of a load is omitted if cohesion alone exceeds the limit.
@@ -441,7 +485,9 @@ def supported_forecast(plan: Plan, pairs: Iterable[tuple[TouchingPair, float]]) 
     supported = list(pairs)
     weights = {pair.name: weight for pair, weight in supported}  # also of pairs with another modulus
     largest = _largest(
-        plan, (pair for pair, _weight in supported), lambda pair: static_overlap(plan.laws, pair, weights[pair.name])
+        plan,
+        (pair for pair, _weight in supported),
+        lambda pair: static_overlap(plan.laws, pair, weights[pair.name]),
     )
     if largest is None:
         return None
@@ -459,7 +505,8 @@ def supported_forecast(plan: Plan, pairs: Iterable[tuple[TouchingPair, float]]) 
 
 
 def cohesion_forecast(plan: Plan, pairs: Iterable[TouchingPair]) -> Forecast | None:
-    """The overlap at which repulsion and attraction balance: particles that touch are drawn together up to it."""
+    """The overlap at which repulsion and attraction balance: particles that touch are drawn together up to
+    it."""
     largest = _largest(plan, pairs, lambda pair: static_overlap(plan.laws, pair, 0.0))
     if largest is None:
         return None
@@ -472,7 +519,9 @@ def cohesion_forecast(plan: Plan, pairs: Iterable[TouchingPair]) -> Forecast | N
             f"{_above(plan)} Lower {keys}, or {_remedy(largest, capital=False)}."
         )
     remark = f"{largest.pair.name}, without load"
-    return Forecast("overlap by cohesion", _share(largest.overlap), remark, warning, "cohesion", largest.overlap)
+    return Forecast(
+        "overlap by cohesion", _share(largest.overlap), remark, warning, "cohesion", largest.overlap
+    )
 
 
 def loaded_overlap(laws: ContactLaws, load: BedPressure, pair: TouchingPair) -> float:
@@ -481,12 +530,14 @@ def loaded_overlap(laws: ContactLaws, load: BedPressure, pair: TouchingPair) -> 
 
 
 def _largest(plan: Plan, pairs: Iterable[TouchingPair], overlap: Overlap) -> _Largest | None:
-    """The pair with the largest overlap, and the instruction that reduces all to the limit; None without pairs."""
+    """The pair with the largest overlap, and the instruction that reduces all to the limit; None without
+    pairs."""
     found = [(overlap(pair), pair) for pair in pairs]
     found = [each for each in found if each[0] == each[0]]  # NaN: a model without reference implementation
     if not found:
         return None
-    limit, worst = plan.max_overlap, max(found, key=lambda each: each[0])
+    limit = plan.max_overlap
+    worst = max(found, key=lambda each: each[0])
     moduli: dict[str, float] = {}
     for size, pair in found:
         if size > limit:
@@ -501,7 +552,9 @@ def _largest(plan: Plan, pairs: Iterable[TouchingPair], overlap: Overlap) -> _La
 def _above(plan: Plan) -> str:
     """End of a sentence on an overlap above the limit."""
     place = plan.sources.get("numerics.max_overlap")
-    return f"and the run stops above numerics.max_overlap {plan.max_overlap:g}{f' ({place})' if place else ''}."
+    return (
+        f"and the run stops above numerics.max_overlap {plan.max_overlap:g}{f' ({place})' if place else ''}."
+    )
 
 
 def _remedy(largest: _Largest, capital: bool = True) -> str:
@@ -523,12 +576,14 @@ def _share(overlap: float) -> str:
 # The pairs of bodies of a plan that can be in contact, for the forecasts of overlaps.
 
 SUPPORTED_RATIO = 3.0
-"""Smallest ratio of radii at which a particle hits small ones as a bed: particles of similar size move each other."""
+"""Smallest ratio of radii at which a particle hits small ones as a bed: particles of similar size move each
+other."""
 SHALLOW = 0.5
 """Largest depth of a bed that supports its particles, over the radius of the large particle.
 
-In runs with a bed of 2.3 mm (1 mm particles of 10 MPa, 0.3 m/s), a particle of 5 mm overlaps by 0.06 of the small
-radius, 0.3 times the value for a supported bed; those of 10 and 20 mm by 0.16 and 0.46, 0.4 and 0.8 times this value.
+In runs with a bed of 2.3 mm (1 mm particles of 10 MPa, 0.3 m/s), a particle of 5 mm overlaps by 0.06 of the
+small radius, 0.3 times the value for a supported bed; those of 10 and 20 mm by 0.16 and 0.46, 0.4 and 0.8
+times this value.
 """
 LAYER_FRACTION = 0.8
 """Share of an area that a layer of spheres covers."""
@@ -537,9 +592,9 @@ LAYER_FRACTION = 0.8
 def touching_pairs(plan: Plan) -> Iterator[TouchingPair]:
     """All pairs of groups, and of groups and wall materials, with the sizes of the largest relative overlaps.
 
-    Two groups: smallest and largest sizes in all combinations, because the overlap refers to the smaller particle, and
-    a small one that hits a large one overlaps most. Walls have an infinite radius and mass, as have fixed particles
-    concerning their mass.
+    Two groups: smallest and largest sizes in all combinations, because the overlap refers to the smaller
+    particle, and a small one that hits a large one overlaps most. Walls have an infinite radius and mass, as
+    have fixed particles concerning their mass.
     """
     walls = dict.fromkeys(plan.materials[wall.material] for wall in plan.walls)
     for index, group in enumerate(plan.groups):
@@ -552,22 +607,25 @@ def touching_pairs(plan: Plan) -> Iterator[TouchingPair]:
 
 
 def supported_pairs(scene: Scene, plan: Plan) -> Iterator[tuple[TouchingPair, float]]:
-    """Pairs of a particle and of much smaller ones in a shallow bed below it, and the weight [N] on one of these.
+    """Pairs of a particle and of much smaller ones in a shallow bed below it, and the weight [N] on one of
+    these.
 
-    A bed is shallow if it is not deeper than SHALLOW times the radius R of the large particle; small ones, radius r, in
-    a deeper bed give way. The floor supports those in a shallow bed. At the overlap limit d the large particle, mass M,
-    touches those within the radius a of its contact area,
+    A bed is shallow if it is not deeper than SHALLOW times the radius R of the large particle; small ones,
+    radius r, in a deeper bed give way. The floor supports those in a shallow bed. At the overlap limit d the
+    large particle, mass M, touches those within the radius a of its contact area,
 
         N = phi a^2 / r^2,   a^2 = 2 R d,     at least 1
 
-    each of which carries M |g| / N. An impact compresses 2 N contacts, those with the large particle and those below:
+    each of which carries M |g| / N. An impact compresses 2 N contacts, those with the large particle and
+    those below:
     for each the effective mass is M / (2 N). Without gravity there is no bed.
     """
     magnitude = float(np.linalg.norm(plan.gravity))
     for large, small in product(plan.groups, plan.groups):
         if large.fixed or small.fixed or not magnitude or not _collide(plan, large, small):
             continue
-        radius, radius_small = 0.5 * max(large.diameters), 0.5 * min(small.diameters)
+        radius = 0.5 * max(large.diameters)
+        radius_small = 0.5 * min(small.diameters)
         count = max(2.0 * LAYER_FRACTION * radius * plan.max_overlap / radius_small, 1.0)
         if radius < SUPPORTED_RATIO * radius_small or small.count <= count:
             continue
@@ -581,7 +639,8 @@ def supported_pairs(scene: Scene, plan: Plan) -> Iterator[tuple[TouchingPair, fl
 
 
 def _depth(scene: Scene, plan: Plan, radius: float) -> float:
-    """Depth [m] of a bed at rest of all mobile particles of groups without a radius of at least `radius` [m]."""
+    """Depth [m] of a bed at rest of all mobile particles of groups without a radius of at least `radius`
+    [m]."""
     names = [each.name for each in plan.groups if not each.fixed and 0.5 * max(each.diameters) < radius]
     volume = solid_volume({name: scene.particles[name] for name in names})
     return volume / (SOLID_FRACTION * weight_pressure(scene, plan.solids)[1])
@@ -594,11 +653,16 @@ def _collide(plan: Plan, group: PlannedGroup, other: PlannedGroup) -> bool:
     return not alone and not (group.fixed and other.fixed) and materials in plan.pair_materials
 
 
-def _of_particles(plan: Plan, group: PlannedGroup, other: PlannedGroup, sizes: tuple[float, float]) -> TouchingPair:
+def _of_particles(
+    plan: Plan, group: PlannedGroup, other: PlannedGroup, sizes: tuple[float, float]
+) -> TouchingPair:
     """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
-    radii, materials = np.array(sizes) / 2.0, (group.material, other.material)
+    radii = np.array(sizes) / 2.0
+    materials = (group.material, other.material)
     masses = [_mass(plan, each, radius) for each, radius in zip((group, other), radii, strict=True)]
-    inverse = sum(0.0 if each.fixed else 1.0 / mass for each, mass in zip((group, other), masses, strict=True))
+    inverse = sum(
+        0.0 if each.fixed else 1.0 / mass for each, mass in zip((group, other), masses, strict=True)
+    )
     radius_eff = float(1.0 / (1.0 / radii).sum())
     name = f"particles of {group.name if group is other else f'{group.name} and {other.name}'}"
     pair = plan.pair_materials[materials]
@@ -606,9 +670,12 @@ def _of_particles(plan: Plan, group: PlannedGroup, other: PlannedGroup, sizes: t
 
 
 def _of_wall(plan: Plan, group: PlannedGroup, wall: str) -> TouchingPair:
-    """A particle at a wall of the material `wall`; the relative overlap does not depend on its size (Hertz)."""
-    radius, materials = 0.5 * group.diameters[0], (group.material, wall)
-    name, mass = f"particles of {group.name} and walls of {wall}", _mass(plan, group, radius)
+    """A particle at a wall of the material `wall`; the relative overlap does not depend on its size
+    (Hertz)."""
+    radius = 0.5 * group.diameters[0]
+    materials = (group.material, wall)
+    name = f"particles of {group.name} and walls of {wall}"
+    mass = _mass(plan, group, radius)
     return TouchingPair(name, materials, plan.pair_materials[materials], radius, radius, mass)
 
 

@@ -1,4 +1,5 @@
-"""Pairs of materials and possible contacts of a scene: contact laws, pair constants, and the cases of the time step."""
+"""Pairs of materials and possible contacts of a scene: contact laws, pair constants, and the cases of the
+time step."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -34,8 +35,8 @@ PairMaterials = Mapping[tuple[str, str], PairMaterial]
 def active_models(scene: Scene) -> dict[str, ContactModel]:
     """The contact models of the scene by slot.
 
-    A model with pair options is active only if a pair has a value other than 0; slots without an active model are
-    absent.
+    A model with pair options is active only if a pair has a value other than 0; slots without an active model
+    are absent.
     """
     found = {}
     for slot in SLOTS:
@@ -48,7 +49,9 @@ def active_models(scene: Scene) -> dict[str, ContactModel]:
 
 def _acts(model: ContactModel, pairs: Iterable[MaterialPair]) -> bool:
     """Whether a model acts between any of the pairs."""
-    return not model.pair_options or any(getattr(pair, option.key) for pair in pairs for option in model.pair_options)
+    return not model.pair_options or any(
+        getattr(pair, option.key) for pair in pairs for option in model.pair_options
+    )
 
 
 def build_laws(
@@ -60,9 +63,9 @@ def build_laws(
 ) -> ContactLaws:
     """The contact laws of the scene from its active models.
 
-    `velocity` [m/s]: maximum expected impact velocity, for which a model may compute its constants. The bound theta^2 M
-    of the unloading tangent refers to the mass of a sphere, also where M is that of a clump: eccentric contacts move
-    less mass.
+    `velocity` [m/s]: maximum expected impact velocity, for which a model may compute its constants. The bound
+    theta^2 M of the unloading tangent refers to the mass of a sphere, also where M is that of a clump:
+    eccentric contacts move less mass.
     """
     materials = tuple(pairs[first, second] for first, second in (key.split("-") for key in scene.pairs))
     unloading_angle = scene.numerics.unloading_angle / max(map(_mass_ratio, groups)) ** 0.5
@@ -84,8 +87,11 @@ def build_laws(
 
 
 def _refuse_dashpot(scene: Scene, slot: str) -> None:
-    """Raise SceneError for the dashpot of a slot if the normal model provides none, of which it is a multiple."""
-    damped = [name for name, model in registry.models("normal").items() if getattr(model.law, "has_dashpot", False)]
+    """Raise SceneError for the dashpot of a slot if the normal model provides none, of which it is a
+    multiple."""
+    damped = [
+        name for name, model in registry.models("normal").items() if getattr(model.law, "has_dashpot", False)
+    ]
     damping = scene.contact.options(slot)["damping"]
     raise SceneError(
         f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, a multiple of "
@@ -95,7 +101,8 @@ def _refuse_dashpot(scene: Scene, slot: str) -> None:
 
 
 def adhesion_velocity(laws: ContactLaws, cases: Iterable[PairCase]) -> float:
-    """Velocity [m/s] to add to the impact velocity for the time step: cohesion stiffens contacts, see `CohesionLaw`."""
+    """Velocity [m/s] to add to the impact velocity for the time step: cohesion stiffens contacts, see
+    `CohesionLaw`."""
     law = laws.cohesion
     if law is None:
         return 0.0
@@ -111,7 +118,12 @@ def pair_materials(
     scene: Scene, models: Mapping[str, ContactModel], solids: Mapping[str, Solid]
 ) -> dict[tuple[str, str], PairMaterial]:
     """Mixed constants of each two materials that can come into contact, by their names in either order."""
-    both = [(first, second) for first in solids for second in solids if scene.pair_key(first, second) in scene.pairs]
+    both = [
+        (first, second)
+        for first in solids
+        for second in solids
+        if scene.pair_key(first, second) in scene.pairs
+    ]
     return {(a, b): _pair_material(scene, models, scene.pair(a, b), solids[a], solids[b]) for a, b in both}
 
 
@@ -120,12 +132,15 @@ def _pair_material(
 ) -> PairMaterial:
     """Mixed constants of two materials, symmetric under their exchange.
 
-    The restitution is a number, a fit e(v) (Zhou 2011, Eq. 12) with its limit velocity (Eq. 11 unless given), or None.
+    The restitution is a number, a fit e(v) (Zhou 2011, Eq. 12) with its limit velocity (Eq. 11 unless given),
+    or None.
     """
     given = pair.restitution
     restitution: float | VelocityRestitution | None
     if isinstance(given, RestitutionFit):
-        restitution = VelocityRestitution(given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b))
+        restitution = VelocityRestitution(
+            given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b)
+        )
     else:
         restitution = given
     surface = [models[slot] for slot in ("tangential", "rolling", "twisting") if slot in models]
@@ -142,11 +157,13 @@ def _pair_material(
     )
 
 
-def pair_table(scene: Scene, laws: ContactLaws, pairs: PairMaterials, materials: tuple[str, ...]) -> np.ndarray:
+def pair_table(
+    scene: Scene, laws: ContactLaws, pairs: PairMaterials, materials: tuple[str, ...]
+) -> np.ndarray:
     """Constants of each pair of materials (materials^2, constants); NaN for pairs without contacts.
 
-    Row i * materials + j, columns as in `ContactLaws.constant_names`. Raises SceneError if a contact model does not
-    support a pair.
+    Row i * materials + j, columns as in `ContactLaws.constant_names`. Raises SceneError if a contact model
+    does not support a pair.
     """
     count = len(materials)
     table = np.full((count * count, sum(map(len, laws.constant_names.values()))), np.nan)
@@ -156,7 +173,9 @@ def pair_table(scene: Scene, laws: ContactLaws, pairs: PairMaterials, materials:
     return table
 
 
-def _constants(scene: Scene, laws: ContactLaws, pair: PairMaterial, materials: tuple[str, str]) -> tuple[float, ...]:
+def _constants(
+    scene: Scene, laws: ContactLaws, pair: PairMaterial, materials: tuple[str, str]
+) -> tuple[float, ...]:
     """Row of the pair constants. Raises SceneError if the contact model cannot reach the restitution."""
     try:
         return laws.pair_constants(pair)
@@ -169,11 +188,13 @@ def _constants(scene: Scene, laws: ContactLaws, pair: PairMaterial, materials: t
 def pair_cases_of(
     scene: Scene, groups: Sequence[PlannedGroup], solids: Mapping[str, Solid], pairs: PairMaterials
 ) -> tuple[PairCase, ...]:
-    """The possible contacts between two groups and between a group and a wall, each for the smallest particles.
+    """The possible contacts between two groups and between a group and a wall, each for the smallest
+    particles.
 
-    A group of one particle does not collide with itself: that contact limits the time step, but has no `pair_key`. If
-    no contact is possible, the contact of the first group with itself limits the time step. Fixed particles collide
-    neither with each other nor with walls; for other particles they are walls with the radius of the largest of them.
+    A group of one particle does not collide with itself: that contact limits the time step, but has no
+    `pair_key`. If no contact is possible, the contact of the first group with itself limits the time step.
+    Fixed particles collide neither with each other nor with walls; for other particles they are walls with
+    the radius of the largest of them.
     """
     pair_cases = []
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
@@ -186,11 +207,13 @@ def pair_cases_of(
                 case = _pair_case(f"{group.name}-{other.name}", pairs[both], solids, mobile, partner)
                 pair_cases.append(replace(case, pair_key=key))
         for wall in walls if not group.fixed else ():
-            pair, key = pairs[group.material, wall], scene.pair_key(group.material, wall)
+            pair = pairs[group.material, wall]
+            key = scene.pair_key(group.material, wall)
             case = _pair_case(f"{group.name}-{wall} wall", pair, solids, group, None)
             pair_cases.append(replace(case, pair_key=key))
     if not pair_cases:
-        group, own = groups[0], solids[groups[0].material]
+        group = groups[0]
+        own = solids[groups[0].material]
         elastic_pair = PairMaterial(modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, 0.0)
         pair_cases.append(_pair_case(f"{group.name}-{group.name}", elastic_pair, solids, group, group))
     contacts = max(sum(group.count for group in groups) + len(scene.walls) - 1, 1)
@@ -198,12 +221,18 @@ def pair_cases_of(
 
 
 def _pair_case(
-    name: str, pair: PairMaterial, solids: Mapping[str, Solid], group: PlannedGroup, other: PlannedGroup | None
+    name: str,
+    pair: PairMaterial,
+    solids: Mapping[str, Solid],
+    group: PlannedGroup,
+    other: PlannedGroup | None,
 ) -> PairCase:
-    """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
+    """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall
+    (None)."""
     smallest, largest = (0.5 * diameter for diameter in group.diameters)
     material_solid = solids[group.material]
-    mass, ratio = sphere_mass(smallest, material_solid.density), max(_mass_ratio(group), _mass_ratio(other))
+    mass = sphere_mass(smallest, material_solid.density)
+    ratio = max(_mass_ratio(group), _mass_ratio(other))
     if other is None:
         return PairCase(name, pair, smallest, mass, smallest, largest, material_solid, mass_ratio=ratio)
     other_smallest, other_largest = (0.5 * diameter for diameter in other.diameters)

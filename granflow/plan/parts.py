@@ -1,4 +1,5 @@
-"""Outlets in numeric form, and the depth of points in an outlet (numpy); the device only tests inside or outside."""
+"""Outlets in numeric form, and the depth of points in an outlet (numpy); the device only tests inside or
+outside."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,12 +19,14 @@ from granflow.scene.blocks.run import Damping
 # Damping of all motion for settling: its numbers by stage, and the limit of the drag.
 
 RESOLVED_DECAY = 0.2
-"""Largest product of drag rate and time step g dt: the decay rate of the scheme is wrong by (g dt)^2 / 12 = 0.3 %."""
+"""Largest product of drag rate and time step g dt: the decay rate of the scheme is wrong by (g dt)^2 / 12 =
+0.3 %."""
 
 
 @dataclass(frozen=True)
 class PlannedDamping:
-    """Damping of all particles: Cundall ratio, drag rate [1/s], and the stages in which it acts (None: all)."""
+    """Damping of all particles: Cundall ratio, drag rate [1/s], and the stages in which it acts (None:
+    all)."""
 
     cundall: float
     drag: float
@@ -38,7 +41,11 @@ class PlannedDamping:
 def planned_damping(damping: Damping | None) -> PlannedDamping | None:
     """The damping of the scene; None without."""
     damping = damping
-    return None if damping is None else PlannedDamping(damping.cundall or 0.0, damping.drag or 0.0, damping.stages)
+    return (
+        None
+        if damping is None
+        else PlannedDamping(damping.cundall or 0.0, damping.drag or 0.0, damping.stages)
+    )
 
 
 def refuse_unresolved_drag(scene: Scene, time_step: float) -> None:
@@ -55,8 +62,9 @@ def refuse_unresolved_drag(scene: Scene, time_step: float) -> None:
 class PlannedOutlet:
     """One outlet: a box, or the region behind a plane and within `radius` [m] of an axis.
 
-    `low`, `high` (3,) [m]: corners of the box, or None. `point` (3,) [m], `normal` (3,), unit vector: of the plane; the
-    region is on the side to which the normal points. `radius` [m]: infinite for a half space and a box.
+    `low`, `high` (3,) [m]: corners of the box, or None. `point` (3,) [m], `normal` (3,), unit vector: of the
+    plane; the region is on the side to which the normal points. `radius` [m]: infinite for a half space and a
+    box.
     """
 
     name: str
@@ -107,8 +115,8 @@ def _behind_plane(name: str, point: Sequence[float], normal: Sequence[float], ra
 def outlet_of(outlets: Sequence[PlannedOutlet], position: np.ndarray, in_domain: np.ndarray) -> np.ndarray:
     """Index of the outlet that deleted each particle (n,), -1 for none: the outlet with the largest depth.
 
-    `position` (n, 3) [m]; `in_domain` (n,) bool. A deleted particle inside the domain is always in an outlet, except
-    for rounding. The order of the outlets decides between equal depths.
+    `position` (n, 3) [m]; `in_domain` (n,) bool. A deleted particle inside the domain is always in an outlet,
+    except for rounding. The order of the outlets decides between equal depths.
     """
     if not outlets:
         return np.full(len(position), -1)
@@ -136,18 +144,21 @@ def diameter_range(group: Group) -> Span:
 
 
 def outer_diameter_range(group: Group) -> Span:
-    """As `diameter_range`, but of the spheres around clumps: the size of the particles when they are inserted."""
+    """As `diameter_range`, but of the spheres around clumps: the size of the particles when they are
+    inserted."""
     return diameter_range(group) if group.clump is None else (group.clump.outer_diameter,) * 2
 
 
 def size_classes(particles: Mapping[str, Group]) -> tuple[float, ...]:
     """Largest radius [m] of each size class, in ascending order; a single class if all sizes are similar.
 
-    Similar: the largest is less than CLASSES_FROM_RATIO times the smallest. Within a class, the ratio is at most
-    CLASS_WIDTH. A class begins with the smallest radius that no class contains yet, so that no class is empty.
+    Similar: the largest is less than CLASSES_FROM_RATIO times the smallest. Within a class, the ratio is at
+    most CLASS_WIDTH. A class begins with the smallest radius that no class contains yet, so that no class is
+    empty.
     """
     spans = sorted((0.5 * low, 0.5 * high) for group in particles.values() for low, high in _diameters(group))
-    smallest, largest = spans[0][0], max(high for _, high in spans)
+    smallest = spans[0][0]
+    largest = max(high for _, high in spans)
     if largest < CLASSES_FROM_RATIO * smallest:
         return (largest,)
     class_radii: list[float] = []
@@ -171,7 +182,9 @@ def _diameters(group: Group) -> list[Span]:
     if isinstance(sizes, tuple):
         return [(each, each) for each in sorted(set(sizes))]
     if isinstance(sizes, ClassSizes):
-        return [(each, each) for each in sorted(each.diameter for each in sizes.classes if each.fraction > 0.0)]
+        return [
+            (each, each) for each in sorted(each.diameter for each in sizes.classes if each.fraction > 0.0)
+        ]
     return [(sizes.min, sizes.max)]
 
 
@@ -180,10 +193,12 @@ def _diameters(group: Group) -> list[Span]:
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """One group of particles: name, number of particles, name of the material, whether its particles are fixed.
+    """One group of particles: name, number of particles, name of the material, whether its particles are
+    fixed.
 
-    `diameters` [m]: smallest and largest, of spheres. `source`: position of its count in the scene file. `clump`: shape
-    of its particles; None for spheres. `liquid_content`: initial volume of the film over that of the particle.
+    `diameters` [m]: smallest and largest, of spheres. `source`: position of its count in the scene file.
+    `clump`: shape of its particles; None for spheres. `liquid_content`: initial volume of the film over that
+    of the particle.
     """
 
     name: str
@@ -203,7 +218,8 @@ class PlannedGroup:
 
 @dataclass(frozen=True)
 class StageCondition:
-    """A condition that ends a stage: a quantity is above or below a value, one of which is None, during `hold` [s]."""
+    """A condition that ends a stage: a quantity is above or below a value, one of which is None, during
+    `hold` [s]."""
 
     quantity: str
     above: float | None
@@ -212,16 +228,18 @@ class StageCondition:
 
     def is_met(self, value: float) -> bool:
         """Whether a value satisfies the condition; NaN does not."""
-        return (self.above is not None and value > self.above) or (self.below is not None and value < self.below)
+        return (self.above is not None and value > self.above) or (
+            self.below is not None and value < self.below
+        )
 
 
 @dataclass(frozen=True)
 class PlannedStage:
     """One stage of a run: name, and longest duration [s].
 
-    `kinetic_energy_below` [J]: mean kinetic energy per particle at which it ends earlier, or None. `key`, `source`: key
-    of the duration in the scene, and its position in the file. `until`: conditions, any of which ends the stage, from
-    its `shortest` duration [s] on.
+    `kinetic_energy_below` [J]: mean kinetic energy per particle at which it ends earlier, or None. `key`,
+    `source`: key of the duration in the scene, and its position in the file. `until`: conditions, any of
+    which ends the stage, from its `shortest` duration [s] on.
     """
 
     name: str
@@ -242,7 +260,11 @@ def planned_groups(scene: Scene) -> tuple[PlannedGroup, ...]:
     """The groups in the order of the scene."""
     return tuple(
         PlannedGroup(
-            *(name, group.count, group.material, group.fixed, diameter_range(group)),
+            name,
+            group.count,
+            group.material,
+            group.fixed,
+            diameter_range(group),
             scene.locate("particles", name, "count"),
             None if group.clump is None else group.clump.shape,
             group.liquid_content or 0.0,
@@ -258,9 +280,13 @@ def planned_stages(scene: Scene) -> tuple[PlannedStage, ...]:
         key = "max_duration" if stage.duration is None else "duration"
         path = ("stages", index, key) if scene.stages else ("run", "duration")
         source = ".".join(map(str, path)), scene.locate(*path)
-        until = tuple(StageCondition(each.quantity, each.above, each.below, each.hold) for each in stage.until)
+        until = tuple(
+            StageCondition(each.quantity, each.above, each.below, each.hold) for each in stage.until
+        )
         stages.append(
-            PlannedStage(stage.name, stage.longest, stage.kinetic_energy_below, *source, until, stage.min_duration)
+            PlannedStage(
+                stage.name, stage.longest, stage.kinetic_energy_below, *source, until, stage.min_duration
+            )
         )
     return tuple(stages)
 
@@ -268,16 +294,19 @@ def planned_stages(scene: Scene) -> tuple[PlannedStage, ...]:
 # Liquid films: unit of the volumes, and what a model that transfers liquid does not support.
 
 LIQUID_BITS = 50
-"""Binary digits of the volume of all liquid in its unit: three fewer than f64 has, for the halves of odd volumes and
-for particles that a program adds."""
+"""Binary digits of the volume of all liquid in its unit: three fewer than f64 has, for the halves of odd
+volumes and for particles that a program adds."""
 
 
 def liquid_unit(groups: Sequence[PlannedGroup]) -> float:
-    """Unit [m3] of liquid volumes, a power of two: bridges take whole units, so that all sums of volumes are exact.
+    """Unit [m3] of liquid volumes, a power of two: bridges take whole units, so that all sums of volumes are
+    exact.
 
     The liquid of all groups, with the largest diameters, over 2^LIQUID_BITS; 1 without liquid.
     """
-    total = sum(group.count * group.liquid_content * sphere_volume(0.5 * group.diameters[1]) for group in groups)
+    total = sum(
+        group.count * group.liquid_content * sphere_volume(0.5 * group.diameters[1]) for group in groups
+    )
     return 2.0 ** (ceil(log2(total)) - LIQUID_BITS) if total > 0.0 else 1.0
 
 

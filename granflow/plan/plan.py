@@ -41,7 +41,14 @@ from granflow.plan.capacities import (
 from granflow.plan.features import Features, Reason
 from granflow.plan.limits import ControlledMotion, ImpactVelocity, coordinate_limit
 from granflow.plan.parts import PlannedDamping, PlannedGroup, PlannedOutlet, PlannedStage, liquid_unit
-from granflow.plan.time_step import STEP_SHARE, AdaptiveTimeStep, PairCase, TimeStep, shortest_phase, stable_step
+from granflow.plan.time_step import (
+    STEP_SHARE,
+    AdaptiveTimeStep,
+    PairCase,
+    TimeStep,
+    shortest_phase,
+    stable_step,
+)
 from granflow.plan.walls import MeshNote, PlannedWall
 from granflow.scene.blocks.contact import LawSettings
 from granflow.scene.blocks.domain import Domain
@@ -58,8 +65,8 @@ ParameterValue = float | tuple[float, float, float]
 class ExternalForce:
     """One force: its name, device function, and the number of components of each parameter, 1 or 3, by name.
 
-    `values`: present values of the parameters, which may change while the simulation runs; the compiled kernels depend
-    on all other attributes.
+    `values`: present values of the parameters, which may change while the simulation runs; the compiled
+    kernels depend on all other attributes.
     """
 
     name: str
@@ -90,9 +97,11 @@ Cause = Literal["impact", "weight", "wall", "cohesion"]
 
 @dataclass(frozen=True)
 class Forecast:
-    """One forecast for `granflow explain`: name, value and remark; `warning`: sentence for check and run, or None.
+    """One forecast for `granflow explain`: name, value and remark; `warning`: sentence for check and run, or
+    None.
 
-    cause, overlap:  of a forecast overlap: its cause, and the overlap over the smaller radius; None and 0 for others
+    cause, overlap:  of a forecast overlap: its cause, and the overlap over the smaller radius; None and 0 for
+                     others
     force:           largest contact force [N] of a static pressure, for the pair with the largest overlap
     """
 
@@ -115,7 +124,8 @@ _UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
 
 @dataclass(frozen=True)
 class OptionalSetting:
-    """One optional value of the scene: key path with dots, value with its unit, origin (line, preset or default)."""
+    """One optional value of the scene: key path with dots, value with its unit, origin (line, preset or
+    default)."""
 
     key: str
     value: str
@@ -134,7 +144,8 @@ def settings_of(scene: Scene) -> tuple[OptionalSetting, ...]:
 def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[OptionalSetting]:
     """Optional settings of one part of the scene and of its parts; `path`: key path of the part."""
     for name, key_field in type(model).model_fields.items():
-        key, value = (*path, key_field.alias or name), getattr(model, name)
+        key = (*path, key_field.alias or name)
+        value = getattr(model, name)
         if not _is_leaf(value):
             yield from _in_value(scene, value, key)
         elif value is not None and (_has_default(key_field) or _is_preset(scene, model, key)):
@@ -194,7 +205,8 @@ _MANY_ROWS = 3
 
 
 def as_written(value: Any) -> str:
-    """A value in the notation of scenes: true, false, numbers with six digits, lists; long lists as their length."""
+    """A value in the notation of scenes: true, false, numbers with six digits, lists; long lists as their
+    length."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, tuple) and len(value) > _MANY_ROWS:
@@ -211,8 +223,8 @@ def as_written(value: Any) -> str:
 class Decisions:
     """All decisions for one scene, in SI units; the functions that compute them document the reasons.
 
-    Lengths [m]: `radius_min`, `radius_max`, `skin`. `wall_speed` [m/s]: of prescribed motions. `chunk_size`: particles
-    per unit of work of a thread.
+    Lengths [m]: `radius_min`, `radius_max`, `skin`. `wall_speed` [m/s]: of prescribed motions. `chunk_size`:
+    particles per unit of work of a thread.
     """
 
     title: str
@@ -243,7 +255,8 @@ class Decisions:
     size_classes: tuple[float, ...]
     """Largest radius [m] of each size class, in ascending order."""
     solids: Mapping[str, Solid]
-    """Constants of all materials of the scene by name, in its order, to which `ParticleData.material` refers."""
+    """Constants of all materials of the scene by name, in its order, to which `ParticleData.material`
+    refers."""
     laws: ContactLaws
     materials: tuple[str, ...]
     """Names of the materials in plan order, those of particles first."""
@@ -277,7 +290,8 @@ class Decisions:
     external_forces: tuple[ExternalForce, ...] = ()
     """Forces that a program has added; none follow from the scene."""
     saved_sum_units: SumUnits | None = None
-    """Units of the sums of the run that a checkpoint continues, in which it has saved them; None for a new run."""
+    """Units of the sums of the run that a checkpoint continues, in which it has saved them; None for a new
+    run."""
     has_ghosts: bool = False
     """Whether the run is one of several MPI ranks: its neighbor lists contain ghosts, see `plan.ranks`."""
 
@@ -306,7 +320,8 @@ class Plan(Decisions):
         return self.pair_materials[first, second]
 
     def shortest_phase(self, pair_case: PairCase, velocity: float) -> float:
-        """Shorter of loading and unloading time [s] of a contact at an impact velocity [m/s]; see `time_step`."""
+        """Shorter of loading and unloading time [s] of a contact at an impact velocity [m/s]; see
+        `time_step`."""
         return shortest_phase(pair_case, self.law, velocity)
 
     def stable_step(self, pair_case: PairCase, velocity: float) -> float:
@@ -350,19 +365,27 @@ class Plan(Decisions):
 
     @property
     def history(self) -> dict[str, int]:
-        """Contact history: slot of the contact model -> number of components; slots without history are absent."""
+        """Contact history: slot of the contact model -> number of components; slots without history are
+        absent."""
         return {slot: law.history_count for slot, law in self.laws.by_slot.items() if law.history_count}
 
     @cached_property
     def sum_units(self) -> SumUnits:
-        """Units of the sums over contacts; they do not change when a run continues with another overlap limit."""
+        """Units of the sums over contacts; they do not change when a run continues with another overlap
+        limit."""
         if self.saved_sum_units is not None:
             return self.saved_sum_units
         farthest = 2.0 * float(np.abs([self.domain_low, self.domain_high]).max())
         return sum_units(
-            self.pair_cases, self.law, self.velocity_max, self.max_overlap, self.radius_max, self.longest_time_step,
-            farthest, self.largest_weight,
-        )  # fmt: skip
+            self.pair_cases,
+            self.law,
+            self.velocity_max,
+            self.max_overlap,
+            self.radius_max,
+            self.longest_time_step,
+            farthest,
+            self.largest_weight,
+        )
 
     @cached_property
     def liquid_unit(self) -> float:
@@ -389,7 +412,9 @@ class Plan(Decisions):
 
         If each particle is a chunk, both particles list a pair, and all lists are one segment.
         """
-        neighbors = neighbors_per_particle(self.particle_capacity, (self.skin + self.laws.range) / self.radius_min)
+        neighbors = neighbors_per_particle(
+            self.particle_capacity, (self.skin + self.laws.range) / self.radius_min
+        )
         at_meshes = max(
             (near_triangles(mesh.typical_edge, self.skin + self.laws.range) for mesh in self.meshes.values()),
             default=0.0,
@@ -411,13 +436,19 @@ class Plan(Decisions):
             chunks=rounded_capacity(chunk_count, MIN_CHUNKS),
             list_entries=rounded_capacity(list_entries, MIN_LIST_ENTRIES),
             cells=rounded_capacity(self.cell_capacity, MIN_CELLS),
-            class_cells=rounded_capacity(self.class_cell_capacity, MIN_CELLS) if self.class_cell_capacity else 0,
+            class_cells=rounded_capacity(self.class_cell_capacity, MIN_CELLS)
+            if self.class_cell_capacity
+            else 0,
             size_classes=rounded_capacity(len(self.size_classes), MIN_SIZE_CLASSES),
             walls=rounded_capacity(len(self.walls), MIN_WALLS),
-            measured_walls=rounded_capacity(len(self.measured_walls), MIN_WALLS) if self.measured_walls else 0,
+            measured_walls=rounded_capacity(len(self.measured_walls), MIN_WALLS)
+            if self.measured_walls
+            else 0,
             pairs=rounded_capacity(len(self.pair_constants), MIN_PAIRS),
             batch=MIN_BATCH,
-            chunk_particles=rounded_capacity(min(self.chunk_size, self.particle_capacity), MIN_CHUNK_PARTICLES),
+            chunk_particles=rounded_capacity(
+                min(self.chunk_size, self.particle_capacity), MIN_CHUNK_PARTICLES
+            ),
             wall_rows=SHARED_ROWS if self.chunk_size == 1 else rounded_capacity(chunk_count, MIN_CHUNKS),
             energy_classes=len(self.collision_edges) + 1 if self.features.collision_energies else 0,
             history_share=history_share(self.particle_capacity, segments, list_entries),
@@ -425,11 +456,14 @@ class Plan(Decisions):
 
     @property
     def collision_edges(self) -> np.ndarray:
-        """Edges (n + 1,) [J] of the n classes of collision energies, equally spaced on a logarithmic scale."""
+        """Edges (n + 1,) [J] of the n classes of collision energies, equally spaced on a logarithmic
+        scale."""
         given = self.output.collision_energies
         if given is None:
             return np.empty(0)
-        return np.array([float(f"{edge:.12g}") for edge in np.geomspace(given.min, given.max, given.classes + 1)])
+        return np.array(
+            [float(f"{edge:.12g}") for edge in np.geomspace(given.min, given.max, given.classes + 1)]
+        )
 
     @property
     def cell_capacity(self) -> int:
@@ -438,8 +472,10 @@ class Plan(Decisions):
 
     @property
     def class_cell_capacity(self) -> int:
-        """Maximum number of cells in the grids of all size classes; 0 for a single class without shear or ghosts."""
-        classes, several = len(self.size_classes), len(self.size_classes) > 1
+        """Maximum number of cells in the grids of all size classes; 0 for a single class without shear or
+        ghosts."""
+        classes = len(self.size_classes)
+        several = len(self.size_classes) > 1
         needed = several or self.features.lees_edwards or self.has_ghosts
         return 2 * self.cell_capacity + classes * BLOCK_CELLS if needed else 0
 
@@ -455,16 +491,18 @@ class Plan(Decisions):
 
     @property
     def wall_displacement_limit(self) -> float:
-        """Limit of the wall displacement [m] between rebuilds: half the skin, divided between two kinds of motion."""
+        """Limit of the wall displacement [m] between rebuilds: half the skin, divided between two kinds of
+        motion."""
         return (0.25 if self.controlled_motions and self.wall_speed > 0.0 else 0.5) * self.skin
 
     @cached_property
     def reach_max(self) -> float:
-        """Largest displacement [m] of a particle between rebuilds: that of fast particles, at least half the skin.
+        """Largest displacement [m] of a particle between rebuilds: that of fast particles, at least half the
+        skin.
 
-        Half the skin in a periodic box, for whose images the skin is checked. At most half the thickness of an outlet,
-        which a particle must not cross between two rebuilds, and half the radius at mesh walls, whose cells would
-        contain too many triangles.
+        Half the skin in a periodic box, for whose images the skin is checked. At most half the thickness of
+        an outlet, which a particle must not cross between two rebuilds, and half the radius at mesh walls,
+        whose cells would contain too many triangles.
         """
         boxes = [outlet.high - outlet.low for outlet in self.outlets if outlet.low is not None]
         radius = (0.5 if self.features.mesh_walls else 1.0) * self.radius_min
@@ -478,7 +516,8 @@ class Plan(Decisions):
 
     @property
     def wall_travel_limit(self) -> float:
-        """Maximum displacement [m] of a wall in one step: that of particles, divided between two kinds of motion."""
+        """Maximum displacement [m] of a wall in one step: that of particles, divided between two kinds of
+        motion."""
         return (0.5 if self.controlled_motions and self.wall_speed > 0.0 else 1.0) * self.travel_limit
 
     @property
@@ -503,7 +542,8 @@ class Plan(Decisions):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences to show before a run: changes to the scene, time step and precision, mesh walls, forecasts."""
+        """Sentences to show before a run: changes to the scene, time step and precision, mesh walls,
+        forecasts."""
         meshes = tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
         forecasts = tuple(each.warning for each in self.forecasts if each.warning is not None)
         return self.remarks + self.step.warnings + meshes + forecasts

@@ -16,20 +16,23 @@ from granflow.scene.blocks.run import LARGEST_OVERLAP
 STEP_SHARE = 1.0 - LARGEST_OVERLAP
 """Largest distance per step, of a particle and of a wall, over the smallest radius R.
 
-Rectangles, discs and meshes are two-sided: a center that crosses one is pushed out on the wrong side. With the overlap
-limit L, the centers of a run that has not stopped are at a distance g >= (1 - L) R from the wall. One step with the
-share f for both takes a center at most 2 f R - g behind the wall, where its overlap over R is
+Rectangles, discs and meshes are two-sided: a center that crosses one is pushed out on the wrong side. With
+the overlap limit L, the centers of a run that has not stopped are at a distance g >= (1 - L) R from the wall.
+One step with the share f for both takes a center at most 2 f R - g behind the wall, where its overlap over R
+is
 
     1 - (2 f R - g) / R >= 2 - 2 f - L >= L        for f <= 1 - L
 
-so that the overlap limit stops the run. Two particles pass each other only with more than 2 (2 - L) R in a step.
-Stable steps are below the limit: v dt < 2 v/w = 2 d_max <= 0.2 R, for overlaps d_max up to the default L = 0.1.
+so that the overlap limit stops the run. Two particles pass each other only with more than 2 (2 - L) R in a
+step. Stable steps are below the limit: v dt < 2 v/w = 2 d_max <= 0.2 R, for overlaps d_max up to the default
+L = 0.1.
 """
 
 MAX_CONTACTS = 12
 """Maximum number of contacts of a sphere with equal spheres."""
 NORMAL_MODES, SLIDING_MODES = 4.0, 20.0
-"""Squared highest frequencies of densely packed equal spheres with 12 contacts, over K/M and Kt/M of a contact."""
+"""Squared highest frequencies of densely packed equal spheres with 12 contacts, over K/M and Kt/M of a
+contact."""
 STABLE_SHARE = 0.99
 """Time step over the stability limit of the stiffest mode."""
 STEPS_OF_RESOLUTION = 1000
@@ -40,9 +43,10 @@ STEPS_OF_RESOLUTION = 1000
 class PairCase:
     """The stiffest contact of two groups, or of a group and a wall.
 
-    `radius_eff` [m], `mass_eff` [kg]: effective radius and mass of the contact; `radius` [m], `solid`: of the particle
-    for which the Rayleigh time is computed; `pair`: mixed constants of the two materials; `largest_radius` [m]: largest
-    radius of the smaller particle in a contact of the two groups, which the overlap limit refers to.
+    `radius_eff` [m], `mass_eff` [kg]: effective radius and mass of the contact; `radius` [m], `solid`: of the
+    particle for which the Rayleigh time is computed; `pair`: mixed constants of the two materials;
+    `largest_radius` [m]: largest radius of the smaller particle in a contact of the two groups, which the
+    overlap limit refers to.
     """
 
     name: str
@@ -53,11 +57,14 @@ class PairCase:
     largest_radius: float
     solid: Solid
     contact_count: int = MAX_CONTACTS
-    """Maximum number of simultaneous contacts of a particle: at most the number of other particles and walls."""
+    """Maximum number of simultaneous contacts of a particle: at most the number of other particles and
+    walls."""
     pair_key: str | None = None
-    """Key of the material pair under `pairs`; None for a contact that limits the time step but cannot occur."""
+    """Key of the material pair under `pairs`; None for a contact that limits the time step but cannot
+    occur."""
     mass_ratio: float = 1.0
-    """Largest mass of a clump over that of its sphere: dashpots have the former, motion at least the latter."""
+    """Largest mass of a clump over that of its sphere: dashpots have the former, motion at least the
+    latter."""
 
     @property
     def dashpot_arguments(self) -> tuple[PairMaterial, float, float]:
@@ -77,7 +84,8 @@ class TimeStep:
     stable_below: float
     stable_limit: str
     least_restitution: float
-    """Smallest restitution that this step can reproduce at the maximum velocity, given the unloading limit."""
+    """Smallest restitution that this step can reproduce at the maximum velocity, given the unloading
+    limit."""
     is_given: bool
     """Whether the scene gives the step as a number."""
     warnings: tuple[str, ...]
@@ -85,7 +93,8 @@ class TimeStep:
     """Shortest loading or unloading time [s], which `numerics.time_step_fraction` refers to."""
 
     def remedy(self, step: float) -> str:
-        """Key and value that reduce the time step to `step` [s]: that of the step if the scene gives it as a number."""
+        """Key and value that reduce the time step to `step` [s]: that of the step if the scene gives it as a
+        number."""
         if self.is_given:
             return f"run.time_step: {step:.3g} s"
         return f"numerics.time_step_fraction: {step / self.shortest_phase:.3g}"
@@ -101,9 +110,9 @@ def choose_time_step(
 ) -> TimeStep:
     """Compute the time step [s], or check the given one.
 
-    The smallest of: `fraction` of the shortest loading or unloading time, `rayleigh_fraction` of the Rayleigh time, the
-    stable step, and STEP_SHARE of the smallest radius at `velocity` [m/s], the maximum expected impact velocity.
-    `given` [s]: only the stable step limits it.
+    The smallest of: `fraction` of the shortest loading or unloading time, `rayleigh_fraction` of the Rayleigh
+    time, the stable step, and STEP_SHARE of the smallest radius at `velocity` [m/s], the maximum expected
+    impact velocity. `given` [s]: only the stable step limits it.
 
     Raises ValueError with one sentence if the given time step exceeds the stable time step.
     """
@@ -113,7 +122,9 @@ def choose_time_step(
     rayleigh, rayleigh_name = min(
         (rayleigh_fraction * rayleigh_time(case.solid, case.radius), case.name) for case in pair_cases
     )
-    stable, stable_name = min((stable_step(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases)
+    stable, stable_name = min(
+        (stable_step(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases
+    )
     travel = STEP_SHARE * min(pair_case.radius for pair_case in pair_cases) / velocity
     chosen = min(resolved, rayleigh, stable, travel)
     value = given if given is not None else chosen
@@ -139,10 +150,11 @@ def choose_time_step(
 def resolution_warning(
     pair_cases: Sequence[PairCase], velocity: float, precision: str, reach: float
 ) -> tuple[str, ...]:
-    """A warning if the overlaps of a collision at `velocity` [m/s] are close to the resolution of the precision.
+    """A warning if the overlaps of a collision at `velocity` [m/s] are close to the resolution of the
+    precision.
 
-    An overlap is a difference of lengths up to `reach` [m]: coordinates of the domain in f32, two radii in mixed. The
-    overlap is that of a Hertz contact (Zhou 2011, Eq. 5). Empty in f64, and if the overlap exceeds
+    An overlap is a difference of lengths up to `reach` [m]: coordinates of the domain in f32, two radii in
+    mixed. The overlap is that of a Hertz contact (Zhou 2011, Eq. 5). Empty in f64, and if the overlap exceeds
     STEPS_OF_RESOLUTION times the rounding error.
     """
     if precision == "f64":
@@ -163,37 +175,47 @@ def resolution_warning(
 
 
 def shortest_phase(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
-    """Shorter of loading and unloading time [s] at an impact velocity [m/s]; the unloading time is bounded below.
+    """Shorter of loading and unloading time [s] at an impact velocity [m/s]; the unloading time is bounded
+    below.
 
-    The bound is `law.unresolved_unloading` times the loading time: a contact model that limits its own unloading
-    stiffness needs no shorter time step (durations: Zhou 2011, Eqs. 13 to 16, for the model of that paper).
+    The bound is `law.unresolved_unloading` times the loading time: a contact model that limits its own
+    unloading stiffness needs no shorter time step (durations: Zhou 2011, Eqs. 13 to 16, for the model of that
+    paper).
     """
-    loading, unloading = law.phase_durations(pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
+    loading, unloading = law.phase_durations(
+        pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity
+    )
     return min(loading, max(unloading, law.unresolved_unloading(pair_case.pair) * loading))
 
 
 def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
     """Time step [s] above which the energy of a particle in contact can grow, for its stiffest arrangement.
 
-    The leapfrog scheme is stable for a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, since the velocity in
-    the viscous force is v(t - dt/2) + dt/2 x''(t - dt); at the limit v changes its sign in every step. Masses M with z
-    contacts of stiffness K and viscosity c, and tangential stiffness Kt = 4 G/E K with effective moduli, or that of the
-    tangential model, if there is friction, have at most
+    The leapfrog scheme is stable for a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, since the
+    velocity in the viscous force is v(t - dt/2) + dt/2 x''(t - dt); at the limit v changes its sign in every
+    step. Masses M with z contacts of stiffness K and viscosity c, and tangential stiffness Kt = 4 G/E K with
+    effective moduli, or that of the tangential model, if there is friction, have at most
 
         w^2 = S (K + 2 Kt)/M,   2 b = S c/M,   S = min(z, 4)      if neighbors move in opposite directions
-        w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    if all rotate in the same sense and contacts slip
+        w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    if all rotate in the same sense and contacts
+        slip
 
-    With friction the second frequency is the higher one and halves the step. A contact model that limits its unloading
-    stiffness has K dt^2 = theta^2 M there, or another number with damping, see `NormalLaw.unloading_number`.
+    With friction the second frequency is the higher one and halves the step. A contact model that limits its
+    unloading stiffness has K dt^2 = theta^2 M there, or another number with damping, see
+    `NormalLaw.unloading_number`.
     """
     pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
-    count, mass = min(pair_case.contact_count, MAX_CONTACTS), pair_case.mass_eff
-    normal_modes, tangential_modes = min(count, NORMAL_MODES), min(2.5 * count + 1.0, SLIDING_MODES)
+    count = min(pair_case.contact_count, MAX_CONTACTS)
+    mass = pair_case.mass_eff
+    normal_modes = min(count, NORMAL_MODES)
+    tangential_modes = min(2.5 * count + 1.0, SLIDING_MODES)
     tangential = _tangential_stiffness(pair_case, law, velocity)
     viscosity = law.viscosity(*pair_case.dashpot_arguments, velocity)
     margin = 4.0 - normal_modes * law.unloading_number(pair_case.pair)
     steps = (
-        _largest_step(law.stable_stiffness(*pair_arguments) + 2.0 * tangential, viscosity, mass / normal_modes, 4.0),
+        _largest_step(
+            law.stable_stiffness(*pair_arguments) + 2.0 * tangential, viscosity, mass / normal_modes, 4.0
+        ),
         _largest_step(2.0 * tangential, viscosity, mass / normal_modes, margin),
         _largest_step(tangential, 0.0, mass / tangential_modes, 4.0),
     )
@@ -238,15 +260,18 @@ def _restitution_reached(
 ) -> tuple[float, tuple[str, ...]]:
     """Smallest restitution that the step can reproduce, and a sentence per material pair that requires less.
 
-    `step` without both results, `velocity` [m/s]. The sentence of a pair names its contact with the largest difference;
-    contacts that cannot occur are ignored. (0, ()) for a contact model that reproduces every restitution.
+    `step` without both results, `velocity` [m/s]. The sentence of a pair names its contact with the largest
+    difference; contacts that cannot occur are ignored. (0, ()) for a contact model that reproduces every
+    restitution.
     """
     if not law.limits_restitution:
         return 0.0, ()
-    least, worst = 0.0, dict[str, tuple[float, float, str]]()
+    least = 0.0
+    worst = dict[str, tuple[float, float, str]]()
     for pair_case in pair_cases:
         pair_arguments = (*pair_case.dashpot_arguments, velocity)
-        bound, required = law.least_restitution(*pair_arguments, step.value), law.restitution(*pair_arguments)
+        bound = law.least_restitution(*pair_arguments, step.value)
+        required = law.restitution(*pair_arguments)
         least = max(least, bound)
         key = pair_case.pair_key
         if key is not None and required < bound and (key not in worst or bound > worst[key][0]):
@@ -254,7 +279,9 @@ def _restitution_reached(
     return least, tuple(_shortfall(key, *found, velocity, step) for key, found in worst.items())
 
 
-def _shortfall(pair: str, bound: float, required: float, contact: str, velocity: float, step: TimeStep) -> str:
+def _shortfall(
+    pair: str, bound: float, required: float, contact: str, velocity: float, step: TimeStep
+) -> str:
     """Sentences on a material pair whose restitution the step cannot reproduce; no step can for e(v) = 0."""
     remedy = step.remedy(0.99 * step.value * required / bound)
     if required == 0.0:
@@ -275,18 +302,19 @@ def _shortfall(pair: str, bound: float, required: float, contact: str, velocity:
 STEPS_BETWEEN_UPDATES = 128
 """Number of steps between two updates of the maximum impact velocity; a contact lasts about as long."""
 VELOCITY_MARGIN = 2.0
-"""Factor applied to the current maximum impact velocity: a light particle hit by a much heavier one rebounds at up to
-twice the velocity of the heavy one."""
+"""Factor applied to the current maximum impact velocity: a light particle hit by a much heavier one rebounds
+at up to twice the velocity of the heavy one."""
 LEVELS_PER_DOUBLING = 2
-"""Velocity levels per factor of 2: a time step is about proportional to v^(-1/5), so that it is at most 7 % below the
-ideal one."""
+"""Velocity levels per factor of 2: a time step is about proportional to v^(-1/5), so that it is at most 7 %
+below the ideal one."""
 DOUBLINGS = (-24, 6)
 """Range of the table in powers of 2, relative to the planned maximum impact velocity."""
 
 
 @dataclass(frozen=True)
 class AdaptiveTimeStep:
-    """Time steps [s] for impact velocities [m/s] in ascending order, and the lower limit of the velocity [m/s].
+    """Time steps [s] for impact velocities [m/s] in ascending order, and the lower limit of the velocity
+    [m/s].
 
     `velocities` and `steps` have the same length; `steps` does not increase with the velocity.
     """
@@ -300,10 +328,12 @@ class AdaptiveTimeStep:
 
             v = max(VELOCITY_MARGIN * impact_velocity + STEPS_BETWEEN_UPDATES * gravity_gain, least_velocity)
 
-        `gravity_gain` [m/s]: increase of the velocity by gravity in one such step. The result is the step of the next
-        higher velocity in the table; above the table, that of the highest velocity.
+        `gravity_gain` [m/s]: increase of the velocity by gravity in one such step. The result is the step of
+        the next higher velocity in the table; above the table, that of the highest velocity.
         """
-        velocity = max(VELOCITY_MARGIN * impact_velocity + STEPS_BETWEEN_UPDATES * gravity_gain, self.least_velocity)
+        velocity = max(
+            VELOCITY_MARGIN * impact_velocity + STEPS_BETWEEN_UPDATES * gravity_gain, self.least_velocity
+        )
         return self.steps[min(bisect_left(self.velocities, velocity), len(self.steps) - 1)]
 
     @property
@@ -320,13 +350,18 @@ def adaptive_time_step_for(
     fraction: float,
     rayleigh_fraction: float,
 ) -> AdaptiveTimeStep:
-    """The table for planned impact velocities up to `velocity` [m/s] and wall velocities up to `wall_speed` [m/s].
+    """The table for planned impact velocities up to `velocity` [m/s] and wall velocities up to `wall_speed`
+    [m/s].
 
-    `pair_cases`: possible contacts; `law`: normal contact model; `fraction`: of the shortest loading or unloading time;
-    `rayleigh_fraction`: of the Rayleigh time. Each entry is `choose_time_step` at one velocity between 2^-24 and 2^6
-    times `velocity`. VELOCITY_MARGIN times `wall_speed` is the lower limit of the velocity for which a step is chosen.
+    `pair_cases`: possible contacts; `law`: normal contact model; `fraction`: of the shortest loading or
+    unloading time; `rayleigh_fraction`: of the Rayleigh time. Each entry is `choose_time_step` at one
+    velocity between 2^-24 and 2^6 times `velocity`. VELOCITY_MARGIN times `wall_speed` is the lower limit of
+    the velocity for which a step is chosen.
     """
     low, high = (LEVELS_PER_DOUBLING * doublings for doublings in DOUBLINGS)
     velocities = tuple(velocity * 2.0 ** (level / LEVELS_PER_DOUBLING) for level in range(low, high + 1))
-    steps = [choose_time_step(None, pair_cases, law, each, fraction, rayleigh_fraction).value for each in velocities]
+    steps = [
+        choose_time_step(None, pair_cases, law, each, fraction, rayleigh_fraction).value
+        for each in velocities
+    ]
     return AdaptiveTimeStep(velocities, tuple(accumulate(steps, min)), VELOCITY_MARGIN * wall_speed)

@@ -44,7 +44,8 @@ from granflow.scene.blocks.walls import (
 # Mesh walls of a scene: reads and places their files, and reports probable mistakes.
 
 REFUSED_SIZE_RATIO, WARNED_SIZE_RATIO = 100.0, 5.0
-"""Ratios of mesh size to domain size above which a mesh is refused, or causes a warning: wrong unit of length."""
+"""Ratios of mesh size to domain size above which a mesh is refused, or causes a warning: wrong unit of
+length."""
 FAR_TOO_SMALL = 1e-3
 """Ratio of mesh size to the smallest diameter below which a mesh is refused: wrong unit of length."""
 MILLIMETERS = 1000.0
@@ -64,10 +65,11 @@ class MeshNote(NamedTuple):
 def meshes_of(scene: Scene) -> dict[str, Mesh]:
     """The mesh walls at rest by name, scaled, rotated and translated as the scene specifies.
 
-    Files are read once per modification time (cache). Raises SceneError with the problems of all meshes: unreadable or
-    invalid files, and sizes that indicate a wrong unit of length.
+    Files are read once per modification time (cache). Raises SceneError with the problems of all meshes:
+    unreadable or invalid files, and sizes that indicate a wrong unit of length.
     """
-    found, problems = {}, []
+    found = {}
+    problems = []
     for name, wall in scene.walls.items():
         if isinstance(wall, MeshWall):
             try:
@@ -106,7 +108,11 @@ def _mesh(scene: Scene, wall: MeshWall) -> Mesh:
 
 @lru_cache(FILES_CACHED)
 def _mesh_once(
-    path: Path, modified: tuple[int, int], scale: float, rotations: tuple[tuple[Vector3, float], ...], offset: Vector3
+    path: Path,
+    modified: tuple[int, int],
+    scale: float,
+    rotations: tuple[tuple[Vector3, float], ...],
+    offset: Vector3,
 ) -> Mesh:
     """The mesh of a file with this modification time and size; scaled, rotated and translated."""
     rotation_matrix = np.eye(3)
@@ -116,12 +122,15 @@ def _mesh_once(
 
 
 def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
-    """Raise FormatError for a mesh that is much larger than the domain or much smaller than the smallest particle."""
+    """Raise FormatError for a mesh that is much larger than the domain or much smaller than the smallest
+    particle."""
     share = _size(mesh) / _domain_size(scene.domain)
     smallest = min(diameter_range(group)[0] for group in scene.particles.values())
     if _size(mesh) < FAR_TOO_SMALL * smallest:
         share = _size(mesh) / smallest
-        statement = f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
+        statement = (
+            f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
+        )
         raise FormatError(f"{statement}: increase scale, which is {wall.scale:g} now")
     if share > REFUSED_SIZE_RATIO:
         raise FormatError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
@@ -152,7 +161,11 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
     for count, text, warning in (
         (mesh.quad_count, "quadrilateral{} split into triangles", False),
         (mesh.divided_count, "triangle{} split at vertices of others on their edges", False),
-        (mesh.adjacency.open_count, "open edge{}: not watertight, which is valid for a hopper or a plate", False),
+        (
+            mesh.adjacency.open_count,
+            "open edge{}: not watertight, which is valid for a hopper or a plate",
+            False,
+        ),
         (
             mesh.adjacency.nonmanifold_count,
             "edge{} shared by more than two triangles, as at a T-junction of plates",
@@ -171,7 +184,8 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
 def _suspicion(scene: Scene, name: str, mesh: Mesh, smallest: float) -> str | None:
     """A sentence on a probable mistake, or None."""
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    size, share = _size(mesh), _size(mesh) / _domain_size(scene.domain)
+    size = _size(mesh)
+    share = _size(mesh) / _domain_size(scene.domain)
     if share > WARNED_SIZE_RATIO:
         return f"{size:.3g} m large, {share:.3g} times the domain: {_remedy(scene.walls[name])}"
     if np.any(low > scene.domain.max) or np.any(high < scene.domain.min):
@@ -187,7 +201,8 @@ StageTimes = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """One motion of a wall; with `stages`, it runs from the start of the first of them to the end of the last."""
+    """One motion of a wall; with `stages`, it runs from the start of the first of them to the end of the
+    last."""
 
     given: motion.Motion
     stages: tuple[str, ...] | None
@@ -203,9 +218,11 @@ class PlannedMotion:
 
 @dataclass(frozen=True)
 class PlannedWall:
-    """One wall: name in the scene, shape at rest (triangle mesh or analytic surface), material number in the plan.
+    """One wall: name in the scene, shape at rest (triangle mesh or analytic surface), material number in the
+    plan.
 
-    `stages`: those in which it is present, None for all. It is present from `appears_at` up to `vanishes_at` [s].
+    `stages`: those in which it is present, None for all. It is present from `appears_at` up to `vanishes_at`
+    [s].
     """
 
     name: str
@@ -229,14 +246,22 @@ class PlannedWall:
 def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[PlannedWall, ...]:
     """Shapes of all walls in the order of the scene; shared edges of walls that move together are joined.
 
-    `material_numbers`: number in the plan of each material by name. Force-controlled walls share no edge with others.
+    `material_numbers`: number in the plan of each material by name. Force-controlled walls share no edge with
+    others.
 
     Raises SceneError if a mesh file cannot be used.
     """
-    walls, surfaces = scene.walls, dict[str, Surface](meshes_of(scene))
+    walls = scene.walls
+    surfaces = dict[str, Surface](meshes_of(scene))
     primitives = {name: wall for name, wall in walls.items() if name not in surfaces}
     groups = [
-        (wall.motion, wall.stages, wall.appears_at, wall.vanishes_at, name if is_force_controlled(wall) else "")
+        (
+            wall.motion,
+            wall.stages,
+            wall.appears_at,
+            wall.vanishes_at,
+            name if is_force_controlled(wall) else "",
+        )
         for name, wall in primitives.items()
     ]
     joined = join_shared_edges([shape_of(wall) for wall in primitives.values()], groups)
@@ -309,7 +334,13 @@ def _motion(given: Any, gravity: Sequence[float]) -> motion.Motion:
     if isinstance(given, TableMotion):
         return _table_motion(given, start, end)
     if isinstance(given, Rotation):
-        rates = given.angular_velocity, start, end, given.initial_angular_velocity or 0.0, given.ramp_duration or 0.0
+        rates = (
+            given.angular_velocity,
+            start,
+            end,
+            given.initial_angular_velocity or 0.0,
+            given.ramp_duration or 0.0,
+        )
         return motion.Rotation(given.point, _unit_vector(given.axis), *rates)
     amplitude, omega = given.amplitude_and_angular_frequency(gravity)
     return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
@@ -349,7 +380,8 @@ def always(schedule: Sequence[Stage]) -> StageTimes:
 def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
     """Largest speed [m/s] of the geometry of each wall within the domain, by name.
 
-    Prescribed motions only; a surface of revolution that rotates about its own axis does not move as geometry.
+    Prescribed motions only; a surface of revolution that rotates about its own axis does not move as
+    geometry.
     """
     corners = np.array([scene.domain.min, scene.domain.max])
     speeds = {}
@@ -366,7 +398,8 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
 
 
 def surface_speed(scene: Scene) -> float:
-    """Largest surface speed [m/s] of all walls, including rotation in place, belts and force-controlled motion.
+    """Largest surface speed [m/s] of all walls, including rotation in place, belts and force-controlled
+    motion.
 
     Points of a rotating wall are assumed to be at most half the diagonal of the domain from the axis.
     """
@@ -383,7 +416,9 @@ def surface_speed(scene: Scene) -> float:
             )
             for stage in scene.schedule
         )
-        belt = sum(motion_speed.top_speed(each) for each in motions if isinstance(each, motion.SurfaceVelocity))
+        belt = sum(
+            motion_speed.top_speed(each) for each in motions if isinstance(each, motion.SurfaceVelocity)
+        )
         fastest = max(fastest, motion_speed.speed_bound(motions, extent / 2) + belt + controlled_speed)
     return fastest
 
@@ -394,10 +429,13 @@ def is_in_stage(given: Any, stage: str) -> bool:
 
 
 def _force_controlled_speed(gravity: Sequence[float], given: Any, distance: float) -> float:
-    """Largest speed [m/s] of a force-controlled motion: `velocity_max` of a servo, free fall of a free wall."""
+    """Largest speed [m/s] of a force-controlled motion: `velocity_max` of a servo, free fall of a free
+    wall."""
     if isinstance(given, Servo):
         return given.velocity_max
     if isinstance(given, FreeWall):
-        acceleration = abs(float(np.dot(gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
+        acceleration = (
+            abs(float(np.dot(gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
+        )
         return float(np.sqrt(2.0 * acceleration * distance))
     return 0.0

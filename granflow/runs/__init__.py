@@ -1,1 +1,2 @@
-"""Output directories: checkpoints and their validation, resume, previous runs, results, stages and timings."""
+"""Output directories: checkpoints and their validation, resume, previous runs, results, stages and
+timings."""

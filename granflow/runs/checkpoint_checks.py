@@ -1,4 +1,5 @@
-"""Checks the clumps of a checkpoint: complete bodies with the spheres, masses and moments of inertia of the scene."""
+"""Checks the clumps of a checkpoint: complete bodies with the spheres, masses and moments of inertia of the
+scene."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -22,8 +23,11 @@ CLUMP_ROUNDING = 1e-5
 """Relative tolerance of masses, moments, lengths and norms: rounding in single precision."""
 
 
-def check_clumps(particles: Part, ids: np.ndarray, group: np.ndarray, density: np.ndarray, plan: Plan) -> np.ndarray:
-    """Check the clumps of particles with these ids, groups and densities [kg/m3], all (n,); returns the masses (n,).
+def check_clumps(
+    particles: Part, ids: np.ndarray, group: np.ndarray, density: np.ndarray, plan: Plan
+) -> np.ndarray:
+    """Check the clumps of particles with these ids, groups and densities [kg/m3], all (n,); returns the
+    masses (n,).
 
     The device reads the spheres of a clump by their ids, which follow each other: each must exist. Raises
     CheckpointError.
@@ -48,8 +52,11 @@ def _check_shapes(
     particles: Part, group: np.ndarray, density: np.ndarray, member: np.ndarray, plan: Plan
 ) -> np.ndarray:
     """Check masses, moments and spheres of the clumps; returns the masses (n,) [kg] of all spheres."""
-    count, radius = len(group), particles["radius"].floats(len(group)).astype(float)
-    mass, inertia, offset = sphere_mass(radius, density), np.zeros((count, 3)), np.zeros((count, 3))
+    count = len(group)
+    radius = particles["radius"].floats(len(group)).astype(float)
+    mass = sphere_mass(radius, density)
+    inertia = np.zeros((count, 3))
+    offset = np.zeros((count, 3))
     of_body = mass.copy()
     for number, shape in enumerate(each.clump for each in plan.groups):
         rows = group == number
@@ -76,8 +83,8 @@ def check_contacts(contacts: Part, ids: np.ndarray, plan: Plan, complete: bool =
     """Check the contact histories of the particles with these ids (n,). Raises CheckpointError.
 
     `complete`: whether these are all particles; otherwise partners can be in the files of other ranks.
-    `count` (n,): contacts per particle. `partner` (contacts,): id of a particle, or a negative number for a wall or
-    triangle. The histories (contacts, components) exist if the contact models have some.
+    `count` (n,): contacts per particle. `partner` (contacts,): id of a particle, or a negative number for a
+    wall or triangle. The histories (contacts, components) exist if the contact models have some.
     """
     names = set(contacts.mapping()) - {"count", "partner"}
     contacts.mapping(("count", "partner", *(plan.history if names else ())))
@@ -95,7 +102,8 @@ def check_contacts(contacts: Part, ids: np.ndarray, plan: Plan, complete: bool =
 
 
 def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, ids: np.ndarray, complete: bool) -> None:
-    """Check that each contact occurs once at each of its particles, which have the ids (n,). Raises CheckpointError."""
+    """Check that each contact occurs once at each of its particles, which have the ids (n,). Raises
+    CheckpointError."""
     particles = partner >= 0
     if complete and not np.isin(partner[particles], ids).all():
         raise part.error("names a particle that does not exist")
@@ -104,7 +112,8 @@ def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, ids: np.nda
     pairs = np.stack([owner, partner], axis=1)
     if len(np.unique(pairs, axis=0)) < len(pairs):
         raise part.error("lists a contact twice for one particle")
-    forward, back = pairs[particles], pairs[particles][:, ::-1]
+    forward = pairs[particles]
+    back = pairs[particles][:, ::-1]
     if complete and not np.array_equal(_in_order(forward), _in_order(back)):
         raise part.error("lists a contact between two particles at one of them only")
 
@@ -118,8 +127,10 @@ def _in_order(pairs: np.ndarray) -> np.ndarray:
 # Checks the saved state of observers and inserters against the structure of the state of new ones.
 
 LIST_TYPES: dict[str, tuple[str, ...]] = {
-    "frames": ("number", "text"), "history": ("number", "text", "number"), "columns": ("text",),
-}  # fmt: skip
+    "frames": ("number", "text"),
+    "history": ("number", "text", "number"),
+    "columns": ("text",),
+}
 """Lists that grow during a run, by key, with the types of the values of each entry."""
 SAMPLE_ARRAYS = ("id", "mass", "position", "distance", "insertion_time", "part")
 """Arrays of the previous sample of a flow meter."""
@@ -128,8 +139,8 @@ SAMPLE_ARRAYS = ("id", "mass", "position", "distance", "insertion_time", "part")
 def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]) -> None:
     """Check the state of each saved observer against that of a new one.
 
-    `fresh`: state of each new observer by name, which defines the keys and types; saved observers that are not in
-    `fresh` are ignored. Raises CheckpointError.
+    `fresh`: state of each new observer by name, which defines the keys and types; saved observers that are
+    not in `fresh` are ignored. Raises CheckpointError.
     """
     observers = Part.of(checkpoint)["observers"]
     for name, template in fresh.items():
@@ -137,11 +148,13 @@ def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any
             _check_like(observers[name], template)
 
 
-def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> None:
+def check_streams(
+    checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]
+) -> None:
     """Check the state of each inserter by group.
 
-    `fresh`: states of new inserters by group; `counts`: number of particles of each group, an upper bound of the
-    particles due. Raises CheckpointError.
+    `fresh`: states of new inserters by group; `counts`: number of particles of each group, an upper bound of
+    the particles due. Raises CheckpointError.
     """
     insertion = Part.of(checkpoint)["insertion"]
     insertion.mapping(fresh)
@@ -158,8 +171,8 @@ def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]
 def _check_like(part: Part, template: Any) -> None:
     """Check for the keys and types of `template`; values that are empty or None there may have grown.
 
-    Lists, the previous sample of a flow meter and accumulated fields grow during a run and have separate checks.
-    Raises CheckpointError.
+    Lists, the previous sample of a flow meter and accumulated fields grow during a run and have separate
+    checks. Raises CheckpointError.
     """
     key = part.key.rsplit("/", 1)[-1]
     if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in SAMPLE_ARRAYS):
@@ -186,7 +199,8 @@ def _check_like(part: Part, template: Any) -> None:
 
 
 def _check_row(row: Part, kinds: tuple[str, ...]) -> None:
-    """Check one entry of a list: a value, or a list with one value for each of `kinds` ("number" or "text")."""
+    """Check one entry of a list: a value, or a list with one value for each of `kinds` ("number" or
+    "text")."""
     cells = [row] if len(kinds) == 1 else row.items(len(kinds))
     for cell, kind in zip(cells, kinds, strict=True):
         check: Callable[[], object] = cell.number if kind == "number" else cell.text
@@ -194,7 +208,8 @@ def _check_row(row: Part, kinds: tuple[str, ...]) -> None:
 
 
 def _check_plain(part: Part, template: Any) -> None:
-    """Check a value that is not a container; `count` may be negative: the net number of particles of a flow meter."""
+    """Check a value that is not a container; `count` may be negative: the net number of particles of a flow
+    meter."""
     if isinstance(template, bool):
         part.flag()
     elif isinstance(template, int):
@@ -220,7 +235,8 @@ def _check_sample(part: Part) -> None:
 def _check_sums(part: Part) -> None:
     """Check the accumulated fields: arrays (cells, numbers) for the cells of one grid."""
     lengths = {
-        len(each.value) if isinstance(each.value, np.ndarray) and each.value.ndim else -1 for each in part.parts()
+        len(each.value) if isinstance(each.value, np.ndarray) and each.value.ndim else -1
+        for each in part.parts()
     }
     for each in part.parts():
         width = each.value.shape[-1] if isinstance(each.value, np.ndarray) and each.value.ndim else 0
@@ -234,17 +250,27 @@ SIZE_ROUNDING = 1e-5
 MOST_IDS = 2**31 - 1
 """Largest number of ids of a run."""
 KEYS = (
-    *("stage_progress", "wall_clock", "plan", "changes", "earlier", "insertion", "observers", "rank_files"),
-    *("stability", "engine", "warnings"),
+    "stage_progress",
+    "wall_clock",
+    "plan",
+    "changes",
+    "earlier",
+    "insertion",
+    "observers",
+    "rank_files",
+    "stability",
+    "engine",
+    "warnings",
 )
 """Keys of the state of a run."""
 
 
 def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object]) -> None:
-    """Check the state that does not depend on the current scene: stages, clocks, the keys of the plan fingerprint.
+    """Check the state that does not depend on the current scene: stages, clocks, the keys of the plan
+    fingerprint.
 
-    `before`: scene of the checkpoint. `decided`: fingerprint of the current plan, see `resume.plan_fingerprint`; only
-    its keys are compared here. Raises CheckpointError.
+    `before`: scene of the checkpoint. `decided`: fingerprint of the current plan, see
+    `resume.plan_fingerprint`; only its keys are compared here. Raises CheckpointError.
     """
     part = Part.of(checkpoint)
     part.mapping(KEYS)
@@ -268,10 +294,13 @@ def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object])
 def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     """Check all values for the device: counts, types, shapes, ranges, indices.
 
-    `plan`: of the scene that continues the run; `before`: scene of the checkpoint, whose densities and materials
-    determine the masses. The ranges exclude indices that would be out of range on the device. Raises CheckpointError.
+    `plan`: of the scene that continues the run; `before`: scene of the checkpoint, whose densities and
+    materials determine the masses. The ranges exclude indices that would be out of range on the device.
+    Raises CheckpointError.
     """
-    _check_servo_samples(Part.of(checkpoint)["stage_progress"]["servos"]["samples"], len(plan.controlled_motions))
+    _check_servo_samples(
+        Part.of(checkpoint)["stage_progress"]["servos"]["samples"], len(plan.controlled_motions)
+    )
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].integer(0, plan.particle_capacity)
     steps = engine["clock"]["step_count"].integer()
@@ -284,7 +313,9 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     for name, kind in CLOCKS.items():
         engine["clocks"][name].amount(kind, 0)
     own = count - sum(file.count for file in checkpoint.rank_files)
-    check_particles(engine, own, engine["accounting"], plan, densities(before), complete=not checkpoint.rank_files)
+    check_particles(
+        engine, own, engine["accounting"], plan, densities(before), complete=not checkpoint.rank_files
+    )
     _check_wall_dynamics(engine["wall_dynamics"], plan)
     _check_arrays(engine["energy_budget"], saved_arrays(sum_arrays(plan)))
 
@@ -292,8 +323,8 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
 def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
     """Check the state that `start_from` reads: particles and their groups.
 
-    Independent of any plan, because the new run may have other groups and features; `before`: scene of the checkpoint.
-    Raises CheckpointError.
+    Independent of any plan, because the new run may have other groups and features; `before`: scene of the
+    checkpoint. Raises CheckpointError.
     """
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].integer(0, 2**31 - 1)
@@ -318,7 +349,9 @@ def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
 
 def _check_stage_progress(progress: Part, stages: list[str]) -> None:
     """Check the present stage, the start and end [s] of each stage up to it, in the order `stages`."""
-    progress.mapping(("stage", "stage_times", "next_check", "target", "arrived", "changes", "servos", "conditions"))
+    progress.mapping(
+        ("stage", "stage_times", "next_check", "target", "arrived", "changes", "servos", "conditions")
+    )
     present = progress["stage"].text(stages)
     times = progress["stage_times"]
     if list(times.mapping()) != stages[: stages.index(present) + 1]:
@@ -372,7 +405,8 @@ def _check_servo_samples(samples: Part, motion_count: int) -> None:
 
 
 def _check_clock(clock: Part, time: float) -> None:
-    """Check that the step count and the time step [s] result in the `time` [s] of the header, within half a step."""
+    """Check that the step count and the time step [s] result in the `time` [s] of the header, within half a
+    step."""
     clock.mapping(("time_step", "step_count", "since_step", "since_time"))
     step = clock["time_step"].number(np.finfo(float).tiny, LARGEST_REAL)
     count = clock["step_count"].integer()
@@ -397,7 +431,9 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
     `count`: particles present, which is the inserted minus the deleted number.
     """
     accounting.mapping((*SAVED_NUMBERS, *BY_NAME, *BY_ID))
-    inserted = accounting["inserted_count"].integer(count, MOST_IDS)  # Python can remove particles and add others
+    inserted = accounting["inserted_count"].integer(
+        count, MOST_IDS
+    )  # Python can remove particles and add others
     accounting["deleted_count"].integer(inserted - count, inserted - count)
     for name, kind in SAVED_NUMBERS.items():
         accounting[name].amount(kind)
@@ -416,8 +452,8 @@ def _check_arrays(
 ) -> None:
     """Check names, types and shapes of arrays.
 
-    `count`: length of the first axis, by default the capacity, or none for sums over the chunks; `others`: further keys
-    of the mapping.
+    `count`: length of the first axis, by default the capacity, or none for sums over the chunks; `others`:
+    further keys of the mapping.
     """
     part.mapping((*arrays, *others))
     for name, array in arrays.items():
@@ -438,15 +474,23 @@ def densities(before: Scene) -> dict[str, float]:
 
 
 def check_particles(
-    engine: Part, count: int, accounting: Part, plan: Plan, density_by_name: Mapping[str, float], complete: bool
+    engine: Part,
+    count: int,
+    accounting: Part,
+    plan: Plan,
+    density_by_name: Mapping[str, float],
+    complete: bool,
 ) -> None:
-    """Check particles and contacts: shape and range of arrays, and radius, mass and material against the scene.
+    """Check particles and contacts: shape and range of arrays, and radius, mass and material against the
+    scene.
 
-    `engine`: with "particles", which must be `count`, and "contacts"; `density_by_name`: see `densities`; `complete`:
-    whether these are all particles. The mass must be density times 4/3 pi R^3, within the rounding of single precision.
-    Raises CheckpointError.
+    `engine`: with "particles", which must be `count`, and "contacts"; `density_by_name`: see `densities`;
+    `complete`:
+    whether these are all particles. The mass must be density times 4/3 pi R^3, within the rounding of single
+    precision. Raises CheckpointError.
     """
-    particles, inserted = engine["particles"], accounting["inserted_count"].integer()
+    particles = engine["particles"]
+    inserted = accounting["inserted_count"].integer()
     arrays = saved_arrays(particle_arrays(plan))
     _check_arrays(particles, arrays, count)
     ids = particles["id"].distinct(count, high=inserted - 1)
@@ -474,15 +518,18 @@ def check_particles(
 def _check_positions(particles: Part, count: int, plan: Plan) -> None:
     """Check that particles were inside the domain at the last rebuild and have moved little since.
 
-    Displacements up to twice the largest reach and positions up to one skin outside the domain are accepted, of spheres
-    of clumps also the outer radius, plus rounding [m].
+    Displacements up to twice the largest reach and positions up to one skin outside the domain are accepted,
+    of spheres of clumps also the outer radius, plus rounding [m].
     """
     position = particles["position"].floats(count, 3).astype(float)
     at_rebuild = particles["position_at_rebuild"].floats(count, 3).astype(float)
     rounding = np.abs(at_rebuild).max(initial=0.0) * float(np.finfo(np.float32).eps)
     if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.reach_max + rounding):
         raise particles["position"].error("is farther from position_at_rebuild than its reach")
-    margin = max([plan.skin, *(each.clump.outer_radius + plan.skin for each in plan.groups if each.clump)]) + rounding
+    margin = (
+        max([plan.skin, *(each.clump.outer_radius + plan.skin for each in plan.groups if each.clump)])
+        + rounding
+    )
     low, high = plan.domain_low - margin, plan.domain_high + margin
     if plan.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
         raise particles["position_at_rebuild"].error("is outside the domain")
@@ -505,7 +552,8 @@ def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
 
 @dataclass(frozen=True)
 class CheckedRankFiles:
-    """As `engine.saved_particles.RankFiles`. `density_by_name` [kg/m3]: of the materials of the checkpoint."""
+    """As `engine.saved_particles.RankFiles`. `density_by_name` [kg/m3]: of the materials of the
+    checkpoint."""
 
     files: tuple[RankFile, ...]
     density_by_name: Mapping[str, float]
@@ -526,7 +574,12 @@ class CheckedRankFiles:
             raise damaged(file.path, str(error)) from None
         engine = Part(file.path, "", saved)["engine"]
         check_particles(
-            engine, file.count, Part(file.path, "accounting", dict(accounting)), plan, self.density_by_name, False
+            engine,
+            file.count,
+            Part(file.path, "accounting", dict(accounting)),
+            plan,
+            self.density_by_name,
+            False,
         )
         return engine.mapping()
 
@@ -535,4 +588,6 @@ def rank_files_of(checkpoint: Checkpoint) -> CheckedRankFiles | None:
     """The files of the ranks with particles that the checkpoint does not contain; None if it contains all."""
     if not checkpoint.rank_files:
         return None
-    return CheckedRankFiles(checkpoint.rank_files, densities(scene_of(checkpoint.scene, str(checkpoint.path))))
+    return CheckedRankFiles(
+        checkpoint.rank_files, densities(scene_of(checkpoint.scene, str(checkpoint.path)))
+    )

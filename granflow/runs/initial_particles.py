@@ -1,4 +1,5 @@
-"""Particles at the start of a run: from the scene, from an earlier run, from arrays, or none for a resumed run."""
+"""Particles at the start of a run: from the scene, from an earlier run, from arrays, or none for a resumed
+run."""
 
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,12 @@ ROUNDING = 1e-6
 def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     """Return the particles of each group that the earlier run also has, from its newest checkpoint, by group.
 
-    Positions, velocities, angular velocities and sizes are those of the run, materials those of the scene. All are
-    float64, synchronized to the same time, ordered by id. Particles of a `fixed` group are at rest. The contact history
-    is not transferred. Empty without `start_from`.
+    Positions, velocities, angular velocities and sizes are those of the run, materials those of the scene.
+    All are float64, synchronized to the same time, ordered by id. Particles of a `fixed` group are at rest.
+    The contact history is not transferred. Empty without `start_from`.
 
-    Raises SceneError if the run does not exist, or if the count or the sizes of its particles exceed those of the group
-    in the scene; CheckpointError if its newest checkpoint has another format or unexpected values.
+    Raises SceneError if the run does not exist, or if the count or the sizes of its particles exceed those of
+    the group in the scene; CheckpointError if its newest checkpoint has another format or unexpected values.
     """
     if scene.start_from is None:
         return {}
@@ -49,7 +50,9 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
         raise SceneError(
             f"{location} its groups are {', '.join(names)}; give the groups to continue the same names under particles."
         )
-    found = {name: _particles_of_group(group, checkpoint, names.index(name)) for name, group in shared.items()}
+    found = {
+        name: _particles_of_group(group, checkpoint, names.index(name)) for name, group in shared.items()
+    }
     if not any(len(particles) for particles in found.values()):
         raise SceneError(
             f"{location} at {checkpoint.time:.6g} s it has no particles of {', '.join(shared)}; give a run that ends "
@@ -70,7 +73,8 @@ def _particles_of_group(group: SceneGroup, checkpoint: Checkpoint, number: int) 
     arrays = {key: values[in_group].astype(np.float64) for key, values in particles.items()}
     velocity, angular_velocity = _at_the_time_of_positions(arrays, saved["clock"]["time_step"])
     if group.spec.fixed:
-        velocity, angular_velocity = np.zeros_like(velocity), np.zeros_like(angular_velocity)
+        velocity = np.zeros_like(velocity)
+        angular_velocity = np.zeros_like(angular_velocity)
     count = len(in_group)
     return ParticleData(
         position=arrays["position"],
@@ -83,11 +87,14 @@ def _particles_of_group(group: SceneGroup, checkpoint: Checkpoint, number: int) 
 
 
 def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return velocities [m/s] and angular velocities [rad/s] (n, 3); a checkpoint stores those half a step earlier.
+    """Return velocities [m/s] and angular velocities [rad/s] (n, 3); a checkpoint stores those half a step
+    earlier.
 
     v(t) = v(t - dt/2) + dt/2 F/m,      w(t) = w(t - dt/2) + dt/2 T/I,      I = 2/5 m R^2
     """
-    mass, radius, half = arrays["mass"][:, None], arrays["radius"][:, None], 0.5 * time_step
+    mass = arrays["mass"][:, None]
+    radius = arrays["radius"][:, None]
+    half = 0.5 * time_step
     velocity = arrays["velocity"] + half * arrays["force"] / mass
     if "angular_velocity" not in arrays:
         return velocity, np.zeros_like(velocity)
@@ -95,8 +102,11 @@ def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple
 
 
 def _inconsistencies(group: SceneGroup, particles: ParticleData) -> list[str]:
-    """Return a sentence for each contradiction between a group of the scene and the particles of the earlier run."""
-    spec, name, found = group.spec, group.name, []
+    """Return a sentence for each contradiction between a group of the scene and the particles of the earlier
+    run."""
+    spec = group.spec
+    name = group.name
+    found = []
     if len(particles) > spec.count:
         found.append(
             f"{group.locate('count')}: particles.{name}.count is {spec.count}, but start_from has "
@@ -133,7 +143,8 @@ def initial_state(
 
 
 def warnings_before(scene: Scene, plan: Plan, initial: ParticleData | None) -> list[str]:
-    """The warnings of the plan, and those about initial particles inside walls; `initial`: None for a resumed run."""
+    """The warnings of the plan, and those about initial particles inside walls; `initial`: None for a resumed
+    run."""
     inside = [] if initial is None else particle_warnings(scene, plan, initial)
     return [*plan.warnings, *inside]
 
@@ -142,7 +153,9 @@ def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
     """Raise GranflowError for particles that are not those of the groups, for which the plan was made."""
     count = len(given)
     if plan.features.clumps:
-        raise GranflowError("Particles from Python are not possible in a scene with clumps: leave particles out.")
+        raise GranflowError(
+            "Particles from Python are not possible in a scene with clumps: leave particles out."
+        )
     for name, limit in (("group", len(plan.groups)), ("material", len(plan.solids))):
         values = getattr(given, name)
         if values.shape != (count,) or np.any((values < 0) | (values >= limit)):
@@ -150,7 +163,9 @@ def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
     for number, group in enumerate(plan.groups):
         own = given.group == number
         if own.sum() > group.count:
-            raise GranflowError(f"particles has {own.sum()} of {group.name}, but the scene only {group.count}.")
+            raise GranflowError(
+                f"particles has {own.sum()} of {group.name}, but the scene only {group.count}."
+            )
         if any(list(plan.solids)[each] != group.material for each in np.unique(given.material[own])):
             raise GranflowError(f"particles.material is not {group.material} for all of {group.name}.")
     if count and not plan.radius_min <= given.radius.min() <= given.radius.max() <= plan.radius_max:

@@ -42,8 +42,8 @@ class ParticleInsertion:
     def insert_due(self, engine: Engine) -> bool:
         """Insert the particles that are due; return whether any were inserted.
 
-        The inserters receive the positions (n, 3) [m] and radii (n,) [m] of the present particles, which new particles
-        must not overlap. The number of queued particles in the accounting is updated.
+        The inserters receive the positions (n, 3) [m] and radii (n,) [m] of the present particles, which new
+        particles must not overlap. The number of queued particles in the accounting is updated.
         """
         inserted = False
         for inserter in self._inserters:
@@ -95,10 +95,12 @@ class ParticleInsertion:
                 )
 
     def class_shares(self) -> Iterator[str]:
-        """Yield a sentence for each group with size classes: inserted particles and mass share of each class."""
+        """Yield a sentence for each group with size classes: inserted particles and mass share of each
+        class."""
         for inserter in self._inserters:
             if isinstance(inserter.group.spec.diameter, ClassSizes):
-                radius, mass = inserter.radius[inserter.is_inserted], inserter.mass[inserter.is_inserted]
+                radius = inserter.radius[inserter.is_inserted]
+                mass = inserter.mass[inserter.is_inserted]
                 parts = [
                     f"{count} of {2.0 * size:.6g} m ({mass[radius == size].sum() / mass.sum():.3%} of the mass)"
                     for size, count in sorted(Counter(radius.tolist()).items())
@@ -118,4 +120,6 @@ class ParticleInsertion:
     def _update_queue(self, engine: Engine) -> None:
         """Update the number of queued particles in the accounting."""
         if self._inserters:
-            engine.accounting.queued_count = int(np.sum([len(inserter.queued) for inserter in self._inserters]))
+            engine.accounting.queued_count = int(
+                np.sum([len(inserter.queued) for inserter in self._inserters])
+            )

@@ -8,7 +8,13 @@ from typing import NoReturn
 from granflow.arguments import item_at, items_of, shown
 from granflow.errors import FunctionError, GranflowError, StopRun
 from granflow.observers.frames import Frames
-from granflow.observers.observer import Checkpointable, Observer, ScheduledObserver, WritesFiles, refuse_generator
+from granflow.observers.observer import (
+    Checkpointable,
+    Observer,
+    ScheduledObserver,
+    WritesFiles,
+    refuse_generator,
+)
 from granflow.observers.timeseries import Row, TimeSeries
 from granflow.runs.timings import Readings
 from granflow.snapshot import Snapshot
@@ -18,10 +24,11 @@ TakeSnapshot = Callable[[frozenset[str]], Snapshot]
 
 
 class ObserverList(Sequence[Observer]):
-    """The observers of a run, in the order in which they receive snapshots: those of the scene, then those from Python.
+    """The observers of a run, in the order in which they receive snapshots: those of the scene, then those
+    from Python.
 
-    `append` and `remove` change the list, also while the simulation runs and from within an observer. A checkpoint
-    contains which observers of the scene were removed, and the names of the functions from Python.
+    `append` and `remove` change the list, also while the simulation runs and from within an observer. A
+    checkpoint contains which observers of the scene were removed, and the names of the functions from Python.
 
     from_scene:  observers of the scene's output block
     added:       observers from Python
@@ -32,7 +39,8 @@ class ObserverList(Sequence[Observer]):
         refuse_other_objects(added)
         for observer in added:
             self._begin(observer)
-        self._from_scene, self._observers = tuple(from_scene), (*from_scene, *added)
+        self._from_scene = tuple(from_scene)
+        self._observers = (*from_scene, *added)
         self._series = [observer for observer in self._observers if isinstance(observer, TimeSeries)][:1]
         self._last_time: float | None = None
         self._raised: BaseException | None = None
@@ -55,11 +63,14 @@ class ObserverList(Sequence[Observer]):
     def __setattr__(self, name: str, value: object) -> None:
         """Raises AttributeError: the list has no attributes of its own."""
         if not name.startswith("_"):
-            raise AttributeError(f"observers.{name} cannot be set: use observers.append and observers.remove.")
+            raise AttributeError(
+                f"observers.{name} cannot be set: use observers.append and observers.remove."
+            )
         super().__setattr__(name, value)
 
     def _begin(self, observer: Observer) -> None:
-        """Take an observer into this run. Raises GranflowError if it belongs to another one, which has not ended."""
+        """Take an observer into this run. Raises GranflowError if it belongs to another one, which has not
+        ended."""
         if isinstance(observer, ScheduledObserver) and not observer.begin(self):
             raise GranflowError(
                 f"{name_of(observer)} is an observer of another simulation, which has not been freed: create one for "
@@ -96,7 +107,8 @@ class ObserverList(Sequence[Observer]):
 
     @property
     def raised(self) -> BaseException | None:
-        """Exception such as SystemExit with which a function from Python ended the program, at a complete state."""
+        """Exception such as SystemExit with which a function from Python ended the program, at a complete
+        state."""
         return self._raised
 
     def next_time(self) -> float:
@@ -126,7 +138,8 @@ class ObserverList(Sequence[Observer]):
         self, observers: Sequence[Observer], take: TakeSnapshot, quantities: frozenset[str], only_finite: bool
     ) -> Snapshot:
         snapshot = take(quantities.union(*(observer.wants for observer in observers)))
-        self._last_time, stop = snapshot.time, None
+        self._last_time = snapshot.time
+        stop = None
         for observer in observers if not only_finite or snapshot.is_finite else ():
             if observer in self._observers:  # another one may have removed it
                 try:
@@ -164,13 +177,15 @@ class ObserverList(Sequence[Observer]):
         return next((row for row in rows if row is not None and row.time == time), None)
 
     def log_end(self) -> None:
-        """Log a warning for each metric whose last value is not defined or misleading, and one on missing frames."""
+        """Log a warning for each metric whose last value is not defined or misleading, and one on missing
+        frames."""
         sentences = [sentence for series in self._series for sentence in series.remarks()]
         for sentence in [*sentences, *self._remark_on_frames()]:
             logging.getLogger("granflow").warning("%s", sentence)
 
     def _remark_on_frames(self) -> list[str]:
-        """A sentence on the frames that another program has deleted or moved since they were written, if any."""
+        """A sentence on the frames that another program has deleted or moved since they were written, if
+        any."""
         found = []
         for series in (observer.series for observer in self._observers if isinstance(observer, Frames)):
             if missing := series.missing():
@@ -203,7 +218,9 @@ class ObserverList(Sequence[Observer]):
     def checkpointed(self) -> dict[str, Checkpointable]:
         """Return the observers whose state is part of checkpoints, by unique names."""
         named = _by_name(self._from_scene) | _by_name([each for each in self if each not in self._from_scene])
-        return {name: each for name, each in named.items() if isinstance(each, Checkpointable) and each in self}
+        return {
+            name: each for name, each in named.items() if isinstance(each, Checkpointable) and each in self
+        }
 
     def sync(self) -> None:
         """Flush the files of the observers of the scene to the disk: a checkpoint names their sizes."""

@@ -35,7 +35,8 @@ T = TypeVar("T")
 class Frames(Sequence[T], Generic[T]):
     """Frames of one kind, in order of time; `times`: (frames,) [s]. A frame is read at each access.
 
-    An index is an int or a slice; `at` finds a frame by its time. Raises GranflowError for a file that cannot be read.
+    An index is an int or a slice; `at` finds a frame by its time. Raises GranflowError for a file that cannot
+    be read.
 
     >>> import granflow as gf
     >>> frames = gf.read_run("out/two").frames
@@ -46,7 +47,8 @@ class Frames(Sequence[T], Generic[T]):
     """
 
     def __init__(self, files: Sequence[tuple[float, Path]], read: Callable[[float, Path], T]) -> None:
-        self._files, self._read = tuple(files), read
+        self._files = tuple(files)
+        self._read = read
 
     @property
     def times(self) -> np.ndarray:
@@ -74,7 +76,8 @@ class Frames(Sequence[T], Generic[T]):
         return (self._read(*file) for file in self._files)
 
     def at(self, time: float) -> T | None:
-        """The frame nearest to `time` [s], at most half of the interval between frames away; None if there is none.
+        """The frame nearest to `time` [s], at most half of the interval between frames away; None if there is
+        none.
 
         Frames are written at the first step after a multiple of the output interval, such as 0.5000033 s.
         """
@@ -102,15 +105,18 @@ def contact_arrays(mesh: VtuMesh) -> dict[str, np.ndarray]:
     """Arrays of the contacts by name (c,) or (c, 3): CONTACT_QUANTITIES and history fields, in SI units."""
     lines = np.concatenate([np.zeros((0, 2), np.int64), *(b.data for b in mesh.cells if b.type == "line")])
     empty: dict[str, np.ndarray] = {
-        "wall": np.zeros(0, np.int32), "force": np.zeros((0, 3)), "sliding": np.zeros(0, np.uint8)
-    }  # fmt: skip
+        "wall": np.zeros(0, np.int32),
+        "force": np.zeros((0, 3)),
+        "sliding": np.zeros(0, np.uint8),
+    }
     found = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items() if parts}
     arrays = empty | found | {"position_i": mesh.points[lines[:, 0]], "position_j": mesh.points[lines[:, 1]]}
     return {name: arrays[name] for name in (*CONTACT_QUANTITIES, *arrays) if name in arrays}
 
 
 def cell_arrays(mesh: VtuMesh) -> dict[str, np.ndarray]:
-    """Fields on a grid by name (cells,) or (cells, k), in SI units, with the `position` of the cells (cells, 3) [m]."""
+    """Fields on a grid by name (cells,) or (cells, k), in SI units, with the `position` of the cells (cells,
+    3) [m]."""
     corners = [mesh.points[block.data].mean(axis=1) for block in mesh.cells]
     arrays = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()}
     return arrays | {"position": np.concatenate([np.zeros((0, 3)), *corners])}
@@ -136,7 +142,8 @@ class Columns(Mapping[str, np.ndarray]):
     """
 
     def __init__(self, arrays: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:
-        self._arrays, self.units = dict(arrays), dict(units)
+        self._arrays = dict(arrays)
+        self.units = dict(units)
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self._arrays[name]
@@ -153,7 +160,8 @@ class Columns(Mapping[str, np.ndarray]):
         return f"<Columns: {rows} rows of {', '.join(self._arrays)}>"
 
     def part(self, name: str) -> "Columns":
-        """The columns of one flow meter, wall or metric by quantity, with `time` and `stage`; empty without such."""
+        """The columns of one flow meter, wall or metric by quantity, with `time` and `stage`; empty without
+        such."""
         found = {key.partition(".")[0]: key for key in self._arrays if key.partition(".")[2] == name}
         keys = {key: key for key in ("time", "stage") if key in self._arrays} | found if found else {}
         return Columns(
@@ -162,7 +170,8 @@ class Columns(Mapping[str, np.ndarray]):
         )
 
     def to_pandas(self) -> "DataFrame":
-        """The columns as a pandas DataFrame; `attrs["units"]` has the units. Raises GranflowError without pandas."""
+        """The columns as a pandas DataFrame; `attrs["units"]` has the units. Raises GranflowError without
+        pandas."""
         try:
             import pandas
         except ImportError:
@@ -186,8 +195,8 @@ ABORTED = "ended by RunError"
 def read_run(directory: str | os.PathLike[str]) -> "Run":
     """The run in a directory, such as "out/hopper"; it may be in progress, aborted or incomplete.
 
-    Files are read at the first access of the corresponding attribute; Taichi is not imported. Raises GranflowError if
-    the directory does not exist or contains no file of a run.
+    Files are read at the first access of the corresponding attribute; Taichi is not imported. Raises
+    GranflowError if the directory does not exist or contains no file of a run.
 
     >>> import granflow as gf
     >>> run = gf.read_run("out/two")
@@ -199,7 +208,9 @@ def read_run(directory: str | os.PathLike[str]) -> "Run":
     path = path_of("directory", directory)
     require_directory(path)
     if not any((path / name).exists() for name in RUN_FILES):
-        raise GranflowError(f"{path} is not the directory of a run: it contains none of {', '.join(RUN_FILES)}.")
+        raise GranflowError(
+            f"{path} is not the directory of a run: it contains none of {', '.join(RUN_FILES)}."
+        )
     return Run(path)
 
 
@@ -243,7 +254,8 @@ class Run:
 
     @property
     def status(self) -> str:
-        """ "complete", "running", "aborted" (RunError), or "unfinished": stopped before its end, can be resumed."""
+        """ "complete", "running", "aborted" (RunError), or "unfinished": stopped before its end, can be
+        resumed."""
         if self.is_running:
             return "running"
         if self.result_sections:
@@ -287,7 +299,9 @@ class Run:
             return result_of(self.result_sections) if self.result_sections else None
         except (AttributeError, KeyError, TypeError):
             path = self.directory / "result.json"
-            raise GranflowError(f"{path} is damaged: a section is missing or of another type; run again.") from None
+            raise GranflowError(
+                f"{path} is damaged: a section is missing or of another type; run again."
+            ) from None
 
     @cached_property
     def series(self) -> TimeSeriesTable | None:
@@ -296,7 +310,8 @@ class Run:
 
     @cached_property
     def timeseries_arrays(self) -> Columns:
-        """Columns of `timeseries.csv` by name without unit, (rows,) each; `stage` is text. Empty without rows."""
+        """Columns of `timeseries.csv` by name without unit, (rows,) each; `stage` is text. Empty without
+        rows."""
         if self.series is None:
             return Columns({}, {})
         arrays = {each.name: each.values for each in self.series.columns}
@@ -308,19 +323,21 @@ class Run:
     def timeseries(self) -> "DataFrame":
         """The time series as a pandas DataFrame with a row for each time; `attrs["units"]` has the units.
 
-        Columns: `time` [s], `stage`, totals such as `kinetic_energy`, and `QUANTITY.NAME` of flow meters, walls and
-        metrics. Raises GranflowError if pandas is not installed.
+        Columns: `time` [s], `stage`, totals such as `kinetic_energy`, and `QUANTITY.NAME` of flow meters,
+        walls and metrics. Raises GranflowError if pandas is not installed.
         """
         return self.timeseries_arrays.to_pandas()
 
     @property
     def flow_meters(self) -> dict[str, Columns]:
-        """Time series of each flow meter by name: flow_mass [kg], flow_count, mass_flow [kg/s] over time [s]."""
+        """Time series of each flow meter by name: flow_mass [kg], flow_count, mass_flow [kg/s] over time
+        [s]."""
         return self._parts(self.scene.output.flow_meters)
 
     @property
     def wall_forces(self) -> dict[str, Columns]:
-        """Time series of each measured wall by name: wall_force_x [N], wall_pressure [Pa], ... over time [s]."""
+        """Time series of each measured wall by name: wall_force_x [N], wall_pressure [Pa], ... over time
+        [s]."""
         return self._parts(self.scene.measured_walls)
 
     @property
@@ -335,24 +352,29 @@ class Run:
     def frames(self) -> Frames[Snapshot]:
         """Particles at each output time that has some, as Snapshots with `time`, `stage` and `particles`.
 
-        Masses [kg] follow from the densities of the scene, if it can be read. `contacts` is None: see `Run.contacts`.
-        Walls and totals are empty, and the step number is 0.
+        Masses [kg] follow from the densities of the scene, if it can be read. `contacts` is None: see
+        `Run.contacts`. Walls and totals are empty, and the step number is 0.
         """
         return Frames(filled_frames(self.directory, "particles"), self._snapshot)
 
     @cached_property
     def contacts(self) -> Frames[Mapping[str, np.ndarray]]:
-        """Contacts at each output time, as mappings from names to arrays (c,) or (c, 3); empty without such files."""
+        """Contacts at each output time, as mappings from names to arrays (c,) or (c, 3); empty without such
+        files."""
         return array_frames(self.directory, "contacts", contact_arrays)
 
     @cached_property
     def fields(self) -> dict[str, Frames[Mapping[str, np.ndarray]]]:
-        """Coarse-grained fields by name: frames of arrays (cells,) or (cells, k), with `position` of the cells [m]."""
+        """Coarse-grained fields by name: frames of arrays (cells,) or (cells, k), with `position` of the
+        cells [m]."""
         stems = sorted(path.stem for path in self.directory.glob("fields_*.pvd"))
-        return {stem.removeprefix("fields_"): array_frames(self.directory, stem, cell_arrays) for stem in stems}
+        return {
+            stem.removeprefix("fields_"): array_frames(self.directory, stem, cell_arrays) for stem in stems
+        }
 
     def snapshot(self, index: int = -1) -> Snapshot:
-        """One frame with particles and contacts; `contacts` is None if the run did not write them at its time.
+        """One frame with particles and contacts; `contacts` is None if the run did not write them at its
+        time.
 
         `index`: as in `frames`. Raises IndexError if there is no such frame.
         """
@@ -369,7 +391,8 @@ class Run:
         return Snapshot(time, 0, self._stage_at(time), arrays, None, {}, {})
 
     def _stage_at(self, time: float) -> str:
-        """Stage in the last row of the time series at or before `time` [s]; else the first stage; else empty."""
+        """Stage in the last row of the time series at or before `time` [s]; else the first stage; else
+        empty."""
         first = "" if self.scene_problem else self.scene.schedule[0].name
         if self.series is None:
             return first
@@ -384,13 +407,19 @@ class Run:
     def _repr_html_(self) -> str:
         """Table of the run for notebooks: status and the main numbers of the result."""
         totals = self.result_sections.get("totals", {})
-        numbers = [(name.replace("_", " "), f"{totals[name]:g}") for name in _SHOWN if totals.get(name) is not None]
+        numbers = [
+            (name.replace("_", " "), f"{totals[name]:g}") for name in _SHOWN if totals.get(name) is not None
+        ]
         return html_table(self.title, [("directory", str(self.directory)), *self._summary(), *numbers])
 
     def _summary(self) -> list[tuple[str, str]]:
         """Rows of the displays of a run: label and text."""
         time = "no time series" if self.time is None else f"{self.time:.4g} s"
-        return [("status", self.status), ("simulated time", time), ("frames", numbered(len(self.frames), "frame"))]
+        return [
+            ("status", self.status),
+            ("simulated time", time),
+            ("frames", numbered(len(self.frames), "frame")),
+        ]
 
 
 _SHOWN = ("particle_count", "contact_count", "kinetic_energy", "energy_error")

@@ -52,7 +52,8 @@ class Expectation(Protocol):
 
 
 class ExpectationResult(NamedTuple):
-    """Result of one expectation: a sentence with the value and its unit, and whether the expectation is satisfied."""
+    """Result of one expectation: a sentence with the value and its unit, and whether the expectation is
+    satisfied."""
 
     sentence: str
     met: bool
@@ -61,8 +62,8 @@ class ExpectationResult(NamedTuple):
 def evaluate(expectations: Iterable[Expectation], numbers: Mapping[str, float]) -> list[ExpectationResult]:
     """Evaluate all expectations with the numbers of the completed run (`Result.numbers`), in the same order.
 
-    An expectation on NaN, or on a quantity that the run lacks, is not satisfied; the sentence then lists similar names.
-    Raises ValueError for an expectation without any bound.
+    An expectation on NaN, or on a quantity that the run lacks, is not satisfied; the sentence then lists
+    similar names. Raises ValueError for an expectation without any bound.
     """
     return [_evaluate_one(expectation, numbers) for expectation in expectations]
 
@@ -83,7 +84,8 @@ def _evaluate_one(expectation: Expectation, numbers: Mapping[str, float]) -> Exp
 def _compare(expectation: Expectation, number: float, unit: str) -> tuple[bool, str]:
     """Return whether the number satisfies the bound of the expectation, and the text of the bound.
 
-    `unit`: empty, or a space and the unit. `between` includes both ends, `below` and `above` exclude the bound.
+    `unit`: empty, or a space and the unit. `between` includes both ends, `below` and `above` exclude the
+    bound.
     """
     if expectation.between is not None:
         low, high = expectation.between
@@ -104,7 +106,8 @@ def _compare_equal(number: float, target: float, tolerance: float, unit: str) ->
 
 
 def _unknown(name: str, numbers: Mapping[str, float]) -> str:
-    """Return a sentence for a quantity that the run lacks, with at most three similar names, or else with all names."""
+    """Return a sentence for a quantity that the run lacks, with at most three similar names, or else with all
+    names."""
     suggestions = difflib.get_close_matches(name, numbers, n=3)
     if suggestions:
         return f"{name} is not a number of this run. Did you mean {' or '.join(suggestions)}?"
@@ -125,8 +128,9 @@ class Result:
     `run`: simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second, ...
     `timings`: wall clock by phase [s], in display order: neighbor_list, forces, integration, exchange (only
     on MPI ranks), output, compile.
-    `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the meter.
-    `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric. `insertion`:
+    `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the
+    meter. `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric.
+    `insertion`:
     inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
 
     >>> result = gf.read_run("out/two").result
@@ -161,7 +165,9 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Table of all numbers with units for notebooks."""
-        rows = [(name, f"{readable(number)} {_unit_text(name, number)}") for name, number in self.numbers.items()]
+        rows = [
+            (name, f"{readable(number)} {_unit_text(name, number)}") for name, number in self.numbers.items()
+        ]
         expectations = [(each.sentence, "met" if each.met else "missed") for each in self.expectations]
         return html_table("Result", [*rows, *expectations])
 
@@ -170,16 +176,23 @@ class Result:
         named = {"simulated_time": ("simulated time", " s"), "step_count": ("steps", "")}
         named["particle_count"] = ("particles", "")
         numbers = self.numbers
-        rows = [(label, readable(numbers[name]) + unit) for name, (label, unit) in named.items() if name in numbers]
+        rows = [
+            (label, readable(numbers[name]) + unit)
+            for name, (label, unit) in named.items()
+            if name in numbers
+        ]
         met = sum(each.met for each in self.expectations)
-        return [*rows, ("expectations", f"{met} of {len(self.expectations)} met")] if self.expectations else rows
+        return (
+            [*rows, ("expectations", f"{met} of {len(self.expectations)} met")] if self.expectations else rows
+        )
 
     @property
     def numbers(self) -> dict[str, float]:
         """All numbers by their names in the `expect:` block of a scene.
 
-        Totals and `run` without prefix (`kinetic_energy`, `simulated_time`), wall clock as `timings.neighbor_list`;
-        flow meters, walls and inserted groups as `mass_flow.outlet`, `wall_force.floor`, `inserted_mass.beads`.
+        Totals and `run` without prefix (`kinetic_energy`, `simulated_time`), wall clock as
+        `timings.neighbor_list`; flow meters, walls and inserted groups as `mass_flow.outlet`,
+        `wall_force.floor`, `inserted_mass.beads`.
         """
         named = {**self.run, **self.totals}
         named.update({f"timings.{part}": seconds for part, seconds in self.timings.items()})
@@ -197,8 +210,8 @@ def _plain(value: Any) -> Any:
 def write_result(directory: Path, result: Result) -> Path:
     """Write `result.json` atomically; a number that is not finite becomes null. Return its path.
 
-    Sections: complete (whether the last stage has ended), run, timings [s], totals, flow_meters, wall_forces, metrics,
-    insertion, expect and warnings, both lists of sentences.
+    Sections: complete (whether the last stage has ended), run, timings [s], totals, flow_meters, wall_forces,
+    metrics, insertion, expect and warnings, both lists of sentences.
     All numbers are in SI units; whole numbers are written without decimals.
     """
     sections = {
@@ -219,7 +232,8 @@ def write_result(directory: Path, result: Result) -> Path:
 
 
 def read_sections(path: Path) -> dict[str, Any]:
-    """The sections of `result.json`; empty if it does not exist. Raises GranflowError if it cannot be read."""
+    """The sections of `result.json`; empty if it does not exist. Raises GranflowError if it cannot be
+    read."""
     if not path.exists():
         return {}
     try:
@@ -243,7 +257,9 @@ def result_of(sections: Mapping[str, Any]) -> Result:
         wall_forces=parts("wall_forces"),
         metrics=parts("metrics"),
         insertion=parts("insertion"),
-        expectations=tuple(ExpectationResult(each["sentence"], each["met"]) for each in sections.get("expect", ())),
+        expectations=tuple(
+            ExpectationResult(each["sentence"], each["met"]) for each in sections.get("expect", ())
+        ),
         warnings=tuple(sections.get("warnings", ())),
         is_complete=bool(sections.get("complete", True)),
     )
@@ -257,7 +273,8 @@ def _numbers(readings: Mapping[str, float | None]) -> dict[str, float]:
 
 
 def closing_table(result: Result, title: str = "Result") -> "Table":
-    """Return the table printed at the end of a run: timings, counts, energies, flow meters, wall forces, insertion."""
+    """Return the table printed at the end of a run: timings, counts, energies, flow meters, wall forces,
+    insertion."""
     from rich.table import Table
     from rich.text import Text
 
@@ -302,7 +319,10 @@ def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
     names += [name for name in result.totals if "." in name]
     totals = result.totals
-    return [(_label(name).replace(".", ", "), readable(totals[name]), _unit_text(name, totals[name])) for name in names]
+    return [
+        (_label(name).replace(".", ", "), readable(totals[name]), _unit_text(name, totals[name]))
+        for name in names
+    ]
 
 
 def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:

@@ -28,7 +28,15 @@ from granflow.scene.differences import Difference, differences, forbidden
 #
 # Functions cannot be stored: a program that resumes the run must register functions of the same names.
 
-KEYS = ("particle_capacity", "sum_units", "walls", "external_forces", "forces", "functions", "removed_observers")
+KEYS = (
+    "particle_capacity",
+    "sum_units",
+    "walls",
+    "external_forces",
+    "forces",
+    "functions",
+    "removed_observers",
+)
 """Keys of the changes in a checkpoint, and of what the plan of another scene would change."""
 MOST_PARTICLES = 2**31 - 2
 """Largest capacity: indices on the device are 32-bit integers."""
@@ -48,7 +56,8 @@ def saved_changes(plan: Plan, original: Plan, observers: ObserverList) -> dict[s
         "external_forces": plan.features.external_forces,
         "forces": {
             force.name: {
-                name: list(value) if isinstance(value, tuple) else value for name, value in force.values.items()
+                name: list(value) if isinstance(value, tuple) else value
+                for name, value in force.values.items()
             }
             for force in plan.external_forces
         },
@@ -88,8 +97,8 @@ def refuse_other_functions(
 ) -> None:
     """Check that the forces and the functions of observers of a checkpoint are registered again.
 
-    `forces`, `functions`: forces, and names of the functions of observers, of the program that resumes the run.
-    `allow_changes`: continue without some of them. Raises GranflowError.
+    `forces`, `functions`: forces, and names of the functions of observers, of the program that resumes the
+    run. `allow_changes`: continue without some of them. Raises GranflowError.
     """
     changes = Part.of(checkpoint)["changes"]
     registered = [force.name for force in forces]
@@ -113,7 +122,8 @@ def refuse_other_functions(
 
 
 def saved_parameters(checkpoint: Checkpoint, force: ExternalForce) -> dict[str, Any]:
-    """Return the values of the parameters of a force in a checkpoint. Raises CheckpointError for other parameters."""
+    """Return the values of the parameters of a force in a checkpoint. Raises CheckpointError for other
+    parameters."""
     part = Part.of(checkpoint)["changes"]["forces"][force.name]
     part.mapping([name for name, _ in force.layout])
     return {name: _numbers(part[name], width) for name, width in force.layout}
@@ -147,7 +157,9 @@ def _restored_wall(part: Part, wall: PlannedWall) -> PlannedWall:
     wall = replace(wall, vanishes_at=part["vanishes_at"].number(0.0))
     if part["motions"].value is None:
         return wall
-    return replace(wall, motions=tuple(PlannedMotion(_restored(each), None) for each in part["motions"].items()))
+    return replace(
+        wall, motions=tuple(PlannedMotion(_restored(each), None) for each in part["motions"].items())
+    )
 
 
 def _restored(part: Part) -> Motion:
@@ -168,20 +180,19 @@ def _restored(part: Part) -> Motion:
 
 
 PLAN_NUMBERS = ("time_step", "skin", "velocity_max")
-"""Numbers of a plan that must not change when a run continues: positions and contact history depend on them."""
+"""Numbers of a plan that must not change when a run continues: positions and contact history depend on
+them."""
 FEATURE_SWITCHES = (
-    *(
-        "friction",
-        "rolling",
-        "twisting",
-        "rotation",
-        "rate_dependent",
-        "cohesion",
-        "one_material",
-        "energy_budget",
-        "wall_forces",
-        "damping",
-    ),
+    "friction",
+    "rolling",
+    "twisting",
+    "rotation",
+    "rate_dependent",
+    "cohesion",
+    "one_material",
+    "energy_budget",
+    "wall_forces",
+    "damping",
     "fixed_particles",
 )
 """Features that determine which arrays exist."""
@@ -205,7 +216,9 @@ def mesh_digest(plan: Plan) -> str:
     """
     digest = hashlib.sha256(str(len(plan.walls)).encode())
     for index, mesh in plan.meshes.items():
-        digest.update(f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes())
+        digest.update(
+            f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes()
+        )
     return digest.hexdigest() if plan.meshes else ""
 
 
@@ -224,7 +237,8 @@ class Change:
     def keeps_course(self) -> bool:
         """Whether all events and conditions are those of the run so far: only limits and texts differ."""
         return all(
-            re.match(r"(title|description|expect|numerics|output\.checkpoint)\b", each.key) for each in self.differences
+            re.match(r"(title|description|expect|numerics|output\.checkpoint)\b", each.key)
+            for each in self.differences
         )
 
     def moves_stage_end(self, index: int) -> bool:
@@ -233,21 +247,26 @@ class Change:
 
 
 def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_changes: bool) -> Change:
-    """Check the checkpoint and return the differences between its scene and the present one, whose plan is `plan`.
+    """Check the checkpoint and return the differences between its scene and the present one, whose plan is
+    `plan`.
 
     `allow_changes`: accept differences in keys that must normally not change when a run continues.
 
-    Raises GranflowError with all differences that are not permitted, unless `allow_changes`; and always if the numbers
-    of the plan differ, if a wall would jump by more than MAX_JUMP of the smallest radius, or if the present stage would
-    have ended before. Raises CheckpointError if the state does not match its scene or the plan.
+    Raises GranflowError with all differences that are not permitted, unless `allow_changes`; and always if
+    the numbers of the plan differ, if a wall would jump by more than MAX_JUMP of the smallest radius, or if
+    the present stage would have ended before. Raises CheckpointError if the state does not match its scene or
+    the plan.
     """
-    saved, other_engine = checkpoint.saved, engine_difference(checkpoint)
+    saved = checkpoint.saved
+    other_engine = engine_difference(checkpoint)
     if other_engine and not allow_changes:
         raise GranflowError(
             f"{other_engine} Resume with that version, or continue despite the difference with --allow-changes."
         )
     # Both scenes are read from text, so that only differences of the text count.
-    before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, copied_scene(scene).to_yaml()))
+    before, now = (
+        scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, copied_scene(scene).to_yaml())
+    )
     try:
         check_run(checkpoint, before, plan_fingerprint(plan))
     except CheckpointError as error:
@@ -255,7 +274,9 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
     stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
     refused = forbidden(before, now, stages_over)
     if refused and not allow_changes:
-        named = " ".join(f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused)
+        named = " ".join(
+            f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused
+        )
         raise GranflowError(
             f"{named} Run the scene from the start, or continue despite the change with --allow-changes."
         )
@@ -301,11 +322,13 @@ def _change_remainders(particles: dict[str, Any], plan: Plan) -> None:
 
 
 def _refuse_past_end(checkpoint: Checkpoint, scene: Scene, change: Change) -> None:
-    """Raise GranflowError if `scene` changes the duration of the present stage to one that it has already exceeded."""
+    """Raise GranflowError if `scene` changes the duration of the present stage to one that it has already
+    exceeded."""
     stage_times = checkpoint.saved["stage_progress"]["stage_times"]
     index, (name, (began, _)) = len(stage_times) - 1, list(stage_times.items())[-1]
     keys = ("run.duration", f"stages.{index}.duration", f"stages.{index}.max_duration")
-    lasted, step = checkpoint.time - began, checkpoint.saved["engine"]["clock"]["time_step"]
+    lasted = checkpoint.time - began
+    step = checkpoint.saved["engine"]["clock"]["time_step"]
     for each in change.differences:
         if each.key in keys and each.now is not None and each.now < lasted - step:
             raise GranflowError(
@@ -315,7 +338,8 @@ def _refuse_past_end(checkpoint: Checkpoint, scene: Scene, change: Change) -> No
 
 
 def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
-    """Raise GranflowError for the first number or feature of the plan that differs from that of the checkpoint."""
+    """Raise GranflowError for the first number or feature of the plan that differs from that of the
+    checkpoint."""
     for name, before in checkpoint.saved["plan"].items():
         now = plan_fingerprint(plan)[name]
         if now != before and name == "mesh_digest":
@@ -334,15 +358,19 @@ def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
 def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: float) -> None:
     """Raise GranflowError if a motion that the scene changes displaces a wall at `time` [s].
 
-    `before`: scene of the checkpoint; `saved`: its state, with the start and end [s] of the stages, and the walls that
-    follow Python instead of the scene. The displacement is that of the corners of the domain.
+    `before`: scene of the checkpoint; `saved`: its state, with the start and end [s] of the stages, and the
+    walls that follow Python instead of the scene. The displacement is that of the corners of the domain.
     """
     stage_times: StageTimes = saved["stage_progress"]["stage_times"]
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
     motions_before = [planned_motions(wall.motion, before.gravity) for wall in before.walls.values()]
-    motions = [wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])]
+    motions = [
+        wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])
+    ]
     for wall, first, second in zip(plan.walls, *motions, strict=False):
-        moved = np.linalg.norm(_positions(first, time, corners) - _positions(second, time, corners), axis=1).max()
+        moved = np.linalg.norm(
+            _positions(first, time, corners) - _positions(second, time, corners), axis=1
+        ).max()
         if wall.name not in saved["changes"]["walls"] and moved > MAX_JUMP * plan.radius_min:
             raise GranflowError(
                 f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. Terminate "
@@ -353,4 +381,8 @@ def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: flo
 def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np.ndarray:
     """Return the positions (n, 3) [m] at `time` [s] of points (n, 3) [m] at rest that move with a wall."""
     pose_at_time = pose(motions, np.array([time]))
-    return (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T + pose_at_time.pivot + pose_at_time.offset[0]
+    return (
+        (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T
+        + pose_at_time.pivot
+        + pose_at_time.offset[0]
+    )

@@ -15,7 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from granflow.errors import GranflowError, OutputError
-from granflow.io.checkpoint import Checkpoint, engine_digest, remove_after, remove_old_checkpoints, write_checkpoint
+from granflow.io.checkpoint import (
+    Checkpoint,
+    engine_digest,
+    remove_after,
+    remove_old_checkpoints,
+    write_checkpoint,
+)
 from granflow.io.files import (
     BackgroundWriter,
     DirectoryLock,
@@ -43,13 +49,15 @@ SavedBy = Callable[[RankFileWriter], dict[str, Any]]
 class CheckpointWriter:
     """Schedules and writes the checkpoints of one run, and keeps the newest few.
 
-    `scene_text`: YAML of the resolved scene, part of each checkpoint. `settings`: `interval` [s] of simulated time, or
-    None; `wall_clock` [s]; `keep`: number of files. The wall clock is monotonic: a change of the system time has no
-    effect. `last_time` [s]: of the last checkpoint, None before it.
+    `scene_text`: YAML of the resolved scene, part of each checkpoint. `settings`: `interval` [s] of simulated
+    time, or None; `wall_clock` [s]; `keep`: number of files. The wall clock is monotonic: a change of the
+    system time has no effect. `last_time` [s]: of the last checkpoint, None before it.
     """
 
     def __init__(self, directory: Path, settings: Checkpoints, scene_text: str) -> None:
-        self.directory, self._settings, self._scene_text = directory, settings, scene_text
+        self.directory = directory
+        self._settings = settings
+        self._scene_text = scene_text
         self._schedule = Schedule(settings.interval) if settings.interval else None
         self._written_at = clock.monotonic()
         engine_digest()  # of the sources at the start of the run
@@ -72,7 +80,8 @@ class CheckpointWriter:
     def write(self, time: float, step: int, state: SavedBy) -> None:
         """Write a checkpoint and remove old ones; after an error the next one is due as after a success.
 
-        `time` [s], `step`: of the state, as in `write_checkpoint`. Raises OSError if a file cannot be written.
+        `time` [s], `step`: of the state, as in `write_checkpoint`. Raises OSError if a file cannot be
+        written.
         """
         self.start(time)
         writer = RankFileWriter.of(self.directory, step)
@@ -86,10 +95,11 @@ class CheckpointWriter:
 
 
 def copy_inputs(directory: Path, inputs: Iterable[tuple[Path, str]]) -> None:
-    """Copy meshes, tables of motions and particle files to the paths that the resolved scene in the directory contains.
+    """Copy meshes, tables of motions and particle files to the paths that the resolved scene in the directory
+    contains.
 
-    A different file at that path is not overwritten: `.before` is appended to its name. Subdirectories are created.
-    `inputs`: as from `inputs_of`. Raises OSError if a file cannot be copied.
+    A different file at that path is not overwritten: `.before` is appended to its name. Subdirectories are
+    created. `inputs`: as from `inputs_of`. Raises OSError if a file cannot be copied.
     """
     for source, name in inputs:
         target = Path(directory) / name
@@ -105,8 +115,8 @@ def copy_inputs(directory: Path, inputs: Iterable[tuple[Path, str]]) -> None:
 def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
     """Yield the key and the path of each input file of the scene: meshes, tables of motions and of particles.
 
-    The key is that of the scene, such as `walls.hopper.file`; the path starts with the folder of the scene. The file
-    need not exist.
+    The key is that of the scene, such as `walls.hopper.file`; the path starts with the folder of the scene.
+    The file need not exist.
     """
     return ((key, scene.folder / name) for key, name in scene.input_names())
 
@@ -133,11 +143,27 @@ def inputs_of(scene: Scene, copied: Scene) -> Iterator[tuple[Path, str]]:
 #     .discarded_run/       the new run has begun; deletion is incomplete
 
 RESULT_FILES = (
-    *("particles.pvd", "contacts.pvd", "walls.pvd"),
-    *("particles_*.vtu", "particles_*.pvtu", "contacts_*.vtu", "walls_*.vtu"),
-    *("fields_*.pvd", "fields_*.vtu", "analysis/fields_*.pvd", "analysis/fields_*.vtu", "analysis/metrics.csv"),
-    *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz", "rank_*.npz"),
-    *("report.html", "pictures/picture_*.png", "pictures/film_*.mp4"),
+    "particles.pvd",
+    "contacts.pvd",
+    "walls.pvd",
+    "particles_*.vtu",
+    "particles_*.pvtu",
+    "contacts_*.vtu",
+    "walls_*.vtu",
+    "fields_*.pvd",
+    "fields_*.vtu",
+    "analysis/fields_*.pvd",
+    "analysis/fields_*.vtu",
+    "analysis/metrics.csv",
+    "timeseries.csv",
+    "result.json",
+    "scene_as_run.yaml",
+    "run.log",
+    "checkpoint_*.npz",
+    "rank_*.npz",
+    "report.html",
+    "pictures/picture_*.png",
+    "pictures/film_*.mp4",
 )
 """Patterns of the result files of a run, which distinguish an earlier run from other files."""
 PREVIOUS, MOVING, DISCARDED = "previous_run", ".previous_run.part", ".discarded_run"
@@ -168,10 +194,11 @@ def refuse_inputs_inside(scene: Scene, directory: Path, only_results: bool = Fal
 def restore_previous_run(directory: Path) -> list[str]:
     """Move the results of the previous run back if the new run did not begin; return a sentence in that case.
 
-    The caller must have locked the directory. The function may be interrupted at any point and called again. Result
-    files of the new run are deleted. Raises OSError if a file cannot be moved.
+    The caller must have locked the directory. The function may be interrupted at any point and called again.
+    Result files of the new run are deleted. Raises OSError if a file cannot be moved.
     """
-    previous, moving = directory / PREVIOUS, directory / MOVING
+    previous = directory / PREVIOUS
+    moving = directory / MOVING
     shutil.rmtree(directory / DISCARDED, ignore_errors=True)
     if previous.is_dir():
         for path in results_in(directory):
@@ -182,12 +209,15 @@ def restore_previous_run(directory: Path) -> list[str]:
     for path in [path for path in moving.rglob("*") if not path.is_dir()]:
         _move(path, directory / path.relative_to(moving))
     shutil.rmtree(moving)
-    return [f"{directory} holds the previous run again: the run that was to replace it ended before its first frame."]
+    return [
+        f"{directory} holds the previous run again: the run that was to replace it ended before its first frame."
+    ]
 
 
 @contextmanager
 def replaced_run(directory: Path) -> Iterator[Callable[[], None]]:
-    """Move the results in the directory away; yield a function that deletes them, to be called after the first frame.
+    """Move the results in the directory away; yield a function that deletes them, to be called after the
+    first frame.
 
     If the block raises before that call, the results move back and those of the new run are deleted.
     """
@@ -218,23 +248,26 @@ def _move(path: Path, target: Path) -> None:
 
 
 POSITION = re.compile(r" \((?:[^()]*:\d+(?::\d+)?|--set [^()]*)\)|^\S+:\d+:\d+: ")
-"""Position of a value in a warning: `(scene.yaml:31)`, `(--set KEY=VALUE)`, or `scene.yaml:31:5: ` at its begin."""
+"""Position of a value in a warning: `(scene.yaml:31)`, `(--set KEY=VALUE)`, or `scene.yaml:31:5: ` at its
+begin."""
 CONTINUED = ("timeseries.csv", COLLISION_ENERGIES, "run.log")
 """Files to which a resumed run appends."""
 
 
 class RunDirectory:
-    """Files of one run, except those of observers. Without a path nothing is written, and all methods have no effect.
+    """Files of one run, except those of observers. Without a path nothing is written, and all methods have no
+    effect.
 
-    `resumed`: checkpoint from which the run continues, or None. `path`: absolute, so that it does not depend on the
-    working directory. `writer`: writes the frames of observers, in a thread while the directory is open.
+    `resumed`: checkpoint from which the run continues, or None. `path`: absolute, so that it does not depend
+    on the working directory. `writer`: writes the frames of observers, in a thread while the directory is
+    open.
 
-    Before each write, the directory and its lock are compared with those that were opened: after `rm -rf`, a move or a
-    replacement, the run must not write into the files of another one.
+    Before each write, the directory and its lock are compared with those that were opened: after `rm -rf`, a
+    move or a replacement, the run must not write into the files of another one.
 
-    Raises GranflowError if a new run would delete an input file of its scene, or, without `overwrite`, an earlier run,
-    if a resumed one would append to something other than a regular file, or if another run of this process writes into
-    the directory.
+    Raises GranflowError if a new run would delete an input file of its scene, or, without `overwrite`, an
+    earlier run, if a resumed one would append to something other than a regular file, or if another run of
+    this process writes into the directory.
     """
 
     def __init__(
@@ -244,19 +277,23 @@ class RunDirectory:
         resumed: Checkpoint | None,
         overwrite: bool = False,
     ) -> None:
-        self._given, self._overwrite = path, overwrite
+        self._given = path
+        self._overwrite = overwrite
         self.path = None if path is None else Path(os.path.abspath(path))
         self.writer = BackgroundWriter()
         self._lock: DirectoryLock | None = None
         self._rescued = False
-        self._scene, self._resumed = scene, resumed
+        self._scene = scene
+        self._resumed = resumed
         self._copied_scene = scene
         self._inputs: list[tuple[Path, str]] = []
         self._checkpoints: CheckpointWriter | None = None
         if self.path is not None:
             refuse_second_run(self.path)
             self._copied_scene = copied_scene(scene)
-            self._checkpoints = CheckpointWriter(self.path, scene.output.checkpoint, self._copied_scene.to_yaml())
+            self._checkpoints = CheckpointWriter(
+                self.path, scene.output.checkpoint, self._copied_scene.to_yaml()
+            )
         self._delete_previous: Callable[[], None] = lambda: None
         self._log = logging.getLogger("granflow")
         self._warnings: list[str] = []
@@ -292,8 +329,8 @@ class RunDirectory:
     def open(self, observers: Iterable[Checkpointable]) -> Iterator[None]:
         """Lock the directory, move the results of a previous run aside, and write the input files.
 
-        An error before `began` moves the previous results back. A resumed run restores the files of its `observers`.
-        The end of the block waits for the frames.
+        An error before `began` moves the previous results back. A resumed run restores the files of its
+        `observers`. The end of the block waits for the frames.
         """
         if self._resumed is not None:
             self._warnings = list(self._resumed.saved["warnings"])
@@ -312,7 +349,8 @@ class RunDirectory:
 
     def _release(self) -> None:
         """Clear the lock, which is released."""
-        self._lock, self.writer.guard = None, lambda: None
+        self._lock = None
+        self.writer.guard = lambda: None
 
     def check(self) -> None:
         """Raise LostFiles if the directory or its lock was moved, deleted or replaced."""
@@ -335,7 +373,8 @@ class RunDirectory:
                 self._recorded = []
 
     def _clean(self, path: Path, observers: Iterable[Checkpointable]) -> None:
-        """Remove temporary files, newer checkpoints and results after the resumed state; write the input files."""
+        """Remove temporary files, newer checkpoints and results after the resumed state; write the input
+        files."""
         remove_parts(path)
         remove_after(path, self._resumed.path if self._resumed else None)
         copy_inputs(path, self._inputs)
@@ -357,12 +396,14 @@ class RunDirectory:
 
     @property
     def next_checkpoint(self) -> float:
-        """Simulated time [s] of the next scheduled checkpoint, regardless of the wall clock; infinite without."""
+        """Simulated time [s] of the next scheduled checkpoint, regardless of the wall clock; infinite
+        without."""
         return inf if self._checkpoints is None else self._checkpoints.next_time()
 
     @property
     def checkpoint_time(self) -> float | None:
-        """Simulated time of the last checkpoint [s], initially that of the resumed one; None without a checkpoint."""
+        """Simulated time of the last checkpoint [s], initially that of the resumed one; None without a
+        checkpoint."""
         written = self._checkpoints.last_time if self._checkpoints is not None else None
         return self._resumed.time if written is None and self._resumed is not None else written
 
@@ -378,7 +419,8 @@ class RunDirectory:
         return list(found.values())
 
     def save(self, time: float, step: int, state: SavedBy) -> None:
-        """Write a checkpoint of the state at `time` [s], with the warnings. Raises OSError if it cannot be written."""
+        """Write a checkpoint of the state at `time` [s], with the warnings. Raises OSError if it cannot be
+        written."""
         if self._checkpoints is not None:
             began = clock.perf_counter()
             self._check_unless_rescued()
@@ -406,7 +448,8 @@ class RunDirectory:
         return True
 
     def write(self, result: Result) -> Result:
-        """Write the result of the run with all its warnings, after all frames; return it with the warnings."""
+        """Write the result of the run with all its warnings, after all frames; return it with the
+        warnings."""
         self.writer.wait()
         result = replace(result, warnings=tuple(self.warnings))
         if self.path is not None:
@@ -415,12 +458,13 @@ class RunDirectory:
         return result
 
     def note_on_state(self, written: bool, change: str) -> str:
-        """Return sentences for an aborted run: whether its state is `written`, and the command that continues.
+        """Return sentences for an aborted run: whether its state is `written`, and the command that
+        continues.
 
-        `change`: KEY=VALUE that lets it continue past the abort; empty if no change of a permitted key is known to.
-        Without a checkpoint, as after an abort before the first step, the command runs the scene from the start. Empty
-        without a path. Before the first frame of the run, the previous one will be restored, see `open`. Waits for the
-        frames.
+        `change`: KEY=VALUE that lets it continue past the abort; empty if no change of a permitted key is
+        known to. Without a checkpoint, as after an abort before the first step, the command runs the scene
+        from the start. Empty without a path. Before the first frame of the run, the previous one will be
+        restored, see `open`. Waits for the frames.
         """
         self.writer.wait()
         if self.path is None:
@@ -438,7 +482,8 @@ class RunDirectory:
         return f"{note} {command} continues from the last good state, and stops here again unless the scene is changed."
 
     def _note_without_checkpoint(self, written: bool, change: str) -> str:
-        """As `note_on_state` for a run without a checkpoint; the command contains the overrides of the first one."""
+        """As `note_on_state` for a run without a checkpoint; the command contains the overrides of the first
+        one."""
         shown = self.shown
         assert shown is not None
         note = f" {shown} contains a frame of this state, but no checkpoint: the run cannot continue from it."
@@ -451,14 +496,18 @@ class RunDirectory:
         return f"{note} granflow run {scene} --out {other} --set {change} runs it from the start with this change."
 
     def output_error(
-        self, error: OSError, time: float, save: Callable[[], None] | None, save_kept: Callable[[float | None], None]
+        self,
+        error: OSError,
+        time: float,
+        save: Callable[[], None] | None,
+        save_kept: Callable[[float | None], None],
     ) -> OutputError:
         """Return the error for files that cannot be written, after a checkpoint if that is possible.
 
-        `save`: writes the present state, None if that is not possible; `save_kept`: writes the state kept last, if it
-        is later than a time [s] or None. The latter is used for lost files, because frames that wait to be written
-        belong to the present state. The message contains the file, the reason, the simulated time [s] and the command
-        that resumes the run.
+        `save`: writes the present state, None if that is not possible; `save_kept`: writes the state kept
+        last, if it is later than a time [s] or None. The latter is used for lost files, because frames that
+        wait to be written belong to the present state. The message contains the file, the reason, the
+        simulated time [s] and the command that resumes the run.
         """
         try:
             self.check()
@@ -474,7 +523,11 @@ class RunDirectory:
         except OSError:
             self._log.debug("no checkpoint can be written either")
         last = self.checkpoint_time
-        remedy = f"Correct this; {self._command(self.shown)} continues from {last:.6g} s." if last is not None else ""
+        remedy = (
+            f"Correct this; {self._command(self.shown)} continues from {last:.6g} s."
+            if last is not None
+            else ""
+        )
         return OutputError(f"{stopped} {remedy}".rstrip())
 
     def _command(self, directory: Path | None) -> str:
@@ -482,7 +535,8 @@ class RunDirectory:
         return f"granflow resume {shlex.quote(str(directory))}"
 
     def _rescue(self, save_kept: Callable[[float | None], None]) -> str:
-        """Write a checkpoint of the state kept last where the files of the run are now; return a sentence on it.
+        """Write a checkpoint of the state kept last where the files of the run are now; return a sentence on
+        it.
 
         Without the directory, the checkpoint is written to its path, or beside it if that is taken.
         """
@@ -493,7 +547,9 @@ class RunDirectory:
             target = self.path.with_name(f"{self.path.name}_rescued")
         name = self.shown if target == self.path else target
         last = self.checkpoint_time if moved is not None else None
-        self._rescued, self._checkpoints.directory, self._checkpoints.last_time = True, target, None
+        self._rescued = True
+        self._checkpoints.directory = target
+        self._checkpoints.last_time = None
         try:
             if moved is None:
                 target.mkdir(parents=True)
@@ -515,7 +571,8 @@ class RunDirectory:
 
 
 def _refuse_special_files(path: Path) -> None:
-    """Raise GranflowError if a resumed run would append to a directory, a pipe or a device: a pipe blocks forever."""
+    """Raise GranflowError if a resumed run would append to a directory, a pipe or a device: a pipe blocks
+    forever."""
     for file in (path / name for name in CONTINUED):
         if file.exists() and not file.is_file():
             raise GranflowError(

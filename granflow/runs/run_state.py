@@ -51,17 +51,22 @@ class RunState:
         earlier: list[str],
         original: Plan,
     ) -> None:
-        self._engine, self.insertion, self.observers, self.wall_clock = engine, insertion, observers, wall_clock
+        self._engine = engine
+        self.insertion = insertion
+        self.observers = observers
+        self.wall_clock = wall_clock
         self.progress = StageProgress.of(engine.plan)
         self.plan = engine.plan
         self._original = original
-        self._earlier, self._walls_changed = earlier, False
+        self._earlier = earlier
+        self._walls_changed = False
         self.is_unobserved = False
         engine.set_stage(self.progress.stage)
 
     @property
     def engine(self) -> Engine:
-        """The engine of the run. Raises GranflowError in another thread than its own, or in a forked process."""
+        """The engine of the run. Raises GranflowError in another thread than its own, or in a forked
+        process."""
         refuse_other_thread(self.owner)
         return self._engine
 
@@ -96,7 +101,8 @@ class RunState:
         self._walls_changed = False
 
     def begin(self) -> None:
-        """Begin the first stage, unless this is done: contacts and forces of the initial state are known from then on.
+        """Begin the first stage, unless this is done: contacts and forces of the initial state are known from
+        then on.
 
         The observers receive the initial state when the run begins, until which `is_unobserved` is True.
         """
@@ -107,7 +113,8 @@ class RunState:
     def begin_stage(self, stage: PlannedStage) -> None:
         """Begin a stage: place its walls, insert due particles, compute the forces."""
         self.prepare()
-        progress, engine = self.progress, self.engine
+        progress = self.progress
+        engine = self.engine
         progress.begin(stage.name, engine.time, stage.longest / REST_CHECKS)
         engine.set_stage(stage.name)
         progress.set_walls(engine)
@@ -118,7 +125,8 @@ class RunState:
 
     def change_walls(self, plan: Plan) -> None:
         """Continue with a plan with other walls."""
-        self.plan, self._walls_changed = plan, True
+        self.plan = plan
+        self._walls_changed = True
 
     def state_dict(self, writer: RankFileWriter) -> dict[str, Any]:
         """Return the state for a checkpoint: nested dictionaries of numbers, texts and numpy arrays.
@@ -132,7 +140,9 @@ class RunState:
     def kept(self) -> "KeptState":
         """Return a copy of the present state in memory; it replaces the copy before it."""
         keep_particles(self.engine)
-        return KeptState(self.engine, self.engine.time, self.engine.step_count, deepcopy(self._without_particles()))
+        return KeptState(
+            self.engine, self.engine.time, self.engine.step_count, deepcopy(self._without_particles())
+        )
 
     def _without_particles(self) -> dict[str, Any]:
         """The state for a checkpoint without the particles and their contacts."""
@@ -143,7 +153,9 @@ class RunState:
             "changes": saved_changes(self.plan, self._original, self.observers),
             "earlier": self._earlier,
             "insertion": self.insertion.state_dict(),
-            "observers": {name: observer.state_dict() for name, observer in self.observers.checkpointed().items()},
+            "observers": {
+                name: observer.state_dict() for name, observer in self.observers.checkpointed().items()
+            },
             "stability": self.engine.stability_monitor.state_dict(),
             "engine": saved_sums_and_clocks(self.engine),
         }
@@ -154,7 +166,9 @@ class RunState:
         change:  accepted differences between the scenes of the checkpoint and of this run
         Raises:  GranflowError if observers, particle groups or arrays do not match the checkpoint
         """
-        saved, engine, progress = checkpoint.saved, self.engine, self.progress
+        saved = checkpoint.saved
+        engine = self.engine
+        progress = self.progress
         observers = self.observers.checkpointed()
         check_observers(checkpoint, {name: observer.state_dict() for name, observer in observers.items()})
         counts = {group.name: group.count for group in engine.plan.groups}
@@ -212,8 +226,8 @@ class LastGoodState:
     """The state before an abort: the device has overwritten it when a limit is exceeded.
 
     A copy in memory is taken between two launches every KEPT_SECONDS, and less often if copies take more than
-    KEPT_SHARE of the time. The steps after it are deterministic: a run that continues from it reaches the step of the
-    abort with the same bits.
+    KEPT_SHARE of the time. The steps after it are deterministic: a run that continues from it reaches the
+    step of the abort with the same bits.
     """
 
     def __init__(self, state: RunState) -> None:

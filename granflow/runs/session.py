@@ -19,16 +19,26 @@ from granflow.visible_text import visible_line
 class RunSession:
     """Opens the files of a run before its first step and keeps them open between its parts.
 
-    `loop`: of the run; `files`: its directory; `resumed`: checkpoint from which it continues, or None. `warnings`:
+    `loop`: of the run; `files`: its directory; `resumed`: checkpoint from which it continues, or None.
+    `warnings`:
     sentences on the scene, for the log. `is_open`: whether the files are open.
     """
 
     def __init__(
-        self, loop: TimeLoop, files: RunDirectory, resumed: Checkpoint | None, warnings: Callable[[], Sequence[str]]
+        self,
+        loop: TimeLoop,
+        files: RunDirectory,
+        resumed: Checkpoint | None,
+        warnings: Callable[[], Sequence[str]],
     ) -> None:
-        self._loop, self._state, self._files = loop, loop.state, files
-        self._resumed, self._warnings = resumed, warnings
-        self._open, self.is_open, self._has_ended = ExitStack(), False, False
+        self._loop = loop
+        self._state = loop.state
+        self._files = files
+        self._resumed = resumed
+        self._warnings = warnings
+        self._open = ExitStack()
+        self.is_open = False
+        self._has_ended = False
         self._is_running = False
         self._failure: type[BaseException] | None = None
 
@@ -85,20 +95,25 @@ class RunSession:
 
     def _reason_of_end(self) -> str:
         """Why files cannot be written any more, and the remedy."""
-        path, saved = self._files.shown, self._files.checkpoint_time
+        path = self._files.shown
+        saved = self._files.checkpoint_time
         if self._failure is None:
             return (
                 f"The files in {path} are finished: put all runs of the simulation into one with block, or resume from "
                 "the last checkpoint."
             )
-        last = "It has no checkpoint." if saved is None else f"Resume from its last checkpoint, at {saved:.6g} s."
+        last = (
+            "It has no checkpoint."
+            if saved is None
+            else f"Resume from its last checkpoint, at {saved:.6g} s."
+        )
         return f"{self._failure.__name__} has ended the run in {path}. {last}"
 
     def _saved(self, error: FunctionError) -> FunctionError:
         """The error with a sentence on the checkpoint, which is written here if the run has begun.
 
-        The function may have changed files of the run: the sentence then says why there is no checkpoint, and the
-        error remains that of the function.
+        The function may have changed files of the run: the sentence then says why there is no checkpoint, and
+        the error remains that of the function.
         """
         if self._files.path is None or not self._state.progress.stage_times:
             return error
@@ -115,13 +130,16 @@ class RunSession:
     def _abandon(self) -> None:
         """During the handling of an exception, close the files as they are."""
         if self.is_open:
-            self.is_open, self._has_ended, self._failure = False, True, sys.exc_info()[0]
+            self.is_open = False
+            self._has_ended = True
+            self._failure = sys.exc_info()[0]
             _UNCLOSED.pop(self, None)
             with suppress(OSError):  # of the writer: the exception that is handled is the first one
                 self._open.__exit__(*sys.exc_info())
 
     def abandon(self) -> None:
-        """During the handling of an exception of a script, write a checkpoint if possible and close the files."""
+        """During the handling of an exception of a script, write a checkpoint if possible and close the
+        files."""
         self._save_if_possible()
         self._abandon()
 
@@ -143,7 +161,8 @@ class RunSession:
             self._files.writer.wait()
             written = self._files.write(result())
         with self._guarding():
-            self.is_open, self._has_ended = False, True
+            self.is_open = False
+            self._has_ended = True
             _UNCLOSED.pop(self, None)
             self._open.close()
         return written

@@ -27,9 +27,11 @@ SAMPLES_PER_STAGE = 100
 KEPT = 20
 """Number of last samples in the mean: the last fifth of a stage without an earlier end."""
 STANDARD_ERRORS = 3.0
-"""Scatter of a mean that is tolerated, in its standard errors: 0.3 % of normally distributed means exceed it."""
+"""Scatter of a mean that is tolerated, in its standard errors: 0.3 % of normally distributed means exceed
+it."""
 FORCE_TOLERANCE = 0.05
-"""Deviation over the target tolerated without scatter: Hertz overlaps are then 1 - 0.95^(2/3) = 3.4 % too small."""
+"""Deviation over the target tolerated without scatter: Hertz overlaps are then 1 - 0.95^(2/3) = 3.4 % too
+small."""
 
 
 @dataclass
@@ -46,7 +48,8 @@ class ServoForces:
     def begin(self, engine: Engine, longest: float) -> None:
         """Begin a stage that lasts up to `longest` [s]."""
         has_servo = any(motion.kind == "servo" for motion in engine.plan.controlled_motions)
-        self.samples, self.next_sample = [], engine.time + longest / SAMPLES_PER_STAGE if has_servo else inf
+        self.samples = []
+        self.next_sample = engine.time + longest / SAMPLES_PER_STAGE if has_servo else inf
 
     def sample_if_due(self, engine: Engine, longest: float) -> None:
         """Add a sample if its time is reached."""
@@ -66,7 +69,8 @@ class ServoForces:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
-        self.next_sample, self.samples = saved["next_sample"], [list(sample) for sample in saved["samples"]]
+        self.next_sample = saved["next_sample"]
+        self.samples = [list(sample) for sample in saved["samples"]]
 
 
 def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -> Iterator[str]:
@@ -74,11 +78,13 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
 
         |f - F| > tolerance  and  |<f> - F| > tolerance,     tolerance = max(0.05 |F|, 3 s / sqrt(n))
 
-    f: force at the end, <f> and s: mean and standard deviation of the last n samples. The second condition ignores
-    servos whose force fluctuates about the target, the first one those that reached it late in the stage.
+    f: force at the end, <f> and s: mean and standard deviation of the last n samples. The second condition
+    ignores servos whose force fluctuates about the target, the first one those that reached it late in the
+    stage.
     """
     present = engine.state.walls.present
-    forces, middle = controlled_forces(engine.state), np.array([engine.time - 0.5 * engine.time_step])
+    forces = controlled_forces(engine.state)
+    middle = np.array([engine.time - 0.5 * engine.time_step])
     for index, motion in enumerate(engine.plan.controlled_motions):
         running = is_running(engine.state.wall_motions[motion.wall][motion.motion], middle)[0]
         if motion.kind != "servo" or not (running and present[motion.wall]):
@@ -94,8 +100,10 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
 def _sentence(
     motion: ControlledMotion, stage: str, time: float, force: float, is_untouched: bool, area: float | None
 ) -> str:
-    """The warning; `force` [N]: at the end; `is_untouched`: no force in all samples; `area` [m2]: of the wall."""
-    reached, target = f"{force:.3g} N", f"{motion.force:.3g} N"
+    """The warning; `force` [N]: at the end; `is_untouched`: no force in all samples; `area` [m2]: of the
+    wall."""
+    reached = f"{force:.3g} N"
+    target = f"{motion.force:.3g} N"
     if area:
         reached, target = (
             f"{text} ({value / area:.3g} Pa)" for text, value in ((reached, force), (target, motion.force))
@@ -105,7 +113,9 @@ def _sentence(
     velocity, limit = motion.approach(motion.force - force)
     remedy = "more time or a larger velocity_max"
     if limit != "velocity_max":
-        remedy = "more time, a larger gain or a higher target force" if is_away else "more time or a larger gain"
+        remedy = (
+            "more time, a larger gain or a higher target force" if is_away else "more time or a larger gain"
+        )
     return (
         f"walls.{motion.name}.motion ({motion.source}): at the end of stage {stage} ({time:.6g} s), the servo {state}: "
         f"{reached} instead of {target}. It moves at {velocity:.3g} m/s, {limit}. Give it {remedy}"
@@ -121,7 +131,8 @@ ROUNDING = 1e-9
 class StageConditions:
     """Progress of the conditions of the current stage.
 
-    since:     time [s] of the first row from which each condition is satisfied in all rows; infinite if it is not
+    since:     time [s] of the first row from which each condition is satisfied in all rows; infinite if it is
+               not
     last_row:  time [s] of the last row, or of the start of the stage
     met:       index of the condition that ends the stage, None while it continues
     values:    last value of the quantity of each condition; NaN before the first row
@@ -134,14 +145,16 @@ class StageConditions:
 
     def begin(self, stage: PlannedStage, time: float) -> None:
         """Begin a stage at `time` [s]."""
-        self.since, self.values = [inf] * len(stage.until), [float("nan")] * len(stage.until)
-        self.last_row, self.met = time, None
+        self.since = [inf] * len(stage.until)
+        self.values = [float("nan")] * len(stage.until)
+        self.last_row = time
+        self.met = None
 
     def add_row(self, stage: PlannedStage, began: float, row: Row) -> None:
         """Evaluate the conditions with a row of the time series; `began` [s]: start of the stage.
 
-        A row whose predecessor is before `began` contains means over a part of the previous stage and does not count.
-        Raises GranflowError for a quantity that the row lacks.
+        A row whose predecessor is before `began` contains means over a part of the previous stage and does
+        not count. Raises GranflowError for a quantity that the row lacks.
         """
         if self.met is not None or not stage.until or row.time_before < began * (1.0 - ROUNDING):
             return
@@ -162,16 +175,17 @@ class StageConditions:
     def log_end(self, stage: PlannedStage, time: float) -> None:
         """Log why the stage ends at `time` [s]; a warning if none of its conditions is satisfied."""
         if self.met is not None:
-            sentence = (
-                f"stage {stage.name} ends at {time:.6g} s: {_statement(stage.until[self.met], self.values[self.met])}"
-            )
+            sentence = f"stage {stage.name} ends at {time:.6g} s: {_statement(stage.until[self.met], self.values[self.met])}"
             logging.getLogger("granflow").info("%s", sentence)
         elif stage.until:
             values = zip(stage.until, self.values, strict=True)
             logging.getLogger("granflow").warning(
                 "stage %s (%s): its longest duration of %.6g s is over, but %s.",
-                stage.name, stage.source, stage.longest, "; ".join(_statement(*each) for each in values),
-            )  # fmt: skip
+                stage.name,
+                stage.source,
+                stage.longest,
+                "; ".join(_statement(*each) for each in values),
+            )
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state for a checkpoint."""
@@ -181,7 +195,8 @@ class StageConditions:
         """Restore the state; after a change of events or conditions they begin again."""
         for name in STATE:
             setattr(self, name, saved[name])
-        self.since, self.values = list(self.since), list(self.values)
+        self.since = list(self.since)
+        self.values = list(self.values)
         if not same_course:
             self.begin(stage, self.last_row)
 
@@ -195,7 +210,9 @@ def _statement(condition: StageCondition, value: float) -> str:
     bounds = {"above": condition.above, "below": condition.below}
     bound = next(f"{word} {limit:.6g}{unit}" for word, limit in bounds.items() if limit is not None)
     held = f" for {condition.hold:g} s" if condition.hold else ""
-    return f"{condition.quantity} is {value:.6g}{unit}, {'' if condition.is_met(value) else 'not '}{bound}{held}"
+    return (
+        f"{condition.quantity} is {value:.6g}{unit}, {'' if condition.is_met(value) else 'not '}{bound}{held}"
+    )
 
 
 # Progress of a run through its stages.
@@ -210,7 +227,8 @@ class StageProgress:
     stage_times:  start and end [s] of the stages that have begun; the end is infinite during a stage
     next_check:   time [s] of the next check for rest; infinite without checks
     target:       time [s] to which the current steps lead, None between targets
-    arrived:      whether insertion and wall changes at the target are done, so that only observers are pending
+    arrived:      whether insertion and wall changes at the target are done, so that only observers are
+                  pending
     servos:       force samples of the servos, checked at the end of the stage
     conditions:   conditions that end the stage
     """
@@ -231,7 +249,8 @@ class StageProgress:
 
     def begin(self, stage: str, time: float, check_interval: float) -> None:
         """Begin a stage at `time` [s], with a first check for rest after `check_interval` [s]."""
-        self.stage, self.next_check = stage, time + check_interval
+        self.stage = stage
+        self.next_check = time + check_interval
         self.stage_times[stage] = (time, inf)
 
     def end(self, time: float) -> None:
@@ -244,7 +263,8 @@ class StageProgress:
 
     def set_target(self, time: float) -> None:
         """Set the target time [s] of the next steps."""
-        self.target, self.arrived = time, False
+        self.target = time
+        self.arrived = False
 
     def remove_past_changes(self, engine: Engine) -> bool:
         """Remove wall changes that are due; return whether any were removed."""
@@ -258,7 +278,8 @@ class StageProgress:
 
         Presence is that of the middle of the next step, so that a change due at the present time is included.
         """
-        walls, middle = engine.plan.walls, engine.time + 0.5 * engine.time_step
+        walls = engine.plan.walls
+        middle = engine.time + 0.5 * engine.time_step
         presence = [wall.is_present(self.stage, middle) for wall in walls]
         engine.set_walls(presence, wall_motions([wall.motions for wall in walls], self.stage_times))
 
@@ -284,7 +305,9 @@ class StageProgress:
         reopened:    the last stage continues even if it had ended
         same_course: False if events or conditions changed; the target is then determined again
         """
-        self.stage, self.next_check, self.changes = saved["stage"], saved["next_check"], tuple(saved["changes"])
+        self.stage = saved["stage"]
+        self.next_check = saved["next_check"]
+        self.changes = tuple(saved["changes"])
         self.servos.load_state_dict(saved["servos"])
         present = next(stage for stage in stages if stage.name == self.stage)
         self.conditions.load_state_dict(saved["conditions"], present, same_course)
@@ -292,4 +315,5 @@ class StageProgress:
         if reopened:
             self.stage_times[self.stage] = (self.stage_times[self.stage][0], inf)
         if same_course:
-            self.target, self.arrived = saved["target"], saved["arrived"]
+            self.target = saved["target"]
+            self.arrived = saved["arrived"]

@@ -29,11 +29,13 @@ from granflow.units import seconds_of
 # Warning at the end of a run about particles that left the domain where none is expected to leave it.
 
 LARGE_SHARE = 0.05
-"""Fraction of the inserted particles that can leave a domain without outlets, except downward and through meters."""
+"""Fraction of the inserted particles that can leave a domain without outlets, except downward and through
+meters."""
 
 
 def log_exits(engine: Engine, result: Result) -> None:
-    """Log a warning about particles that left the domain outside the outlets; `result`: numbers of the run."""
+    """Log a warning about particles that left the domain outside the outlets; `result`: numbers of the
+    run."""
     meters = sum(each.get("flow_count", 0.0) for each in result.flow_meters.values())
     sentence = exit_warning(engine.plan, engine.accounting.exits, engine.accounting.inserted_count, meters)
     if sentence is not None:
@@ -41,10 +43,11 @@ def log_exits(engine: Engine, result: Result) -> None:
 
 
 def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meters: float) -> str | None:
-    """Sentence on the particles that left the domain, with the face through which most of them did; None if expected.
+    """Sentence on the particles that left the domain, with the face through which most of them did; None if
+    expected.
 
-    With outlets, no other exit is expected. Without, particles can leave downward, as from a hopper, and as many as
-    pass flow meters can leave anywhere.
+    With outlets, no other exit is expected. Without, particles can leave downward, as from a hopper, and as
+    many as pass flow meters can leave anywhere.
 
     exits:           number of particles by face of the domain, outside the outlets
     inserted:        number of inserted particles
@@ -88,8 +91,8 @@ def stop_of(number: int) -> KeyboardInterrupt:
 def stopping_on_interrupt(stop: Callable[[BaseException], None]) -> Iterator[None]:
     """In the block, Ctrl-C calls `stop` with a KeyboardInterrupt; a second one raises it at once.
 
-    Between two launches the data on the host are complete, and a checkpoint can be written. No effect outside the main
-    thread, which receives all signals, or if the program handles SIGINT itself.
+    Between two launches the data on the host are complete, and a checkpoint can be written. No effect outside
+    the main thread, which receives all signals, or if the program handles SIGINT itself.
     """
     in_main_thread = threading.current_thread() is threading.main_thread()
     if not in_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -110,9 +113,9 @@ def stopping_on_interrupt(stop: Callable[[BaseException], None]) -> Iterator[Non
 # Ends of stages at rest: low kinetic energy of particles whose weight is supported.
 
 LARGEST_UNBALANCED = 0.2
-"""Largest net force on all particles over their weight at rest. It is 1 in free fall, also at the start from rest and
-at the top of a bounce, and 1 - cundall with damping. Internal forces cancel, so that vibrations of stiff contacts, with
-accelerations of single particles above gravity, do not delay the end."""
+"""Largest net force on all particles over their weight at rest. It is 1 in free fall, also at the start from
+rest and at the top of a bounce, and 1 - cundall with damping. Internal forces cancel, so that vibrations of
+stiff contacts, with accelerations of single particles above gravity, do not delay the end."""
 
 
 def ends_at_rest(stage: PlannedStage, stage_times: Mapping[str, tuple[float, float]], engine: Engine) -> bool:
@@ -125,12 +128,15 @@ def ends_at_rest(stage: PlannedStage, stage_times: Mapping[str, tuple[float, flo
     state = engine.rest_state()
     if not _is_rest(stage, state):
         return False
-    logging.getLogger("granflow").info("stage %s ends at %.6g s: %s", stage.name, engine.time, _statement(stage, state))
+    logging.getLogger("granflow").info(
+        "stage %s ends at %.6g s: %s", stage.name, engine.time, _statement(stage, state)
+    )
     return True
 
 
 def warn_without_rest(stage: PlannedStage, engine: Engine, insertion_is_done: bool) -> None:
-    """Warn that the particles are not at rest at the end of the longest duration of a stage that requires it."""
+    """Warn that the particles are not at rest at the end of the longest duration of a stage that requires
+    it."""
     if stage.kinetic_energy_below is None:
         return
     state = engine.rest_state()
@@ -138,8 +144,12 @@ def warn_without_rest(stage: PlannedStage, engine: Engine, insertion_is_done: bo
     if pending or not _is_rest(stage, state):
         logging.getLogger("granflow").warning(
             "stage %s (%s): its longest duration of %.6g s is over, but %s%s.",
-            stage.name, stage.source, stage.longest, pending, _statement(stage, state),
-        )  # fmt: skip
+            stage.name,
+            stage.source,
+            stage.longest,
+            pending,
+            _statement(stage, state),
+        )
 
 
 def _is_rest(stage: PlannedStage, state: RestState) -> bool:
@@ -161,15 +171,19 @@ def _statement(stage: PlannedStage, state: RestState) -> str:
 # Times of `Simulation.run`: text with units, durations, and their limits.
 
 
-def end_of_run(until: float | str | None, duration: float | str | None, now: float, time_step: float) -> float:
-    """End [s] of a run until a time or for a duration, numbers in s or text with units; infinite without both.
+def end_of_run(
+    until: float | str | None, duration: float | str | None, now: float, time_step: float
+) -> float:
+    """End [s] of a run until a time or for a duration, numbers in s or text with units; infinite without
+    both.
 
     now:        present time [s]
     time_step:  present time step [s]
     Raises:     GranflowError
     """
     until, duration = (
-        None if time is None else seconds_of(name, time) for name, time in (("until", until), ("duration", duration))
+        None if time is None else seconds_of(name, time)
+        for name, time in (("until", until), ("duration", duration))
     )
     if until is not None and duration is not None:
         raise GranflowError("run takes until or duration, not both.")
@@ -190,28 +204,32 @@ CHUNK_SECONDS = 0.2
 
 
 class StepBatches:
-    """Takes steps in batches of about CHUNK_SECONDS: their length follows the measured rate, and at most doubles."""
+    """Takes steps in batches of about CHUNK_SECONDS: their length follows the measured rate, and at most
+    doubles."""
 
     def __init__(self) -> None:
         self._steps = 1
 
     def advance(self, engine: Engine, most: int) -> None:
         """Take one batch of at most `most` steps."""
-        began, before = clock.perf_counter(), engine.step_count
+        began = clock.perf_counter()
+        before = engine.step_count
         engine.advance(min(self._steps, most))
         step_rate = (engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
         self._steps = max(min(int(step_rate * CHUNK_SECONDS), 2 * self._steps), 1)
 
 
 class TimeLoop:
-    """Advances a run through its stages and, on request, beyond the last one, whose walls and observers remain.
+    """Advances a run through its stages and, on request, beyond the last one, whose walls and observers
+    remain.
 
-    `state`: of the run; `files`: its output directory. `stop_requested`: exception that ends the run after the present
-    batch of steps, or None.
+    `state`: of the run; `files`: its output directory. `stop_requested`: exception that ends the run after
+    the present batch of steps, or None.
     """
 
     def __init__(self, state: RunState, files: RunDirectory) -> None:
-        self.state, self.files = state, files
+        self.state = state
+        self.files = files
         self.stop_requested: BaseException | None = None
         self._batches = StepBatches()
         self.last_good = LastGoodState(state)
@@ -227,7 +245,8 @@ class TimeLoop:
         return self.state.progress.has_ended(self.engine.plan.stages[-1].name)
 
     def run(self, end: float, within_stages: bool = False) -> None:
-        """Run the stages that have not ended, to their ends or to `end` [s]; the first one begins in any case.
+        """Run the stages that have not ended, to their ends or to `end` [s]; the first one begins in any
+        case.
 
         A finite `end` after that of the last stage is reached too, unless `within_stages`.
 
@@ -249,9 +268,10 @@ class TimeLoop:
     def _run_stage(self, stage: PlannedStage, end: float) -> None:
         """Run a stage to its end, or to `end` [s].
 
-        The stage ends after its longest duration, at the first row of the time series that satisfies one of its
-        conditions, or, with `kinetic_energy_below`, at the first check at which the particles are at rest; REST_CHECKS
-        checks are distributed evenly (see `granflow.runs.time_loop`). A resumed stage continues at its target.
+        The stage ends after its longest duration, at the first row of the time series that satisfies one of
+        its conditions, or, with `kinetic_energy_below`, at the first check at which the particles are at
+        rest; REST_CHECKS checks are distributed evenly (see `granflow.runs.time_loop`). A resumed stage
+        continues at its target.
         """
         progress = self.state.progress
         if stage.name not in progress.stage_times:
@@ -299,7 +319,8 @@ class TimeLoop:
         self._abort_if_diagnosed()
 
     def _notify(self, notify: Callable[..., object], *arguments: object) -> None:
-        """Call a method of the observer list with a function that takes the snapshot; its time counts as output."""
+        """Call a method of the observer list with a function that takes the snapshot; its time counts as
+        output."""
         with self.state.wall_clock.measuring_output():
             notify(*arguments, partial(self.engine.observe, self.state.progress.stage))
 
@@ -309,10 +330,11 @@ class TimeLoop:
         return min([self.state.observers.next_time(), self.state.insertion.next_time(), *changes])
 
     def _advance_to(self, time: float) -> None:
-        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are due.
+        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are
+        due.
 
-        The target is at least one step ahead, so that the run always advances. A resumed run continues to its saved
-        target.
+        The target is at least one step ahead, so that the run always advances. A resumed run continues to its
+        saved target.
         """
         progress = self.state.progress
         if progress.target is None:
@@ -373,7 +395,9 @@ class TimeLoop:
         if self.stop_requested is None and (number := self.engine.stepper.stop_signal):
             self.stop_requested = stop_of(number)
         if self.stop_requested is not None:
-            error, self.stop_requested, self.engine.stepper.interrupted = self.stop_requested, None, False
+            error = self.stop_requested
+            self.stop_requested = None
+            self.engine.stepper.interrupted = False
             self.save()
             raise error
 
@@ -391,7 +415,8 @@ class TimeLoop:
                 self.last_good.keep_if_due()
 
     def save(self) -> None:
-        """Write a checkpoint with the changes from Python, after the begin of the run; nothing without a directory.
+        """Write a checkpoint with the changes from Python, after the begin of the run; nothing without a
+        directory.
 
         After an abort, it contains the last good state.
         """
@@ -405,18 +430,21 @@ class TimeLoop:
             self.files.save(self.engine.time, self.engine.step_count, self.state.state_dict)
 
     def save_last_good(self) -> None:
-        """Write the state that was kept last as a checkpoint, unless a checkpoint is newer. Raises OSError."""
+        """Write the state that was kept last as a checkpoint, unless a checkpoint is newer. Raises
+        OSError."""
         self.state.observers.sync()
         self.save_kept(self.files.checkpoint_time)
 
     def save_kept(self, after: float | None) -> None:
-        """Write the state that was kept last as a checkpoint, if it is later than a time [s]. Raises OSError."""
+        """Write the state that was kept last as a checkpoint, if it is later than a time [s]. Raises
+        OSError."""
         kept = self.last_good.kept
         if kept is not None and (after is None or kept.time > after):
             self.files.save(kept.time, kept.step, kept.state_dict)
 
     def _abort_if_diagnosed(self) -> None:
-        """After an abort, write the present state if all its numbers are finite, and the last good one as a checkpoint.
+        """After an abort, write the present state if all its numbers are finite, and the last good one as a
+        checkpoint.
 
         Raises RunError with the diagnosis and the command that continues.
         """
@@ -427,7 +455,9 @@ class TimeLoop:
         take = partial(self.engine.observe, self.state.progress.stage)
         with self.state.wall_clock.measuring_output():
             try:
-                written = self.state.observers.notify_all(take, frozenset({TOTALS}), only_finite=True).is_finite
+                written = self.state.observers.notify_all(
+                    take, frozenset({TOTALS}), only_finite=True
+                ).is_finite
             except (StopRun, FunctionError):
                 written = True  # a function from Python receives the snapshot after the files
             with suppress(OSError):
@@ -437,7 +467,9 @@ class TimeLoop:
     def notify_all(self, quantities: frozenset[str]) -> None:
         """Pass a snapshot with these quantities to all observers. Raises StopRun, FunctionError."""
         with self.state.wall_clock.measuring_output():
-            self.state.observers.notify_all(partial(self.engine.observe, self.state.progress.stage), quantities)
+            self.state.observers.notify_all(
+                partial(self.engine.observe, self.state.progress.stage), quantities
+            )
 
     def log_end(self) -> None:
         """Log the simulated time and the number of steps."""
@@ -454,7 +486,8 @@ class TimeLoop:
         return result
 
     def result(self) -> Result:
-        """Numbers of the run so far, with expectations if all stages have ended; the run continues as without it."""
+        """Numbers of the run so far, with expectations if all stages have ended; the run continues as without
+        it."""
         state = self.state
         totals = self.engine.snapshot(state.progress.stage, frozenset({TOTALS})).totals
         readings = {**state.observers.readings(), "insertion": state.insertion.results()}

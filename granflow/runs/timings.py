@@ -25,7 +25,9 @@ class WallClock:
 
     def __init__(self) -> None:
         self._began = clock.perf_counter()
-        self._before_resume, self._setup, self._elapsed = 0.0, 0.0, 0.0
+        self._before_resume = 0.0
+        self._setup = 0.0
+        self._elapsed = 0.0
         self._is_running = True
         self.output = 0.0
 
@@ -37,7 +39,8 @@ class WallClock:
     @contextmanager
     def running(self) -> Iterator[None]:
         """Run the clock during the block; the time between two blocks is not counted."""
-        self._began, self._is_running = clock.perf_counter(), True
+        self._began = clock.perf_counter()
+        self._is_running = True
         try:
             yield
         finally:
@@ -63,7 +66,8 @@ class WallClock:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
-        self.output, self._before_resume = saved["output_seconds"], saved["wall_clock"]
+        self.output = saved["output_seconds"]
+        self._before_resume = saved["wall_clock"]
 
 
 Readings = Mapping[str, Mapping[str, float]]
@@ -122,7 +126,9 @@ def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None, warnings: I
     log.info("%s", versions())
     count = backend.worker_count
     threads = f", {count} thread{'s' if count > 1 else ''}" if backend.on_cpu else ""
-    log.info("%s with %s%s, compiled in %.3g s", backend.arch, backend.precision, threads, engine.timing.compile)
+    log.info(
+        "%s with %s%s, compiled in %.3g s", backend.arch, backend.precision, threads, engine.timing.compile
+    )
     for line in explain(plan).splitlines():
         log.info("%s", line)
     for warning in warnings:

@@ -1,4 +1,5 @@
-"""Liquid content of the particle groups, and parts of a scene that cannot be combined with liquid transfer."""
+"""Liquid content of the particle groups, and parts of a scene that cannot be combined with liquid
+transfer."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -53,7 +54,8 @@ from granflow.visible_text import alternatives
 
 
 def unsupported(parts: PartialScene) -> Iterator[Fault]:
-    """Clumps support no sheared boxes, damping of all motion, adaptive steps, earlier runs and fields on grids."""
+    """Clumps support no sheared boxes, damping of all motion, adaptive steps, earlier runs and fields on
+    grids."""
     scene = parts.scene
     names = [name for name, group in scene.particles.items() if group.clump is not None]
     if not names:
@@ -62,13 +64,17 @@ def unsupported(parts: PartialScene) -> Iterator[Fault]:
     if scene.damping is not None:
         yield whole(("damping",), f"{clumps}: it acts on single spheres; remove one of the two")
     if scene.domain.lees_edwards is not None:
-        yield whole(("domain", "lees_edwards"), f"{clumps}, which cross no sheared boundary; remove one of the two")
+        yield whole(
+            ("domain", "lees_edwards"), f"{clumps}, which cross no sheared boundary; remove one of the two"
+        )
     if scene.run.time_step == "adaptive":
         yield whole(("run", "time_step"), f"{clumps}; give a number, or leave it out")
     if scene.start_from is not None:
         yield whole(("start_from",), f"{clumps}: it reads spheres only; remove one of the two")
     if scene.output.fields:
-        yield whole(("output", "fields"), f"{clumps}: stresses need the forces inside a clump; remove one of the two")
+        yield whole(
+            ("output", "fields"), f"{clumps}: stresses need the forces inside a clump; remove one of the two"
+        )
 
 
 def transfer(parts: PartialScene) -> Iterator[Fault]:
@@ -76,7 +82,8 @@ def transfer(parts: PartialScene) -> Iterator[Fault]:
 
     With `contact.cohesion: none` the content is unused. Clumps and earlier runs have no films.
     """
-    scene, name = parts.scene, parts.scene.contact.name("cohesion")
+    scene = parts.scene
+    name = parts.scene.contact.name("cohesion")
     transfers = name in registry.liquid_models()
     for group_name, group in scene.particles.items():
         path: KeyPath = ("particles", group_name, "liquid_content")
@@ -85,12 +92,16 @@ def transfer(parts: PartialScene) -> Iterator[Fault]:
                 path, f"contact.cohesion is {name}; give the volume of the film over that of a particle, or 0"
             )
         elif transfers and group.clump is not None:
-            yield whole(("particles", group_name, "clump"), f"cannot be combined with contact.cohesion: {name}")
+            yield whole(
+                ("particles", group_name, "clump"), f"cannot be combined with contact.cohesion: {name}"
+            )
         elif group.liquid_content and not transfers and name != "none":
             remedy = f"remove liquid_content, or choose {' or '.join(registry.liquid_models())}"
             yield Fault(path, f"contact.cohesion is {name}; {remedy}")
     if transfers and scene.start_from is not None:
-        reason = f"cannot be combined with contact.cohesion: {name}: it reads no liquid; remove one of the two"
+        reason = (
+            f"cannot be combined with contact.cohesion: {name}: it reads no liquid; remove one of the two"
+        )
         yield whole(("start_from",), reason)
 
 
@@ -102,7 +113,8 @@ MOST_CELLS = 2_000_000
 
 def field_grids(parts: PartialScene) -> Iterator[Fault]:
     """Field grids: number of cells within the limit, existing stages, full extent along periodic axes."""
-    stages, domain = [stage.name for stage in parts.scene.stages], parts.scene.domain
+    stages = [stage.name for stage in parts.scene.stages]
+    domain = parts.scene.domain
     for name, grid in parts.scene.output.fields.items():
         path: KeyPath = ("output", "fields", name)
         yield from _cells(domain, path, grid)
@@ -118,7 +130,9 @@ def metrics(parts: PartialScene) -> Iterator[Fault]:
         if isinstance(metric, TwoComponentGrid):
             yield from _cells(parts.scene.domain, path, metric)
             yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
-            yield from _unknown_names((*path, "materials"), metric.materials, parts.names("materials"), "material")
+            yield from _unknown_names(
+                (*path, "materials"), metric.materials, parts.names("materials"), "material"
+            )
         if isinstance(metric, CenterOfMassMetric):
             yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
         if isinstance(metric, SlidingMetric):
@@ -137,9 +151,13 @@ def _unknown_particle(path: KeyPath, particle_id: int, scene: SceneInput) -> Ite
         yield Fault(path, f"the ids of the {known} particles are 0 to {known - 1}")
 
 
-def _unknown_names(path: KeyPath, given: Iterable[str] | None, known: Iterable[str], kind: str) -> Iterator[Fault]:
+def _unknown_names(
+    path: KeyPath, given: Iterable[str] | None, known: Iterable[str], kind: str
+) -> Iterator[Fault]:
     """Faults of the items of a list that are not known names."""
-    yield from (unknown((*path, i), name, known, kind) for i, name in enumerate(given or ()) if name not in known)
+    yield from (
+        unknown((*path, i), name, known, kind) for i, name in enumerate(given or ()) if name not in known
+    )
 
 
 def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Fault]:
@@ -178,7 +196,8 @@ def _all_expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str | None]
     ]
     for number, stage in enumerate(scene.stages):
         named += [
-            (("stages", number, "until", index, "quantity"), each.quantity) for index, each in enumerate(stage.until)
+            (("stages", number, "until", index, "quantity"), each.quantity)
+            for index, each in enumerate(stage.until)
         ]
     for path, name in named:
         quantity, dot, part = name.partition(".")
@@ -186,7 +205,10 @@ def _all_expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str | None]
 
 
 RESULT_ONLY = {
-    *(*RUN_QUANTITIES, "timings", "wall_force", "wall_torque"),
+    *RUN_QUANTITIES,
+    "timings",
+    "wall_force",
+    "wall_torque",
     *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),
 }
 """Quantities of the result that rows of the time series do not have."""
@@ -232,15 +254,22 @@ def condition_columns(parts: PartialScene) -> Iterator[Fault]:
             path: KeyPath = ("stages", number, "until", index, "quantity")
             quantity, _, part = condition.quantity.partition(".")
             wall = parts.scene.walls.get(part)
-            if quantity in WALL_QUANTITIES and wall and not any(each.force_controlled for each in wall.motion):
-                yield Fault(path, f"{part} is neither a servo nor a free wall; its displacement follows from the time")
+            if (
+                quantity in WALL_QUANTITIES
+                and wall
+                and not any(each.force_controlled for each in wall.motion)
+            ):
+                yield Fault(
+                    path, f"{part} is neither a servo nor a free wall; its displacement follows from the time"
+                )
             elif quantity in RESULT_ONLY or quantity.endswith("_mean") or quantity in INSERTION_QUANTITIES:
                 yield Fault(path, "it is a result of the whole run; give a column of timeseries.csv")
 
 
 def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     """Expectations must refer to existing flow meters, outlets and inserted groups."""
-    scene, meters = parts.scene, parts.scene.output.flow_meters
+    scene = parts.scene
+    meters = parts.scene.output.flow_meters
     meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
     inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
@@ -255,7 +284,8 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
 
 
 def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
-    """Expectations must refer to existing metrics that provide the quantity, or its time average NAME_mean."""
+    """Expectations must refer to existing metrics that provide the quantity, or its time average
+    NAME_mean."""
     known = parts.scene.output.metrics
     for path, quantity, name in _expected(parts.scene):
         if quantity not in METRIC_QUANTITIES:
@@ -272,7 +302,8 @@ def wall_forces(parts: PartialScene) -> Iterator[Fault]:
 
     An expectation NAME.WALL requires that `output.wall_forces` includes the wall.
     """
-    requested, known = parts.scene.output.wall_forces, parts.names("walls")
+    requested = parts.scene.output.wall_forces
+    known = parts.names("walls")
     if not isinstance(requested, bool):
         yield from _unknown_names(("output", "wall_forces"), requested, known, "wall")
     measured = known if requested is True else requested or ()
@@ -329,7 +360,9 @@ def possible_contacts_have_a_pair(parts: PartialScene) -> Iterator[Fault]:
     A pair with a misspelled name counts as the one with the closest known name: another check reports it.
     """
     known = parts.names("materials")
-    existing = {frozenset(nearest(name, known) or name for name in key.split("-")) for key in parts.names("pairs")}
+    existing = {
+        frozenset(nearest(name, known) or name for name in key.split("-")) for key in parts.names("pairs")
+    }
     mobile, fixed = (_counts(parts.scene, set(known), fixed) for fixed in (False, True))
     walls = {name: wall.material for name, wall in parts.scene.walls.items() if wall.material in known}
     for both, why in possible_contacts(mobile, fixed, walls).items():
@@ -369,14 +402,16 @@ def pair_name(both: frozenset[str]) -> str:
 def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, int]:
     """Number of fixed particles, or of mobile ones, for each of these materials.
 
-    A group with a mass or an end time in place of a count is assumed to have ASSUMED_COUNT particles, and a group to
-    which a program adds particles at least as many.
+    A group with a mass or an end time in place of a count is assumed to have ASSUMED_COUNT particles, and a
+    group to which a program adds particles at least as many.
     """
     found: dict[str, int] = {}
     for group in scene.particles.values():
         if group.material in materials and group.fixed == fixed:
             least = ASSUMED_COUNT if group.insert.kind == "python" else 1
-            found[group.material] = found.get(group.material, 0) + max(group.count_given or ASSUMED_COUNT, least)
+            found[group.material] = found.get(group.material, 0) + max(
+                group.count_given or ASSUMED_COUNT, least
+            )
     return found
 
 
@@ -386,7 +421,8 @@ def pair_options(parts: PartialScene) -> Iterator[Fault]:
     for key, pair in parts.scene.pairs.items():
         for option in registry.pair_options().values():
             path: KeyPath = ("pairs", key, option.key)
-            value, known = getattr(pair, option.key), registry.models_with(option.key)
+            value = getattr(pair, option.key)
+            known = registry.models_with(option.key)
             users = {slot: contact.name(slot) for slot, names in known.items() if contact.name(slot) in names}
             if users and value is None:
                 slot, name = next(iter(users.items()))
@@ -434,8 +470,10 @@ def _restitution_fit(parts: PartialScene, key: str, fit: RestitutionFit) -> Iter
 
     Without a limit velocity, it requires the yield strengths of its materials (Eq. 11).
     """
-    normal, path = parts.scene.contact.normal, ("pairs", key, "restitution")
-    settings, without_yield = normal.settings(), _without_yield_strength(parts, key)
+    normal = parts.scene.contact.normal
+    path = ("pairs", key, "restitution")
+    settings = normal.settings()
+    without_yield = _without_yield_strength(parts, key)
     fixed = [name for name, word in normal.fixed_by_numbers().items() if settings[name] == word]
     if normal.record.restitution != "number or fit":
         yield Fault(path, f"the contact model {normal.law} requires a number, above 0 and at most 1")
@@ -444,7 +482,9 @@ def _restitution_fit(parts: PartialScene, key: str, fit: RestitutionFit) -> Iter
         reason = f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which requires a number; "
         yield Fault(path, f"{reason}or write {' or '.join(words)}")
     elif fit.limit_velocity is None and without_yield:
-        remedy = f"give limit_velocity, or the yield_strength of {' and '.join(without_yield)} (Zhou 2011, Eq. 11)"
+        remedy = (
+            f"give limit_velocity, or the yield_strength of {' and '.join(without_yield)} (Zhou 2011, Eq. 11)"
+        )
         yield whole(path, f"has no limit velocity: {remedy}")
 
 
@@ -516,7 +556,8 @@ def _round_extent(a: Vector3, b: Vector3, axis: Vector3, radius: float) -> Itera
 
 
 def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
-    """Lees-Edwards boxes support neither walls, nor insertion during the run, nor flow meters: the images move.
+    """Lees-Edwards boxes support neither walls, nor insertion during the run, nor flow meters: the images
+    move.
 
     One fault names all features of the scene that are not supported.
     """
@@ -532,11 +573,15 @@ def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
     found = [f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names]
     if scene.damping is not None:
         yield Fault(
-            ("damping",), "domain.lees_edwards is given, and no frame is at rest in uniform shear; remove one of them"
+            ("damping",),
+            "domain.lees_edwards is given, and no frame is at rest in uniform shear; remove one of them",
         )
     if found:
         unsupported_text = alternatives(found)
-        yield whole(("domain", "lees_edwards"), f"cannot be combined with {unsupported_text}: the periodic images move")
+        yield whole(
+            ("domain", "lees_edwards"),
+            f"cannot be combined with {unsupported_text}: the periodic images move",
+        )
 
 
 # Stages, times and motions of walls.
@@ -606,7 +651,9 @@ def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
     for path, motion in controlled:
         has_pressure = isinstance(motion, Servo) and motion.pressure is not None
         if has_pressure and isinstance(scene.walls[str(path[1])], Plane):
-            yield Fault((*path, "pressure"), "a plane is infinite and has no area; give force, or use a rectangle")
+            yield Fault(
+                (*path, "pressure"), "a plane is infinite and has no area; give force, or use a rectangle"
+            )
     if controlled and scene.run.time_step == "adaptive":
         path, motion = controlled[0]
         reason = f"walls.{path[1]} is {motion.kind}, which requires a constant time step; write auto"

@@ -1,6 +1,7 @@
 """Differences between two scenes, key by key, and the keys that may change when a run is resumed.
 
-Scenes are compared after resolution, in SI units: a value with another unit or a default written out is no difference.
+Scenes are compared after resolution, in SI units: a value with another unit or a default written out is no
+difference.
 """
 
 import re
@@ -49,17 +50,24 @@ def differences(before: SceneInput, now: SceneInput) -> tuple[Difference, ...]:
 
     Lists of numbers are compared as a whole, lists of mappings entry by entry.
     """
-    first, second = (dict(_leaves(scene.model_dump(by_alias=True, exclude_none=True))) for scene in (before, now))
+    first, second = (
+        dict(_leaves(scene.model_dump(by_alias=True, exclude_none=True))) for scene in (before, now)
+    )
     keys = dict.fromkeys([*first, *second])
-    return tuple(Difference(key, first.get(key), second.get(key)) for key in keys if first.get(key) != second.get(key))
+    return tuple(
+        Difference(key, first.get(key), second.get(key)) for key in keys if first.get(key) != second.get(key)
+    )
 
 
 def forbidden(before: SceneInput, now: SceneInput, stages_over: int) -> tuple[Difference, ...]:
     """Differences that prevent a resume of a run whose first `stages_over` stages have ended.
 
-    A difference is permitted if its key is in ALLOWED_CHANGES and not in an ended stage, or if it adds a stage.
+    A difference is permitted if its key is in ALLOWED_CHANGES and not in an ended stage, or if it adds a
+    stage.
     """
-    return tuple(each for each in differences(before, now) if not _allowed(each, len(before.stages), stages_over))
+    return tuple(
+        each for each in differences(before, now) if not _allowed(each, len(before.stages), stages_over)
+    )
 
 
 def _allowed(difference: Difference, stages_before: int, stages_over: int) -> bool:

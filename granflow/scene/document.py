@@ -57,7 +57,8 @@ class Problem:
     sentence: str
 
     def __str__(self) -> str:
-        """The message with its position, unless it begins with that; invisible characters are shown as escapes."""
+        """The message with its position, unless it begins with that; invisible characters are shown as
+        escapes."""
         words = self.sentence.lstrip(" ")  # a key may begin with spaces, which are invisible
         position = "" if words.startswith(f"{self.position} ") else f"{self.position}: "
         text = position + r"\x20" * (len(self.sentence) - len(words)) + words
@@ -65,7 +66,8 @@ class Problem:
 
 
 class DocumentError(Exception):
-    """Text that is not valid YAML 1.2, or uses a feature that scenes do not support; `problem` has the position."""
+    """Text that is not valid YAML 1.2, or uses a feature that scenes do not support; `problem` has the
+    position."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(str(problem))
@@ -95,7 +97,8 @@ class Node:
         return self.scalar
 
     def child(self, key: str | int) -> "Node | None":
-        """The value under a key or at an index; None if it does not exist. A face of a box has the value of the box."""
+        """The value under a key or at an index; None if it does not exist. A face of a box has the value of
+        the box."""
         if self.entries is not None and (written := self.written_key(key)) is not None:
             return self.entries[written].node
         if self.items is not None and isinstance(key, int) and 0 <= key < len(self.items):
@@ -103,7 +106,8 @@ class Node:
         return None
 
     def written_key(self, key: str | int) -> str | None:
-        """The key in the file: that of the box for one of its faces, such as box.left; None if there is none."""
+        """The key in the file: that of the box for one of its faces, such as box.left; None if there is
+        none."""
         words = [str(key), str(key).rpartition(".")[0]]
         return next((word for word in words if word in (self.entries or {})), None)
 
@@ -194,10 +198,11 @@ ROOT = "scene"
 
 
 def document_of(data: Mapping[str, Any], root: str = ROOT) -> Document:
-    """The tree of a mapping of keys to values, as in a scene file; `root`: name of the whole mapping in messages.
+    """The tree of a mapping of keys to values, as in a scene file; `root`: name of the whole mapping in
+    messages.
 
-    Values: numbers, text with units, lists, tuples, numpy arrays, mappings, paths, and parts of another scene. Problems
-    of the document: keys that are not text, and values of other types.
+    Values: numbers, text with units, lists, tuples, numpy arrays, mappings, paths, and parts of another
+    scene. Problems of the document: keys that are not text, and values of other types.
     """
     document = Document(root, Node(SourcePosition(root)), subject="the scene" if root == ROOT else root)
     document.root = _node(data, (), document)
@@ -220,12 +225,16 @@ def _node(value: Any, path: KeyPath, document: Document) -> Node:
             entries[str(key)] = MappingEntry(_position(below, document.source), _node(each, below, document))
         return Node(position, entries=entries)
     if isinstance(value, list | tuple):
-        return Node(position, items=[_node(each, (*path, index), document) for index, each in enumerate(value)])
+        return Node(
+            position, items=[_node(each, (*path, index), document) for index, each in enumerate(value)]
+        )
     if isinstance(value, Path):
         value = str(value)
     if not isinstance(value, str | int | float | None):
         kind = type(value).__name__
-        document.problems.append(Problem(position, f"a value is of type {kind}; give a number, text, list or mapping."))
+        document.problems.append(
+            Problem(position, f"a value is of type {kind}; give a number, text, list or mapping.")
+        )
         value = None
     return Node(position, scalar=value, text=_text(value))
 
@@ -272,10 +281,11 @@ _NAN = re.compile(r"\.(nan|NaN|NAN)")
 def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
     """Read YAML 1.2 text. Without `with_positions`, all positions are the source only (for overrides).
 
-    `source`: name of the file for positions. Duplicate keys are in `Document.problems`; the first one applies.
+    `source`: name of the file for positions. Duplicate keys are in `Document.problems`; the first one
+    applies.
 
-    Raises DocumentError for errors that prevent reading: syntax errors, tags, recursive aliases, several documents, and
-    more values, keys or levels than a scene can have.
+    Raises DocumentError for errors that prevent reading: syntax errors, tags, recursive aliases, several
+    documents, and more values, keys or levels than a scene can have.
     """
     return _Composer(source, with_positions).compose(text)
 
@@ -283,7 +293,8 @@ def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
 class _Composer:
     """Builds the tree from the parser's events.
 
-    `anchors`: nodes by anchor, None while the node is incomplete. `aliased`, `count`: numbers of values for the limits.
+    `anchors`: nodes by anchor, None while the node is incomplete. `aliased`, `count`: numbers of values for
+    the limits.
     """
 
     def __init__(self, source: str, with_positions: bool) -> None:
@@ -312,19 +323,26 @@ class _Composer:
             raise DocumentError(self._syntax(error, text)) from None
         except (YAMLError, ValueError, RecursionError) as error:
             first = str(error).partition("\n")[0]
-            raise DocumentError(Problem(SourcePosition(self.source), f"this is not YAML text: {first}.")) from None
+            raise DocumentError(
+                Problem(SourcePosition(self.source), f"this is not YAML text: {first}.")
+            ) from None
         return Document(self.source, root or Node(self._position(1, 1)), self.problems)
 
     def _printable(self, text: str) -> None:
-        """Reject characters that YAML does not allow. Raises DocumentError with the position of the first one."""
+        """Reject characters that YAML does not allow. Raises DocumentError with the position of the first
+        one."""
         if found := _FORBIDDEN.search(text):
             lines = text[: found.start()].splitlines() or [""]
             position = self._position(len(lines), len(lines[-1]) + 1)
             code = f"U+{ord(found.group()):04X}"
-            raise DocumentError(Problem(position, f"the text contains the control character {code}; delete it."))
+            raise DocumentError(
+                Problem(position, f"the text contains the control character {code}; delete it.")
+            )
 
     def _position(self, line: int, column: int) -> SourcePosition:
-        return SourcePosition(self.source, line, column) if self.with_positions else SourcePosition(self.source)
+        return (
+            SourcePosition(self.source, line, column) if self.with_positions else SourcePosition(self.source)
+        )
 
     def _at(self, event: Event) -> SourcePosition:
         return self._position(event.start_mark.line + 1, event.start_mark.column + 1)
@@ -350,21 +368,26 @@ class _Composer:
             return self._alias(event)
         if depth > MAX_DEPTH:
             raise self._error(
-                event, f"this is nested more than {MAX_DEPTH} levels deep; at most {MAX_DEPTH} levels are supported"
+                event,
+                f"this is nested more than {MAX_DEPTH} levels deep; at most {MAX_DEPTH} levels are supported",
             )
         if getattr(event, "tag", None):
             tag = event.tag.replace(_YAML_TAGS, "!!")
             raise self._error(event, f"the tag {tag} is not supported in scenes; remove it")
         self.count += 1
         if self.count > _MAX_VALUES:
-            raise self._error(event, f"the file has more than {_MAX_VALUES} values up to here, too many for a scene")
+            raise self._error(
+                event, f"the file has more than {_MAX_VALUES} values up to here, too many for a scene"
+            )
         if event.anchor:
             self.anchors[event.anchor] = None
         if isinstance(event, ScalarEvent):
             value = resolve(event.value) if event.style is None else self._quoted(event)
             node = Node(self._at(event), scalar=value, text=event.value)
         else:
-            node = (self._list if isinstance(event, SequenceStartEvent) else self._mapping)(event, events, depth)
+            node = (self._list if isinstance(event, SequenceStartEvent) else self._mapping)(
+                event, events, depth
+            )
         if event.anchor:
             self.anchors[event.anchor] = node
         return node
@@ -393,7 +416,9 @@ class _Composer:
             raise self._error(event, f"the alias *{event.anchor} contains itself")
         self.aliased += node.size
         if self.aliased > _MAX_ALIASED:
-            raise self._error(event, f"aliases add more than {_MAX_ALIASED} values up to here; use fewer aliases")
+            raise self._error(
+                event, f"aliases add more than {_MAX_ALIASED} values up to here; use fewer aliases"
+            )
         return node
 
     def _list(self, start: SequenceStartEvent, events: Iterator[Event], depth: int) -> Node:
@@ -404,7 +429,8 @@ class _Composer:
         return Node(self._at(start), items=items, size=1 + sum(item.size for item in items))
 
     def _mapping(self, start: MappingStartEvent, events: Iterator[Event], depth: int) -> Node:
-        """The node of a mapping; a duplicate key is a problem. Raises DocumentError above the limit of keys."""
+        """The node of a mapping; a duplicate key is a problem. Raises DocumentError above the limit of
+        keys."""
         entries: dict[str, MappingEntry] = {}
         for count in itertools.count():
             if isinstance(event := next(events), MappingEndEvent):
@@ -418,7 +444,9 @@ class _Composer:
             if key in entries:
                 first = entries[key].key_position
                 self.problems.append(
-                    Problem(entry.key_position, f"{key} is a duplicate of the key at line {first.line}. Keep one.")
+                    Problem(
+                        entry.key_position, f"{key} is a duplicate of the key at line {first.line}. Keep one."
+                    )
                 )
             else:
                 entries[key] = entry
@@ -426,7 +454,8 @@ class _Composer:
         return Node(self._at(start), entries=entries, size=size)
 
     def _key(self, event: Any) -> str:
-        """The text of a key. Raises DocumentError for a key that is not plain text, and for the merge key <<."""
+        """The text of a key. Raises DocumentError for a key that is not plain text, and for the merge key
+        <<."""
         if not isinstance(event, ScalarEvent) or event.tag:
             raise self._error(event, "a key must be plain text, such as radius")
         if event.value == "<<" and event.style is None:
@@ -452,14 +481,16 @@ def resolve(text: str) -> Any:
 
 
 def _starts_helps_more(error: MarkedYAMLError) -> bool:
-    """Whether the start of the construct is a more useful position than the point of failure of the parser."""
+    """Whether the start of the construct is a more useful position than the point of failure of the
+    parser."""
     context = str(error.context)
     return "simple key" in context or "flow" in context or "quoted" in context
 
 
 def _syntax_sentence(error: MarkedYAMLError, line: str) -> str:
     """A sentence on a syntax error with its remedy; `line`: text of the line with the error."""
-    problem, context = str(error.problem or error.context), str(error.context)
+    problem = str(error.problem or error.context)
+    context = str(error.context)
     if r"\t" in problem or "'\t'" in problem:
         return "the indentation contains a tab, but YAML requires spaces. Replace the tab by spaces."
     if "mapping values are not allowed" in problem:
@@ -471,7 +502,11 @@ def _syntax_sentence(error: MarkedYAMLError, line: str) -> str:
         return f'"{line}" has no colon. Write key: value, with a space after the colon.'
     if "quoted" in context:
         return "the quote that opens here is not closed."
-    for kind, opening, closing in (("sequence", "[", "]"), ("mapping", "{", "}"), ("node", "bracket", "its partner")):
+    for kind, opening, closing in (
+        ("sequence", "[", "]"),
+        ("mapping", "{", "}"),
+        ("node", "bracket", "its partner"),
+    ):
         if "flow " + kind in context:
             return f"the {opening} that opens here is not closed by {closing}, or a comma is missing in it."
     return f"this is not YAML: {problem}."

@@ -10,7 +10,15 @@ from dataclasses import dataclass, field, replace
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Tag, ValidationError, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Tag,
+    ValidationError,
+    WithJsonSchema,
+)
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from granflow.contact import registry
@@ -115,8 +123,8 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "youngsmodulus": ("young_modulus",),
     "zplane": ("plane",),
 }
-"""Names in other codes (LIGGGHTS, LAMMPS, YADE, MercuryDPM, EDEM), in lowercase letters and digits only, and names here
-for the same or the nearest feature, in the order of preference."""
+"""Names in other codes (LIGGGHTS, LAMMPS, YADE, MercuryDPM, EDEM), in lowercase letters and digits only, and
+names here for the same or the nearest feature, in the order of preference."""
 
 
 def synonym(word: str, known: Iterable[str]) -> str | None:
@@ -133,7 +141,8 @@ def renamed(word: str, known: Iterable[str]) -> str | None:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The present name of a renamed key, the name of a synonym, or the known name closest to the word, if one is close.
+    """The present name of a renamed key, the name of a synonym, or the known name closest to the word, if one
+    is close.
 
     None otherwise.
     """
@@ -167,10 +176,11 @@ def suggestion_sentence(word: str, known: Iterable[str], kind: str) -> str:
 
 
 def tag_of(member: Any) -> str:
-    """Tag of a member of a union in error locations: a name in angle brackets, which distinguish it from keys.
+    """Tag of a member of a union in error locations: a name in angle brackets, which distinguish it from
+    keys.
 
-    The name is that of its pydantic `Tag`, else the value of its key such as `kind`, else its first key; for plain
-    values none, list or number.
+    The name is that of its pydantic `Tag`, else the value of its key such as `kind`, else its first key; for
+    plain values none, list or number.
     """
     if get_origin(member) is Annotated:
         explicit = [meta.tag for meta in get_args(member)[1:] if isinstance(meta, Tag)]
@@ -249,10 +259,12 @@ def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
 def problems_of(document: Document, errors: Sequence[ErrorDetails], schema: type[BaseModel]) -> list[Problem]:
     """The errors of the schema as problems, without consequences of other errors; at most 1000.
 
-    `schema`: model of the whole document. Omitted: copied defaults of invalid values, and a missing key if an unknown
-    key is probably a misspelling of it.
+    `schema`: model of the whole document. Omitted: copied defaults of invalid values, and a missing key if an
+    unknown key is probably a misspelling of it.
     """
-    found = [_SchemaError(document, each, schema) for each in errors[:_MAX_ERRORS] if each["type"] != _CONSEQUENCE]
+    found = [
+        _SchemaError(document, each, schema) for each in errors[:_MAX_ERRORS] if each["type"] != _CONSEQUENCE
+    ]
     suggested = {error.suggested() for error in found if error.type == "extra_forbidden"}
     return [
         problem_at(document, error.fault())
@@ -268,7 +280,8 @@ class _SchemaError:
     """
 
     def __init__(self, document: Document, details: ErrorDetails, schema: type[BaseModel]) -> None:
-        self.document, self.schema = document, schema
+        self.document = document
+        self.schema = schema
         self.type: str = details["type"]
         self.message: str = details["msg"]
         self.context: dict[str, Any] = details.get("ctx", {})
@@ -276,7 +289,9 @@ class _SchemaError:
         self.of_key = bool(loc) and loc[-1] == "[key]"
         self.loc: KeyPath = loc[:-1] if self.of_key else loc + tuple(self.context.get("at", ()))
         self.path = path_in_file(document, self.loc)
-        if self.type == "extra_forbidden" and not self.of_key:  # a key such as "<>" looks like a mark of pydantic
+        if (
+            self.type == "extra_forbidden" and not self.of_key
+        ):  # a key such as "<>" looks like a mark of pydantic
             self.path = (*path_in_file(document, self.loc[:-1]), self.loc[-1])
 
     def keys(self) -> list[str]:
@@ -284,7 +299,8 @@ class _SchemaError:
         return _keys(model_at(self.schema, self.loc[:-1]))
 
     def suggested(self) -> KeyPath:
-        """Path of the key that an unknown key probably means; the path of the unknown key if none is similar."""
+        """Path of the key that an unknown key probably means; the path of the unknown key if none is
+        similar."""
         return (*self.path[:-1], nearest(str(self.path[-1]), self.keys()) or self.path[-1])
 
     def fault(self) -> Fault:
@@ -329,7 +345,9 @@ class _SchemaError:
             word = _word(node)
             known = [name.removeprefix("law ") for name in names]
             near = nearest(word, known) if word and word not in known else None
-            hint = f". Did you mean {near}?" if near else _options(self.path, word) or _registration(self.path)
+            hint = (
+                f". Did you mean {near}?" if near else _options(self.path, word) or _registration(self.path)
+            )
             return Fault(self.path, self.context["reason"] + hint)
         key = self.context["key"]
         names = [name for name in names if name not in ("number", "list", "none")]
@@ -352,13 +370,15 @@ class _SchemaError:
 
 
 def _word(node: Node) -> str:
-    """A word as written, also that of a contact model in `{law: WORD}`; empty for another mapping or a list."""
+    """A word as written, also that of a contact model in `{law: WORD}`; empty for another mapping or a
+    list."""
     law = node.child("law")
     return node.text if law is None else law.text
 
 
 def _options(path: KeyPath, word: str) -> str:
-    """Sentence on the options that a contact model requires, after the list of forms; empty for other words."""
+    """Sentence on the options that a contact model requires, after the list of forms; empty for other
+    words."""
     slot = str(path[1]) if path[:1] == ("contact",) and len(path) > 1 else ""
     model = registry.models(slot).get(word) if slot in SLOTS else None
     if model is None:
@@ -369,7 +389,8 @@ def _options(path: KeyPath, word: str) -> str:
 
 
 def _elsewhere(word: str) -> str:
-    """Sentence, after the list of allowed words, on a contact model of another slot; empty for other words."""
+    """Sentence, after the list of allowed words, on a contact model of another slot; empty for other
+    words."""
     slot = next((slot for slot in SLOTS if word in registry.models(slot)), None)
     return f". {word} is given as contact.{slot}: {word}" if slot else ""
 
@@ -391,7 +412,8 @@ def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:
 
 def _annotation_at(annotation: Any, loc: KeyPath) -> Any:
     """The type at a location below a type; None if the location does not exist in the schema."""
-    origin, arguments = get_origin(annotation), get_args(annotation)
+    origin = get_origin(annotation)
+    arguments = get_args(annotation)
     if origin is Annotated:
         return _annotation_at(arguments[0], loc)
     if origin in (Union, UnionType):
@@ -433,14 +455,20 @@ class Model(BaseModel):
     """A part of a scene: immutable; unknown keys are errors."""
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", populate_by_name=True, defer_build=True, json_schema_extra=_require_selecting_keys
+        frozen=True,
+        extra="forbid",
+        populate_by_name=True,
+        defer_build=True,
+        json_schema_extra=_require_selecting_keys,
     )
 
     def __init__(self, **values: Any) -> None:
-        """Create the part from the values of its keys, as in a scene file; the key `from` is `from_` in Python.
+        """Create the part from the values of its keys, as in a scene file; the key `from` is `from_` in
+        Python.
 
-        Values: numbers in SI units or text with units, lists, numpy arrays, mappings, other parts. A key that selects
-        the kind of the part, such as `shape`, may be omitted. Raises SceneError with all problems, each with its key.
+        Values: numbers in SI units or text with units, lists, numpy arrays, mappings, other parts. A key that
+        selects the kind of the part, such as `shape`, may be omitted. Raises SceneError with all problems,
+        each with its key.
         """
         model = type(self)
         aliases = {name: each.alias or name for name, each in model.model_fields.items()}
@@ -492,7 +520,8 @@ def faults_of(value: Any, path: KeyPath = ()) -> Iterator[Fault]:
 
 
 def require(is_valid: Callable[[Any], Any], reason: str) -> Callable[[Any], Any]:
-    """Validator that returns a value unchanged, or raises PydanticCustomError with the reason if it is not valid."""
+    """Validator that returns a value unchanged, or raises PydanticCustomError with the reason if it is not
+    valid."""
 
     def validate(value: Any) -> Any:
         if not is_valid(value):
@@ -517,7 +546,9 @@ def _is_flag_or_names(value: Any) -> bool:
 
 def list_of_length(length: int, reason: str) -> BeforeValidator:
     """Require a list with a number of items."""
-    return BeforeValidator(require(lambda value: isinstance(value, list | tuple) and len(value) == length, reason))
+    return BeforeValidator(
+        require(lambda value: isinstance(value, list | tuple) and len(value) == length, reason)
+    )
 
 
 def pair_list(meaning: str) -> BeforeValidator:
@@ -578,7 +609,8 @@ def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
 
 
 Tagger = Callable[[Any, Collection[str]], str | None]
-"""Function of a raw value and the tags of a union that returns the tag of the value, or None if no member fits."""
+"""Function of a raw value and the tags of a union that returns the tag of the value, or None if no member
+fits."""
 
 
 @dataclass(frozen=True)
@@ -604,7 +636,8 @@ class Choice:
 
 
 def choose_by_key(key: str) -> Choice:
-    """Choose a model by the value of `key`, or another member by the type of the value: none, list or number."""
+    """Choose a model by the value of `key`, or another member by the type of the value: none, list or
+    number."""
 
     def tag(value: Any, tags: Collection[str]) -> str | None:
         if isinstance(value, dict):
@@ -622,7 +655,8 @@ def choose_by(tag_of_value: Callable[[Any], str | None], reason: str) -> Choice:
 
 
 def choose_by_first_key(reason: str) -> Choice:
-    """Choose a model by its first key, such as `box` of `{box: {...}}`; no match is the error "X is Y, but REASON."."""
+    """Choose a model by its first key, such as `box` of `{box: {...}}`; no match is the error "X is Y, but
+    REASON."."""
 
     def tag(value: Any, tags: Collection[str]) -> str | None:
         if isinstance(value, BaseModel):
@@ -649,7 +683,9 @@ FileName = Annotated[
     ),
 ]
 """Text without characters that would make a message ambiguous."""
-Flag = Annotated[bool, BeforeValidator(require(lambda value: isinstance(value, bool), "true or false is expected"))]
+Flag = Annotated[
+    bool, BeforeValidator(require(lambda value: isinstance(value, bool), "true or false is expected"))
+]
 FlagOrNames = Annotated[
     bool | tuple[str, ...],
     BeforeValidator(
@@ -665,19 +701,25 @@ def _matching(pattern: str, reason: str) -> tuple[AfterValidator, WithJsonSchema
     return validator, WithJsonSchema({"type": "string", "pattern": f"^{pattern}$"})
 
 
-_name = _matching(_NAME, "a name begins with a lowercase letter and contains only lowercase letters, digits and _")
+_name = _matching(
+    _NAME, "a name begins with a lowercase letter and contains only lowercase letters, digits and _"
+)
 _wall_name = _matching(
     rf"{_NAME}(\.(left|right|front|back|bottom|top))?",
     "a name begins with a lowercase letter and contains only lowercase letters, digits and _",
 )
-_pair_name = _matching(f"{_NAME}-{_NAME}", "a pair is two material names joined by a hyphen, such as glass-steel")
+_pair_name = _matching(
+    f"{_NAME}-{_NAME}", "a pair is two material names joined by a hyphen, such as glass-steel"
+)
 MOST_LETTERS = 64
-"""Largest length of a name: names are parts of the names of files, which most file systems limit to 255 bytes."""
+"""Largest length of a name: names are parts of the names of files, which most file systems limit to 255
+bytes."""
 _short = AfterValidator(
     require(lambda name: len(name) <= MOST_LETTERS, f"a name has at most {MOST_LETTERS} characters")
 )
 Name = Annotated[str, _short, _name[0], _name[1]]
-"""Name of a material, wall, group, stage or meter: lowercase letters, digits and _, beginning with a letter."""
+"""Name of a material, wall, group, stage or meter: lowercase letters, digits and _, beginning with a
+letter."""
 WallName = Annotated[str, _short, _wall_name[0], _wall_name[1]]
 """Name of a wall, or of a face of a box, such as box.left."""
 PairName = Annotated[str, _pair_name[0], _pair_name[1]]

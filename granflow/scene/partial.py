@@ -18,8 +18,9 @@ from granflow.units import Fault, KeyPath
 class PartialScene:
     """A scene that may lack parts.
 
-    `scene`: has the sections in `complete` and the valid entries of sections with several entries; it may lack required
-    parts and must not be used for a run. `indices`: list section -> index in the file of each valid item.
+    `scene`: has the sections in `complete` and the valid entries of sections with several entries; it may
+    lack required parts and must not be used for a run. `indices`: list section -> index in the file of each
+    valid item.
     """
 
     document: Document
@@ -82,7 +83,9 @@ def partial_scene_of(document: Document, data: Mapping[str, Any], errors: Iterab
             indices[name] = [index for index in range(len(items)) if (name, index) not in broken]
             sections[name] = [items[index] for index in indices[name]]
     valid = SceneInput.model_construct(**dict(_without_required_keys().model_validate(sections)))
-    absent = {name for name, each in SceneInput.model_fields.items() if each.is_required() and name not in data}
+    absent = {
+        name for name, each in SceneInput.model_fields.items() if each.is_required() and name not in data
+    }
     return PartialScene(
         document, valid, frozenset(SceneInput.model_fields) - absent - {loc[0] for loc in broken}, indices
     )
@@ -91,13 +94,18 @@ def partial_scene_of(document: Document, data: Mapping[str, Any], errors: Iterab
 @cache
 def _several() -> frozenset[str]:
     """The sections with several entries: mappings by name, and lists of models."""
-    kinds = {name: get_origin(each.annotation) for name, each in SceneInput.model_fields.items() if name != "gravity"}
+    kinds = {
+        name: get_origin(each.annotation)
+        for name, each in SceneInput.model_fields.items()
+        if name != "gravity"
+    }
     return frozenset(name for name, kind in kinds.items() if kind in (dict, tuple))
 
 
 @cache
 def _without_required_keys() -> type[BaseModel]:
-    """The schema of a scene in which every key is optional: missing mappings are empty, other missing parts None."""
+    """The schema of a scene in which every key is optional: missing mappings are empty, other missing parts
+    None."""
     fields: dict[str, Any] = {}
     for name, each in SceneInput.model_fields.items():
         kind: Any = each.annotation

@@ -28,7 +28,15 @@ from granflow.scene import (
 )
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.document import Document, DocumentError, MappingEntry, Node, Problem, SourcePosition, parse
+from granflow.scene.document import (
+    Document,
+    DocumentError,
+    MappingEntry,
+    Node,
+    Problem,
+    SourcePosition,
+    parse,
+)
 from granflow.scene.model import dotted, model_at, nearest, problem_at, problems_of, suggestion_or_list
 from granflow.scene.partial import PartialScene, partial_scene_of
 from granflow.units import Fault, whole
@@ -36,8 +44,8 @@ from granflow.units import Fault, whole
 # Overrides from the command line, `key.path=value`, applied to the tree of a scene before validation.
 
 SINGLE_ITEMS = ("motion",)
-"""Keys with a list, or with one of its items in place of the list. Resolved scenes have the list; with both forms of a
-scene the same override is valid, with or without the index 0."""
+"""Keys with a list, or with one of its items in place of the list. Resolved scenes have the list; with both
+forms of a scene the same override is valid, with or without the index 0."""
 SHORT_LAWS = [["contact", slot] for slot in SLOTS]
 """Keys with the name of a contact model, or with a mapping that begins with the key `law`."""
 
@@ -49,9 +57,9 @@ class _Refused(Exception):
 def apply(document: Document, override: str) -> list[Problem]:
     """Apply one override to the document; return its problems.
 
-    `override`: key.path=value, where the value is YAML and list items have indices from 0. Missing parents that the
-    schema knows are created. The root of the document is replaced by a modified copy. Problems have the override as
-    their position.
+    `override`: key.path=value, where the value is YAML and list items have indices from 0. Missing parents
+    that the schema knows are created. The root of the document is replaced by a modified copy. Problems have
+    the override as their position.
     """
     source = f"--set {override}"
     position = SourcePosition(source)
@@ -86,7 +94,9 @@ def _with(node: Node, keys: Sequence[str], value: Node, position: SourcePosition
         return _with(node, keys, value, position, depth + 1)
     if node.entries is None:
         parent = dotted(keys[:depth])
-        raise _Refused(f"{parent or 'the scene'} is {node.shown()}, which has no keys; set {parent} as a whole.")
+        raise _Refused(
+            f"{parent or 'the scene'} is {node.shown()}, which has no keys; set {parent} as a whole."
+        )
     key = _key(node.entries, keys[depth])
     entry = node.entries.get(key)
     if entry is None and depth + 1 < len(keys):
@@ -103,7 +113,9 @@ def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePos
     if keys[depth - 1] in SINGLE_ITEMS and len(items) == 1 and not index.isdigit():
         return replace(node, items=[_with(items[0], keys, value, position, depth)])
     if not (index.isascii() and index.isdigit() and int(index) < len(items)):
-        numbers = f"items 0 to {len(items) - 1}" if len(items) > 1 else f"{len(items)} item" + "s" * (not items)
+        numbers = (
+            f"items 0 to {len(items) - 1}" if len(items) > 1 else f"{len(items)} item" + "s" * (not items)
+        )
         raise _Refused(f"{dotted(keys[:depth])} is a list of {numbers}, so the index {index} is invalid.")
     items[int(index)] = _with(items[int(index)], keys, value, position, depth + 1)
     return replace(node, items=items)
@@ -115,7 +127,9 @@ def _key(entries: dict[str, MappingEntry], key: str) -> str:
     return reversed_key if key not in entries and reversed_key in entries else key
 
 
-def _new_part(entries: dict[str, MappingEntry], keys: Sequence[str], depth: int, position: SourcePosition) -> Node:
+def _new_part(
+    entries: dict[str, MappingEntry], keys: Sequence[str], depth: int, position: SourcePosition
+) -> Node:
     """An empty mapping for a part that is missing in the file, such as `numerics`.
 
     Raises _Refused for an unknown part.
@@ -124,9 +138,13 @@ def _new_part(entries: dict[str, MappingEntry], keys: Sequence[str], depth: int,
         depth and model_at(SceneInput, tuple(keys[:depth])) is None
     ):
         known = list(entries) if depth else list(SceneInput.model_fields)
-        parent, fault = (f"keys in {dotted(keys[:depth])}", "in the scene") if depth else ("known keys", "a known key")
+        parent, fault = (
+            (f"keys in {dotted(keys[:depth])}", "in the scene") if depth else ("known keys", "a known key")
+        )
         remedy = suggestion_or_list(keys[depth], known, parent)
-        raise _Refused(f"{dotted(keys[: depth + 1])} is not {fault}. {remedy.rstrip('.')}".rstrip() + _dot(remedy))
+        raise _Refused(
+            f"{dotted(keys[: depth + 1])} is not {fault}. {remedy.rstrip('.')}".rstrip() + _dot(remedy)
+        )
     return Node(position, entries={})
 
 
@@ -140,8 +158,14 @@ def _dot(text: str) -> str:
 # complete before a check runs, so that one mistake does not cause consequential messages.
 
 _MAX_ENTRIES = {
-    "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000
-}  # fmt: skip
+    "materials": 50,
+    "pairs": 1275,
+    "walls": 1000,
+    "particles": 100,
+    "outlets": 50,
+    "stages": 1000,
+    "expect": 1000,
+}
 """Largest number of entries of each section: the cost of some checks grows with its square."""
 _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]], ...] = (
     ((), pairs.materials_exist),
@@ -172,10 +196,11 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
 def consistency_problems(parts: PartialScene) -> list[Problem]:
     """All problems within and between the parts of a scene that may be incomplete, in no particular order.
 
-    If a section has too many entries, checks between parts are omitted, because the time of some of them grows with the
-    square of the number of entries.
+    If a section has too many entries, checks between parts are omitted, because the time of some of them
+    grows with the square of the number of entries.
     """
-    faults, overfull = list(parts.faults()), list(_overfull_sections(parts))
+    faults = list(parts.faults())
+    overfull = list(_overfull_sections(parts))
     for needed, check in _CHECKS if not overfull else ():
         if parts.complete.issuperset(needed):
             faults += check(parts)
@@ -198,8 +223,8 @@ _MAX_SHOWN = 100  # problems
 def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | None = None) -> SceneInput:
     """The validated scene of a document; paths are relative to `folder` (default: the working directory).
 
-    The scene is not resolved: counts from masses, contents of files and `scale` are not applied yet. Raises the same
-    errors as `load`.
+    The scene is not resolved: counts from masses, contents of files and `scale` are not applied yet. Raises
+    the same errors as `load`.
     """
     problems = list(document.problems)
     for override in overrides:
@@ -252,7 +277,9 @@ def _text(path: Path, kind: str) -> str:
         with path.open("rb") as file:
             raw = file.read(_MAX_FILE_SIZE + 1)  # files of the kernel (/proc) report no size
         if len(raw) > _MAX_FILE_SIZE:
-            raise SceneError(f"{path}: this file is larger than {_MAX_FILE_SIZE // 2**20} MiB, too large for a {kind}.")
+            raise SceneError(
+                f"{path}: this file is larger than {_MAX_FILE_SIZE // 2**20} MiB, too large for a {kind}."
+            )
     except FileNotFoundError:
         raise SceneError(f"{path}: there is no such file.{_similar(path)}") from None
     except (OSError, ValueError) as error:
@@ -271,7 +298,8 @@ def _similar(path: Path) -> str:
 
 
 def _decoded(raw: bytes, path: Path, kind: str) -> str:
-    """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for another encoding or binary data."""
+    """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for another encoding or binary
+    data."""
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise SceneError(f"{path}:1:1: the file is encoded in UTF-16; save it as UTF-8.")
     try:
@@ -279,7 +307,9 @@ def _decoded(raw: bytes, path: Path, kind: str) -> str:
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         column = error.start - raw.rfind(b"\n", 0, error.start)
-        raise SceneError(f"{path}:{line}:{column}: the file is not valid UTF-8 text; save it as UTF-8.") from None
+        raise SceneError(
+            f"{path}:{line}:{column}: the file is not valid UTF-8 text; save it as UTF-8."
+        ) from None
     if "\0" in text:
         raise SceneError(f"{path}: the file is binary; a {kind} is UTF-8 text.")
     return text

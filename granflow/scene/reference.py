@@ -1,4 +1,5 @@
-"""Example of each key of a scene: the one of its description, a value in a shipped scene, or one of its type."""
+"""Example of each key of a scene: the one of its description, a value in a shipped scene, or one of its
+type."""
 
 import json
 import re
@@ -25,8 +26,8 @@ _TITLE = "granflow scene"
 def json_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of scene files.
 
-    Numbers may be plain (SI) or text with a unit. `granflow check` also detects inconsistencies between parts, such
-    as a missing pair. The result contains plain Python data only and can be written as JSON.
+    Numbers may be plain (SI) or text with a unit. `granflow check` also detects inconsistencies between
+    parts, such as a missing pair. The result contains plain Python data only and can be written as JSON.
     """
     schema = SceneInput.model_json_schema(by_alias=True)
     return {"$schema": _DIALECT, **_simplified(schema), "title": _TITLE}
@@ -143,7 +144,8 @@ def children(schema: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 @cache
 def places() -> dict[str, list[str]]:
-    """Key paths at which each part occurs, in the order of the scene; those of nested parts start at the first path."""
+    """Key paths at which each part occurs, in the order of the scene; those of nested parts start at the
+    first path."""
     found: dict[str, list[str]] = {ROOT: [""]}
     waiting = [ROOT]
     while waiting:
@@ -166,7 +168,9 @@ def clear_schema() -> None:
 
 def variant(part: str) -> str:
     """Key and value that select a part of a union, such as `shape: cone`; empty for other parts."""
-    constants = {key: value["const"] for key, value in parts()[part].get("properties", {}).items() if "const" in value}
+    constants = {
+        key: value["const"] for key, value in parts()[part].get("properties", {}).items() if "const" in value
+    }
     return next((f"{key}: {value}" for key, value in constants.items()), "")
 
 
@@ -179,9 +183,17 @@ def as_yaml(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(as_yaml(each) for each in value)}]"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {as_yaml(each)}" for key, each in value.items() if each is not None) + "}"
+        return (
+            "{"
+            + ", ".join(f"{key}: {as_yaml(each)}" for key, each in value.items() if each is not None)
+            + "}"
+        )
     text = str(value)
-    return text if not isinstance(value, str) or PLAIN_TEXT.fullmatch(text) else json.dumps(text, ensure_ascii=False)
+    return (
+        text
+        if not isinstance(value, str) or PLAIN_TEXT.fullmatch(text)
+        else json.dumps(text, ensure_ascii=False)
+    )
 
 
 def dimension_of(schema: dict[str, Any]) -> Dimension | None:
@@ -307,14 +319,29 @@ PART_EXAMPLES = {
     "FileSummary.overlap_rows": "lines 12 and 40",
     "LeesEdwards.start": "0.2 s",
     "BoxOutlet.box": "{min: [-0.5, -0.5, 0.2], max: [0.5, 0.5, 0.4]}",
-    **{f"{law}Stiffness{way}": value for law in ("Linear", "WaltonBraun", "Luding") for way, value in (
-        ("ReferenceVelocity.reference_velocity", "1 m/s"), ("Value.value", "1e4 N/m"))},
+    **{
+        f"{law}Stiffness{way}": value
+        for law in ("Linear", "WaltonBraun", "Luding")
+        for way, value in (("ReferenceVelocity.reference_velocity", "1 m/s"), ("Value.value", "1e4 N/m"))
+    },
     "WaltonBraunUnloadingReferenceVelocity.reference_velocity": "1 m/s",
-    **{f"{motion}.end": "1.5 s" for motion in (
-        "Vibration", "Translation", "Rotation", "TableMotion", "SurfaceVelocity", "Servo", "FreeWall")},
-    **{f"{wall}.vanishes_at": "1 s" for wall in (
-        "Plane", "Rectangle", "Cylinder", "Cone", "Disc", "BoxWall", "MeshWall")},
-}  # fmt: skip
+    **{
+        f"{motion}.end": "1.5 s"
+        for motion in (
+            "Vibration",
+            "Translation",
+            "Rotation",
+            "TableMotion",
+            "SurfaceVelocity",
+            "Servo",
+            "FreeWall",
+        )
+    },
+    **{
+        f"{wall}.vanishes_at": "1 s"
+        for wall in ("Plane", "Rectangle", "Cylinder", "Cone", "Disc", "BoxWall", "MeshWall")
+    },
+}
 """Examples by part and key where neither the shipped scenes nor the type give a realistic value."""
 
 
@@ -332,7 +359,8 @@ def _described(description: str) -> str:
 
 
 def _from_scenes(key: Key) -> str:
-    """The most frequent value in the shipped scenes, of equally frequent ones the shortest; empty if all are long."""
+    """The most frequent value in the shipped scenes, of equally frequent ones the shortest; empty if all are
+    long."""
     found = _harvest().get((key.part, key.name), Counter())
     short = [text for text in found if len(text) <= LONGEST]
     return min(short, key=lambda text: (-found[text], len(text), text), default="")
@@ -340,7 +368,8 @@ def _from_scenes(key: Key) -> str:
 
 @cache
 def _harvest() -> dict[tuple[str, str], Counter[str]]:
-    """Values of all keys in the shipped scenes as YAML, by part and key; subfolders count if no other scene has it."""
+    """Values of all keys in the shipped scenes as YAML, by part and key; subfolders count if no other scene
+    has it."""
     found: dict[tuple[str, str], Counter[str]] = {}
     scenes = {name: path for name, path in example_paths().items() if not name.startswith(NO_SCENES)}
     for depth in (0, 1):
@@ -379,7 +408,9 @@ def _inside(schema: dict[str, Any], value: Any) -> Iterator[tuple[str, str, Any]
 def _fits(part: str, value: dict[str, Any]) -> bool:
     """Whether a mapping is a value of a part: its keys are known, and a key such as `kind` fits."""
     known = parts()[part].get("properties", {})
-    return set(value) <= set(known) and all(known[key].get("const", each) == each for key, each in value.items())
+    return set(value) <= set(known) and all(
+        known[key].get("const", each) == each for key, each in value.items()
+    )
 
 
 def _typical(schema: dict[str, Any], key: str = "") -> str:
@@ -401,7 +432,9 @@ def _typical(schema: dict[str, Any], key: str = "") -> str:
         return f"[{_typical(first['items'], key)}]"
     if "patternProperties" in first:
         return f"{{first: {_typical(next(iter(first['patternProperties'].values())))}}}"
-    return {"boolean": "true", "integer": "100", "number": "0.5", "string": TEXTS.get(key, "glass")}[first["type"]]
+    return {"boolean": "true", "integer": "100", "number": "0.5", "string": TEXTS.get(key, "glass")}[
+        first["type"]
+    ]
 
 
 def _mapping(part: str) -> str:
@@ -416,7 +449,8 @@ def _mapping(part: str) -> str:
 
 @dataclass(frozen=True)
 class Place:
-    """A place in a scene: path with NAME and [], the key that leads there, and the parts that its value can be."""
+    """A place in a scene: path with NAME and [], the key that leads there, and the parts that its value can
+    be."""
 
     path: str
     key: Key | None
@@ -426,14 +460,16 @@ class Place:
 def places_of(path: str) -> list[Place]:
     """Places to which a path leads: from the first level, otherwise those of all keys with its name.
 
-    Names of walls and indices of lists are arbitrary and can be omitted; a variant restricts a block: walls.rectangle.
-    Empty if there is no such key.
+    Names of walls and indices of lists are arbitrary and can be omitted; a variant restricts a block:
+    walls.rectangle. Empty if there is no such key.
     """
     words = [word for word in path.replace("[]", "").split(".") if word]
     found = list(_walk(Place("", None, (ROOT,)), words))
     if not found and len(words) == 1:
         found = [
-            _at(Place(places()[key.part][0], None, (key.part,)), key) for key in all_keys() if key.name == words[0]
+            _at(Place(places()[key.part][0], None, (key.part,)), key)
+            for key in all_keys()
+            if key.name == words[0]
         ]
     return _merged(found)
 
@@ -448,9 +484,17 @@ def _walk(place: Place, words: Sequence[str]) -> Iterator[Place]:
     if not words:
         yield place
         return
-    first, rest = words[0], words[1:]
-    steps = [_at(replace(place, parts=(part,)), key) for part in place.parts for key in keys(part) if key.name == first]
-    chosen = tuple(part for part in place.parts if len(place.parts) > 1 and variant(part).partition(": ")[2] == first)
+    first = words[0]
+    rest = words[1:]
+    steps = [
+        _at(replace(place, parts=(part,)), key)
+        for part in place.parts
+        for key in keys(part)
+        if key.name == first
+    ]
+    chosen = tuple(
+        part for part in place.parts if len(place.parts) > 1 and variant(part).partition(": ")[2] == first
+    )
     if chosen:
         steps.append(replace(place, key=None, parts=chosen))
     if not steps and place.key is not None and (first.isdigit() or _has_names(place.key.schema)):
@@ -512,12 +556,17 @@ def type_text(schema: dict[str, Any], link: Link = plain_label) -> str:
     """
     found = list(dict.fromkeys(_types(schema, link)))
     if len(found) > 1:
-        found = [each for each in found if each != "number"] if any("with unit" in each for each in found) else found
+        found = (
+            [each for each in found if each != "number"]
+            if any("with unit" in each for each in found)
+            else found
+        )
     return " or ".join(found)
 
 
 def range_text(schema: dict[str, Any]) -> str:
-    """Allowed values: bounds of numbers, words, lengths of lists, mappings beside them; empty if there is no limit."""
+    """Allowed values: bounds of numbers, words, lengths of lists, mappings beside them; empty if there is no
+    limit."""
     found = list(dict.fromkeys(_ranges(schema)))
     return "; ".join([*found, *_mappings(schema)] if found else found)
 
@@ -600,7 +649,8 @@ MOST_VARIANTS = 1
 
 
 def reference_of(path: str) -> str:
-    """Type, unit, default, range, example and meaning of a key, and the keys of the block to which a path leads.
+    """Type, unit, default, range, example and meaning of a key, and the keys of the block to which a path
+    leads.
 
     Raises KeyError with a sentence if there is no such key.
     """
@@ -619,7 +669,10 @@ def _lines(place: Place) -> Iterator[str]:
     elif len(place.parts) != MOST_VARIANTS or not variant(place.parts[0]):
         yield place.path or ROOT
     if len(place.parts) > MOST_VARIANTS:
-        yield from ("", f"Add one of these to the path to list its keys, such as {place.path}.{_name(place.parts[0])}:")
+        yield from (
+            "",
+            f"Add one of these to the path to list its keys, such as {place.path}.{_name(place.parts[0])}:",
+        )
         yield from _columns([(_name(part), _first_sentence(part)) for part in place.parts])
     for part in place.parts if len(place.parts) <= MOST_VARIANTS else ():
         yield from _part_lines(place, part)
@@ -642,7 +695,11 @@ def _part_lines(place: Place, part: str) -> Iterator[str]:
     if variant(part):
         yield f"{place.path} with {variant(part)}".strip()
     description = "" if part == ROOT else str(parts()[part].get("description", ""))
-    yield from ("", *(f"  {line}".rstrip() for line in description.splitlines()), *([""] if description else []))
+    yield from (
+        "",
+        *(f"  {line}".rstrip() for line in description.splitlines()),
+        *([""] if description else []),
+    )
     rows = []
     for key in keys(part):
         default = "; required" if key.is_required else f"; default: {key.default}"

@@ -22,8 +22,8 @@ VECTORIZED = ("force", "torque", "limit", "tangential_stiffness", "damping", "at
 def register_contact_model(model: ContactModel) -> None:
     """Register a contact model, so that scenes can select it like a built-in one.
 
-    Call it before a scene with the model is read, also in a program that resumes a run. Scenes that exist are not
-    affected. The guide "Simulations in Python" lists its functions.
+    Call it before a scene with the model is read, also in a program that resumes a run. Scenes that exist are
+    not affected. The guide "Simulations in Python" lists its functions.
 
         gf.register_contact_model(ContactModel(MyCohesion, "what it does, in one sentence"))
 
@@ -32,7 +32,9 @@ def register_contact_model(model: ContactModel) -> None:
     refuse_other("model", model, ContactModel, "a ContactModel with a law, see the guide")
     if not (isinstance(model.law, type) and issubclass(model.law, tuple(SLOTS.values()))):
         bases = ", ".join(base.__name__ for base in SLOTS.values())
-        raise GranflowError(f"the law of a contact model is {shown(model.law)}, but must be a subclass of {bases}.")
+        raise GranflowError(
+            f"the law of a contact model is {shown(model.law)}, but must be a subclass of {bases}."
+        )
     for amount in _amounts(model):
         if amount.dimension not in DIMENSIONS:
             raise GranflowError(
@@ -49,7 +51,8 @@ def register_contact_model(model: ContactModel) -> None:
 
 
 def _refuse_without_source(model: ContactModel) -> None:
-    """Raise GranflowError if the text of a device function is not available, which the kernel language compiles."""
+    """Raise GranflowError if the text of a device function is not available, which the kernel language
+    compiles."""
     for name in ("force", "torque"):
         try:
             source_lines(unwrap(getattr(model.law, name, registry.add)))
@@ -58,7 +61,8 @@ def _refuse_without_source(model: ContactModel) -> None:
 
 
 def _refuse_branches(model: ContactModel) -> None:
-    """Raise GranflowError for a branch in a function of a vectorized loop, or a called function without source."""
+    """Raise GranflowError for a branch in a function of a vectorized loop, or a called function without
+    source."""
     if not getattr(model.law, "branch_free", True):
         return
     for name in [each for each in VECTORIZED if hasattr(model.law, each)]:
@@ -67,7 +71,9 @@ def _refuse_branches(model: ContactModel) -> None:
         except ValueError as error:
             raise GranflowError(f"contact model {model.law.__name__}: {error}") from None
         if places:
-            remedy = "use ti.select" + (", or set branch_free = False" if hasattr(model.law, "branch_free") else "")
+            remedy = "use ti.select" + (
+                ", or set branch_free = False" if hasattr(model.law, "branch_free") else ""
+            )
             raise GranflowError(
                 f"contact model {model.law.__name__}: {places[0]}: {name} has a branch that depends on the contact, in "
                 f"a loop that must be vectorized; {remedy}"
@@ -91,7 +97,12 @@ def _use_registry() -> None:
     """Rebuild the schema from the registry."""
     contact.use_registry()
     materials.use_registry()
-    blocks: list[type[Model]] = [contact.Contact, materials.MaterialPair, SceneInput, *SceneInput.__subclasses__()]
+    blocks: list[type[Model]] = [
+        contact.Contact,
+        materials.MaterialPair,
+        SceneInput,
+        *SceneInput.__subclasses__(),
+    ]
     for block in blocks:
         block.model_rebuild(force=True)
     partial.clear_schema()

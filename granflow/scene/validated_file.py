@@ -20,8 +20,8 @@ SCENE_KEYS = {"materials", "particles"}
 def validated_file(path: Path, schema: type[M], kind: str) -> tuple[M, Document]:
     """The content of a YAML file as `schema`, and its document, which has the position of each key.
 
-    `kind`: what the file describes, for messages, such as "sweep". Raises FileError with all problems, each as
-    `file:line:column: sentence`; for a scene, only that it is one.
+    `kind`: what the file describes, for messages, such as "sweep". Raises FileError with all problems, each
+    as `file:line:column: sentence`; for a scene, only that it is one.
     """
     try:
         document = document_in(path, kind)
@@ -44,7 +44,8 @@ def validated_mapping(data: Mapping[str, Any], schema: type[M]) -> tuple[M, Docu
 
 def validated(document: Document, schema: type[M]) -> M:
     """The content of a document as `schema`. Raises FileError with all problems."""
-    problems, content = list(document.problems), None
+    problems = list(document.problems)
+    content = None
     try:
         content = schema.model_validate(document.root.data())
         problems += [problem_at(document, fault) for fault in faults_of(content)]

@@ -40,7 +40,8 @@ Settings = Mapping[str, Any]
 def duration_given(diameter: float, velocity: float) -> float:
     """Value of run.duration [s]: LONGEST times the travel by a diameter [m] at up to 1 m/s, at most 1 s.
 
-    The bench ends with the last collision; a longer duration of small particles is refused for its number of steps.
+    The bench ends with the last collision; a longer duration of small particles is refused for its number of
+    steps.
     """
     return min(1.0, LONGEST * diameter / min(velocity, 1.0))
 
@@ -53,8 +54,8 @@ class Collision:
     radius:          of the first particle
     other_radius:    of the second particle; None for a wall
     velocity:        approach velocity; `share` of it is that of the first particle, 1 toward a wall
-    along, spin:     velocity of the first particle along y, and angular velocity about -z; the surface of the particle
-                     slides at the velocity along - radius * spin
+    along, spin:     velocity of the first particle along y, and angular velocity about -z; the surface of the
+                     particle slides at the velocity along - radius * spin
     first_contact:   time of first contact
     """
 
@@ -90,12 +91,21 @@ class CollisionBench:
     """
 
     def __init__(
-        self, materials: Settings, pairs: Settings, contact: Settings, collisions: Sequence[Collision], run: Settings,
-        numerics: Settings = MappingProxyType({}), contact_x: float = 0.0, arch: str = "cpu",
+        self,
+        materials: Settings,
+        pairs: Settings,
+        contact: Settings,
+        collisions: Sequence[Collision],
+        run: Settings,
+        numerics: Settings = MappingProxyType({}),
+        contact_x: float = 0.0,
+        arch: str = "cpu",
         threads: int | None = None,
-    ) -> None:  # fmt: skip
-        self.collisions, self._contact_x = collisions, contact_x
-        self._arch, self._threads = arch, threads
+    ) -> None:
+        self.collisions = collisions
+        self._contact_x = contact_x
+        self._arch = arch
+        self._threads = threads
         self.scene = Scene.from_dict(self._described(materials, pairs, contact, run, numerics))
 
     @cached_property
@@ -111,7 +121,8 @@ class CollisionBench:
         return plan_for(self.scene)
 
     def pair_of(self, collision: Collision) -> tuple[PairMaterial, float, float, float]:
-        """Pair of materials, effective radius [m] and mass [kg], velocity [m/s]: arguments of contact models."""
+        """Pair of materials, effective radius [m] and mass [kg], velocity [m/s]: arguments of contact
+        models."""
         pair = self.plan.pair(collision.first, collision.second)
         return pair, *collision.reduced(self.scene), collision.velocity
 
@@ -124,7 +135,8 @@ class CollisionBench:
         return int((approach + LONGEST * longest) / self.simulation.time_step) + 10
 
     def restart(self, collisions: Sequence[Collision], time_step: float | None = None) -> None:
-        """Replace the collisions by others of the same partners and materials; optionally another time step [s]."""
+        """Replace the collisions by others of the same partners and materials; optionally another time step
+        [s]."""
         self.collisions = collisions
         self.simulation.restart(self._particles()[0], time_step)
 
@@ -136,7 +148,11 @@ class CollisionBench:
         left, right = self._ids.T
         is_pair = right >= 0
         wall_x = np.where(is_pair, 0.0, self._contact_x)
-        overlap = radius[left] + np.where(is_pair, radius[right], 0.0) - (np.where(is_pair, x[right], wall_x) - x[left])
+        overlap = (
+            radius[left]
+            + np.where(is_pair, radius[right], 0.0)
+            - (np.where(is_pair, x[right], wall_x) - x[left])
+        )
         return np.array([overlap, rate[left] - np.where(is_pair, rate[right], 0.0), -force[left]])
 
     def run(self, every: int = 1) -> np.ndarray:
@@ -144,7 +160,9 @@ class CollisionBench:
 
         Collisions that have not ended after the maximum number of steps remain in the result.
         """
-        samples, done, limit = [self.sample()], 0, self.most_steps
+        samples = [self.sample()]
+        done = 0
+        limit = self.most_steps
         has_touched = np.zeros(len(self.collisions), dtype=bool)
         while done < limit:
             self.simulation.step(every)
@@ -157,12 +175,14 @@ class CollisionBench:
         return np.array(samples)
 
     def rebound(self) -> np.ndarray:
-        """Run until all partners have separated; velocities of separation (n,) [m/s], 0 for partners that stick."""
+        """Run until all partners have separated; velocities of separation (n,) [m/s], 0 for partners that
+        stick."""
         _, rate, force = self.run(every=max(self.most_steps // 200, 1))[-1]
         return np.where((force == 0.0) & (rate < 0.0), -rate, 0.0)
 
     def motions(self) -> tuple[np.ndarray, np.ndarray]:
-        """Present velocities [m/s] and angular velocities [rad/s] (n, 2, 3) of both partners; those of walls are 0."""
+        """Present velocities [m/s] and angular velocities [rad/s] (n, 2, 3) of both partners; those of walls
+        are 0."""
         particles = self.simulation.snapshot().particles
         both = (particles[name][self._ids].astype(float) for name in ("velocity", "angular_velocity"))
         velocity, spin = (np.where((self._ids >= 0)[:, :, None], each, 0.0) for each in both)
@@ -175,7 +195,8 @@ class CollisionBench:
     def _described(
         self, materials: Settings, pairs: Settings, contact: Settings, run: Settings, numerics: Settings
     ) -> dict[str, Any]:
-        """Scene of all collisions: one group of particles per material, one rectangle per material of walls."""
+        """Scene of all collisions: one group of particles per material, one rectangle per material of
+        walls."""
         used = dict.fromkeys(name for each in self.collisions for name in (each.first, each.second))
         counts = _particle_counts(self.collisions)
         self._names = [name for name in used if counts[name]]
@@ -184,10 +205,12 @@ class CollisionBench:
         for number, name in enumerate(self._names):
             mine = data.group == number
             groups[name] = {
-                "material": name, "diameter": 2.0 * data.radius[mine], "velocity": data.velocity[mine],
+                "material": name,
+                "diameter": 2.0 * data.radius[mine],
+                "velocity": data.velocity[mine],
                 "angular_velocity": data.angular_velocity[mine],
                 "insert": {"kind": "positions", "positions": data.position[mine]},
-            }  # fmt: skip
+            }
             if not data.angular_velocity.any():
                 del groups[name]["angular_velocity"]
         travel = max(abs(each.along) for each in self.collisions) * run["duration"]
@@ -207,12 +230,15 @@ class CollisionBench:
         }
 
     def _particles(self) -> tuple[ParticleData, np.ndarray]:
-        """All particles, sorted by material, and the ids (n, 2) of the partners of each collision; -1 for a wall."""
+        """All particles, sorted by material, and the ids (n, 2) of the partners of each collision; -1 for a
+        wall."""
         rows = []
         for index, (each, place) in enumerate(zip(self.collisions, self._places(), strict=True)):
             radii = (each.radius, each.other_radius)
             shares = (each.share, each.share - 1.0)
-            for side, (name, radius, share) in enumerate(zip((each.first, each.second), radii, shares, strict=True)):
+            for side, (name, radius, share) in enumerate(
+                zip((each.first, each.second), radii, shares, strict=True)
+            ):
                 if radius is not None:
                     speed = share * each.velocity
                     x = self._contact_x + (radius if side else -radius) - speed * each.first_contact
@@ -221,7 +247,8 @@ class CollisionBench:
         table = np.array(sorted(rows, key=lambda row: row[0]))
         ids = np.full((len(self.collisions), 2), -1)
         ids[table[:, 1].astype(int), table[:, 2].astype(int)] = np.arange(len(table))
-        group, zeros = table[:, 0].astype(np.int32), np.zeros(len(table))
+        group = table[:, 0].astype(np.int32)
+        zeros = np.zeros(len(table))
         velocity = np.stack([table[:, 7], table[:, 8], zeros], axis=1)
         spin = np.stack([zeros, zeros, table[:, 9]], axis=1)
         return ParticleData(table[:, 4:7], velocity, spin, table[:, 3], group, group), ids
@@ -237,7 +264,8 @@ class CollisionBench:
         Particles that move along y have one column.
         """
         partners = [each.second if each.other_radius is None else None for each in self.collisions]
-        row, moves = 0, any(each.along for each in self.collisions)
+        row = 0
+        moves = any(each.along for each in self.collisions)
         for partner in dict.fromkeys(partners):
             indices = np.array([index for index, each in enumerate(partners) if each == partner])
             columns = 1 if moves else int(np.ceil(np.sqrt(len(indices))))
@@ -254,19 +282,23 @@ class CollisionBench:
         return places
 
     def _walls(self) -> dict[str, Any]:
-        """Walls: a rectangle at each block of collisions with a wall, or a plane if there are no other collisions."""
-        blocks, spacing = list(self._blocks()), self._spacing
+        """Walls: a rectangle at each block of collisions with a wall, or a plane if there are no other
+        collisions."""
+        blocks = list(self._blocks())
+        spacing = self._spacing
         if len(blocks) == 1 and blocks[0][0] is not None:
             plane = {"shape": "plane", "point": [self._contact_x, 0, 0], "normal": [-1, 0, 0]}
             return {"wall": plane | {"material": blocks[0][0]}}
         return {
             f"wall_{material}": {
-                "shape": "rectangle", "material": material,
+                "shape": "rectangle",
+                "material": material,
                 "corner": [self._contact_x, -0.5 * spacing, (row - 0.5) * spacing],
                 "sides": [[0.0, columns * spacing, 0.0], [0.0, 0.0, rows * spacing]],
             }
-            for material, _, row, columns, rows in blocks if material is not None
-        }  # fmt: skip
+            for material, _, row, columns, rows in blocks
+            if material is not None
+        }
 
 
 def _particle_counts(collisions: Sequence[Collision]) -> Counter[str]:
@@ -276,12 +308,14 @@ def _particle_counts(collisions: Sequence[Collision]) -> Counter[str]:
 
 
 def _all_pairs(collisions: Sequence[Collision], pairs: Settings, contact: Settings) -> dict[str, Any]:
-    """Given entries, and those of other materials, which a scene requires although their particles do not touch."""
+    """Given entries, and those of other materials, which a scene requires although their particles do not
+    touch."""
     elastic: dict[str, Any] = {"friction": 0.0, "restitution": 1.0}
     normal = contact["normal"]
     if models("normal")[normal if isinstance(normal, str) else normal["law"]].restitution == "nothing":
         del elastic["restitution"]
-    found, counts = {}, _particle_counts(collisions)
+    found = {}
+    counts = _particle_counts(collisions)
     used = dict.fromkeys(name for each in collisions for name in (each.first, each.second))
     for first, second in combinations_with_replacement(used, 2):
         key = f"{second}-{first}" if f"{second}-{first}" in pairs else f"{first}-{second}"
@@ -298,8 +332,8 @@ def _all_pairs(collisions: Sequence[Collision], pairs: Settings, contact: Settin
 class HeadOnCollision:
     """Head-on collision of two equal spheres.
 
-    `material`, `restitution` as in a scene; `diameter` [m]; `velocity` [m/s]: approach velocity, half of it for each
-    sphere.
+    `material`, `restitution` as in a scene; `diameter` [m]; `velocity` [m/s]: approach velocity, half of it
+    for each sphere.
     """
 
     material: Mapping[str, Any]
@@ -317,8 +351,8 @@ class HeadOnCollision:
 class Outcomes:
     """Results of n collisions (n,), and their time series (steps, n), in the order of the collisions.
 
-    A collision begins at first contact and ends when the force vanishes; both times are interpolated within a step.
-    Spheres that do not separate have restitution 0 and duration nan.
+    A collision begins at first contact and ends when the force vanishes; both times are interpolated within a
+    step. Spheres that do not separate have restitution 0 and duration nan.
     """
 
     restitution: np.ndarray
@@ -335,21 +369,28 @@ class Outcomes:
 
 
 def collide_all(
-    normal: Any, collisions: Sequence[HeadOnCollision], time_step: float, arch: str = "cpu", precision: str = "f64"
+    normal: Any,
+    collisions: Sequence[HeadOnCollision],
+    time_step: float,
+    arch: str = "cpu",
+    precision: str = "f64",
 ) -> Outcomes:
     """Simulate all collisions in one scene with the many-particle kernels.
 
-    `normal` is the entry `contact.normal` of the scene. First contacts are evenly distributed over the phases of a
-    step. There is no friction.
+    `normal` is the entry `contact.normal` of the scene. First contacts are evenly distributed over the phases
+    of a step. There is no friction.
 
-    Raises SceneError if the contact model or the time step [s] is not suitable, GranflowError if pairs never touch.
+    Raises SceneError if the contact model or the time step [s] is not suitable, GranflowError if pairs never
+    touch.
     """
     first_contact = time_step * (GOLDEN * np.arange(len(collisions)) % 1.0)
     bench = head_on_bench(normal, collisions, first_contact, time_step, arch=arch, precision=precision)
     overlap, rate, force = np.moveaxis(bench.run(), 1, 0)
     bench.free()
     if missing := int(np.sum(~np.any(force != 0.0, axis=0))):
-        raise GranflowError(f"{missing} of {len(collisions)} pairs have not touched within {len(force)} steps.")
+        raise GranflowError(
+            f"{missing} of {len(collisions)} pairs have not touched within {len(force)} steps."
+        )
     velocity = np.array([each.velocity for each in collisions])
     series = zip(overlap.T, rate.T, force.T, velocity, first_contact, strict=True)
     results = np.array([_measured(*each, time_step) for each in series]).T
@@ -371,8 +412,8 @@ def head_on_bench(
 ) -> CollisionBench:
     """Bench with all collisions; `first_contact` (n,): times of first contact [s].
 
-    `time_step` [s] or "auto". The plan assumes `velocity_max` [m/s], by default the largest velocity. Other arguments
-    as for CollisionBench.
+    `time_step` [s] or "auto". The plan assumes `velocity_max` [m/s], by default the largest velocity. Other
+    arguments as for CollisionBench.
     """
     names = {key: f"m{number}" for number, key in enumerate(dict.fromkeys(each.key for each in collisions))}
     by_name = {names[each.key]: each for each in collisions}
@@ -381,17 +422,27 @@ def head_on_bench(
         pairs={f"{name}-{name}": _pair(each.restitution) for name, each in by_name.items()},
         contact={"normal": normal},
         collisions=[
-            Collision(name := names[each.key], name, 0.5 * each.diameter, 0.5 * each.diameter, each.velocity,
-                      first_contact=float(time))
+            Collision(
+                name := names[each.key],
+                name,
+                0.5 * each.diameter,
+                0.5 * each.diameter,
+                each.velocity,
+                first_contact=float(time),
+            )
             for each, time in zip(collisions, first_contact, strict=True)
         ],
         run={
             "duration": min(duration_given(each.diameter, each.velocity) for each in collisions),
-            "time_step": time_step, "precision": precision,
+            "time_step": time_step,
+            "precision": precision,
             "velocity_max": velocity_max or max(each.velocity for each in collisions),
         },
-        numerics=numerics or {}, contact_x=contact_x, arch=arch, threads=threads,
-    )  # fmt: skip
+        numerics=numerics or {},
+        contact_x=contact_x,
+        arch=arch,
+        threads=threads,
+    )
 
 
 def _pair(restitution: Any) -> dict[str, Any]:
@@ -400,13 +451,19 @@ def _pair(restitution: Any) -> dict[str, Any]:
 
 
 def _measured(
-    overlap: np.ndarray, rate: np.ndarray, force: np.ndarray, velocity: float, first_contact: float, time_step: float
+    overlap: np.ndarray,
+    rate: np.ndarray,
+    force: np.ndarray,
+    velocity: float,
+    first_contact: float,
+    time_step: float,
 ) -> tuple[float, ...]:
     """Results of `Outcomes` for one pair, in their order, from its time series.
 
     `overlap` [m], `rate` [m/s], `force` [N] (steps,); `velocity` [m/s]; `first_contact`, `time_step` [s].
     """
-    peak, last = int(np.argmax(overlap)), int(np.flatnonzero(force)[-1])
+    peak = int(np.argmax(overlap))
+    last = int(np.flatnonzero(force)[-1])
     work = 0.5 * float((force[1 : peak + 1] + force[:peak]) @ np.diff(overlap[: peak + 1]))
     extremes = (float(force.max()), work)
     if last + 1 == len(force):
@@ -420,9 +477,9 @@ def _measured(
 def share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
     """Fraction s of a step from the last force to the time at which the force vanishes; may be negative.
 
-    Extrapolates the three forces before the last with F = a t + b t^1.5 at the times t = s + 1, s + 2, s + 3 before
-    the end: exact for a linear spring, a Hertz contact, and their sum. The last force may be a mean over a step that
-    extends beyond the end. A contact under tension ends at zero overlap.
+    Extrapolates the three forces before the last with F = a t + b t^1.5 at the times t = s + 1, s + 2, s + 3
+    before the end: exact for a linear spring, a Hertz contact, and their sum. The last force may be a mean
+    over a step that extends beyond the end. A contact under tension ends at zero overlap.
 
     `force` (FORCES_TO_END,) [N]: last forces; `overlap` (2,) [m]: at the last force and one step later.
     """
@@ -445,35 +502,46 @@ def share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
 # Path of one head-on collision by the reference implementation of its contact model.
 
 SHORT = 1e-6
-"""Time step of the reference integration relative to the duration; sub-step corrections are then negligible."""
+"""Time step of the reference integration relative to the duration; sub-step corrections are then
+negligible."""
 FORCE_SAMPLES = 2001
 """Points of each phase of the reference integration at which the force is evaluated."""
 Impact = tuple[PairMaterial, float, float, float]
-"""Arguments of contact models: pair of materials, effective radius [m] and mass [kg], approach velocity [m/s]."""
+"""Arguments of contact models: pair of materials, effective radius [m] and mass [kg], approach velocity
+[m/s]."""
 LOADING_STEPS = 4000
 """Trapezoids of the loading work."""
 
 
 def loading_path(plan: Plan, impact: Impact) -> dict[str, float]:
-    """Duration from the contact model; maximum overlap and force where the loading work equals the kinetic energy.
+    """Duration from the contact model; maximum overlap and force where the loading work equals the kinetic
+    energy.
 
         int_0^dmax F dd = M v^2 / 2
 
-    The integral is a sum of trapezoids, LOADING_STEPS of them in the loading time at the approach velocity; the last
-    one is interpolated.
+    The integral is a sum of trapezoids, LOADING_STEPS of them in the loading time at the approach velocity;
+    the last one is interpolated.
     """
     (pair, radius_eff, mass_eff, velocity), law = impact, plan.law
     loading, unloading = law.phase_durations(*impact)
-    constants, history = np.array(law.pair_constants(pair)), np.zeros(max(law.history_count, 1))
+    constants = np.array(law.pair_constants(pair))
+    history = np.zeros(max(law.history_count, 1))
     moment = loading / LOADING_STEPS
     step = velocity * moment
-    overlap, force, force_before, energy = 0.0, 0.0, 0.0, 0.5 * mass_eff * velocity**2
+    overlap = 0.0
+    force = 0.0
+    force_before = 0.0
+    energy = 0.5 * mass_eff * velocity**2
     while energy > 0.0:
-        force_before, overlap = force, overlap + step
-        force, history = law.reference_force(constants, radius_eff, mass_eff, moment, overlap, velocity, history)
+        force_before = force
+        overlap = overlap + step
+        force, history = law.reference_force(
+            constants, radius_eff, mass_eff, moment, overlap, velocity, history
+        )
         energy -= 0.5 * (force_before + force) * step
     # -energy is the excess work of the last step
-    overlap_max, force_max = overlap + energy / force, force + (force - force_before) * energy / force / step
+    overlap_max = overlap + energy / force
+    force_max = force + (force - force_before) * energy / force / step
     return {
         "duration_theory": loading + unloading,
         "overlap_max_theory": overlap_max,
@@ -508,7 +576,8 @@ def damped_path(plan: Plan, impact: Impact) -> dict[str, float]:
     from scipy.integrate import solve_ivp
 
     pair, radius_eff, mass_eff, velocity = impact
-    law, constants = plan.law, np.array(plan.law.pair_constants(pair))
+    law = plan.law
+    constants = np.array(plan.law.pair_constants(pair))
     longest = sum(law.phase_durations(*impact))
 
     def contact(overlap: float, rate: float, history: np.ndarray) -> tuple[float, np.ndarray]:
@@ -530,7 +599,10 @@ def damped_path(plan: Plan, impact: Impact) -> dict[str, float]:
 
     stopped.terminal = released.terminal = True  # type: ignore[attr-defined]
     released.direction = -1.0  # type: ignore[attr-defined]
-    state, time, force_max, overlap_max = np.array([0.0, velocity]), 0.0, 0.0, 0.0
+    state = np.array([0.0, velocity])
+    time = 0.0
+    force_max = 0.0
+    overlap_max = 0.0
     for event in (stopped, released):
         tolerance = {"rtol": 1e-11, "atol": 1e-14 * np.array([velocity * longest, velocity])}
         course = solve_ivp(
@@ -538,19 +610,26 @@ def damped_path(plan: Plan, impact: Impact) -> dict[str, float]:
         )
         path = course.sol(np.linspace(time, course.t[-1], FORCE_SAMPLES))
         force_max = max(force_max, *(force(*point) for point in path.T))
-        state, time, overlap_max = course.y[:, -1], float(course.t[-1]), max(overlap_max, float(course.y[0, -1]))
+        state = course.y[:, -1]
+        time = float(course.t[-1])
+        overlap_max = max(overlap_max, float(course.y[0, -1]))
         _, history = contact(float(state[0]), float(state[1]), history)
     return {"duration_theory": time, "overlap_max_theory": overlap_max, "force_max_theory": force_max}
 
 
-def history_along(plan: Plan, impact: Impact, overlap: np.ndarray, rate: np.ndarray, force: np.ndarray) -> np.ndarray:
+def history_along(
+    plan: Plan, impact: Impact, overlap: np.ndarray, rate: np.ndarray, force: np.ndarray
+) -> np.ndarray:
     """Contact history at the last force, by the reference implementation along the recorded path.
 
-    `overlap` [m], `rate` [m/s], `force` [N] (steps,). A model without viscosity reads the rate half a step back.
+    `overlap` [m], `rate` [m/s], `force` [N] (steps,). A model without viscosity reads the rate half a step
+    back.
     """
     pair, radius_eff, mass_eff, _ = impact
-    law, time_step = plan.law, plan.time_step
-    constants, history = np.array(law.pair_constants(pair)), np.zeros(max(law.history_count, 1))
+    law = plan.law
+    time_step = plan.time_step
+    constants = np.array(law.pair_constants(pair))
+    history = np.zeros(max(law.history_count, 1))
     rate_seen = rate if law.rate_dependent else rate + 0.5 * time_step * force / mass_eff
     for index in np.flatnonzero(force):
         point = (overlap[index], rate_seen[index])

@@ -2,8 +2,8 @@
 
     W = C rho sqrt(g) (D - k d)^(5/2)      (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15 (1961) 260)
 
-with the orifice D, the particle diameter d and the bulk density rho. The fitted quantity is ln W, so that small flows
-have the same weight as large ones.
+with the orifice D, the particle diameter d and the bulk density rho. The fitted quantity is ln W, so that
+small flows have the same weight as large ones.
 """
 
 from collections.abc import Sequence
@@ -44,8 +44,8 @@ class Discharge:
 class BeverlooFit:
     """C, k and the exponent, each with its standard error; the error of a given exponent is 0.
 
-    `residual` (n,): ln of measured over fitted flow. Errors are nan unless the number of flows exceeds that of
-    parameters.
+    `residual` (n,): ln of measured over fitted flow. Errors are nan unless the number of flows exceeds that
+    of parameters.
     """
 
     c: float
@@ -68,15 +68,18 @@ def fit_beverloo(
 
         W = C rho sqrt(g) d^(5/2) (D/d - k)^n
 
-    This is Beverloo's law for n = 5/2, with d = `particle_diameter` [m], rho = `bulk_density` [kg/m3], g = `gravity`
-    [m/s2].
+    This is Beverloo's law for n = 5/2, with d = `particle_diameter` [m], rho = `bulk_density` [kg/m3], g =
+    `gravity` [m/s2].
 
-    Raises GranflowError if the flows are not positive or if there are fewer different orifices than parameters.
+    Raises GranflowError if the flows are not positive or if there are fewer different orifices than
+    parameters.
     """
     orifices = len(np.unique(data.orifice))
     needed = 2 if exponent is not None else 3
     if orifices < needed:
-        raise GranflowError(f"Flows through {orifices} different orifices are too few: give {needed} or more.")
+        raise GranflowError(
+            f"Flows through {orifices} different orifices are too few: give {needed} or more."
+        )
     if not (np.all(data.mass_flow > 0.0) and np.all(data.orifice > 0.0)):
         raise GranflowError("A flow or an orifice is not above 0: leave out orifices that were blocked.")
     ratio = data.orifice / particle_diameter
@@ -85,11 +88,14 @@ def fit_beverloo(
     level, k, power = (*values, exponent)[:3]
     residual = height - level - power * np.log(ratio - k)
     errors = np.sqrt(np.diag(covariance)) if len(ratio) > needed else np.full(needed, np.nan)
-    c, free = float(np.exp(level)), float(errors[2]) if exponent is None else 0.0
+    c = float(np.exp(level))
+    free = float(errors[2]) if exponent is None else 0.0
     return BeverlooFit(c, float(k), float(power), c * float(errors[0]), float(errors[1]), free, residual)
 
 
-def _fit_logarithms(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> tuple[np.ndarray, np.ndarray]:
+def _fit_logarithms(
+    ratio: np.ndarray, height: np.ndarray, exponent: float | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Best ln C, k and, if it is free, exponent n (p,), and their covariance (p, p).
 
         height = ln C + n ln(D/d - k)
@@ -106,7 +112,8 @@ def _fit_logarithms(ratio: np.ndarray, height: np.ndarray, exponent: float | Non
     def slopes(at: np.ndarray, level: float, k: float, power: float = exponent or EXPONENT) -> np.ndarray:
         return np.stack([np.ones_like(at), -power / (at - k), np.log(at - k)][:count], axis=1)
 
-    count, largest = 2 if exponent is not None else 3, float(ratio.min())
+    count = 2 if exponent is not None else 3
+    largest = float(ratio.min())
     k = min(K_START, 0.5 * largest)
     start = (float(np.mean(height - EXPONENT * np.log(ratio - k))), k, EXPONENT)[:count]
     bounds = ((-np.inf, K_LOWEST, -np.inf)[:count], (np.inf, largest, np.inf)[:count])
@@ -119,8 +126,8 @@ def _fit_logarithms(ratio: np.ndarray, height: np.ndarray, exponent: float | Non
 def read_discharges(sources: Sequence[Path]) -> Discharge:
     """Read flows from runs (directories written by `granflow run`) and CSV files.
 
-    Of a run: twice the radius of its flow meter, and its steady mass flow rate. A CSV file has the columns `orifice`
-    and `mass_flow`, in SI or with units.
+    Of a run: twice the radius of its flow meter, and its steady mass flow rate. A CSV file has the columns
+    `orifice` and `mass_flow`, in SI or with units.
 
     Raises GranflowError for a run without exactly one flow meter with a radius, or for an invalid table.
     """
@@ -134,9 +141,12 @@ def _of_run(source: Path) -> list[tuple[float, float]]:
     run = read_run(source)
     if run.result is None:
         raise GranflowError(f"{source} has no result.json; give the directory of a finished run.")
-    meters, numbers = run.scene.output.flow_meters, run.result.flow_meters
+    meters = run.scene.output.flow_meters
+    numbers = run.result.flow_meters
     found = [
-        (2.0 * meter.radius, numbers[name]["mass_flow"]) for name, meter in meters.items() if meter.radius is not None
+        (2.0 * meter.radius, numbers[name]["mass_flow"])
+        for name, meter in meters.items()
+        if meter.radius is not None
     ]
     if len(found) != 1:
         raise GranflowError(
@@ -153,12 +163,14 @@ def _of_table(source: Path) -> list[tuple[float, float]]:
     missing = [name for name in COLUMNS if name not in names]
     if table is None or missing:
         raise GranflowError(f"{source} has no column {missing[0]}; the columns are orifice and mass_flow.")
-    units, found = dict(headings), []
+    units = dict(headings)
+    found = []
     for line, cells in table.rows:
         row = dict(zip(names, cells, strict=False))
         try:
             orifice, flow = (
-                to_si(with_unit(row.get(name, ""), units[name]), dimension) for name, dimension in COLUMNS.items()
+                to_si(with_unit(row.get(name, ""), units[name]), dimension)
+                for name, dimension in COLUMNS.items()
             )
             found.append((orifice, flow))
         except UnitError as error:
@@ -167,7 +179,8 @@ def _of_table(source: Path) -> list[tuple[float, float]]:
 
 
 def beverloo_rows(fits: Sequence[BeverlooFit]) -> list[tuple[str, ...]]:
-    """Table rows of several fits: name, then value and standard error for each fit; last the relative scatter."""
+    """Table rows of several fits: name, then value and standard error for each fit; last the relative
+    scatter."""
     rows = []
     for name in ("c", "k", "exponent"):
         cells = [_with_error(getattr(fit, name), getattr(fit, f"{name}_error")) for fit in fits]

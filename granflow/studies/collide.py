@@ -23,8 +23,8 @@ from granflow.studies.bench import (
 )
 
 FORCE_RESOLUTION = 1e-6
-"""Forces below this share of the largest one are rounding: a GPU contracts products and sums, so that in float32 the
-elastic force and a dashpot that cancels it do not add up to exactly 0."""
+"""Forces below this share of the largest one are rounding: a GPU contracts products and sums, so that in
+float32 the elastic force and a dashpot that cancels it do not add up to exactly 0."""
 
 
 def collide(
@@ -43,24 +43,27 @@ def collide(
 ) -> dict[str, float]:
     """Collide two spheres, or a sphere and a wall, head on. All values are in SI units.
 
-    `law`: contact model; `material`, `material2`: presets; `diameter`, `diameter2` [m]; `velocity` [m/s]: approach
-    velocity. `settings` are those of the contact model as "key=value", such as "yield_ratio=2.8"; the example of the
-    catalog supplies the others. `steps_per_contact`: expected duration over time step; automatic time step without it.
+    `law`: contact model; `material`, `material2`: presets; `diameter`, `diameter2` [m]; `velocity` [m/s]:
+    approach velocity. `settings` are those of the contact model as "key=value", such as "yield_ratio=2.8";
+    the example of the catalog supplies the others. `steps_per_contact`: expected duration over time step;
+    automatic time step without it.
 
-    Returns the simulated `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m] and `force_max` [N];
-    the expected values under the same names with `_theory`, and the requested restitution with `_asked`; `velocity`
-    [m/s], `spring_equation19` [N/m] (Zhou 2011, Eq. 19) and `time_step` [s].
+    Returns the simulated `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m] and
+    `force_max` [N]; the expected values under the same names with `_theory`, and the requested restitution
+    with `_asked`; `velocity` [m/s], `spring_equation19` [N/m] (Zhou 2011, Eq. 19) and `time_step` [s].
 
-    Raises GranflowError for an unknown preset or contact model, values that are not positive, a restitution that is
-    neither given nor known, an overlap of more than a radius, or an unstable time step.
+    Raises GranflowError for an unknown preset or contact model, values that are not positive, a restitution
+    that is neither given nor known, an overlap of more than a radius, or an unstable time step.
     """
-    sizes, materials = (diameter, diameter2 or diameter), (material, material2 or material)
+    sizes = (diameter, diameter2 or diameter)
+    materials = (material, material2 or material)
     _refuse_unknown(law, materials)
     _refuse_unphysical(sizes, velocity, steps_per_contact)
     _refuse_restitution(law, materials, restitution)
     pair = {"friction": 0} | _restitution_given(law, materials, restitution)
     normal = {"law": law, **models("normal")[law].example} | _settings(settings)
-    radius, other = 0.5 * diameter, None if wall else 0.5 * sizes[1]
+    radius = 0.5 * diameter
+    other = None if wall else 0.5 * sizes[1]
 
     def bench(**run: Any) -> CollisionBench:
         return CollisionBench(
@@ -120,7 +123,9 @@ def _settings(given: Sequence[str]) -> dict[str, Any]:
             block[last] = YAML(typ="safe", pure=True).load(text)
         except (YAMLError, ValueError, AttributeError, TypeError):
             form = "key=value, such as yield_ratio=2.8"
-            raise GranflowError(f"--set {setting}: a setting of the contact model has the form {form}.") from None
+            raise GranflowError(
+                f"--set {setting}: a setting of the contact model has the form {form}."
+            ) from None
     return found
 
 
@@ -136,13 +141,18 @@ def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
 
 def _refuse_unphysical(sizes: tuple[float, float], velocity: float, steps_per_contact: float | None) -> None:
     """Raise GranflowError for a diameter [m], velocity [m/s] or number of steps that is not above 0."""
-    for name, value in (("diameter", min(sizes)), ("velocity", velocity), ("steps_per_contact", steps_per_contact)):
+    for name, value in (
+        ("diameter", min(sizes)),
+        ("velocity", velocity),
+        ("steps_per_contact", steps_per_contact),
+    ):
         if value is not None and not value > 0.0:
             raise GranflowError(f"{name} is {value:g}, but must be above 0.")
 
 
 def _refuse_deep(sizes: tuple[float, float], velocity: float, overlap_max: float) -> None:
-    """Raise GranflowError if the maximum overlap [m] exceeds a radius: the spheres would pass through each other."""
+    """Raise GranflowError if the maximum overlap [m] exceeds a radius: the spheres would pass through each
+    other."""
     radius = 0.5 * min(sizes)
     if not overlap_max < radius:
         reached = f"the overlap would reach {overlap_max:.3g} m, more than the radius of {radius:.3g} m"
@@ -167,9 +177,13 @@ def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float
                 f"The contact model {law} requires a yield strength, which {' and '.join(set(materials))} lacks."
             )
     if kind.restitution == "positive number" and restitution is None:
-        raise GranflowError(f"The contact model {law} requires a restitution coefficient; give it with --restitution.")
+        raise GranflowError(
+            f"The contact model {law} requires a restitution coefficient; give it with --restitution."
+        )
     if kind.restitution == "positive number" and restitution == 0.0:
-        raise GranflowError(f"The contact model {law} requires a restitution above 0, such as --restitution 0.1.")
+        raise GranflowError(
+            f"The contact model {law} requires a restitution above 0, such as --restitution 0.1."
+        )
 
 
 def _restitution_given(law: str, materials: tuple[str, str], restitution: float | None) -> dict[str, Any]:
@@ -204,16 +218,21 @@ def _integrate_collision(bench: CollisionBench, impact: Impact) -> dict[str, flo
     Raises GranflowError if the contact does not end.
     """
     overlap, rate, force = bench.run()[:, :, 0].T
-    force, plan, time_step = np.abs(force), bench.plan, bench.plan.time_step
+    force = np.abs(force)
+    plan = bench.plan
+    time_step = bench.plan.time_step
     last = int(np.flatnonzero(force > FORCE_RESOLUTION * force.max())[-1])
     if last + 1 == len(force):
         raise GranflowError(
-            "The collision did not end: the attraction prevents separation." if plan.law.attracts
+            "The collision did not end: the attraction prevents separation."
+            if plan.law.attracts
             else "The collision did not end; increase --steps-per-contact."
-        )  # fmt: skip
-    residual = end_overlap(plan, impact, time_step, overlap[last], history_along(plan, impact, overlap, rate, force))
-    # A viscous force vanishes while the spheres still overlap: the line through the last two forces. Otherwise the
-    # surfaces separate at a constant rate.
+        )
+    residual = end_overlap(
+        plan, impact, time_step, overlap[last], history_along(plan, impact, overlap, rate, force)
+    )
+    # A viscous force vanishes while the spheres still overlap: the line through the last two forces.
+    # Otherwise the surfaces separate at a constant rate.
     remaining = (overlap[last] - residual) / -rate[last]
     if plan.features.rate_dependent and force[last - 1] > force[last]:
         remaining = min(time_step * force[last] / (force[last - 1] - force[last]), time_step)

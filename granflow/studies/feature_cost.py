@@ -11,7 +11,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from granflow import GranflowError, ParticleData, Plan, Scene, SceneError, Simulation, estimate_memory, plan_for
+from granflow import (
+    GranflowError,
+    ParticleData,
+    Plan,
+    Scene,
+    SceneError,
+    Simulation,
+    estimate_memory,
+    plan_for,
+)
 from granflow.io.files import write_text
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.materials import MaterialPair
@@ -37,7 +46,8 @@ class FeatureVariant:
     forced_features: dict[str, Any] = field(default_factory=dict)
 
     def plan(self, base: Plan, on_gpu: bool) -> Plan:
-        """Plan of this variant with the time step and the skin of the baseline, so that the same work is timed."""
+        """Plan of this variant with the time step and the skin of the baseline, so that the same work is
+        timed."""
         free = self.scene.run.model_copy(update={"time_step": "auto"})
         domain = self.scene.domain.model_copy(update={"on_exit": "delete"})
         plan = plan_for(self.scene.model_copy(update={"run": free, "domain": domain}), on_gpu)
@@ -58,7 +68,11 @@ def variants_of(scene: Scene, plan: Plan) -> list[FeatureVariant]:
             else []
         ),
         *_without_history(scene, plan),
-        *([FeatureVariant("without cohesion", _without_cohesion(scene))] if features.cohesion != "none" else []),
+        *(
+            [FeatureVariant("without cohesion", _without_cohesion(scene))]
+            if features.cohesion != "none"
+            else []
+        ),
         *_other_walls(scene, plan),
         *_other_materials(scene, plan),
         FeatureVariant(
@@ -88,7 +102,9 @@ def _without_history(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
     elif plan.features.rate_dependent:
         yield FeatureVariant("without damping", elastic)
     if plan.history:
-        yield FeatureVariant("without any history", _without_rotation(elastic), {"rotation": plan.features.rotation})
+        yield FeatureVariant(
+            "without any history", _without_rotation(elastic), {"rotation": plan.features.rotation}
+        )
 
 
 def _other_walls(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
@@ -113,7 +129,8 @@ def _other_materials(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
 
 
 def _minimal(scene: Scene) -> Scene:
-    """Minimal scene: elastic particles of one material, without walls, rotation, cohesion and energy budget."""
+    """Minimal scene: elastic particles of one material, without walls, rotation, cohesion and energy
+    budget."""
     minimal = _with_energy_budget(_without_cohesion(_without_rotation(_elastic(scene))), False)
     return (_of_one_material(minimal) or minimal).model_copy(update={"walls": {}})
 
@@ -137,7 +154,9 @@ def _with_rolling(scene: Scene, rolling: Literal["none", "epsd"]) -> Scene:
 
 def _rolling_pair(pair: MaterialPair) -> MaterialPair:
     """The pair with its rolling friction, or ROLLING_FRICTION if it has none."""
-    return pair.model_copy(update={"rolling_friction": pair.model_dump()["rolling_friction"] or ROLLING_FRICTION})
+    return pair.model_copy(
+        update={"rolling_friction": pair.model_dump()["rolling_friction"] or ROLLING_FRICTION}
+    )
 
 
 def _elastic(scene: Scene) -> Scene:
@@ -166,7 +185,9 @@ def _of_one_material(scene: Scene) -> Scene | None:
     walls = {wall.material for wall in scene.walls.values()}
     if not all(scene.pair_key(material, other) in scene.pairs for other in {material, *walls}):
         return None
-    groups = {name: group.model_copy(update={"material": material}) for name, group in scene.particles.items()}
+    groups = {
+        name: group.model_copy(update={"material": material}) for name, group in scene.particles.items()
+    }
     return scene.model_copy(update={"particles": groups})
 
 
@@ -232,9 +253,9 @@ def feature_costs(
 ) -> list[FeatureCost]:
     """Run a scene to the time `until` [s], then time the baseline, first in the list, and every variant.
 
-    `until` is by default SHARE_BEFORE of the longest run time. `threads`: CPU threads, None for all available.
-    `rounds`: timings of each variant, alternating between the variants after one round of warm-up. `only`: names of the
-    requested variants. `report` receives progress messages.
+    `until` is by default SHARE_BEFORE of the longest run time. `threads`: CPU threads, None for all
+    available. `rounds`: timings of each variant, alternating between the variants after one round of warm-up.
+    `only`: names of the requested variants. `report` receives progress messages.
 
     Raises GranflowError without particles at that time, RunError if a variant aborts, SceneError with clumps.
     """
@@ -250,7 +271,9 @@ def feature_costs(
     baseline.run(until=end)
     start = start_of(baseline)
     if not len(start.particles):
-        raise GranflowError(f"At {end:.4g} s the scene contains no particles to time: give another time with --until.")
+        raise GranflowError(
+            f"At {end:.4g} s the scene contains no particles to time: give another time with --until."
+        )
     wanted = [each for each in variants_of(scene, baseline.plan) if only is None or each.name in only]
     baseline.free()
     simulations = []
@@ -272,8 +295,11 @@ def feature_costs(
 
 def start_of(simulation: Simulation) -> StartState:
     """Present particles and walls of a simulation."""
-    engine, snapshot = simulation.engine, simulation.snapshot()
-    names = [name for name in ParticleData.__dataclass_fields__ if name != "orientation"]  # only clumps are turned
+    engine = simulation.engine
+    snapshot = simulation.snapshot()
+    names = [
+        name for name in ParticleData.__dataclass_fields__ if name != "orientation"
+    ]  # only clumps are turned
     data = ParticleData(*(snapshot.particles[name] for name in names))
     present = tuple(pose.present for pose in snapshot.walls.values())
     return StartState(data, present, engine.state.wall_motions, engine.state.clock.state_dict())
@@ -308,7 +334,8 @@ def _feature_cost(
     variant: FeatureVariant, simulation: Simulation, times_of_variant: np.ndarray, base: np.ndarray
 ) -> FeatureCost:
     """Cost of one variant from its times and those of the baseline (rounds,) [ns]."""
-    totals, plan = simulation.snapshot().totals, simulation.plan
+    totals = simulation.snapshot().totals
+    plan = simulation.plan
     return FeatureCost(
         name=variant.name,
         plan=plan,
@@ -327,7 +354,8 @@ def _nanoseconds(simulation: Simulation, variant: FeatureVariant, start: StartSt
     """
     restore(simulation, variant, start)
     simulation.step(STEPS_BEFORE)
-    rebuild_seconds, began = simulation.engine.timing.neighbor_list, perf_counter()
+    rebuild_seconds = simulation.engine.timing.neighbor_list
+    began = perf_counter()
     simulation.step(STEPS)
     seconds = perf_counter() - began - (simulation.engine.timing.neighbor_list - rebuild_seconds)
     return 1e9 * seconds / (STEPS * max(simulation.snapshot().totals["particle_count"], 1.0))
@@ -340,14 +368,21 @@ HEADS = ("", "step ns", "time", "bytes", "compile s", "contacts")
 
 
 def cost_rows(found: Sequence[FeatureCost]) -> list[tuple[str, ...]]:
-    """One row per variant. Step, bytes and contacts are per particle; time is the ratio with its quartiles."""
+    """One row per variant. Step, bytes and contacts are per particle; time is the ratio with its
+    quartiles."""
     rows: list[tuple[str, ...]] = []
     for each in found:
         low, median, high = each.ratio
-        rows.append((
-            each.name, f"{each.nanoseconds:.1f}", f"{median:.2f} ({low:.2f}-{high:.2f})",
-            f"{each.bytes_per_particle:.0f}", f"{each.compile_seconds:.1f}", f"{each.contacts_per_particle:.2f}",
-        ))  # fmt: skip
+        rows.append(
+            (
+                each.name,
+                f"{each.nanoseconds:.1f}",
+                f"{median:.2f} ({low:.2f}-{high:.2f})",
+                f"{each.bytes_per_particle:.0f}",
+                f"{each.compile_seconds:.1f}",
+                f"{each.contacts_per_particle:.2f}",
+            )
+        )
     return rows
 
 
@@ -367,7 +402,8 @@ def remarks(found: Sequence[FeatureCost]) -> list[str]:
 
 
 def write_feature_costs(out: Path, found: Sequence[FeatureCost], title: str) -> None:
-    """Write feature_cost.csv and feature_cost.md into `out`, which is created if necessary; `title`: of the scene."""
+    """Write feature_cost.csv and feature_cost.md into `out`, which is created if necessary; `title`: of the
+    scene."""
     out.mkdir(parents=True, exist_ok=True)
     write_columns(out / "feature_cost.csv", _columns(found))
     lines = [f"## {title}", "", _line(HEADS), _line(["---", *["---:"] * (len(HEADS) - 1)])]
@@ -386,5 +422,7 @@ def _columns(found: Sequence[FeatureCost]) -> dict[str, np.ndarray]:
     return {
         "variant": np.array([each.name for each in found]),
         **dict(zip(("ratio_low", "ratio_median", "ratio_high"), ratios.T, strict=True)),
-        **attribute_columns(found, ("nanoseconds", "bytes_per_particle", "compile_seconds", "contacts_per_particle")),
+        **attribute_columns(
+            found, ("nanoseconds", "bytes_per_particle", "compile_seconds", "contacts_per_particle")
+        ),
     }

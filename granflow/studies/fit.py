@@ -39,7 +39,8 @@ SEPARATORS = (";", "\t", ",")
 
 @dataclass(frozen=True)
 class Measurements:
-    """Rows of a file: approach velocity (n,) [m/s], restitution (n,), and uncertainty of the restitution (n,).
+    """Rows of a file: approach velocity (n,) [m/s], restitution (n,), and uncertainty of the restitution
+    (n,).
 
     `uncertainty` is the standard deviation; if `absolute` is False, only its ratios are meaningful.
     """
@@ -56,14 +57,17 @@ class Measurements:
 def read_measurements(path: Path) -> Measurements:
     """Read a table with the columns `velocity` and `restitution`, and optionally `deviation` or `weight`.
 
-    Columns are separated by commas, semicolons or tabs; empty lines and lines that begin with # are ignored; a value
-    or the name of a column may have a unit. Velocities are converted to m/s.
+    Columns are separated by commas, semicolons or tabs; empty lines and lines that begin with # are ignored;
+    a value or the name of a column may have a unit. Velocities are converted to m/s.
 
-    Raises FileError with all invalid rows as `file:line: sentence`, and GranflowError if the file is not UTF-8 text.
+    Raises FileError with all invalid rows as `file:line: sentence`, and GranflowError if the file is not
+    UTF-8 text.
     """
     table_read = table_in(_text(path), path, SEPARATORS)
     if table_read is None:
-        raise FileError(f"{path}: the file has no rows; the first row must name the columns: velocity,restitution.")
+        raise FileError(
+            f"{path}: the file has no rows; the first row must name the columns: velocity,restitution."
+        )
     width = len(table_read.names)
     columns = _columns(path, table_read.heading_line, table_read.names)
     units = _units(path, table_read.heading_line, table_read.names, columns)
@@ -120,8 +124,12 @@ def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:
 
 
 def _units(path: Path, line: int, cells: Sequence[str], columns: Mapping[str, int]) -> dict[str, str]:
-    """Unit of each column from its heading, empty without one. Raises FileError for a unit of another dimension."""
-    units = {name: cells[place].replace("(", "[").partition("[")[2].rstrip(")] ") for name, place in columns.items()}
+    """Unit of each column from its heading, empty without one. Raises FileError for a unit of another
+    dimension."""
+    units = {
+        name: cells[place].replace("(", "[").partition("[")[2].rstrip(")] ")
+        for name, place in columns.items()
+    }
     for name, unit in units.items():
         try:
             to_si(with_unit("1", unit if unit not in ("-", "1") else ""), DIMENSION[name])
@@ -134,7 +142,9 @@ def _extra_cells(cells: Sequence[str], width: int) -> list[str]:
     """Message for a row that is longer than the header."""
     if not any(cells[width:]):
         return []
-    return [f"the row has {len(cells)} values, but the header has {width} columns; use a point as decimal separator"]
+    return [
+        f"the row has {len(cells)} values, but the header has {width} columns; use a point as decimal separator"
+    ]
 
 
 def _read_row(
@@ -188,7 +198,8 @@ class Fit:
     correlation: float
     """Correlation coefficient of measured and fitted restitution; nan if all measured values are equal."""
     r_squared: float
-    """Coefficient of determination: fraction of the variance of the measured restitution that the curve explains."""
+    """Coefficient of determination: fraction of the variance of the measured restitution that the curve
+    explains."""
     residual: np.ndarray
     """Measured minus fitted restitution (n,)."""
 
@@ -201,11 +212,12 @@ class Fit:
 def fit(data: Measurements, limit: float | None = None) -> Fit:
     """Fit Eq. 12; if no limit velocity [m/s] is given, fit it as well.
 
-    The weighted sum of squares of the restitution errors is minimized, from several initial limit velocities if that is
-    free. Standard errors follow from the residuals, or from the standard deviations in the file if it has them.
+    The weighted sum of squares of the restitution errors is minimized, from several initial limit velocities
+    if that is free. Standard errors follow from the residuals, or from the standard deviations in the file if
+    it has them.
 
-    Raises GranflowError if the data do not determine the parameters, or if a measured restitution above 0 contradicts
-    the limit velocity.
+    Raises GranflowError if the data do not determine the parameters, or if a measured restitution above 0
+    contradicts the limit velocity.
     """
     _check_determined(data, limit)
     starts = _starts(data, limit)
@@ -231,7 +243,9 @@ def _check_determined(data: Measurements, limit: float | None) -> None:
     fitted = "sigma and psi" if limit else "sigma, psi and the limit velocity"
     count = 2 if limit else 3
     if len(data) <= count:
-        raise GranflowError(f"Fitting {fitted} with errors needs at least {count + 1} rows, but there are {len(data)}.")
+        raise GranflowError(
+            f"Fitting {fitted} with errors needs at least {count + 1} rows, but there are {len(data)}."
+        )
     if limit and np.any((data.velocity >= limit) & (data.restitution > 0.0)):
         fastest = data.velocity[data.restitution > 0.0].max()
         raise GranflowError(
@@ -265,8 +279,8 @@ def _starts(data: Measurements, limit: float | None) -> list[np.ndarray]:
 def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
     """Parameters (3,) and sum of squares, by least squares in the logarithms of the parameters.
 
-    The logarithms keep sigma and psi above 0. The limit velocity is represented by its difference from the largest
-    velocity with a rebound.
+    The logarithms keep sigma and psi above 0. The limit velocity is represented by its difference from the
+    largest velocity with a rebound.
     """
     from scipy.optimize import least_squares
 
@@ -290,7 +304,8 @@ def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tup
 
 
 def _linearized(data: Measurements, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Measured minus fitted restitution (n,) and the derivatives (n, 3) of the fit, both divided by the uncertainty.
+    """Measured minus fitted restitution (n,) and the derivatives (n, 3) of the fit, both divided by the
+    uncertainty.
 
     With u = v/(vlim - v) and e = exp(-sigma u^psi):  de/dsigma = -u^psi e,  de/dpsi = -sigma u^psi ln(u) e,
     de/dvlim = sigma psi u^psi e / (vlim - v); all 0 from the limit velocity on.
@@ -300,15 +315,17 @@ def _linearized(data: Measurements, parameters: np.ndarray) -> tuple[np.ndarray,
     below = np.where(data.velocity < limit, data.velocity, 0.5 * limit)
     ratio = below / (limit - below)
     power_e = ratio**psi * e
-    slopes = np.stack([-power_e, -sigma * power_e * np.log(ratio), sigma * psi * power_e / (limit - below)], axis=1)
+    slopes = np.stack(
+        [-power_e, -sigma * power_e * np.log(ratio), sigma * psi * power_e / (limit - below)], axis=1
+    )
     return (data.restitution - e) / data.uncertainty, slopes / data.uncertainty[:, None]
 
 
 def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | None) -> np.ndarray:
     """Standard errors (3,): square roots of the diagonal of (J^T J)^-1, from the singular values of J.
 
-    Multiplied by the residual scatter unless standard deviations are given. Raises GranflowError if the error of the
-    limit velocity exceeds its value.
+    Multiplied by the residual scatter unless standard deviations are given. Raises GranflowError if the error
+    of the limit velocity exceeds its value.
     """
     free = 2 if limit else 3
     residual, slopes = _linearized(data, parameters)
@@ -328,7 +345,8 @@ def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | 
 
 
 def _correlation(measured: np.ndarray, predicted: np.ndarray, weights: np.ndarray) -> float:
-    """Weighted correlation coefficient of measured and predicted restitution (n,); nan if either is constant."""
+    """Weighted correlation coefficient of measured and predicted restitution (n,); nan if either is
+    constant."""
     a = measured - np.average(measured, weights=weights)
     b = predicted - np.average(predicted, weights=weights)
     size = float(np.sqrt((weights @ a**2) * (weights @ b**2)))
@@ -349,15 +367,20 @@ def _draw(figure: Any, data: Measurements, result: Fit) -> None:
     velocity = np.geomspace(low, high, 300)
     axes.semilogx(velocity, result.curve(velocity), color=COLORS[0], label=_legend(result))
     bars = data.uncertainty if data.absolute else None
-    axes.errorbar(data.velocity, data.restitution, bars, marker="o", color="black", label="measured", **POINTS)
+    axes.errorbar(
+        data.velocity, data.restitution, bars, marker="o", color="black", label="measured", **POINTS
+    )
     axes.set(xlabel="approach velocity $v$ [m/s]", ylabel="restitution coefficient $e$", ylim=(0.0, 1.05))
     axes.set_xlim(low, high)
     axes.legend(loc="lower left")
 
 
 def _legend(result: Fit) -> str:
-    curve, errors = result.curve, result.errors
-    values = rf"$\sigma$ = {curve.sigma:.4g} ± {errors.sigma:.2g}, $\psi$ = {curve.psi:.4g} ± {errors.psi:.2g}"
+    curve = result.curve
+    errors = result.errors
+    values = (
+        rf"$\sigma$ = {curve.sigma:.4g} ± {errors.sigma:.2g}, $\psi$ = {curve.psi:.4g} ± {errors.psi:.2g}"
+    )
     return f"Eq. 12: {values},\n$v_{{lim}}$ = {curve.limit_velocity:.4g} m/s, $r$ = {result.correlation:.5f}"
 
 
@@ -384,7 +407,9 @@ def limit_from_materials(first: str, second: str | None = None) -> float:
         if name not in PRESETS:
             raise GranflowError(f"there is no preset {name}: {suggestion_or_list(name, PRESETS, 'presets')}")
         preset = PRESETS[name]
-        solids.append(Solid(preset.young_modulus, preset.poisson_ratio, preset.density, preset.yield_strength))
+        solids.append(
+            Solid(preset.young_modulus, preset.poisson_ratio, preset.density, preset.yield_strength)
+        )
     try:
         return limit_velocity(*solids)
     except ValueError:

@@ -73,7 +73,9 @@ def require_plotting() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise GranflowError("Figures require matplotlib, which is not installed: pip install matplotlib") from None
+        raise GranflowError(
+            "Figures require matplotlib, which is not installed: pip install matplotlib"
+        ) from None
 
 
 def write_figures(out: Path, figures: Mapping[str, Drawing]) -> str:
@@ -87,11 +89,12 @@ def write_figures(out: Path, figures: Mapping[str, Drawing]) -> str:
 
 
 def draw_to(path: Path, draw: Callable[[Any], None], height: float, width: float = WIDTH) -> None:
-    """Write an image: call `draw` with an empty matplotlib figure of `width` by `height` [inch] in the common style.
+    """Write an image: call `draw` with an empty matplotlib figure of `width` by `height` [inch] in the common
+    style.
 
-    The suffix of `path` is the type, such as .png; the resolution is RESOLUTION [dots per inch]. The file is written
-    atomically: a link at `path` is replaced, and the file to which it leads stays unchanged. Raises GranflowError if
-    matplotlib is not installed.
+    The suffix of `path` is the type, such as .png; the resolution is RESOLUTION [dots per inch]. The file is
+    written atomically: a link at `path` is replaced, and the file to which it leads stays unchanged. Raises
+    GranflowError if matplotlib is not installed.
     """
     with styled_figure((width, height), layout="constrained") as figure:
         draw(figure)
@@ -105,8 +108,11 @@ def stacked_panels(figure: Any, count: int, **shared: Any) -> Any:
 
 
 @contextmanager
-def styled_figure(size: tuple[float, float], settings: Mapping[str, Any] | None = None, **more: Any) -> Iterator[Any]:
-    """An empty matplotlib figure of `size` [inch]; in the block, matplotlib has the common style and `settings`.
+def styled_figure(
+    size: tuple[float, float], settings: Mapping[str, Any] | None = None, **more: Any
+) -> Iterator[Any]:
+    """An empty matplotlib figure of `size` [inch]; in the block, matplotlib has the common style and
+    `settings`.
 
     `more`: keyword arguments of the figure. Raises GranflowError if matplotlib is not installed.
     """
@@ -145,7 +151,9 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
     `columns`: name -> array (rows,). Raises ValueError for columns of different length.
     """
-    write_table(path, columns, zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))
+    write_table(
+        path, columns, zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
+    )
 
 
 def attribute_columns(items: Iterable[Any], names: Iterable[str]) -> dict[str, np.ndarray]:
@@ -157,7 +165,9 @@ def attribute_columns(items: Iterable[Any], names: Iterable[str]) -> dict[str, n
 def stacked(names: Sequence[str], parts: Iterable[Sequence[Any]]) -> dict[str, np.ndarray]:
     """Columns from parts that follow each other; a part has an array (rows,) or a constant for each name."""
     blocks = [np.broadcast_arrays(*part) for part in parts]
-    return {name: np.concatenate([block[k] for block in blocks] or [np.empty(0)]) for k, name in enumerate(names)}
+    return {
+        name: np.concatenate([block[k] for block in blocks] or [np.empty(0)]) for k, name in enumerate(names)
+    }
 
 
 def without_empty_ends(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> PageTable:
@@ -171,17 +181,22 @@ MEDIA_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
 LONG_CELL = 60
 """Number of characters of a cell that needs the full width of a telephone."""
 SCREEN_WIDTH = 9.8
-"""Width on a large screen [rem] of an inch of a figure: letters of 9 points are as large as those of the text."""
+"""Width on a large screen [rem] of an inch of a figure: letters of 9 points are as large as those of the
+text."""
 
 
 def write_study(
-    path: Path, template: str, tables: Mapping[str, Mapping[str, np.ndarray]], figures: Mapping[str, Drawing],
+    path: Path,
+    template: str,
+    tables: Mapping[str, Mapping[str, np.ndarray]],
+    figures: Mapping[str, Drawing],
     **content: Any,
-) -> str:  # fmt: skip
-    """Write CSV tables, figures and the page of a study to the directory of `path`, which is created if necessary.
+) -> str:
+    """Write CSV tables, figures and the page of a study to the directory of `path`, which is created if
+    necessary.
 
-    `tables`: columns by file name; `figures`: drawings by file name; `content`: variables of the template. Without
-    matplotlib, the page has no figures; returns the reason in this case, otherwise "".
+    `tables`: columns by file name; `figures`: drawings by file name; `content`: variables of the template.
+    Without matplotlib, the page has no figures; returns the reason in this case, otherwise "".
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     for name, columns in tables.items():
@@ -209,15 +224,25 @@ def page_text(template: str, **content: Any) -> str:
 def environment() -> Environment:
     """Templates of this package and their filters; a variable that is not defined is an error."""
     found = Environment(
-        loader=PackageLoader("granflow.studies"), autoescape=select_autoescape(["html"]), undefined=StrictUndefined,
-        finalize=_visible, extensions=["jinja2.ext.do"], trim_blocks=True, lstrip_blocks=True,
+        loader=PackageLoader("granflow.studies"),
+        autoescape=select_autoescape(["html"]),
+        undefined=StrictUndefined,
+        finalize=_visible,
+        extensions=["jinja2.ext.do"],
+        trim_blocks=True,
+        lstrip_blocks=True,
         keep_trailing_newline=True,
-    )  # fmt: skip
+    )
     found.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     found.filters |= {
-        "data_uri": _data_uri, "g": _general, "percent": percent, "readable": readable, "repr": repr,
-        "text_columns": _text_columns, "is_wide": _is_wide,
-    }  # fmt: skip
+        "data_uri": _data_uri,
+        "g": _general,
+        "percent": percent,
+        "readable": readable,
+        "repr": repr,
+        "text_columns": _text_columns,
+        "is_wide": _is_wide,
+    }
     return found
 
 
@@ -242,7 +267,8 @@ def _text_columns(table: PageTable) -> list[bool]:
 
 
 def _is_wide(table: PageTable) -> bool:
-    """Whether a table with headings is too wide for a telephone: many columns, or a long text with other columns."""
+    """Whether a table with headings is too wide for a telephone: many columns, or a long text with other
+    columns."""
     longest = max((len(cell) for row in table.rows for cell in row), default=0)
     return any(table.heads) and (len(table.heads) > 4 or (len(table.heads) > 2 and longest > LONG_CELL))
 

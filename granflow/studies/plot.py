@@ -26,16 +26,30 @@ from granflow.io.tables import (
 )
 from granflow.scene.model import suggestion_sentence
 from granflow.studies.page import COLORS, FULL_WIDTH, draw_to, stacked_panels, write_page
-from granflow.studies.report.plots import DASHES, Plot, common_title, curve_layout, escaped, library, plain, thinned
+from granflow.studies.report.plots import (
+    DASHES,
+    Plot,
+    common_title,
+    curve_layout,
+    escaped,
+    library,
+    plain,
+    thinned,
+)
 from granflow.units import UnitError, column_factor, si_unit_of, split_heading, to_si
 from granflow.visible_text import distinct_endings, numbered, visible
 
 # Columns of a time series, and arithmetic expressions of them, such as `wall_displacement.lid / 0.1`.
 
 OPERATORS: Mapping[type[ast.AST], Callable[..., Any]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
-    ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos,
-}  # fmt: skip
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
 """Operators of an expression."""
 FUNCTIONS: Mapping[str, Callable[[Any], Any]] = {"abs": np.abs, "sqrt": np.sqrt, "log": np.log, "exp": np.exp}
 """Functions of an expression."""
@@ -44,10 +58,11 @@ WORD = re.compile(r"(?<![\w.])[A-Za-z_][\w.]*")
 
 
 def quantity_of(series: TimeSeriesTable, text: str, source: str) -> SeriesColumn:
-    """The column `text` of a series or, if there is none, the value of the expression `text`, which has no unit.
+    """The column `text` of a series or, if there is none, the value of the expression `text`, which has no
+    unit.
 
-    `source`: file for messages. Angles are converted to degrees. Raises GranflowError for an unknown name or an
-    expression that is not arithmetic.
+    `source`: file for messages. Angles are converted to degrees. Raises GranflowError for an unknown name or
+    an expression that is not arithmetic.
     """
     columns = {TIME: SeriesColumn(TIME, "s", series.time)} | {each.name: each for each in series.columns}
     if text in columns:
@@ -61,12 +76,17 @@ def quantity_of(series: TimeSeriesTable, text: str, source: str) -> SeriesColumn
 
 def _value(columns: Mapping[str, SeriesColumn], text: str, source: str) -> np.ndarray:
     """Value (n,) of an expression of columns in the units of the file."""
-    # Column names contain dots and other characters that Python does not permit in a name: the longest come first.
+    # Column names contain dots and other characters that Python does not permit in a name: the longest come
+    # first.
     known = sorted(columns, key=len, reverse=True)
     pattern = re.compile("|".join(rf"(?<![\w.]){re.escape(name)}(?![\w.])" for name in known))
-    for word in WORD.findall(pattern.sub(" ", text)):  # before the columns are replaced: `_0` is no name of the user
+    for word in WORD.findall(
+        pattern.sub(" ", text)
+    ):  # before the columns are replaced: `_0` is no name of the user
         if word not in FUNCTIONS:
-            raise GranflowError(f"{source} has no column {word}. {suggestion_sentence(word, columns, 'columns')}")
+            raise GranflowError(
+                f"{source} has no column {word}. {suggestion_sentence(word, columns, 'columns')}"
+            )
     coded = pattern.sub(lambda found: f"_{known.index(found[0])}", text)
     try:
         if not coded.isascii():  # Python reads full-width letters as plain ones
@@ -83,10 +103,13 @@ def _value(columns: Mapping[str, SeriesColumn], text: str, source: str) -> np.nd
 
 
 def _evaluated(node: ast.expr, values: list[np.ndarray]) -> Any:
-    """Value of a syntax tree; names are `_K` for the K-th of `values`. Raises ValueError for what is not arithmetic."""
+    """Value of a syntax tree; names are `_K` for the K-th of `values`. Raises ValueError for what is not
+    arithmetic."""
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-            return np.float64(number)  # unlike float: x / 0 is infinite, and the root of a negative number is nan
+            return np.float64(
+                number
+            )  # unlike float: x / 0 is infinite, and the root of a negative number is nan
         case ast.Name(id=name) if name not in FUNCTIONS:
             return values[int(name[1:])]
         case ast.UnaryOp(op=sign, operand=operand) if type(sign) in OPERATORS:
@@ -101,23 +124,28 @@ def _evaluated(node: ast.expr, values: list[np.ndarray]) -> Any:
 # Sources of `granflow plot`: time series, and the counts of collisions over time or over their energy.
 
 ENERGIES = ("energy", "energy_min", "energy_max")
-"""Columns [J] of the classes of collisions; one of them on the horizontal axis selects the distribution at the end."""
+"""Columns [J] of the classes of collisions; one of them on the horizontal axis selects the distribution at
+the end."""
 _BEGUN = re.compile(r"[-+]|[-+]?([0-9]*\.?[0-9]*(?<=[0-9.])(e[-+]?)?|n|na|i|in)", re.IGNORECASE)
 """Beginning of a number that is not a number yet, such as 1.5e-."""
 
 
 def series_of(source: Path, x: str) -> tuple[Path, TimeSeriesTable]:
-    """File and columns of the directory of a run, or of a CSV file with a column `time` or with counts of collisions.
+    """File and columns of the directory of a run, or of a CSV file with a column `time` or with counts of
+    collisions.
 
-    Numbers are converted to SI by the units in the header; a unit that is not known remains. `x`: quantity of the
-    horizontal axis. The last line may be incomplete if it does not end with a newline: a run writes it. Raises
-    GranflowError if there is no such file, if it has neither rows nor known columns, if the header is damaged, if a row
-    has another number of cells or a cell that is not a number, or if the unit of the times is not one of time.
+    Numbers are converted to SI by the units in the header; a unit that is not known remains. `x`: quantity of
+    the horizontal axis. The last line may be incomplete if it does not end with a newline: a run writes it.
+    Raises GranflowError if there is no such file, if it has neither rows nor known columns, if the header is
+    damaged, if a row has another number of cells or a cell that is not a number, or if the unit of the times
+    is not one of time.
     """
     path = source / "timeseries.csv" if source.is_dir() else source
     if not path.exists():
         reason = f"{source} contains no timeseries.csv" if source.is_dir() else f"{source} does not exist"
-        raise GranflowError(f"{reason}; give the directory of a run, such as out/hopper, or a CSV file with times.")
+        raise GranflowError(
+            f"{reason}; give the directory of a run, such as out/hopper, or a CSV file with times."
+        )
     table = table_of_run(path)
     if table is not None:
         _refuse_damaged_header(table, path)
@@ -130,8 +158,10 @@ def series_of(source: Path, x: str) -> tuple[Path, TimeSeriesTable]:
 
 
 def _refuse_damaged_header(table: Table, path: Path) -> None:
-    """Raise GranflowError for brackets not in pairs, another separator, and a time that does not end with its unit."""
-    names, reason = table.names, ""
+    """Raise GranflowError for brackets not in pairs, another separator, and a time that does not end with its
+    unit."""
+    names = table.names
+    reason = ""
     separators = [word for mark, word in ((";", "semicolons"), ("\t", "tabs")) if mark in names[0]]
     for name in names:
         unpaired = [pair for pair in ("[]", "()") if name.count(pair[0]) != name.count(pair[1])]
@@ -149,7 +179,8 @@ def _refuse_damaged_header(table: Table, path: Path) -> None:
 
 
 def _without_begun_number(table: Table) -> Table:
-    """The table without what another program is still writing: a short last row, or a last cell such as 1.5e-."""
+    """The table without what another program is still writing: a short last row, or a last cell such as
+    1.5e-."""
     if table.is_terminated or not table.rows:
         return table
     line, cells = table.rows[-1]
@@ -161,13 +192,18 @@ def _without_begun_number(table: Table) -> Table:
 
 
 def _refuse_damaged_rows(table: Table, path: Path) -> None:
-    """Raise GranflowError for the first row of another length, or with a cell in place of a number that is none.
+    """Raise GranflowError for the first row of another length, or with a cell in place of a number that is
+    none.
 
-    A run leaves cells empty that have no value, except the time. A column without a unit and without numbers is text.
+    A run leaves cells empty that have no value, except the time. A column without a unit and without numbers
+    is text.
     """
     width = len(table.names)
     problems = [
-        (line, f"the row '{','.join(cells)[:80]}' has {numbered(len(cells), 'value')}, but the header has {width}.")
+        (
+            line,
+            f"the row '{','.join(cells)[:80]}' has {numbered(len(cells), 'value')}, but the header has {width}.",
+        )
         for line, cells in table.rows
         if len(cells) != width
     ]
@@ -211,7 +247,9 @@ def _in_si(table: Table, path: Path) -> TimeSeriesTable | None:
     except UnitError as error:
         raise GranflowError(f"{path}:{table.heading_line}: the column time is in s, and {error}.") from None
     stages = tuple((seconds * time, name) for time, name in series.stages)
-    return TimeSeriesTable(seconds * series.time, series.stage, tuple(map(_column_in_si, series.columns)), stages)
+    return TimeSeriesTable(
+        seconds * series.time, series.stage, tuple(map(_column_in_si, series.columns)), stages
+    )
 
 
 def _column_in_si(column: SeriesColumn) -> SeriesColumn:
@@ -241,7 +279,9 @@ def _history(collisions: CollisionTable) -> TimeSeriesTable:
     for quantity, numbers in _numbers(collisions):
         for kind, values in numbers.items():
             columns.append(SeriesColumn(f"{quantity}.{kind}", "", values.sum(axis=1)))
-            columns += [SeriesColumn(f"{quantity}.{kind}_{name}", "", values[:, k]) for k, name in enumerate(low_high)]
+            columns += [
+                SeriesColumn(f"{quantity}.{kind}_{name}", "", values[:, k]) for k, name in enumerate(low_high)
+            ]
     return _table(collisions.time, columns)
 
 
@@ -270,7 +310,8 @@ def _table(time: np.ndarray, columns: list[SeriesColumn]) -> TimeSeriesTable:
 MOST_CURVES = 18
 """Largest number of curves of a panel: nine colors with two line styles each."""
 LARGEST = 1e250
-"""Largest value that can be drawn: ranges and margins of axes, their products and powers must be finite numbers."""
+"""Largest value that can be drawn: ranges and margins of axes, their products and powers must be finite
+numbers."""
 
 
 @dataclass(frozen=True)
@@ -294,8 +335,8 @@ class Panel:
 def panels_of(sources: Sequence[Path], x: str, y: Sequence[str], stages: Sequence[str] = ()) -> list[Panel]:
     """One panel for each unit of the quantities `y`, with the curves of all sources over `x`.
 
-    `stages`: only rows of these stages; empty: all rows. Raises GranflowError for unknown columns or stages, for
-    quantities without a finite value or with values above LARGEST, and for more curves than MOST_CURVES.
+    `stages`: only rows of these stages; empty: all rows. Raises GranflowError for unknown columns or stages,
+    for quantities without a finite value or with values above LARGEST, and for more curves than MOST_CURVES.
     """
     found = [series_of(source, x) for source in sources]
     names = short_names(sources)
@@ -311,7 +352,9 @@ def panels_of(sources: Sequence[Path], x: str, y: Sequence[str], stages: Sequenc
             drawn[text].append(_points(*parts))
             panels.setdefault(column.unit, []).append((label, *parts))
     for text, points in drawn.items():
-        _refuse_what_cannot_be_drawn(x, text, np.concatenate(points), found[0][0] if len(found) == 1 else None)
+        _refuse_what_cannot_be_drawn(
+            x, text, np.concatenate(points), found[0][0] if len(found) == 1 else None
+        )
     largest = max(len(curves) for curves in panels.values())
     if largest > MOST_CURVES:
         raise GranflowError(
@@ -348,9 +391,13 @@ def _refuse_what_cannot_be_drawn(x: str, y: str, points: np.ndarray, path: Path 
 def _panel(curves: Sequence[tuple[str, SeriesColumn, SeriesColumn]]) -> Panel:
     """Panel of curves, each with its name and its columns of x and y; all of one unit."""
     columns = [column for _, _, column in curves]
-    title = _label(columns[0]) if len({each.name for each in columns}) == 1 else common_title(columns) or "value"
+    title = (
+        _label(columns[0]) if len({each.name for each in columns}) == 1 else common_title(columns) or "value"
+    )
     found = tuple(Curve(name, horizontal.values, column.values) for name, horizontal, column in curves)
-    return Panel(_with_unit(_label(curves[0][1]), curves[0][1].unit), _with_unit(title, columns[0].unit), found)
+    return Panel(
+        _with_unit(_label(curves[0][1]), curves[0][1].unit), _with_unit(title, columns[0].unit), found
+    )
 
 
 def short_names(sources: Sequence[Path]) -> list[str]:
@@ -398,11 +445,12 @@ def default_path(source: Path, x: str, y: Sequence[str]) -> Path:
 
 
 def write_plot(path: Path, panels: Sequence[Panel], logarithmic: str, title: str) -> None:
-    """Write the panels, one below the other, as an image or, if the file type is .html, as an interactive page.
+    """Write the panels, one below the other, as an image or, if the file type is .html, as an interactive
+    page.
 
     `logarithmic`: axes with a logarithmic scale: "", "x", "y" or "xy"; `title`: of a page.
-    Raises GranflowError for another file type, for a logarithmic axis without positive values, or if the library is not
-    installed.
+    Raises GranflowError for another file type, for a logarithmic axis without positive values, or if the
+    library is not installed.
     """
     if path.suffix not in (*IMAGES, ".html"):
         types = ", ".join((*IMAGES, ".html"))
@@ -413,7 +461,9 @@ def write_plot(path: Path, panels: Sequence[Panel], logarithmic: str, title: str
     if path.suffix == ".html":
         _write_page(path, panels, logarithmic, title)
     else:
-        draw_to(path, lambda figure: _draw(figure, panels, logarithmic), PANEL_HEIGHT * len(panels), FULL_WIDTH)
+        draw_to(
+            path, lambda figure: _draw(figure, panels, logarithmic), PANEL_HEIGHT * len(panels), FULL_WIDTH
+        )
 
 
 def _refuse_without_positive(panels: Sequence[Panel], axis: str) -> None:
@@ -422,7 +472,9 @@ def _refuse_without_positive(panels: Sequence[Panel], axis: str) -> None:
         values = np.concatenate([getattr(curve, axis) for curve in panel.curves])
         if not (values > 0.0).any():
             title = getattr(panel, f"{axis}_title")
-            raise GranflowError(f"--log {axis} needs positive values, but {title} has none: omit --log {axis}.")
+            raise GranflowError(
+                f"--log {axis} needs positive values, but {title} has none: omit --log {axis}."
+            )
 
 
 def _draw(figure: Any, panels: Sequence[Panel], logarithmic: str) -> None:
@@ -471,12 +523,18 @@ def _plot(panel: Panel, logarithmic: str) -> Plot:
     for number, curve in enumerate(panel.curves):
         known = np.isfinite(curve.x)
         x, y = thinned(curve.x[known], curve.y[known])
-        color, dash = COLORS[number % len(COLORS)], DASHES[number // len(COLORS)]
+        color = COLORS[number % len(COLORS)]
+        dash = DASHES[number // len(COLORS)]
         data.append(
-            {"type": "scatter", "mode": "lines" if len(x) > 1 else "markers", "name": escaped(visible(curve.name)),
-             "x": plain(x), "y": plain(y),
-             "line": {"color": color, "width": 1.8, "dash": dash}}
-        )  # fmt: skip
+            {
+                "type": "scatter",
+                "mode": "lines" if len(x) > 1 else "markers",
+                "name": escaped(visible(curve.name)),
+                "x": plain(x),
+                "y": plain(y),
+                "line": {"color": color, "width": 1.8, "dash": dash},
+            }
+        )
     x_title, y_title = escaped(visible(panel.x_title)), escaped(visible(panel.y_title))
     layout = curve_layout(x_title, y_title, len(data) > 1) | {"hovermode": "closest", "height": 460}
     for axis in logarithmic:

@@ -1,7 +1,9 @@
-"""Given and simulated restitution of all material pairs of a scene, at the time step and precision of the scene.
+"""Given and simulated restitution of all material pairs of a scene, at the time step and precision of the
+scene.
 
-`measure` simulates collisions of the pairs on the device in one run. `warnings` integrates a few collisions with the
-reference implementation of the contact model instead, which takes about 0.1 s and requires no compilation.
+`measure` simulates collisions of the pairs on the device in one run. `warnings` integrates a few collisions
+with the reference implementation of the contact model instead, which takes about 0.1 s and requires no
+compilation.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,13 +39,15 @@ QUICK_PHASES = (0.25, 0.75)
 QUICK_STEPS = 8000
 """Maximum number of steps of the reference implementation for the warning."""
 FINE_STEPS = 100
-"""Steps per collision with which the warning begins if the time step is smaller: smaller steps are more accurate."""
+"""Steps per collision with which the warning begins if the time step is smaller: smaller steps are more
+accurate."""
 HALVINGS = 6
 """Number of halvings in the search for a sufficient time step (down to 1/64)."""
 
 
 def pairings(scene: Scene, plan: Plan) -> list[Collision]:
-    """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii [m].
+    """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii
+    [m].
 
     The collisions have no velocity yet.
     """
@@ -71,7 +75,8 @@ def name_of(pairing: Collision) -> str:
 
 @dataclass(frozen=True)
 class RestitutionRow:
-    """One pair at one velocity [m/s]: given restitution, and smallest and largest simulated value over the phases."""
+    """One pair at one velocity [m/s]: given restitution, and smallest and largest simulated value over the
+    phases."""
 
     pair: str
     velocity: float
@@ -93,32 +98,41 @@ class RestitutionRow:
 
 
 def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], float]:
-    """Simulate head-on collisions of all material pairs of a scene at velocities up to the largest expected one.
+    """Simulate head-on collisions of all material pairs of a scene at velocities up to the largest expected
+    one.
 
-    All collisions are at the far side of the domain, where single precision is coarsest; each velocity is repeated for
-    several phases of first contact. The velocities span DECADES decades. Also returns the time step [s].
+    All collisions are at the far side of the domain, where single precision is coarsest; each velocity is
+    repeated for several phases of first contact. The velocities span DECADES decades. Also returns the time
+    step [s].
 
     Raises SceneError if the scene has no valid plan.
     """
     plan = plan_for(scene)
-    pairs, count = pairings(scene, plan), DECADES * VELOCITIES_PER_DECADE + 1
+    pairs = pairings(scene, plan)
+    count = DECADES * VELOCITIES_PER_DECADE + 1
     velocities = plan.velocity_max * np.logspace(-DECADES, 0, count)
     described = scene.model_dump(by_alias=True, exclude_none=True)
     for pair in described["pairs"].values():
         pair["friction"] = 0.0
         pair.pop("rolling_friction", None)
     bench = CollisionBench(
-        materials=described["materials"], pairs=described["pairs"],
+        materials=described["materials"],
+        pairs=described["pairs"],
         contact=described["contact"] | {"tangential": "none", "rolling": "none"},
         collisions=[
             replace(pair, velocity=float(velocity), first_contact=phase * plan.time_step)
-            for pair in pairs for velocity in velocities for phase in PHASES
+            for pair in pairs
+            for velocity in velocities
+            for phase in PHASES
         ],
         run={"duration": 1.0, "velocity_max": plan.velocity_max, "precision": scene.run.precision},
         numerics={key: value for key, value in described["numerics"].items() if key != "max_overlap"},
-        contact_x=float(np.abs([scene.domain.min, scene.domain.max]).max()), arch=arch,
-    )  # fmt: skip
-    bench.restart(bench.collisions, plan.time_step)  # more contacts than in the scene would limit a given time step
+        contact_x=float(np.abs([scene.domain.min, scene.domain.max]).max()),
+        arch=arch,
+    )
+    bench.restart(
+        bench.collisions, plan.time_step
+    )  # more contacts than in the scene would limit a given time step
     reached = bench.rebound().reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
     bench.free()
     rows = []
@@ -141,10 +155,13 @@ def restitution_rows(rows: Sequence[RestitutionRow]) -> list[tuple[str, str, str
 
 
 def write_restitution(out: Path, rows: Sequence[RestitutionRow], title: str) -> None:
-    """Write `restitution.csv`, then `restitution.png`. Raises GranflowError if matplotlib is not installed."""
+    """Write `restitution.csv`, then `restitution.png`. Raises GranflowError if matplotlib is not
+    installed."""
     out.mkdir(parents=True, exist_ok=True)
     names = ("pair", "velocity", "requested", "min_reached", "max_reached", "difference")
-    write_columns(out / "restitution.csv", {name: np.array([getattr(row, name) for row in rows]) for name in names})
+    write_columns(
+        out / "restitution.csv", {name: np.array([getattr(row, name) for row in rows]) for name in names}
+    )
     draw_to(out / "restitution.png", lambda figure: _draw(figure, rows, title), HEIGHT)
 
 
@@ -158,11 +175,9 @@ def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
             np.array([getattr(row, key) for row in is_pair])
             for key in ("velocity", "requested", "min_reached", "max_reached")
         )
-        color, middle, half = (
-            COLORS[number % len(COLORS)],
-            0.5 * (min_reached + max_reached),
-            0.5 * (max_reached - min_reached),
-        )
+        color = COLORS[number % len(COLORS)]
+        middle = 0.5 * (min_reached + max_reached)
+        half = 0.5 * (max_reached - min_reached)
         style = POINTS | {"marker": MARKERS[number % len(MARKERS)], "color": color}
         above.semilogx(velocity, requested, color=color)
         above.errorbar(velocity, middle, half, label=name, **style)
@@ -178,11 +193,12 @@ def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
 
 
 def warnings(scene: Scene, plan: Plan) -> list[str]:
-    """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1 %.
+    """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1
+    %.
 
-    Each warning describes the collision of the pair with the largest error, and a sufficient time step [s] if one is
-    found. Collisions that cannot occur, and collisions for which the plan has a warning already, are excluded.
-    QUICK_STEPS limits the total number of steps of all collisions.
+    Each warning describes the collision of the pair with the largest error, and a sufficient time step [s] if
+    one is found. Collisions that cannot occur, and collisions for which the plan has a warning already, are
+    excluded. QUICK_STEPS limits the total number of steps of all collisions.
     """
     worst: dict[str, tuple[float, Collision, _Impact]] = {}
     steps = 0
@@ -204,7 +220,8 @@ def warnings(scene: Scene, plan: Plan) -> list[str]:
 
 
 def _occurs(scene: Scene, pair: Collision) -> bool:
-    """Whether the collision is possible: not for two fixed particles, nor for a single particle with itself."""
+    """Whether the collision is possible: not for two fixed particles, nor for a single particle with
+    itself."""
     groups = [group for group in scene.particles.values() if group.material in (pair.first, pair.second)]
     mobile = {group.material for group in groups if not group.fixed}
     if pair.other_radius is None:
@@ -214,7 +231,8 @@ def _occurs(scene: Scene, pair: Collision) -> bool:
 
 @dataclass(frozen=True)
 class _Impact:
-    """One collision: pair, effective radius [m] and mass [kg], velocity [m/s], given restitution, duration [s]."""
+    """One collision: pair, effective radius [m] and mass [kg], velocity [m/s], given restitution, duration
+    [s]."""
 
     material: PairMaterial
     radius_eff: float
@@ -231,7 +249,8 @@ def _impact(scene: Scene, plan: Plan, pair: Collision, velocity: float) -> _Impa
 
 
 def _unreachable(plan: Plan, impact: _Impact) -> bool:
-    """Whether the given restitution is 0 or below the minimum of the time step, for which the plan has a warning."""
+    """Whether the given restitution is 0 or below the minimum of the time step, for which the plan has a
+    warning."""
     if not plan.law.limits_restitution or impact.requested == 0.0:
         return impact.requested == 0.0
     collision = (impact.material, impact.radius_eff, impact.mass_eff, impact.velocity)
@@ -239,7 +258,8 @@ def _unreachable(plan: Plan, impact: _Impact) -> bool:
 
 
 def _deviation(plan: Plan, impact: _Impact) -> float:
-    """Relative difference of simulated and given restitution; at most that of FINE_STEPS if it is within TOLERANCE."""
+    """Relative difference of simulated and given restitution; at most that of FINE_STEPS if it is within
+    TOLERANCE."""
     size = TOLERANCE + 1.0
     for step in (impact.duration / FINE_STEPS, plan.time_step):
         if step >= plan.time_step and size > TOLERANCE:
@@ -258,13 +278,17 @@ def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: floa
 
     `step` [s]; `phase`: time of first contact before the first force, over the step. 0 if the spheres stick.
     """
-    law, mass = plan.law, impact.mass_eff
-    constants, history = np.array(law.pair_constants(impact.material)), np.zeros(max(law.history_count, 1))
+    law = plan.law
+    mass = impact.mass_eff
+    constants = np.array(law.pair_constants(impact.material))
+    history = np.zeros(max(law.history_count, 1))
     rate = rate_now = impact.velocity
     overlap = phase * rate * step
     for _ in range(int(LONGEST * impact.duration / step)):
         rate_seen = rate_now if law.rate_dependent else rate
-        force, history = law.reference_force(constants, impact.radius_eff, mass, step, overlap, rate_seen, history)
+        force, history = law.reference_force(
+            constants, impact.radius_eff, mass, step, overlap, rate_seen, history
+        )
         kick = force / mass * step
         rate -= kick
         rate_now = rate - 0.5 * kick

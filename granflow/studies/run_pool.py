@@ -1,7 +1,8 @@
-"""Carries out many runs through an executor: the first run of each set of kernels compiles them, lost runs are retried.
+"""Carries out many runs through an executor: the first run of each set of kernels compiles them, lost runs
+are retried.
 
-The executor is that of the standard library, or one of Dask. All state that outlives this process is in the directories
-of the runs.
+The executor is that of the standard library, or one of Dask. All state that outlives this process is in the
+directories of the runs.
 """
 
 import shutil
@@ -54,9 +55,15 @@ class BatchProfile(Model):
     walltime: Text | None = Field(None, description="time limit of each batch job, such as 04:00:00")
     queue: Text | None = Field(None, description="queue or partition")
     account: Text | None = Field(None, description="account or project")
-    directives: Lines = Field((), description="further lines for the batch system, such as --constraint=avx512")
-    prologue: Lines = Field((), description="shell commands before the worker starts, such as module load python")
-    log_directory: Text | None = Field(None, description="directory of the files with the output of the batch jobs")
+    directives: Lines = Field(
+        (), description="further lines for the batch system, such as --constraint=avx512"
+    )
+    prologue: Lines = Field(
+        (), description="shell commands before the worker starts, such as module load python"
+    )
+    log_directory: Text | None = Field(
+        None, description="directory of the files with the output of the batch jobs"
+    )
 
 
 def read_profile(path: Path) -> BatchProfile:
@@ -67,8 +74,8 @@ def read_profile(path: Path) -> BatchProfile:
 def batch_cluster(system: str, path: Path, profile: BatchProfile, threads: int) -> Any:
     """A Dask cluster whose workers are jobs of a batch system; each run has `threads` threads.
 
-    `path`: file of the profile, for messages. Raises GranflowError without dask-jobqueue, with too few cores per job,
-    or where the batch system is not installed.
+    `path`: file of the profile, for messages. Raises GranflowError without dask-jobqueue, with too few cores
+    per job, or where the batch system is not installed.
     """
     try:
         import dask_jobqueue
@@ -91,19 +98,26 @@ def batch_cluster(system: str, path: Path, profile: BatchProfile, threads: int) 
 
 
 def cluster_options(system: str, profile: BatchProfile, threads: int) -> dict[str, Any]:
-    """Arguments of the class of dask-jobqueue: a batch job has one worker, which takes cores // threads runs."""
+    """Arguments of the class of dask-jobqueue: a batch job has one worker, which takes cores // threads
+    runs."""
     optional = {
-        "walltime": profile.walltime, "queue": profile.queue, "account": profile.account,
+        "walltime": profile.walltime,
+        "queue": profile.queue,
+        "account": profile.account,
         "log_directory": profile.log_directory,
-    }  # fmt: skip
+    }
     options: dict[str, Any] = {key: value for key, value in optional.items() if value is not None}
     if system in ("lsf", "sge") and "account" in options:
         options["project"] = options.pop("account")
     simultaneous = ["--nthreads", str(profile.cores // threads)]  # the last one of two such options applies
     return options | {
-        "cores": profile.cores, "processes": 1, "memory": profile.memory, "worker_extra_args": simultaneous,
-        "job_extra_directives": list(profile.directives), "job_script_prologue": list(profile.prologue),
-    }  # fmt: skip
+        "cores": profile.cores,
+        "processes": 1,
+        "memory": profile.memory,
+        "worker_extra_args": simultaneous,
+        "job_extra_directives": list(profile.directives),
+        "job_script_prologue": list(profile.prologue),
+    }
 
 
 MAX_ATTEMPTS = 3
@@ -118,10 +132,11 @@ COMPILE_ONLY = "1e-12 s"
 
 @dataclass(frozen=True)
 class Progress:
-    """State of all runs: numbers of completed, running, failed and all runs, and the estimated remaining time [s].
+    """State of all runs: numbers of completed, running, failed and all runs, and the estimated remaining time
+    [s].
 
-    The time is None before the first run has ended. Completed runs may have missed expectations; failed runs are
-    refused, aborted or crashed.
+    The time is None before the first run has ended. Completed runs may have missed expectations; failed runs
+    are refused, aborted or crashed.
     """
 
     done: int
@@ -144,7 +159,8 @@ def _duration(seconds: float) -> str:
 
 
 Report = Callable[[Progress, str], None]
-"""Function that receives the progress, and the text and status of a run that has just ended, or an empty text."""
+"""Function that receives the progress, and the text and status of a run that has just ended, or an empty
+text."""
 
 
 @dataclass(order=True)
@@ -163,16 +179,18 @@ class _Job:
         if not self.compiles_only:
             return request
         directory = Path(request.directory)
-        return replace(request, directory=str(directory.with_name(f".compile_{directory.name}")), until=COMPILE_ONLY)
+        return replace(
+            request, directory=str(directory.with_name(f".compile_{directory.name}")), until=COMPILE_ONLY
+        )
 
 
 class Driver:
     """Carries out runs.
 
-    `report` receives the progress at the start, every REPORT_INTERVAL, and after each run with its text and status.
-    `texts`: what identifies each run in the report, by its directory.
-    `slots`: function that returns how many runs are submitted at a time; `stop`: set from outside to stop all runs,
-    each with a checkpoint.
+    `report` receives the progress at the start, every REPORT_INTERVAL, and after each run with its text and
+    status. `texts`: what identifies each run in the report, by its directory.
+    `slots`: function that returns how many runs are submitted at a time; `stop`: set from outside to stop all
+    runs, each with a checkpoint.
     """
 
     def __init__(
@@ -183,7 +201,10 @@ class Driver:
         report: Report,
         texts: Mapping[str, str],
     ) -> None:
-        self._executor, self._slots, self._stop, self._report = executor, slots, stop, report
+        self._executor = executor
+        self._slots = slots
+        self._stop = stop
+        self._report = report
         self._texts = texts
         self._ready: list[_Job] = []
         self._held: dict[str, list[_Job]] = {}
@@ -223,14 +244,19 @@ class Driver:
     def _tell_holders(self) -> None:
         """Report the runs that other processes carry out, such as workers whose command was killed."""
         jobs = [*self._ready, *(job for held in self._held.values() for job in held)]
-        waiting = {directory for job in jobs for directory in (job.run.directory, Path(job.request.directory))}
+        waiting = {
+            directory for job in jobs for directory in (job.run.directory, Path(job.request.directory))
+        }
         for directory in sorted(waiting):
             if holder := holder_of(directory):
                 name = f"{directory.parent.name}/{directory.name}"
-                self._tell(f"{name} is carried out by {holder}; its result is waited for, unless you end that process")
+                self._tell(
+                    f"{name} is carried out by {holder}; its result is waited for, unless you end that process"
+                )
 
     def _schedule(self, runs: Mapping[str, CheckedRun]) -> None:
-        """Sort the runs into those that have ended, those that can start, and those that wait for their kernels."""
+        """Sort the runs into those that have ended, those that can start, and those that wait for their
+        kernels."""
         compiled: set[str] = set()
         self._total = len(runs)
         for index, (directory, run) in enumerate(runs.items()):
@@ -310,9 +336,10 @@ CONNECT_TIMEOUT = 20.0
 class Workers:
     """Where runs take place.
 
-    `jobs`: number of simultaneous runs, None for as many as there are cores or workers; `threads`: of each run;
-    `scheduler`: address of a running Dask scheduler, `scheduler_file`: file with it, `batch`: name of a batch system
-    and file with its profile. At most one of these three is given; without, the runs take place on this machine.
+    `jobs`: number of simultaneous runs, None for as many as there are cores or workers; `threads`: of each
+    run; `scheduler`: address of a running Dask scheduler, `scheduler_file`: file with it, `batch`: name of a
+    batch system and file with its profile. At most one of these three is given; without, the runs take place
+    on this machine.
     """
 
     jobs: int | None = None
@@ -330,7 +357,8 @@ Slots = Callable[[], int]
 def executor_for(workers: Workers) -> Iterator[tuple[Executor, Slots]]:
     """An executor for the runs, and the number of simultaneous runs.
 
-    Raises GranflowError if Dask is missing, the scheduler does not answer, or the runs need more cores than there are.
+    Raises GranflowError if Dask is missing, the scheduler does not answer, or the runs need more cores than
+    there are.
     """
     if workers.scheduler or workers.scheduler_file or workers.batch:
         with _dask(workers) as found:
@@ -348,9 +376,14 @@ def local_jobs(jobs: int | None, threads: int, cores: int) -> int:
     """Number of simultaneous runs on `cores` cores. Raises GranflowError if they are too few."""
     needed = threads * (jobs or 1)
     if needed > cores:
-        most = f"give at most --jobs {cores // threads}" if threads <= cores else f"give at most --threads {cores}"
+        most = (
+            f"give at most --jobs {cores // threads}"
+            if threads <= cores
+            else f"give at most --threads {cores}"
+        )
         available = "1 core is" if cores == 1 else f"{cores} cores are"
-        runs, verb = numbered(jobs or 1, "run"), "need" if jobs and jobs > 1 else "needs"
+        runs = numbered(jobs or 1, "run")
+        verb = "need" if jobs and jobs > 1 else "needs"
         raise GranflowError(
             f"{runs} of {numbered(threads, 'thread')} {verb} {numbered(needed, 'core')}, but {available} there: {most}."
         )
@@ -365,7 +398,9 @@ def _dask(workers: Workers) -> Iterator[tuple[Executor, Slots]]:
     """
     profile = read_profile(workers.batch[1]) if workers.batch else None
     if workers.scheduler_file and not workers.scheduler_file.is_file():
-        raise GranflowError(f"{workers.scheduler_file}: there is no such file; start dask scheduler --scheduler-file.")
+        raise GranflowError(
+            f"{workers.scheduler_file}: there is no such file; start dask scheduler --scheduler-file."
+        )
     try:
         from distributed import Client
     except ImportError:
@@ -377,7 +412,9 @@ def _dask(workers: Workers) -> Iterator[tuple[Executor, Slots]]:
             yield _executor(client), _slots(client, workers)
         return
     where = (
-        {"scheduler_file": str(workers.scheduler_file)} if workers.scheduler_file else {"address": workers.scheduler}
+        {"scheduler_file": str(workers.scheduler_file)}
+        if workers.scheduler_file
+        else {"address": workers.scheduler}
     )
     try:
         client = Client(**where, timeout=CONNECT_TIMEOUT)
@@ -408,7 +445,8 @@ def _slots(client: Any, workers: Workers) -> Slots:
 
 
 def _refuse_overload(client: Any, threads: int) -> None:
-    """Raise GranflowError if the workers of one machine take more runs than its cores allow, or if there are none."""
+    """Raise GranflowError if the workers of one machine take more runs than its cores allow, or if there are
+    none."""
     info = client.scheduler_info(n_workers=-1)["workers"]
     if not info:
         raise GranflowError("The scheduler has no workers: start some with dask worker ADDRESS --nthreads N.")

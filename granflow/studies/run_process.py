@@ -1,7 +1,7 @@
 """Worker processes that carry out commands of granflow one after the other.
 
-The second run of a worker with equal kernels starts at once: Python is loaded, and the kernels are in memory. A run
-that crashes ends its worker only; the next run has a new one.
+The second run of a worker with equal kernels starts at once: Python is loaded, and the kernels are in memory.
+A run that crashes ends its worker only; the next run has a new one.
 """
 
 import hashlib
@@ -49,8 +49,8 @@ from granflow.units import number_of
 class RunInputs:
     """Scene file and input files with their contents when the run was checked, and the version of granflow.
 
-    `files`: absolute path and SHA-256 of each; `source`: directory of the run in `start_from`, or "", and the digest of
-    its particles. Plain data, for workers on other machines.
+    `files`: absolute path and SHA-256 of each; `source`: directory of the run in `start_from`, or "", and the
+    digest of its particles. Plain data, for workers on other machines.
     """
 
     files: tuple[tuple[str, str], ...]
@@ -61,7 +61,11 @@ class RunInputs:
     def of(cls, scene: Scene) -> "RunInputs":
         """The inputs of a scene as they are now."""
         paths = [scene.path.resolve(), *((scene.folder / name).resolve() for _, name in scene.input_names())]
-        source = ("", "") if scene.start_from is None else (scene.start_from, source_digest(Path(scene.start_from)))
+        source = (
+            ("", "")
+            if scene.start_from is None
+            else (scene.start_from, source_digest(Path(scene.start_from)))
+        )
         return cls(tuple((str(path), file_digest(path)) for path in paths), source, program_version())
 
     def change(self) -> str:
@@ -80,10 +84,11 @@ class RunInputs:
 
 
 def source_digest(directory: Path) -> str:
-    """SHA-256 of what `start_from` reads from a run: the particles in its newest intact checkpoint; "none" without.
+    """SHA-256 of what `start_from` reads from a run: the particles in its newest intact checkpoint; "none"
+    without.
 
-    It does not change with the wall-clock times in the checkpoint: a run that is repeated has the same digest. Raises
-    CheckpointError for a checkpoint that this version cannot read.
+    It does not change with the wall-clock times in the checkpoint: a run that is repeated has the same
+    digest. Raises CheckpointError for a checkpoint that this version cannot read.
     """
     files = [*directory.glob(PATTERN), *directory.glob(RANK_PATTERN)]
     states = ((path.name, path.stat()) for path in sorted(files))
@@ -123,8 +128,8 @@ RECORD = "outcome.json"
 class Outcome:
     """Status of a run, its reason in full, and the wall clock [s]; nan if it is unknown.
 
-    `is_lost`: the process ended without a decision of its own (killed, lost worker, full disk), so that another attempt
-    can succeed.
+    `is_lost`: the process ended without a decision of its own (killed, lost worker, full disk), so that
+    another attempt can succeed.
     """
 
     status: str
@@ -145,7 +150,8 @@ UNFINISHED = Outcome(NOT_RUN)
 def final_outcome(directory: Path) -> Outcome | None:
     """The outcome of a run that is not repeated: completed or aborted; None for all others.
 
-    A result or a record that is damaged, such as one that a full disk has cut off, is that of a run to repeat.
+    A result or a record that is damaged, such as one that a full disk has cut off, is that of a run to
+    repeat.
     """
     if (directory / RESULT).exists():
         try:
@@ -168,7 +174,8 @@ def final_outcome(directory: Path) -> Outcome | None:
 
 @contextmanager
 def naming_write_errors(out: Path, remedy: str) -> Iterator[None]:
-    """In the block, an error of the operating system, such as a full disk, becomes an OutputError with a `remedy`.
+    """In the block, an error of the operating system, such as a full disk, becomes an OutputError with a
+    `remedy`.
 
     `out`: directory of the study, for errors that do not name a file.
     """
@@ -193,7 +200,8 @@ def read_json(path: Path) -> Any:
 
 
 def numbers_of(directory: Path) -> dict[str, float]:
-    """All numbers of a completed run by the names of the `expect:` block; nan for a number that is not finite.
+    """All numbers of a completed run by the names of the `expect:` block; nan for a number that is not
+    finite.
 
     Empty if the run has no result.
     """
@@ -214,7 +222,8 @@ def warnings_of(directory: Path) -> tuple[str, ...]:
 
 
 def reason_without(quantity: str, directory: Path) -> str:
-    """Why a completed run has no number for a quantity: that it is NaN, with the warnings of the run on its metric."""
+    """Why a completed run has no number for a quantity: that it is NaN, with the warnings of the run on its
+    metric."""
     if quantity not in numbers_of(directory):
         return f"{quantity} is missing."
     metric = f"output.metrics.{quantity.partition('.')[2]}: "
@@ -224,11 +233,14 @@ def reason_without(quantity: str, directory: Path) -> str:
 
 
 def worst(outcomes: Iterable[Outcome]) -> Outcome:
-    """The most severe status of several runs, with the different reasons of all of them and the sum of the seconds."""
+    """The most severe status of several runs, with the different reasons of all of them and the sum of the
+    seconds."""
     found = list(outcomes)
     status = max((each.status for each in found), key=SEVERITY.index, default=NOT_RUN)
     reasons = dict.fromkeys(each.reason for each in found if each.reason)
-    return Outcome(status, " ".join(reasons), sum(each.seconds for each in found if each.seconds == each.seconds))
+    return Outcome(
+        status, " ".join(reasons), sum(each.seconds for each in found if each.seconds == each.seconds)
+    )
 
 
 # Names of the numbers that the result of a run of a scene contains.
@@ -247,7 +259,12 @@ def result_names(scene: Scene) -> tuple[str, ...]:
         quantities = METRIC_QUANTITIES_BY_KIND[metric.kind]
         names += [f"{quantity}{end}.{name}" for quantity in quantities for end in ("", "_mean")]
     names += [f"{quantity}.{wall}" for quantity in WALL_FORCE_QUANTITIES for wall in scene.measured_walls]
-    names += [f"{quantity}.{wall}" for quantity in WALL_QUANTITIES for wall, each in scene.walls.items() if each.motion]
+    names += [
+        f"{quantity}.{wall}"
+        for quantity in WALL_QUANTITIES
+        for wall, each in scene.walls.items()
+        if each.motion
+    ]
     names += [f"{quantity}.{outlet}" for quantity in OUTLET_QUANTITIES for outlet in scene.outlets]
     names += [f"{quantity}.{group}" for quantity in INSERTION_QUANTITIES for group in scene.particles]
     return tuple(names)
@@ -260,12 +277,15 @@ def unknown_quantity(name: str, scene: Scene) -> str:
         return ""
     near = nearest(name, known)
     with_parts = ", ".join(each for each in known if "." in each and not each.startswith("timings."))
-    remedy = f"Did you mean {near}?" if near else f"Apart from totals such as kinetic_energy it has {with_parts}."
+    remedy = (
+        f"Did you mean {near}?" if near else f"Apart from totals such as kinetic_energy it has {with_parts}."
+    )
     return f"{name} is not a number of a run of {scene.path.name or 'the scene'}. {remedy}"
 
 
 def error_name(quantity: str) -> str:
-    """Name of the standard error of a number, such as angle_of_repose_error_mean.left; few quantities have one."""
+    """Name of the standard error of a number, such as angle_of_repose_error_mean.left; few quantities have
+    one."""
     name, dot, part = quantity.partition(".")
     base, end = (name[: -len("_mean")], "_mean") if name.endswith("_mean") else (name, "")
     return f"{base}_error{end}{dot}{part}"
@@ -282,9 +302,13 @@ class RunWorker:
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
-            [*PROGRAM, str(2.0 * IDLE_SECONDS)], bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+            [*PROGRAM, str(2.0 * IDLE_SECONDS)],
+            bufsize=0,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         self._codes: Queue[int] = Queue()
         self._idle_since: float | None = monotonic()
         self._is_ending = False
@@ -343,7 +367,8 @@ _lock = Lock()
 
 @contextmanager
 def worker() -> Iterator[RunWorker]:
-    """A worker for one command: one that is ready, or a new one. It is kept after the block, if it is ready again."""
+    """A worker for one command: one that is ready, or a new one. It is kept after the block, if it is ready
+    again."""
     taken = _ready_worker() or RunWorker()
     try:
         yield taken
@@ -392,9 +417,9 @@ REFUSAL, ABORT = GranflowError.exit_code, RunError.exit_code
 class RunRequest:
     """A run to be carried out; plain data, so that it can be sent to a worker on another machine.
 
-    `scene`, `directory`: absolute paths, which all workers must be able to read and write; `until`: simulated time at
-    which the run ends early, as in `granflow run --until`, or ""; `stop_file`: the run is stopped as soon as this file
-    exists; `inputs`: files that the run reads, with their contents when it was checked.
+    `scene`, `directory`: absolute paths, which all workers must be able to read and write; `until`: simulated
+    time at which the run ends early, as in `granflow run --until`, or ""; `stop_file`: the run is stopped as
+    soon as this file exists; `inputs`: files that the run reads, with their contents when it was checked.
     """
 
     scene: str
@@ -426,12 +451,13 @@ class RunRequest:
 def execute(request: RunRequest, should_stop: Callable[[], bool] = lambda: False) -> Outcome:
     """Carry out a run and return its outcome, which is also written to its directory.
 
-    A run that has ended is not repeated; one with a checkpoint is resumed. A process that still writes into the
-    directory, such as one whose worker was killed, is waited for. The run is stopped with a checkpoint if the stop file
-    exists or `should_stop` returns True. A run whose inputs have changed since it was checked does not belong to its
-    directory: it has the status NOT_RUN with a reason, and leaves no files.
+    A run that has ended is not repeated; one with a checkpoint is resumed. A process that still writes into
+    the directory, such as one whose worker was killed, is waited for. The run is stopped with a checkpoint if
+    the stop file exists or `should_stop` returns True. A run whose inputs have changed since it was checked
+    does not belong to its directory: it has the status NOT_RUN with a reason, and leaves no files.
     """
-    directory, stop_file = Path(request.directory), Path(request.stop_file)
+    directory = Path(request.directory)
+    stop_file = Path(request.stop_file)
 
     def stopping() -> bool:
         return stop_file.exists() or should_stop()
@@ -461,9 +487,11 @@ def execute(request: RunRequest, should_stop: Callable[[], bool] = lambda: False
 
 
 class _Start:
-    """Compares the inputs of a run with their contents when it was checked: before it starts, and once it has begun.
+    """Compares the inputs of a run with their contents when it was checked: before it starts, and once it has
+    begun.
 
-    A run has read its inputs when it has written its scene. Later changes of the files do not concern it. `change`:
+    A run has read its inputs when it has written its scene. Later changes of the files do not concern it.
+    `change`:
     sentence on an input that has changed.
     """
 
@@ -475,9 +503,11 @@ class _Start:
         self.change = ""
 
     def has_changed(self) -> bool:
-        """Whether an input has changed; compared at the first call, and at the first one after the start of the run."""
+        """Whether an input has changed; compared at the first call, and at the first one after the start of
+        the run."""
         if not self._is_known:
-            self._before, self._is_known = self._written(), True
+            self._before = self._written()
+            self._is_known = True
             self._compare()
         elif not self._has_started and self._written() != self._before:
             self._has_started = True
@@ -502,7 +532,8 @@ class _Start:
 
 
 def _wait_until_free(directory: Path, stopping: Callable[[], bool]) -> bool:
-    """Wait until no process has locked the directory, which is created; False if a stop is requested before."""
+    """Wait until no process has locked the directory, which is created; False if a stop is requested
+    before."""
     while not stopping():
         try:
             with locked(directory):
@@ -513,7 +544,8 @@ def _wait_until_free(directory: Path, stopping: Callable[[], bool]) -> bool:
 
 
 def _watch(arguments: Sequence[str], directory: Path, stopping: Callable[[], bool]) -> int | None:
-    """Carry out a command of granflow in a worker and return its exit code, negative for a signal; None if stopped."""
+    """Carry out a command of granflow in a worker and return its exit code, negative for a signal; None if
+    stopped."""
     with worker() as taken:
         taken.start([str(directory / MESSAGES), *arguments])
         while True:
@@ -546,7 +578,9 @@ def _outcome(directory: Path, code: int | None, seconds: float) -> Outcome:
         return Outcome(REFUSED if code == REFUSAL else ABORTED, reason, seconds)
     if code < 0:
         reason = f"The process was ended by {_signal_name(-code)}. {reason}".rstrip()
-    return Outcome(CRASHED, reason or f"The process ended with exit code {code}.", seconds, code < 0 or code > ABORT)
+    return Outcome(
+        CRASHED, reason or f"The process ended with exit code {code}.", seconds, code < 0 or code > ABORT
+    )
 
 
 def _signal_name(number: int) -> str:
@@ -560,14 +594,19 @@ def _signal_name(number: int) -> str:
 def _reason(directory: Path) -> str:
     """The messages of a process on one line: without progress and warnings; of a traceback the last line.
 
-    The directory of the run is shown as runs/HASH, so that the reason does not depend on the place of the study.
+    The directory of the run is shown as runs/HASH, so that the reason does not depend on the place of the
+    study.
     """
     text = (directory / MESSAGES).read_text(encoding="utf-8", errors="replace")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     if any(line.startswith("Traceback") for line in lines):
         return lines[-1]
-    problems = [line for line in lines if line.startswith(("granflow: ", "--set", os.sep)) or ".yaml:" in line]
-    words = [line.removeprefix("granflow: ") for line in problems if not line.startswith("granflow: warning:")]
+    problems = [
+        line for line in lines if line.startswith(("granflow: ", "--set", os.sep)) or ".yaml:" in line
+    ]
+    words = [
+        line.removeprefix("granflow: ") for line in problems if not line.startswith("granflow: warning:")
+    ]
     return " ".join(words).replace(str(directory), f"{directory.parent.name}/{directory.name}")
 
 
@@ -581,12 +620,14 @@ def si_value(value: Any) -> Any:
 
 
 def overrides_of(settings: Mapping[str, Any]) -> tuple[str, ...]:
-    """The settings, values by key path, as arguments of --set; values in the notation of JSON, which YAML contains."""
+    """The settings, values by key path, as arguments of --set; values in the notation of JSON, which YAML
+    contains."""
     return tuple(f"{key}={json.dumps(value)}" for key, value in settings.items())
 
 
 def relocated(error: SceneError, positions: Mapping[str, str]) -> FileError:
-    """The error with its problems at the positions in the file of a study, where they concern settings of the study.
+    """The error with its problems at the positions in the file of a study, where they concern settings of the
+    study.
 
     `positions`: position in that file by key path of the scene.
     """
@@ -610,7 +651,8 @@ HASH_DIGITS = 16
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """A run that can start. `kernels`: equal for runs with equal compiled kernels; `seed`: that of its scene."""
+    """A run that can start. `kernels`: equal for runs with equal compiled kernels; `seed`: that of its
+    scene."""
 
     request: RunRequest
     seed: int
@@ -626,7 +668,8 @@ class CheckedRun:
 class RunSettings:
     """Settings of all runs of a study.
 
-    `runs`: directory that contains the run directories; `threads`: of each run; `arch`: compute device; `stop_file`:
+    `runs`: directory that contains the run directories; `threads`: of each run; `arch`: compute device;
+    `stop_file`:
     file whose presence stops all runs.
     """
 
@@ -637,20 +680,28 @@ class RunSettings:
 
 
 def checked_run(
-    path: Path, settings: Mapping[str, Any], read: Mapping[str, str], common: RunSettings, seed_offset: int = 0
+    path: Path,
+    settings: Mapping[str, Any],
+    read: Mapping[str, str],
+    common: RunSettings,
+    seed_offset: int = 0,
 ) -> CheckedRun:
     """Check a run of the scene in a file with other values of some keys, by key path.
 
-    `read`: numbers of the result that are needed, and the position of each in its file; `seed_offset`: added to the
-    seed of the scene. Raises SceneError if the scene with these values is invalid, FileError if it has no such number
-    or needs particles of a program.
+    `read`: numbers of the result that are needed, and the position of each in its file; `seed_offset`: added
+    to the seed of the scene. Raises SceneError if the scene with these values is invalid, FileError if it has
+    no such number or needs particles of a program.
     """
     overrides = overrides_of(settings)
     scene = load_scene(path, overrides)
     if seed_offset:
         overrides = (*overrides, f"seed={scene.seed + seed_offset}")
         scene = load_scene(path, overrides)
-    problems = [f"{position}: {reason}" for name, position in read.items() if (reason := unknown_quantity(name, scene))]
+    problems = [
+        f"{position}: {reason}"
+        for name, position in read.items()
+        if (reason := unknown_quantity(name, scene))
+    ]
     problems += scene.problems_without_program()
     if problems:
         raise FileError(problems)
@@ -658,14 +709,20 @@ def checked_run(
     inputs = RunInputs.of(scene)
     directory = (common.runs / run_identity(scene, common.arch)).resolve()
     request = RunRequest(
-        str(path.resolve()), overrides, str(directory), common.threads, common.arch, str(common.stop_file.resolve()),
+        str(path.resolve()),
+        overrides,
+        str(directory),
+        common.threads,
+        common.arch,
+        str(common.stop_file.resolve()),
         inputs=inputs,
-    )  # fmt: skip
+    )
     return CheckedRun(request, scene.seed, _kernel_set(scene, plan, common.arch))
 
 
 def run_identity(scene: Scene, arch: str) -> str:
-    """Hash of all that determines the result of a run: program version, compute device, scene, contents of its inputs.
+    """Hash of all that determines the result of a run: program version, compute device, scene, contents of
+    its inputs.
 
     The inputs are meshes, tables, particle files, and the particles of the run in `start_from`.
     """
@@ -675,5 +732,6 @@ def run_identity(scene: Scene, arch: str) -> str:
 
 
 def _kernel_set(scene: Scene, plan: Plan, arch: str) -> str:
-    """Text that is equal for scenes whose compiled kernels are equal: contact models, features and precision."""
+    """Text that is equal for scenes whose compiled kernels are equal: contact models, features and
+    precision."""
     return repr((arch, plan.precision, scene.contact, plan.features))

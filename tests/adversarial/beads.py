@@ -47,7 +47,8 @@ def scene(text: str, **files: str | bytes):
 
 
 def built(build, **files: str | bytes):
-    """A `prepare` that writes a scene built by `scene_builders.build_scene`; `build` is the function that builds it."""
+    """A `prepare` that writes a scene built by `scene_builders.build_scene`; `build` is the function that
+    builds it."""
     return lambda sandbox: scene(build().to_yaml(), **files)(sandbox)
 
 

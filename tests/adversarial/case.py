@@ -23,10 +23,10 @@ MEGABYTES = 1500
 class Case:
     """An input and the expected behavior of granflow.
 
-    `commands`: command lines of granflow, run in order; all but the last must succeed. `act`: replaces them by a
-    function that returns the process to check. `patterns`: regular expressions that must occur in its output.
-    `verify`: further assertions; `verified`: their meaning, for the page. `blur`: a regular expression for the part of
-    the message that differs from run to run.
+    `commands`: command lines of granflow, run in order; all but the last must succeed. `act`: replaces them
+    by a function that returns the process to check. `patterns`: regular expressions that must occur in its
+    output. `verify`: further assertions; `verified`: their meaning, for the page. `blur`: a regular
+    expression for the part of the message that differs from run to run.
     """
 
     group: str
@@ -80,7 +80,9 @@ def _checked(case: Case, sandbox: Sandbox) -> Outcome:
         return Outcome(case, _result_text(case, finished, False), (f"{type(error).__name__}: {error}",))
     faults = [*_faults_of_result(case, finished), *_faults_of_processes(case, sandbox)]
     if not case.killed:
-        faults += [f"{folder.name}: {defect}" for folder in run_folders(sandbox.home) for defect in defects(folder)]
+        faults += [
+            f"{folder.name}: {defect}" for folder in run_folders(sandbox.home) for defect in defects(folder)
+        ]
     if case.verify is not None and not faults:
         try:
             case.verify(sandbox, finished)
@@ -102,7 +104,9 @@ def _faults_of_result(case: Case, finished: FinishedProcess) -> list[str]:
     if finished.code is None:
         found.append(f"does not end within {case.seconds:g} s")
     elif finished.code not in codes:
-        found.append(f"exit code {finished.code}, expected {' or '.join(map(str, codes))}: {finished.err[-600:]}")
+        found.append(
+            f"exit code {finished.code}, expected {' or '.join(map(str, codes))}: {finished.err[-600:]}"
+        )
     text = " ".join(finished.text.split())
     missing = [
         f"no {pattern!r} in the output: {finished.text[-600:]}"
@@ -118,9 +122,13 @@ def _faults_of_processes(case: Case, sandbox: Sandbox) -> list[str]:
         if re.search(r"Traceback|Logging error|Segmentation|core dumped", finished.text):
             found.append(f"granflow {finished.command} prints a traceback: {finished.text[-400:]}")
         if re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\u202e\u2066-\u2069]", finished.text):
-            found.append(f"granflow {finished.command} prints control characters: {ascii(finished.err[:400])}")
+            found.append(
+                f"granflow {finished.command} prints control characters: {ascii(finished.err[:400])}"
+            )
         if finished.megabytes > case.megabytes:
-            found.append(f"granflow {finished.command} takes {finished.megabytes:.0f} MB, more than {case.megabytes:g}")
+            found.append(
+                f"granflow {finished.command} takes {finished.megabytes:.0f} MB, more than {case.megabytes:g}"
+            )
     return found
 
 
@@ -134,7 +142,8 @@ UNDEFINED = "residence_time"
 
 
 def defects(folder: Path) -> list[str]:
-    """Defects of the files of a run: temporary files, unreadable or unlisted frames, NaN, rows of unequal length."""
+    """Defects of the files of a run: temporary files, unreadable or unlisted frames, NaN, rows of unequal
+    length."""
     found = [f"the temporary file {path.name} remains" for path in folder.glob(".*.part")]
     for pvd in folder.glob("*.pvd"):
         try:
@@ -142,7 +151,11 @@ def defects(folder: Path) -> list[str]:
         except ElementTree.ParseError as error:
             found.append(f"{pvd.name} is not XML: {error}")
             continue
-        found += [f"{pvd.name} lists {name}, which does not exist" for name in listed if not (folder / name).is_file()]
+        found += [
+            f"{pvd.name} lists {name}, which does not exist"
+            for name in listed
+            if not (folder / name).is_file()
+        ]
     for path in folder.glob("*.vtu"):
         if b"</VTKFile>" not in path.read_bytes()[-200:]:
             found.append(f"{path.name} is incomplete")
@@ -184,7 +197,9 @@ def _result_text(case: Case, finished: FinishedProcess, passed: bool) -> str:
     )
     for pattern, text in (*VARIABLE_PARTS, *([(case.mask, "...")] if case.mask else [])):
         message = re.sub(pattern, text, message)
-    parts = [f"exit code {finished.code}" if finished.code is not None else f"no end within {case.seconds:g} s"]
+    parts = [
+        f"exit code {finished.code}" if finished.code is not None else f"no end within {case.seconds:g} s"
+    ]
     parts += [f"`{plain(message)}`"] if message else []
     parts += [case.verified] if case.verified and passed else []
     return "; ".join(parts)
@@ -202,7 +217,9 @@ VARIABLE_PARTS = (
 
 def plain(text: str, longest: int = 300) -> str:
     """Text for one cell of a Markdown table: no control characters, no bars, at most `longest` characters."""
-    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text).replace("|", "\\|").replace("`", "'")
+    shown = (
+        "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text).replace("|", "\\|").replace("`", "'")
+    )
     return shown if len(shown) <= longest else shown[: longest - 4] + " ..."
 
 

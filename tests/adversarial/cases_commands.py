@@ -10,7 +10,12 @@ def line(name: str, command: str, *patterns: str, text: str = "", **more) -> Cas
     """Case of one command line, in a directory with the scene of ten particles."""
     options = {"prepare": beads(), "code": 2} | more
     return Case(
-        "command lines", f"line_{name}", text or f"`granflow {command}`", (command,), patterns=patterns, **options
+        "command lines",
+        f"line_{name}",
+        text or f"`granflow {command}`",
+        (command,),
+        patterns=patterns,
+        **options,
     )
 
 
@@ -101,11 +106,22 @@ INVALID = [
     line("explain_missing", "explain no.yaml", "no such file"),
     line("schema_extra", "schema beads.yaml", "is not a key of a scene"),
     line("collide_material", "collide --material butter --diameter 1mm --velocity 1", "butter"),
-    line("collide_law", "collide --law newton --material stainless_316 --diameter 1mm --velocity 1", "newton"),
-    line("collide_unit", "collide --material stainless_316 --diameter 1kg --velocity 1", "kg is a unit of mass"),
-    line("collide_negative", "collide --material stainless_316 --diameter=-1mm --velocity 1", "diameter|length"),
+    line(
+        "collide_law", "collide --law newton --material stainless_316 --diameter 1mm --velocity 1", "newton"
+    ),
+    line(
+        "collide_unit", "collide --material stainless_316 --diameter 1kg --velocity 1", "kg is a unit of mass"
+    ),
+    line(
+        "collide_negative", "collide --material stainless_316 --diameter=-1mm --velocity 1", "diameter|length"
+    ),
     line("collide_zero", "collide --material stainless_316 --diameter 1mm --velocity 0", "velocity"),
-    line("collide_fast", "collide --material stainless_316 --diameter 1mm --velocity 1e30", "velocity", "radius"),
+    line(
+        "collide_fast",
+        "collide --material stainless_316 --diameter 1mm --velocity 1e30",
+        "velocity",
+        "radius",
+    ),
     line(
         "collide_small",
         "collide --material stainless_316 --diameter 1e-20 --velocity 1 --json",
@@ -119,7 +135,9 @@ INVALID = [
         "restitution",
     ),
     line(
-        "collide_steps", "collide --material stainless_316 --diameter 1mm --velocity 1 --steps-per-contact 0", "steps"
+        "collide_steps",
+        "collide --material stainless_316 --diameter 1mm --velocity 1 --steps-per-contact 0",
+        "steps",
     ),
     line(
         "collide_steps_nan",

@@ -10,7 +10,15 @@ from pathlib import Path
 
 from adversarial.beads import beads
 from adversarial.case import Case
-from adversarial.runs import IDENTICAL, assert_undisturbed, case, killed_run, partial_run, reference, write_scene
+from adversarial.runs import (
+    IDENTICAL,
+    assert_undisturbed,
+    case,
+    killed_run,
+    partial_run,
+    reference,
+    write_scene,
+)
 from adversarial.sandbox import FinishedProcess, Sandbox, Skip, as_unprivileged_user, limited
 from resume.faults import assert_complete
 from subprocess_runner import restore_interrupts
@@ -46,7 +54,9 @@ def resumes(sandbox: Sandbox, finished: FinishedProcess) -> None:
 
 def early_signal(sandbox: Sandbox) -> FinishedProcess:
     """Sends SIGTERM during imports and compilation."""
-    running = sandbox.start("run beads.yaml --out out", env={"GRANFLOW_CACHE": str(sandbox.path("cold"))}.items())
+    running = sandbox.start(
+        "run beads.yaml --out out", env={"GRANFLOW_CACHE": str(sandbox.path("cold"))}.items()
+    )
     time.sleep(4.0)
     running.send_signal(signal.SIGTERM)
     began = time.monotonic()
@@ -56,7 +66,8 @@ def early_signal(sandbox: Sandbox) -> FinishedProcess:
 
 
 def killed_at_random(sandbox: Sandbox) -> FinishedProcess:
-    """Kills and resumes the run at random times, the last time after a checkpoint, then resumes it to its end."""
+    """Kills and resumes the run at random times, the last time after a checkpoint, then resumes it to its
+    end."""
     rng = random.Random(7)
     command = "run beads.yaml --out out"
     for remaining in reversed(range(RESTARTS)):
@@ -65,7 +76,11 @@ def killed_at_random(sandbox: Sandbox) -> FinishedProcess:
         size = log.stat().st_size if log.exists() else 0
         while running.poll() is None and (log.stat().st_size if log.exists() else 0) <= size:
             time.sleep(0.01)
-        while remaining == 0 and running.poll() is None and not any(sandbox.path("out").glob("checkpoint_*.npz")):
+        while (
+            remaining == 0
+            and running.poll() is None
+            and not any(sandbox.path("out").glob("checkpoint_*.npz"))
+        ):
             time.sleep(0.01)
         time.sleep(rng.uniform(0.0, 0.5))
         if running.poll() is None:
@@ -494,7 +509,8 @@ def machine() -> list[Case]:
             "cwd_deleted",
             "the working directory is deleted",
             lambda s: s.run(
-                "check beads.yaml", preexec_fn=lambda: (os.mkdir("gone"), os.chdir("gone"), os.rmdir("../gone"))
+                "check beads.yaml",
+                preexec_fn=lambda: (os.mkdir("gone"), os.chdir("gone"), os.rmdir("../gone")),
             ),
             2,
             ("no such file|directory",),

@@ -22,7 +22,9 @@ WITH_MESH = changed(
 ROWS = "x,y,z,r\n0.005,0.005,0.01,0.002\n0.015,0.015,0.01,0.002\n"
 
 
-def table(name: str, text: str, content: str | bytes, *patterns: str, file: str = "beads.csv", **more) -> Case:
+def table(
+    name: str, text: str, content: str | bytes, *patterns: str, file: str = "beads.csv", **more
+) -> Case:
     """Case of `granflow check` of a scene with particles from a file with this content."""
 
     def prepare(sandbox):
@@ -40,7 +42,8 @@ def table(name: str, text: str, content: str | bytes, *patterns: str, file: str 
 
 
 def mesh(name: str, text: str, file: str, content, *patterns: str, **more) -> Case:
-    """Case of `granflow check` of a scene with a mesh wall; `content`: bytes, or a function that writes the file."""
+    """Case of `granflow check` of a scene with a mesh wall; `content`: bytes, or a function that writes the
+    file."""
 
     def prepare(sandbox):
         sandbox.write("beads.yaml", WITH_MESH.replace("FILE", f"'{file}'"))
@@ -50,7 +53,9 @@ def mesh(name: str, text: str, file: str, content, *patterns: str, **more) -> Ca
             sandbox.write(file, content)
 
     command = "check beads.yaml"
-    return Case("meshes", f"mesh_{name}", text, (command,), patterns=patterns, **({"prepare": prepare} | more))
+    return Case(
+        "meshes", f"mesh_{name}", text, (command,), patterns=patterns, **({"prepare": prepare} | more)
+    )
 
 
 def dangling_link(sandbox):
@@ -103,7 +108,10 @@ def obj(points, corners, relative: bool = False) -> str:
     """Text of an OBJ file; indices from 1, or relative to the last vertex."""
     shift = -len(points) if relative else 1
     lines = [f"v {x} {y} {z}" for x, y, z in points]
-    return "\n".join([*lines, *(f"f {a + shift} {b + shift} {c + shift}" for a, b, c in np.asarray(corners))]) + "\n"
+    return (
+        "\n".join([*lines, *(f"f {a + shift} {b + shift} {c + shift}" for a, b, c in np.asarray(corners))])
+        + "\n"
+    )
 
 
 def tables() -> list[Case]:
@@ -113,7 +121,13 @@ def tables() -> list[Case]:
         table("header_only", "column names without rows", "x,y,z,r\n", "no particle"),
         table("no_names", "numbers without column names", "1,2,3,4\n", "must be a header with the columns"),
         table("missing_column", "no column for z", "x,y,r\n1,2,3\n", "must be a header with the columns"),
-        table("text", "a word where a number belongs", ROWS + "a,0,0.01,0.002\n", r"beads.csv:4: x is a", quick=True),
+        table(
+            "text",
+            "a word where a number belongs",
+            ROWS + "a,0,0.01,0.002\n",
+            r"beads.csv:4: x is a",
+            quick=True,
+        ),
         table("nan", "NaN as a position", ROWS + "nan,0,0.01,0.002\n", r"beads.csv:4: .*finite"),
         table("huge_number", "1e400 as a radius", ROWS + "0,0,0.01,1e400\n", r"beads.csv:4: .*finite"),
         table("negative_radius", "a negative radius", ROWS + "0,0,0.01,-0.002\n", r"beads.csv:4: .*above 0"),
@@ -122,7 +136,11 @@ def tables() -> list[Case]:
         table("outside", "a position outside the domain", ROWS + "9,9,9,0.002\n", "domain"),
         table("1e30", "a position of 1e30 m", ROWS + "1e30,0,0.01,0.002\n", "domain"),
         table(
-            "overlap", "two particles at the same position", ROWS + "0.005,0.005,0.01,0.002\n", "overlap", code=(0, 2)
+            "overlap",
+            "two particles at the same position",
+            ROWS + "0.005,0.005,0.01,0.002\n",
+            "overlap",
+            code=(0, 2),
         ),
         table("binary", "random bytes", bytes(range(256)) * 100, "beads.csv"),
         table(
@@ -153,7 +171,9 @@ def tables() -> list[Case]:
             "no such file",
             prepare=dangling_link,
         ),
-        table("link_loop", "a loop of symbolic links", "", "beads.csv", prepare=loop("beads.csv", FROM_TABLE)),
+        table(
+            "link_loop", "a loop of symbolic links", "", "beads.csv", prepare=loop("beads.csv", FROM_TABLE)
+        ),
         table(
             "pipe",
             "a named pipe without a writer",
@@ -246,7 +266,9 @@ def meshes() -> list[Case]:
             "no errors, 1 warning",
             code=0,
         ),
-        mesh("points", "an OBJ file with corners and no triangles", "m.obj", "v 0 0 0\nv 1 0 0\n", "triangle"),
+        mesh(
+            "points", "an OBJ file with corners and no triangles", "m.obj", "v 0 0 0\nv 1 0 0\n", "triangle"
+        ),
         mesh("kind", "an unknown kind of file", "m.step", "ISO-10303", "unsupported format"),
         mesh(
             "many",
@@ -257,7 +279,9 @@ def meshes() -> list[Case]:
             seconds=200,
         ),
         mesh("missing", "no such file", "m.stl", lambda path: None, "does not exist|no such"),
-        mesh("link_loop", "a loop of symbolic links", "m.stl", b"", "m.stl", prepare=loop("m.stl", WITH_MESH)),
+        mesh(
+            "link_loop", "a loop of symbolic links", "m.stl", b"", "m.stl", prepare=loop("m.stl", WITH_MESH)
+        ),
         mesh("directory", "a directory", "m.stl", lambda path: path.mkdir(), "it is a directory"),
         mesh(
             "ply_huge",
@@ -282,7 +306,9 @@ def meshes() -> list[Case]:
             "quads",
             "a VTK file of quadrilaterals, which are cut into triangles",
             "m.vtk",
-            lambda path: meshio.write(path, meshio.Mesh(points, [("quad", [[0, 1, 3, 2]])]), file_format="vtk"),
+            lambda path: meshio.write(
+                path, meshio.Mesh(points, [("quad", [[0, 1, 3, 2]])]), file_format="vtk"
+            ),
             "no problems",
             code=0,
         ),
@@ -305,9 +331,24 @@ def measurements() -> list[Case]:
     """Tables for `granflow fit`."""
     return [
         fit("empty", "an empty file", "", "no rows"),
-        fit("above_one", "a restitution of 1.5", "velocity,restitution\n1,0.9\n2,1.5\n", r"data.csv:3: .*\[0, 1\]"),
-        fit("one_row", "one row for three parameters", "velocity,restitution\n1,0.9\n", "rows|measurements|few"),
-        fit("equal", "the same velocity in every row", "velocity,restitution\n" + "1,0.9\n" * 5, "velocit|data|fit"),
+        fit(
+            "above_one",
+            "a restitution of 1.5",
+            "velocity,restitution\n1,0.9\n2,1.5\n",
+            r"data.csv:3: .*\[0, 1\]",
+        ),
+        fit(
+            "one_row",
+            "one row for three parameters",
+            "velocity,restitution\n1,0.9\n",
+            "rows|measurements|few",
+        ),
+        fit(
+            "equal",
+            "the same velocity in every row",
+            "velocity,restitution\n" + "1,0.9\n" * 5,
+            "velocit|data|fit",
+        ),
         fit("unit", "velocities in km/h", "velocity [km/h],restitution\n1,0.9\n", "km/h"),
     ]
 

@@ -1,4 +1,5 @@
-"""Long runs: 100 000 frames, and a million steps of 1000 particles with monitored memory and file descriptors."""
+"""Long runs: 100 000 frames, and a million steps of 1000 particles with monitored memory and file
+descriptors."""
 
 import os
 import time
@@ -41,7 +42,8 @@ FRAMES_SCENE = changed(
 
 def settled_bed():
     """Scene of 1000 particles in a box with a vibrating floor, for a million steps of 10 us."""
-    side, step = 0.06, 1e-5
+    side = 0.06
+    step = 1e-5
     shake = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 20.0}
     walls = {"floor": solid([0, 0, 0], [0, 0, 1]) | {"motion": [shake]}}
     for axis, name in enumerate("xy"):
@@ -51,7 +53,11 @@ def settled_bed():
     positions = 0.0058 * (np.argwhere(np.ones((10, 10, 10))) + 0.7)
     duration = STEPS * step
     return build_scene(
-        {"beads": particle_group(positions, np.random.default_rng(5).uniform(0.0046, 0.0054, len(positions)))},
+        {
+            "beads": particle_group(
+                positions, np.random.default_rng(5).uniform(0.0046, 0.0054, len(positions))
+            )
+        },
         walls,
         pair={"friction": 0.4, "restitution": 0.6},
         gravity=[0.0, 0.0, -9.81],
@@ -63,7 +69,8 @@ def settled_bed():
 
 
 def run_and_sample(sandbox: Sandbox) -> FinishedProcess:
-    """Samples resident memory [kB] and open files of the process; asserts that they do not grow after WARM."""
+    """Samples resident memory [kB] and open files of the process; asserts that they do not grow after
+    WARM."""
     if not Path("/proc/self/statm").exists():
         raise Skip("memory and open files are read from /proc")
     running = sandbox.start("run beads.yaml --out out")
@@ -84,9 +91,11 @@ def run_and_sample(sandbox: Sandbox) -> FinishedProcess:
     finished = sandbox.finish(running, "run beads.yaml --out out")
     late = [sample for sample in samples if sample[0] > WARM]
     assert len(late) > 5, f"the run is too short for sampling: {samples}"
-    memory, files = [sample[1] for sample in late], [sample[2] for sample in late]
+    memory = [sample[1] for sample in late]
+    files = [sample[2] for sample in late]
     assert max(memory) <= GROWTH * memory[0], f"resident memory [kB] grows: {memory[::10]}"
-    # a frame of three files and a checkpoint may be written; a file left open by each frame would be a hundred
+    # a frame of three files and a checkpoint may be written; a file left open by each frame would be a
+    # hundred
     assert max(files) <= min(files) + 5, f"open files: {sorted(set(files))}"
     return finished
 

@@ -44,7 +44,8 @@ def frames(out: Path) -> list[dict[str, np.ndarray]]:
         mesh = meshio.read(path)
         order = np.argsort(mesh.point_data["id"]) if len(mesh.points) else slice(0)
         found.append(
-            {"position": mesh.points[order]} | {name: values[order] for name, values in mesh.point_data.items()}
+            {"position": mesh.points[order]}
+            | {name: values[order] for name, values in mesh.point_data.items()}
         )
     return found
 
@@ -114,7 +115,10 @@ def check_fixed(run_frames):
 def walls_cross():
     """A plane that moves through another plane and compresses a particle until a limit aborts the run."""
     down = {"kind": "translation", "velocity": [0, 0, -0.5]}
-    walls = {"floor": solid([0, 0, 0], [0, 0, 1]), "lid": solid([0, 0, 0.02], [0, 0, -1]) | {"motion": [down]}}
+    walls = {
+        "floor": solid([0, 0, 0], [0, 0, 1]),
+        "lid": solid([0, 0, 0.02], [0, 0, -1]) | {"motion": [down]},
+    }
     return build_scene(
         {"ball": particle_group([[0.0, 0.0, 0.006]])},
         walls,
@@ -157,7 +161,8 @@ def narrow(width: float):
 
 def check_narrow(run_frames):
     """The column collapses; the minimum-image distance of each pair is at least 0.9 diameters."""
-    position, width = last(run_frames), 0.025
+    position = last(run_frames)
+    width = 0.025
     away = position[:, None] - position[None]
     away[..., :2] -= width * np.round(away[..., :2] / width)
     distance = np.sqrt((away**2).sum(axis=-1))[np.triu_indices(4, 1)]
@@ -168,9 +173,14 @@ def check_narrow(run_frames):
 def ratio():
     """Particles of 0.1 mm that fall on a particle of 10 cm: a radius ratio of 1000."""
     side = 1.5e-4 * np.argwhere(np.ones((5, 5, 1))) + [0.0, 0.0, 0.0502]
-    groups = {"large": particle_group([[0.0, 0.0, 0.0]], 0.1) | {"fixed": True}, "small": particle_group(side, 1e-4)}
+    groups = {
+        "large": particle_group([[0.0, 0.0, 0.0]], 0.1) | {"fixed": True},
+        "small": particle_group(side, 1e-4),
+    }
     return build_scene(
-        groups, pair=HARD, **(FALL | {"run": {"duration": 0.01, "velocity_max": 0.2}, "output": {"interval": 0.005}})
+        groups,
+        pair=HARD,
+        **(FALL | {"run": {"duration": 0.01, "velocity_max": 0.2}, "output": {"interval": 0.005}}),
     )
 
 
@@ -291,7 +301,13 @@ def physics() -> list[Case]:
             code=2,
             patterns=("periodic|wide|images",),
         ),
-        ran("radius_ratio", "a radius ratio of 1000", ratio, "no small particle enters the large one", check_ratio),
+        ran(
+            "radius_ratio",
+            "a radius ratio of 1000",
+            ratio,
+            "no small particle enters the large one",
+            check_ratio,
+        ),
         ran(
             "fast_motion",
             "a wall whose period of motion is a tenth of the time step",
@@ -344,7 +360,8 @@ def physics() -> list[Case]:
             patterns=("overlap|same position|coincide",),
             verify=abort_files,
             prepare=beads(
-                ("    count: 10\n", ""), (LATTICE, "{kind: positions, positions: [[0, 0, 1 cm], [0, 0, 1 cm]]}")
+                ("    count: 10\n", ""),
+                (LATTICE, "{kind: positions, positions: [[0, 0, 1 cm], [0, 0, 1 cm]]}"),
             ),
         ),
     ]

@@ -1,4 +1,5 @@
-"""Resumed runs with changed keys, missing or damaged files; runs that replace other runs or start from them."""
+"""Resumed runs with changed keys, missing or damaged files; runs that replace other runs or start from
+them."""
 
 import json
 import shutil
@@ -20,10 +21,16 @@ def resumed(command: str = "resume out", change=None):
         out = killed_run(sandbox)
         if change is not None:
             change(out)
-        before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file() and path.suffix == ".vtu"}
+        before = {
+            path.name: path.read_bytes() for path in out.iterdir() if path.is_file() and path.suffix == ".vtu"
+        }
         finished = sandbox.run(command)
         if finished.code == 2:
-            after = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file() and path.suffix == ".vtu"}
+            after = {
+                path.name: path.read_bytes()
+                for path in out.iterdir()
+                if path.is_file() and path.suffix == ".vtu"
+            }
             assert after == before, "the rejected command changes the frames of the run"
         return finished
 
@@ -96,10 +103,14 @@ def other_python(sandbox: Sandbox) -> FinishedProcess:
     for minor in (10, 11, 12, 13):
         found = shutil.which(f"python3.{minor}")
         if found and (3, minor) != here:
-            probe = subprocess.run([found, "-c", "import granflow, taichi"], capture_output=True, cwd=sandbox.home)
+            probe = subprocess.run(
+                [found, "-c", "import granflow, taichi"], capture_output=True, cwd=sandbox.home
+            )
             if not probe.returncode:
                 killed_run(sandbox)
-                return sandbox.finish(sandbox.start_program([found, "-m", "granflow", "resume", "out"]), "resume out")
+                return sandbox.finish(
+                    sandbox.start_program([found, "-m", "granflow", "resume", "out"]), "resume out"
+                )
     raise Skip("no other Python version with granflow is installed")
 
 
@@ -134,7 +145,14 @@ def resumptions() -> list[Case]:
 
     def accepted(name, text, command="resume out", *patterns, change=None):
         return case(
-            group, name, text, resumed(command, change), 0, patterns, verify=assert_undisturbed, verified=IDENTICAL
+            group,
+            name,
+            text,
+            resumed(command, change),
+            0,
+            patterns,
+            verify=assert_undisturbed,
+            verified=IDENTICAL,
         )
 
     format_99 = all_checkpoints(rewritten(format=99))
@@ -163,8 +181,12 @@ def resumptions() -> list[Case]:
             killed=True,
         ),
         rejected("resume_arch", "an accelerator that is absent", "resume out --arch cuda", "cuda"),
-        rejected("resume_unknown", "an unknown key", "resume out --set output.intervall=1", "Did you mean interval"),
-        rejected("resume_format", "checkpoints of another format version", "resume out", "format", change=format_99),
+        rejected(
+            "resume_unknown", "an unknown key", "resume out --set output.intervall=1", "Did you mean interval"
+        ),
+        rejected(
+            "resume_format", "checkpoints of another format version", "resume out", "format", change=format_99
+        ),
         rejected(
             "resume_io",
             "checkpoints that cannot be read (I/O error)",
@@ -180,7 +202,11 @@ def resumptions() -> list[Case]:
             change=replaced("timeseries.csv", b""),
         ),
         rejected(
-            "resume_no_time_series", "no time series", "resume out", "lacks rows", change=removed("timeseries.csv")
+            "resume_no_time_series",
+            "no time series",
+            "resume out",
+            "lacks rows",
+            change=removed("timeseries.csv"),
         ),
         rejected(
             "resume_scene_bad",

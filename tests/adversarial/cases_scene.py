@@ -68,7 +68,9 @@ def aliases() -> str:
 
 def file_case(name: str, text: str, content: str | bytes, *patterns: str, **more) -> Case:
     """Case of `granflow check` of a scene file with this content."""
-    return Case("scene files", name, text, ("check beads.yaml",), patterns=patterns, prepare=scene(content), **more)
+    return Case(
+        "scene files", name, text, ("check beads.yaml",), patterns=patterns, prepare=scene(content), **more
+    )
 
 
 def no_scene(sandbox) -> None:
@@ -97,7 +99,10 @@ def file_cases() -> list[Case]:
         file_case("binary", "random bytes with NUL", bytes(range(256)) * 40, "binary|UTF-8"),
         file_case("utf16", "UTF-16", BEADS.encode("utf-16"), "UTF-16"),
         file_case(
-            "not_utf8", "Latin-1 text with an accent", BEADS.replace("Ten", "T\u00e9n").encode("latin-1"), "UTF-8"
+            "not_utf8",
+            "Latin-1 text with an accent",
+            BEADS.replace("Ten", "T\u00e9n").encode("latin-1"),
+            "UTF-8",
         ),
         file_case("json_list", "a list instead of a mapping", "[1, 2, 3]\n", "mapping"),
         file_case(
@@ -110,7 +115,12 @@ def file_cases() -> list[Case]:
         file_case("deep", "100 000 nested brackets", "title: " + "[" * 100_000, "deep|nested|bracket|closed"),
         file_case("aliases", "aliases that expand to 1e9 values", aliases(), "alias|large|not known|values"),
         file_case(
-            "large", "a file of 50 MB", BEADS + "# comment\n" * 5_000_000, "large|MB", megabytes=1000, seconds=200
+            "large",
+            "a file of 50 MB",
+            BEADS + "# comment\n" * 5_000_000,
+            "large|MB",
+            megabytes=1000,
+            seconds=200,
         ),
         file_case(
             "long_line",
@@ -137,7 +147,12 @@ def file_cases() -> list[Case]:
             prepare=scene(BEADS.replace("Ten beads fall", '"\\e[31mred\\u202Eabc"')),
             verified="escaped",
         ),
-        file_case("control_key", "ESC in a key", BEADS.replace("seed", "seed") + '"s\\e[31mx": 3\n', "not a known key"),
+        file_case(
+            "control_key",
+            "ESC in a key",
+            BEADS.replace("seed", "seed") + '"s\\e[31mx": 3\n',
+            "not a known key",
+        ),
         Case(
             "scene files",
             "missing",

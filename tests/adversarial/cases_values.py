@@ -8,7 +8,12 @@ from adversarial.cases_physics import abort_files, frames, last
 def rejected(name: str, text: str, pairs, *patterns: str, verb: str = "check beads.yaml", **more) -> Case:
     """Case of the scene of ten particles with replaced passages, which `granflow check` rejects."""
     return Case(
-        "extreme values", f"value_{name}", text, (verb,), patterns=patterns, **({"prepare": beads(*pairs)} | more)
+        "extreme values",
+        f"value_{name}",
+        text,
+        (verb,),
+        patterns=patterns,
+        **({"prepare": beads(*pairs)} | more),
     )
 
 
@@ -23,7 +28,10 @@ def values() -> list[Case]:
     step = ("run: {duration: 50 ms}", "run: {duration: 50 ms, time_step: 1e-30}")
     return [
         rejected(
-            "step_large", "a time step of 1 ms", [("50 ms}", "50 ms, time_step: 1 ms}")], "above the stability limit"
+            "step_large",
+            "a time step of 1 ms",
+            [("50 ms}", "50 ms, time_step: 1 ms}")],
+            "above the stability limit",
         ),
         rejected("step_small", "a time step of 1e-30 s", [step], "time_step|steps|years|long"),
         rejected("duration", "a duration of 1e30 s", [("50 ms", "1e30")], "duration|steps|years|long"),
@@ -80,7 +88,9 @@ def values() -> list[Case]:
             code=(2, 3),
             verify=abort_files,
         ),
-        rejected("count", "2 147 483 647 particles", [("count: 10", "count: 2147483647")], "maximum for 32-bit"),
+        rejected(
+            "count", "2 147 483 647 particles", [("count: 10", "count: 2147483647")], "maximum for 32-bit"
+        ),
         rejected(
             "chunk",
             "a chunk size of 2 147 483 647",
@@ -108,10 +118,17 @@ def values() -> list[Case]:
             "above 0",
         ),
         rejected(
-            "interval_zero", "an output interval of 0", [("interval: 10 ms", "interval: 0")], "interval", "above 0"
+            "interval_zero",
+            "an output interval of 0",
+            [("interval: 10 ms", "interval: 0")],
+            "interval",
+            "above 0",
         ),
         rejected(
-            "interval_tiny", "an output interval of 1e-30 s", [("interval: 10 ms", "interval: 1e-30")], code=(0, 2)
+            "interval_tiny",
+            "an output interval of 1e-30 s",
+            [("interval: 10 ms", "interval: 1e-30")],
+            code=(0, 2),
         ),
         rejected(
             "amplitude",

@@ -1,4 +1,5 @@
-"""The table of all adversarial cases in docs/pages/reference/invalid_inputs.md; one function writes and compares it."""
+"""The table of all adversarial cases in docs/pages/reference/invalid_inputs.md; one function writes and
+compares it."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,5 @@
-"""A temporary directory in which one adversarial case runs the command line, with limits on time and memory."""
+"""A temporary directory in which one adversarial case runs the command line, with limits on time and
+memory."""
 
 import os
 import re
@@ -82,7 +83,12 @@ class Sandbox:
         number = len(list(self.home.parent.glob("output_*.out")))
         outputs = [open(self.home.parent / f"output_{number}.{end}", "w+b") for end in ("out", "err")]
         variables = {**os.environ, "GRANFLOW_CACHE": str(CACHE), **dict(env)}
-        settings = {"cwd": self.home, "stdout": outputs[0], "stderr": outputs[1], "stdin": subprocess.DEVNULL} | options
+        settings = {
+            "cwd": self.home,
+            "stdout": outputs[0],
+            "stderr": outputs[1],
+            "stdin": subprocess.DEVNULL,
+        } | options
         saved = {name: value for name, value in variables.items() if value is not None}
         process = subprocess.Popen(arguments, env=saved, **settings)
         process.outputs = outputs
@@ -90,11 +96,14 @@ class Sandbox:
 
     def finish(self, process: subprocess.Popen, command: str = "") -> FinishedProcess:
         """Waits for a process; kills it if it exceeds the time limit."""
-        deadline, code, megabytes = time.monotonic() + self.seconds, None, 0.0
+        deadline = time.monotonic() + self.seconds
+        code = None
+        megabytes = 0.0
         while code is None:
             pid, status, usage = os.wait4(process.pid, os.WNOHANG)
             if pid:
-                code, megabytes = os.waitstatus_to_exitcode(status), usage.ru_maxrss / 1024.0
+                code = os.waitstatus_to_exitcode(status)
+                megabytes = usage.ru_maxrss / 1024.0
             elif time.monotonic() > deadline:
                 os.kill(process.pid, signal.SIGKILL)
                 os.wait4(process.pid, 0)

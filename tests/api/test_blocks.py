@@ -69,7 +69,10 @@ def test_a_block_is_validated_where_it_is_created():
         "Plane: material is missing: name of the wall's material."
     ]
     (problem,) = problems(gf.Cylinder, material="a", from_=[0, 0, 0], to=[0, 0, 0], radius=1)
-    assert problem == "to is [0, 0, 0], but it is the same point as from; the end points of the axis must differ."
+    assert (
+        problem
+        == "to is [0, 0, 0], but it is the same point as from; the end points of the axis must differ."
+    )
     (problem,) = problems(gf.Vibration, direction=[0, 0, 1], amplitude="1 mm")
     assert problem == "Vibration gives one of amplitude, frequency and gamma; give exactly two of them."
     (problem,) = problems(
@@ -81,7 +84,9 @@ def test_a_block_is_validated_where_it_is_created():
 def test_problems_of_a_scene_have_key_paths():
     (problem,) = problems(gf.Scene, **blocks(pairs={}))
     assert "glass-glass" in problem and "pairs" in problem
-    found = problems(gf.Scene, **blocks(gravity=[0, 0], walls={"drum": {"shape": "cylinder", "material": "glass"}}))
+    found = problems(
+        gf.Scene, **blocks(gravity=[0, 0], walls={"drum": {"shape": "cylinder", "material": "glass"}})
+    )
     assert found[0].startswith("gravity is [0, 0], but ")
     assert {each.partition(" is missing")[0] for each in found[1:]} == {
         f"walls.drum: walls.drum.{key}" for key in ("from", "to", "radius")
@@ -96,7 +101,9 @@ def test_defaults_of_blocks_are_not_given():
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_shipped_scene_is_equal_after_saving_and_from_its_blocks(path, tmp_path):
     scene = gf.load_scene(path)
-    parts = {name: getattr(scene, name) for name in type(scene).model_fields if getattr(scene, name) is not None}
+    parts = {
+        name: getattr(scene, name) for name in type(scene).model_fields if getattr(scene, name) is not None
+    }
     assert gf.Scene(folder=path.parent, **parts) == scene
     for _, name in scene.input_names():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -118,6 +125,9 @@ def test_representations_show_given_values_only():
         "Plane(material='a', point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))"
     )
     scene = gf.Scene(**blocks(title="<b>A & B</b>"))
-    assert repr(scene) == '<Scene "<b>A & B</b>": 20 particles in 1 group, 1 wall, zhou contacts, at most 0.05 s>'
+    assert (
+        repr(scene)
+        == '<Scene "<b>A & B</b>": 20 particles in 1 group, 1 wall, zhou contacts, at most 0.05 s>'
+    )
     assert "&lt;b&gt;A &amp; B&lt;/b&gt;" in scene._repr_html_() and "<b>" not in scene._repr_html_()
     assert deepcopy(scene) == scene

@@ -20,7 +20,12 @@ def scene():
         "gate": plane([0.3, 0.0, 0.0], [-1.0, 0.0, 0.0]),
     }
     groups = {"balls": particle_group([[0.02 * k, 0.0, 0.0055] for k in range(3)], velocity=[0.0, 0.0, -0.1])}
-    parts = {"gravity": [0.0, 0.0, -9.81], "pair": {"friction": 0.3}, "run": {"duration": 0.01}, "output": OUTPUT}
+    parts = {
+        "gravity": [0.0, 0.0, -9.81],
+        "pair": {"friction": 0.3},
+        "run": {"duration": 0.01},
+        "output": OUTPUT,
+    }
     return build_scene(groups, walls=walls, **parts)
 
 
@@ -84,7 +89,9 @@ def test_resumed_run_equals_the_uninterrupted_one(runs, tmp_path):
     shutil.copytree(runs / "part", out)
     checkpoint, _ = newest_checkpoint(out)
     with gf.Simulation(scene(), out=out, resume=checkpoint, forces=[force()]) as simulation:
-        assert not simulation.walls["gate"].is_present and simulation.forces[0].parameters["coefficient"] == 5e-3
+        assert (
+            not simulation.walls["gate"].is_present and simulation.forces[0].parameters["coefficient"] == 5e-3
+        )
         np.testing.assert_array_equal(simulation.particles.id, [0, 2, 3])
         simulation.run()
     (last, _), (expected, _) = newest_checkpoint(out), newest_checkpoint(runs / "whole")
@@ -103,8 +110,14 @@ def other(position, velocity, radius, mass, time, parameters):
     ("forces", "message"),
     [
         ([], "forces from Python that this program does not register: drag"),
-        ([gf.ParticleForce(drag, {"coefficient": 1.0}), gf.ParticleForce(other)], "the run has no force other"),
-        ([gf.ParticleForce(drag, {"coefficient": 1.0, "more": 1.0})], "has the keys coefficient, but must have coeff"),
+        (
+            [gf.ParticleForce(drag, {"coefficient": 1.0}), gf.ParticleForce(other)],
+            "the run has no force other",
+        ),
+        (
+            [gf.ParticleForce(drag, {"coefficient": 1.0, "more": 1.0})],
+            "has the keys coefficient, but must have coeff",
+        ),
     ],
 )
 def test_functions_must_be_registered_again(runs, forces, message):
@@ -135,7 +148,15 @@ def tampered(checkpoint, key, value):
         ("walls", {"flor": {"vanishes_at": 0.0, "motions": None}}),
         ("walls", {"gate": {"vanishes_at": "soon", "motions": None}}),
         ("walls", {"gate": {"vanishes_at": 1.0, "motions": [{"kind": "Leap"}]}}),
-        ("walls", {"gate": {"vanishes_at": 1.0, "motions": [{"kind": "Translation", "velocity": 1.0, "start": 0.0}]}}),
+        (
+            "walls",
+            {
+                "gate": {
+                    "vanishes_at": 1.0,
+                    "motions": [{"kind": "Translation", "velocity": 1.0, "start": 0.0}],
+                }
+            },
+        ),
         ("external_forces", "yes"),
         ("functions", [1]),
         ("removed_observers", "all"),

@@ -42,17 +42,21 @@ def test_stokes_drag_follows_the_exponential_and_is_of_second_order(taichi_f64):
 
         v = v0 exp(-t / tau),   x = x0 + v0 tau (1 - exp(-t / tau)),   tau = m / (6 pi eta R)
 
-    With h = dt / tau a step multiplies the velocity by 1 - h + h^2 / 2: the relative error at t = tau is h^2 / 6.
+    With h = dt / tau a step multiplies the velocity by 1 - h + h^2 / 2: the relative error at t = tau is h^2
+    / 6.
     """
-    tau, kinetic = MASS / (6.0 * math.pi * VISCOSITY * 0.005), MASS  # kinetic energy [J] of two particles at 1 m/s
+    tau = MASS / (6.0 * math.pi * VISCOSITY * 0.005)
+    kinetic = MASS  # kinetic energy [J] of two particles at 1 m/s
     for step in (2e-5, 1e-5):
         h = step / tau
         scene = flying(run={"duration": 1.0, "time_step": step, "velocity_max": 1.0})
         force = gf.ParticleForce(stokes_drag, parameters={"viscosity": VISCOSITY})
         with gf.Simulation(scene, forces=[force]) as simulation:
             simulation.run(until=tau)
-            totals, time = simulation.snapshot().totals, simulation.time
-            speed, place = simulation.particles.velocity[0, 0], simulation.particles.position[0, 0]
+            totals = simulation.snapshot().totals
+            time = simulation.time
+            speed = simulation.particles.velocity[0, 0]
+            place = simulation.particles.position[0, 0]
         decayed = math.exp(-time / tau)
         assert speed / decayed - 1.0 == pytest.approx(h**2 / 6.0, rel=0.1)
         assert place == pytest.approx(tau * (1.0 - decayed), rel=h**2)
@@ -81,14 +85,20 @@ def test_force_and_drag_of_the_scene_are_of_second_order_together(taichi_f64):
 
     An extrapolation of the velocity without the drag has errors of 1e-3 instead, which halve with the step.
     """
-    drag, rate, field_strength = 400.0, 300.0, -20.0
-    errors, r = [], drag + rate
+    drag = 400.0
+    rate = 300.0
+    field_strength = -20.0
+    errors = []
+    r = drag + rate
     for step in (4e-5, 2e-5):
         time, velocity, totals = damped_motion({"drag": drag}, step)
-        decay, limit = math.exp(-r * time), field_strength / r
+        decay = math.exp(-r * time)
+        limit = field_strength / r
         errors.append(velocity[0] / decay - 1.0)
         second_order = (r * step) ** 2
-        np.testing.assert_allclose(velocity, [decay, 0.0, limit * (1.0 - decay)], rtol=second_order, atol=1e-12)
+        np.testing.assert_allclose(
+            velocity, [decay, 0.0, limit * (1.0 - decay)], rtol=second_order, atol=1e-12
+        )
         fallen = limit * (time - (1.0 - decay) / r)
         squares = (1.0 - decay**2) / (2.0 * r)
         squares += limit**2 * (time - 2.0 * (1.0 - decay) / r + (1.0 - decay**2) / (2.0 * r))
@@ -118,7 +128,9 @@ def test_constant_field_gives_the_parabola_and_its_parameter_changes_without_com
         time = simulation.time
         np.testing.assert_allclose(simulation.particles.velocity[0], [1.0, 0.0, -20.0 * time], rtol=1e-9)
         np.testing.assert_allclose(simulation.particles.position[0], [time, 0.0, -10.0 * time**2], rtol=1e-9)
-        assert simulation.snapshot().totals["external_work"] == pytest.approx(400.0 * time**2 * MASS, rel=1e-9)
+        assert simulation.snapshot().totals["external_work"] == pytest.approx(
+            400.0 * time**2 * MASS, rel=1e-9
+        )
         kernels = simulation.engine.state
         force.parameters["acceleration"] = [0.0, 0.0, 20.0]
         simulation.run(duration=0.01)
@@ -191,7 +203,8 @@ def invalid(position, velocity, radius, mass, time, parameters):
 
 @pytest.mark.parametrize("acceleration", [1.0, 1e9])
 def test_the_message_of_an_abort_names_the_force(taichi_f64, acceleration):
-    """The square root is not a number beyond the limit; the large force exceeds the displacement limit before."""
+    """The square root is not a number beyond the limit; the large force exceeds the displacement limit
+    before."""
     force = gf.ParticleForce(invalid, {"limit": 1e-3, "acceleration": [acceleration, 0.0, 0.0]})
     with gf.Simulation(flying(), forces=[force]) as simulation, pytest.raises(gf.RunError) as stopped:
         simulation.run()

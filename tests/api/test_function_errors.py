@@ -52,7 +52,10 @@ def without_source(position, velocity, radius, mass, time, parameters):
 FORCES = {
     undefined: (2, 'Name "viscosity" is not defined; give numbers of the program in `parameters`'),
     member: (1, "AttributeError: the struct has no attribute 'viscosiy'; its members are viscosity"),
-    without_source: (1, "OSError: could not get source code: define all functions in a file or a notebook cell"),
+    without_source: (
+        1,
+        "OSError: could not get source code: define all functions in a file or a notebook cell",
+    ),
     text: (1, "Invalid constant scalar data type: <class 'str'>"),
     early: (2, "Return inside non-static if/for is not supported"),
     two_values: (0, "the function must return a vector of three components [N]"),
@@ -154,7 +157,9 @@ def scene(**more):
 def test_force_that_cannot_be_compiled(taichi_f64, function):
     line, reason = FORCES[function]
     force = gf.ParticleForce(function, {"viscosity": 1.0})
-    expected = f"The force {function.__name__} at 0 s cannot be compiled: {position_of(function, line)}: {reason}."
+    expected = (
+        f"The force {function.__name__} at 0 s cannot be compiled: {position_of(function, line)}: {reason}."
+    )
     with pytest.raises(gf.FunctionError) as error:
         gf.Simulation(scene(), forces=[force])
     assert str(error.value) == expected
@@ -187,7 +192,9 @@ def test_contact_model_that_cannot_be_compiled(taichi_f64, tmp_path, law):
 
 
 def test_a_lambda_is_refused_as_a_force():
-    with pytest.raises(gf.GranflowError, match="ParticleForce cannot compile a lambda: define the function with def"):
+    with pytest.raises(
+        gf.GranflowError, match="ParticleForce cannot compile a lambda: define the function with def"
+    ):
         gf.ParticleForce(lambda position, velocity, radius, mass, time, parameters: velocity)
 
 
@@ -238,7 +245,8 @@ class Calling(Faulty):
 
 
 @pytest.mark.parametrize(
-    ("law", "function", "line"), [(Branching, Branching.force, 8), (Looping, Looping.force, 3), (Calling, limited, 3)]
+    ("law", "function", "line"),
+    [(Branching, Branching.force, 8), (Looping, Looping.force, 3), (Calling, limited, 3)],
 )
 def test_a_branch_in_a_vectorized_function_is_refused_at_registration(law, function, line):
     """Without the refusal the process ends with a segmentation fault when the first scene is compiled."""
@@ -270,5 +278,7 @@ def test_a_called_function_without_source_is_refused_at_registration():
 @pytest.mark.parametrize("slot", ["normal", "cohesion"])
 def test_a_contact_model_that_is_not_registered_has_a_remedy(slot):
     contact = {"normal": "hertz", "tangential": "none", "rolling": "none", slot: {"law": "xyz"}}
-    with pytest.raises(gf.SceneError, match="Register a model of your own before: granflow.register_contact_model."):
+    with pytest.raises(
+        gf.SceneError, match="Register a model of your own before: granflow.register_contact_model."
+    ):
         gf.Scene.from_dict(scene().to_dict() | {"contact": contact})

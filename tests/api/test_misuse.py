@@ -1,4 +1,5 @@
-"""Use that cannot be meant: other types, other threads, forks, calls from observers; each has one clear sentence."""
+"""Use that cannot be meant: other types, other threads, forks, calls from observers; each has one clear
+sentence."""
 
 import copy
 import multiprocessing
@@ -168,11 +169,14 @@ def test_an_assignment_without_effect_is_refused(simulation, statement):
     with pytest.raises((AttributeError, gf.GranflowError, TypeError, ValueError)) as error:
         exec(statement, {"simulation": simulation, "scene": scene()})
     assert str(error.value) and "\n" not in str(error.value)
-    assert [force.name for force in simulation.forces] == ["drag"] and simulation.forces[0].parameters["rate"] == 0.5
+    assert [force.name for force in simulation.forces] == ["drag"] and simulation.forces[0].parameters[
+        "rate"
+    ] == 0.5
 
 
 def test_assigned_parameters_of_a_force_take_effect(simulation):
-    """The rate of decay dv/dt = -g - k v in free flight: the exact velocity after each part, to second order."""
+    """The rate of decay dv/dt = -g - k v in free flight: the exact velocity after each part, to second
+    order."""
     simulation.particles.position = [[0.0, 0.0, 0.05], [0.02, 0.0, 0.05]]
     for rate in (200.0, 900.0):
         simulation.particles.velocity = [[1.0, 0.0, 0.0]] * 2
@@ -180,7 +184,9 @@ def test_assigned_parameters_of_a_force_take_effect(simulation):
         begin = simulation.time
         simulation.run(duration=5e-4)
         expected = np.exp(-rate * (simulation.time - begin))
-        assert simulation.particles.velocity[0, 0] == pytest.approx(expected, rel=(rate * simulation.time_step) ** 2)
+        assert simulation.particles.velocity[0, 0] == pytest.approx(
+            expected, rel=(rate * simulation.time_step) ** 2
+        )
     simulation.forces[0].parameters = {"rate": 0.5}
 
 
@@ -211,9 +217,13 @@ class Callable:
         yield snapshot
 
 
-@pytest.mark.parametrize("function", [generator, coroutine, Callable()], ids=["generator", "coroutine", "object"])
+@pytest.mark.parametrize(
+    "function", [generator, coroutine, Callable()], ids=["generator", "coroutine", "object"]
+)
 def test_a_function_that_would_not_be_executed_is_no_observer(function):
-    with pytest.raises(gf.GranflowError, match="is a generator or a coroutine, whose code a call does not execute"):
+    with pytest.raises(
+        gf.GranflowError, match="is a generator or a coroutine, whose code a call does not execute"
+    ):
         gf.on_interval(1e-3, function)
 
 
@@ -234,7 +244,9 @@ def test_an_observer_belongs_to_one_simulation_at_a_time(taichi_f64):
                 gf.GranflowError, match="is an observer of another simulation, which has not been freed"
             ):
                 gf.Simulation(scene(), observers=[observer])
-    assert len(times) == 10 and times[:5] == times[5:], "after its end, the observer begins again in the next one"
+    assert len(times) == 10 and times[:5] == times[5:], (
+        "after its end, the observer begins again in the next one"
+    )
 
 
 @pytest.mark.parametrize("method", ["step", "run", "close", "free"])
@@ -242,7 +254,9 @@ def test_an_observer_cannot_advance_or_end_its_simulation(taichi_f64, method):
     with gf.Simulation(scene()) as simulation:
         observer = gf.on_interval(1e-3, lambda snapshot: getattr(simulation, method)(), wants=["walls"])
         simulation.observers.append(observer)
-        with pytest.raises(gf.FunctionError, match="cannot be called by an observer, while the simulation runs: raise"):
+        with pytest.raises(
+            gf.FunctionError, match="cannot be called by an observer, while the simulation runs: raise"
+        ):
             simulation.run()
         simulation.observers.remove(observer)
         simulation.run()
@@ -307,13 +321,16 @@ def test_threads_use_granflow_one_after_the_other_also_after_a_failure():
 
 
 def steps_in_children():
-    """Messages of a fork, and steps of a process with the method spawn, which gets a scene and returns a result."""
+    """Messages of a fork, and steps of a process with the method spawn, which gets a scene and returns a
+    result."""
     with gf.Simulation(scene()) as simulation:
         simulation.step(3)
         messages = []
         for call in (simulation.step, lambda: gf.Simulation(scene())):
             receive, send = multiprocessing.Pipe(duplex=False)
-            child = multiprocessing.get_context("fork").Process(target=lambda c=call, s=send: s.send(in_try(c)))
+            child = multiprocessing.get_context("fork").Process(
+                target=lambda c=call, s=send: s.send(in_try(c))
+            )
             child.start()
             child.join(30)
             messages.append(receive.recv() if receive.poll(1) else "no answer")

@@ -12,14 +12,17 @@ notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem
 @notebook
 def test_notebook_is_stored_without_results(path):
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    results = [cell for cell in cells if cell["cell_type"] == "code" and (cell["outputs"] or cell["execution_count"])]
+    results = [
+        cell for cell in cells if cell["cell_type"] == "code" and (cell["outputs"] or cell["execution_count"])
+    ]
     assert not results and cells[0]["cell_type"] == "markdown"
 
 
 @pytest.mark.slow
 @notebook
 def test_notebook_runs(path, tmp_path):
-    """The assertions of the notebook compare its results with theory; a failed one ends the execution with an error."""
+    """The assertions of the notebook compare its results with theory; a failed one ends the execution with an
+    error."""
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")
     found = nbformat.read(path, as_version=4)

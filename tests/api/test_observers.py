@@ -15,7 +15,8 @@ def flying(**more):
 
 
 def test_observers_are_added_and_removed_during_a_run(taichi_f64):
-    early, late = [], []
+    early = []
+    late = []
     first = gf.on_interval("1 ms", lambda snapshot: early.append(snapshot.time))
     second = gf.on_interval("1 ms", lambda snapshot: late.append(snapshot.time))
 
@@ -38,7 +39,10 @@ def test_stop_run_ends_the_run_regularly_and_it_can_continue(tmp_path, taichi_f6
             raise gf.StopRun
 
     times = []
-    observers = [gf.on_interval("1 ms", stop_at_three), gf.on_interval("1 ms", lambda s: times.append(s.time))]
+    observers = [
+        gf.on_interval("1 ms", stop_at_three),
+        gf.on_interval("1 ms", lambda s: times.append(s.time)),
+    ]
     with gf.Simulation(flying(), out=tmp_path / "out", observers=observers) as simulation:
         result = simulation.run()
         assert simulation.time == pytest.approx(3e-3, abs=2e-5) and not result.expectations
@@ -59,14 +63,17 @@ def fragile(snapshot):
 
 
 def test_an_error_names_function_and_time_after_a_checkpoint_from_which_the_run_resumes(tmp_path, taichi_f64):
-    out, times = tmp_path / "out", []
+    out = tmp_path / "out"
+    times = []
     message = r"The function fragile failed at 0.002\d* s: KeyError: 'speed'. The state"
     with pytest.raises(gf.FunctionError, match=message) as error:
         gf.Simulation(flying(), out=out, observers=[gf.on_interval("2 ms", fragile)]).run()
     assert isinstance(error.value.__cause__, KeyError) and str(out) in str(error.value)
     checkpoint, _ = newest_checkpoint(out)
     assert checkpoint.time == pytest.approx(2e-3, abs=2e-5)
-    with pytest.raises(gf.GranflowError, match="observers from Python that this program does not register: fragile"):
+    with pytest.raises(
+        gf.GranflowError, match="observers from Python that this program does not register: fragile"
+    ):
         gf.Simulation(flying(), out=out, resume=out)
     corrected = gf.on_interval("2 ms", lambda snapshot: times.append(snapshot.time))
     corrected.name = "fragile"
@@ -81,13 +88,17 @@ def test_an_interval_that_is_not_a_time_is_refused():
 
 
 MISTAKES = {
-    "print is not an observer: give granflow.on_interval": lambda simulation: simulation.observers.append(print),
+    "print is not an observer: give granflow.on_interval": lambda simulation: simulation.observers.append(
+        print
+    ),
     "wants contains 'contact', but has parts of": lambda _: gf.on_interval(1, print, wants=["contact"]),
     "function is 3, but must be a function of a snapshot": lambda _: gf.on_interval(1, 3),
     "count is 1.5, but must be a whole number": lambda simulation: simulation.step(1.5),
     "count is -1, but must be a whole number": lambda simulation: simulation.step(-1),
     "scene is a str; make a scene of it with granflow.load_scene": lambda _: gf.Simulation("hopper.yaml"),
-    "scene is a dict; make a scene of it with granflow.Scene.from_dict": lambda _: gf.Simulation({"title": "x"}),
+    "scene is a dict; make a scene of it with granflow.Scene.from_dict": lambda _: gf.Simulation(
+        {"title": "x"}
+    ),
 }
 
 

@@ -15,7 +15,8 @@ START = [[0.0, 0.0, 0.1], [0.05, 0.0, 0.1], [0.1, 0.0, 0.1]]
 
 
 def free_particles(**more):
-    """Three particles of two groups in gravity, and a group of two sizes; friction, so that particles rotate."""
+    """Three particles of two groups in gravity, and a group of two sizes; friction, so that particles
+    rotate."""
     groups = {
         "feed": particle_group(START[:2]),
         "rest": particle_group(START[2:]),
@@ -47,16 +48,20 @@ def test_arrays_are_ordered_by_id_and_copies(simulation):
 
 
 def test_arrays_of_rotating_clumps_are_those_of_the_snapshot(taichi_f64):
-    """In free fall a rod keeps its spin w about y: v = (0, 0, -g t) + w x (x - center), with the center on a parabola.
+    """In free fall a rod keeps its spin w about y: v = (0, 0, -g t) + w x (x - center), with the center on a
+    parabola.
 
     Reading velocities or positions alone, without the arrays that determine them, ended in a KeyError.
     """
-    spin, group = 40.0, clump_group([[0.0, 0.0, 0.1]]) | {"angular_velocity": [0.0, 40.0, 0.0]}
+    spin = 40.0
+    group = clump_group([[0.0, 0.0, 0.1]]) | {"angular_velocity": [0.0, 40.0, 0.0]}
     scene = build_scene({"rod": group, "ball": particle_group([[0.05, 0.0, 0.1]])}, gravity=[0.0, 0.0, -GRAVITY],
                         pair={"friction": 0.3}, run={"duration": 0.1, "velocity_max": 2.0})  # fmt: skip
     with gf.Simulation(scene) as simulation:
         simulation.run(until=5e-3)
-        particles, snapshot, time = simulation.particles, simulation.snapshot().particles, simulation.time
+        particles = simulation.particles
+        snapshot = simulation.snapshot().particles
+        time = simulation.time
         for name in ("velocity", "position", "angular_velocity", "mass", "force"):
             np.testing.assert_array_equal(getattr(particles, name)[:], snapshot[name], name)
         arm = particles.position[:4] - particles.position[:4].mean(axis=0)
@@ -77,7 +82,11 @@ def test_velocities_written_before_the_start_and_during_the_run_give_the_parabol
     changed_at = particles.position[0]
     simulation.run(duration=0.01)
     later = simulation.time - time
-    expected = changed_at + np.array([0.5, 0.0, -0.5 * GRAVITY * time]) * later - [0.0, 0.0, 0.5 * GRAVITY * later**2]
+    expected = (
+        changed_at
+        + np.array([0.5, 0.0, -0.5 * GRAVITY * time]) * later
+        - [0.0, 0.0, 0.5 * GRAVITY * later**2]
+    )
     np.testing.assert_allclose(particles.position[0], expected, rtol=1e-9)
     np.testing.assert_allclose(particles.position[2][1], 2.0 * later, rtol=1e-9)
 
@@ -113,7 +122,9 @@ def test_lists_and_forces_follow_a_particle_that_is_moved_away_and_back(taichi_f
         simulation.run(until=1e-3)
         assert simulation.snapshot().totals["contact_count"] == 2
         simulation.particles.position[0] += [0.0, 0.0, 0.3]
-        np.testing.assert_allclose(simulation.particles.force[0], [0.0, 0.0, -GRAVITY * simulation.particles.mass[0]])
+        np.testing.assert_allclose(
+            simulation.particles.force[0], [0.0, 0.0, -GRAVITY * simulation.particles.mass[0]]
+        )
         assert simulation.snapshot().totals["contact_count"] == 1
         simulation.particles.position[0] = simulation.particles.position[1] + [0.0, 0.00999, 0.0]
         simulation.step()
@@ -140,7 +151,9 @@ def test_added_particles_exceed_the_capacity_and_collide(taichi_f64):
     with gf.Simulation(resting()) as simulation:
         simulation.run(until=1e-3)
         before = simulation.particles.position[0]
-        grid = np.stack(np.meshgrid(np.arange(1, 50), np.arange(50), [0.005 - 1e-6], indexing="ij"), -1).reshape(-1, 3)
+        grid = np.stack(
+            np.meshgrid(np.arange(1, 50), np.arange(50), [0.005 - 1e-6], indexing="ij"), -1
+        ).reshape(-1, 3)
         ids = simulation.particles.add(grid * [0.0101, 0.0101, 1.0] - [0.0, 0.3, 0.0], diameter=0.01)
         np.testing.assert_array_equal(ids, np.arange(1, 2451))
         np.testing.assert_array_equal(simulation.particles.position[0], before)
@@ -181,24 +194,31 @@ WRONG = {
     "outside the domain from [-1.0, -1.0, -1.0] to": lambda p: p.position.__setitem__(0, [0.0, 0.0, 2.0]),
     "particles.mass is read-only": lambda p: p.mass.__setitem__(0, 1.0),
     "particles.diameter would lie in [0.01, 0.05] m": lambda p: p.diameter.__setitem__(1, 0.05),
-    "particles.group is 'food', but must be one of feed, rest, other": lambda p: p.group.__setitem__(0, "food"),
+    "particles.group is 'food', but must be one of feed, rest, other": lambda p: p.group.__setitem__(
+        0, "food"
+    ),
     "the new group must have the same material": lambda p: p.group.__setitem__(0, "other"),
     "no particle has the id 9": lambda p: p.rows([0, 9]),
     "material is 'brass', but must be one of glass, steel": lambda p: p.add([0, 0, 0], material="brass"),
-    "material is 'steel', but the group feed is of glass": lambda p: p.add([0, 0, 0], material="steel", group="feed"),
+    "material is 'steel', but the group feed is of glass": lambda p: p.add(
+        [0, 0, 0], material="steel", group="feed"
+    ),
     "group is missing: give one of feed, rest, other": lambda p: p.add([0, 0, 0]),
     "position has the shape (2, 2)": lambda p: p.add([[0, 0], [0, 1]], group="feed"),
     "velocity has the shape (2, 3)": lambda p: p.add([0, 0, 0], group="feed", velocity=np.zeros((2, 3))),
     "position contains nan": lambda p: p.add([0, 0, np.nan], group="feed"),
     "position contains [0.0, 0.0, 3.0] m, which is outside": lambda p: p.add([0, 0, 3], group="feed"),
-    "diameter contains 0.5 m, but the diameters of the scene": lambda p: p.add([0, 0, 0], diameter=0.5, group="feed"),
+    "diameter contains 0.5 m, but the diameters of the scene": lambda p: p.add(
+        [0, 0, 0], diameter=0.5, group="feed"
+    ),
     "particles.remove: ": lambda p: p.remove([7]),
 }
 
 
 @pytest.mark.parametrize("message", WRONG)
 def test_invalid_changes_are_refused_in_one_sentence(simulation, message):
-    position, velocity = simulation.particles.position[:], simulation.particles.velocity[:]
+    position = simulation.particles.position[:]
+    velocity = simulation.particles.velocity[:]
     with pytest.raises(gf.GranflowError) as error:
         WRONG[message](simulation.particles)
     assert message in str(error.value) and "\n" not in str(error.value)
@@ -215,7 +235,11 @@ def test_groups_are_changed_and_unknown_properties_refused(simulation):
 
 def program_scene(count=3):
     """A scene whose particles a program adds, above a floor."""
-    group = {"material": "glass", "count": count, "diameter": {"distribution": "uniform", "min": 0.008, "max": 0.01}}
+    group = {
+        "material": "glass",
+        "count": count,
+        "diameter": {"distribution": "uniform", "min": 0.008, "max": 0.01},
+    }
     return build_scene(
         {"balls": group | {"insert": {"kind": "python"}}},
         walls={"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])},
@@ -227,7 +251,8 @@ def program_scene(count=3):
 def test_a_scene_without_particles_takes_arrays_and_resumes(taichi_f64, tmp_path):
     """The arrays grow beyond the `count` of the group; a resumed run has the added particles."""
     position = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.1], [0.2, 0.0, 0.1], [0.3, 0.0, 0.1]])
-    diameter, velocity = np.array([0.008, 0.01, 0.009, 0.01]), np.arange(12.0).reshape(4, 3) / 100.0
+    diameter = np.array([0.008, 0.01, 0.009, 0.01])
+    velocity = np.arange(12.0).reshape(4, 3) / 100.0
     with gf.Simulation(program_scene(), out=tmp_path / "run") as simulation:
         assert len(simulation.particles) == 0 and simulation.particles.position.shape == (0, 3)
         simulation.step()
@@ -236,7 +261,9 @@ def test_a_scene_without_particles_takes_arrays_and_resumes(taichi_f64, tmp_path
         simulation.run(until=0.01)
         moved = simulation.particles.position[:]
         np.testing.assert_allclose(simulation.particles.diameter, diameter, rtol=1e-12)
-        np.testing.assert_allclose(moved[:, :2], position[:, :2] + velocity[:, :2] * simulation.time, atol=1e-5)
+        np.testing.assert_allclose(
+            moved[:, :2], position[:, :2] + velocity[:, :2] * simulation.time, atol=1e-5
+        )
     with gf.Simulation(program_scene(), out=tmp_path / "run", resume=tmp_path / "run") as simulation:
         np.testing.assert_array_equal(simulation.particles.position, moved)
         simulation.step()
@@ -281,7 +308,10 @@ def test_a_particle_that_is_still_to_be_inserted_needs_the_pair(taichi_f64):
         "kind": "rain", "region": {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}}, "rate": 1.0, "start": 0.5,
     }  # fmt: skip
     groups = {"ball": {"material": "glass", "count": 1, "diameter": 0.01, "insert": later}}
-    with gf.Simulation(without_pairs(groups)) as simulation, pytest.raises(gf.GranflowError, match="no pair glass-gla"):
+    with (
+        gf.Simulation(without_pairs(groups)) as simulation,
+        pytest.raises(gf.GranflowError, match="no pair glass-gla"),
+    ):
         simulation.particles.add([0.5, 0.0, 0.0])
 
 
@@ -294,7 +324,8 @@ def overlapping_pair():
 
 
 def test_snapshot_and_forces_before_the_first_step_contain_the_contacts(taichi_f64):
-    """Hertz: F = 4/3 E* sqrt(R*) d^1.5 and U = 2/5 F d. The run gives the same bits as without the snapshot."""
+    """Hertz: F = 4/3 E* sqrt(R*) d^1.5 and U = 2/5 F d. The run gives the same bits as without the
+    snapshot."""
     modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
     force = 4.0 / 3.0 * modulus * np.sqrt(2.5e-3) * 1e-4**1.5
     ends = []

@@ -46,7 +46,9 @@ def test_static_types_know_every_public_name():
 @pytest.mark.parametrize("name", gf.__all__)
 def test_public_functions_are_annotated(name):
     thing = getattr(gf, name)
-    members = [thing] if inspect.isfunction(thing) else [v for v in vars(thing).values() if inspect.isfunction(v)]
+    members = (
+        [thing] if inspect.isfunction(thing) else [v for v in vars(thing).values() if inspect.isfunction(v)]
+    )
     for function in members:
         if function.__module__.startswith("granflow") and not function.__name__.startswith("_"):
             signature = inspect.signature(function)
@@ -59,7 +61,11 @@ def test_public_functions_are_annotated(name):
 def test_example_in_the_docstring_runs(name, folder, monkeypatch):
     monkeypatch.chdir(folder)
     thing = getattr(gf, name)
-    found = [test for test in doctest.DocTestFinder(recurse=False).find(thing, name, globs={"gf": gf}) if test.examples]
+    found = [
+        test
+        for test in doctest.DocTestFinder(recurse=False).find(thing, name, globs={"gf": gf})
+        if test.examples
+    ]
     assert found, f"{name} has no example"
     report = []
     assert not doctest.DocTestRunner().run(found[0], out=report.append).failed, "".join(report)
@@ -71,7 +77,9 @@ def test_examples_of_other_classes_run(folder, monkeypatch):
     for thing in (type(run.frames), type(run.timeseries_arrays), gf.Scene.save):
         (test,) = doctest.DocTestFinder(recurse=False).find(thing, thing.__name__, globs={"gf": gf})
         report = []
-        assert test.examples and not doctest.DocTestRunner().run(test, out=report.append).failed, "".join(report)
+        assert test.examples and not doctest.DocTestRunner().run(test, out=report.append).failed, "".join(
+            report
+        )
 
 
 def test_examples_are_not_in_the_schema_of_files():

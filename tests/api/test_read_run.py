@@ -15,7 +15,8 @@ POSITIONS = 0.0098 * (np.argwhere(np.ones((3, 3, 3))) + 0.5)
 
 @pytest.fixture(scope="module")
 def reference(taichi_f64, tmp_path_factory):
-    """Directory of a run with contacts, wall forces, a flow meter, a metric and fields; its result and snapshots."""
+    """Directory of a run with contacts, wall forces, a flow meter, a metric and fields; its result and
+    snapshots."""
     path = tmp_path_factory.mktemp("run") / "out"
     random = np.random.default_rng(1)
     scene = build_scene(
@@ -67,19 +68,24 @@ def test_frames_equal_the_snapshots(run, reference):
     between = np.mean(run.frames.times[:2])
     assert run.frames.at(0.9 * between).time == run.frames.times[0]
     assert run.frames.at(1.1 * between).time == run.frames.times[1]
-    assert run.contacts.at(0.5) is None and len(run.contacts.at(0.0)["overlap"]) == len(snapshots[0].contacts["force"])
+    assert run.contacts.at(0.5) is None and len(run.contacts.at(0.0)["overlap"]) == len(
+        snapshots[0].contacts["force"]
+    )
     with pytest.raises(IndexError):
         run.frames[99]
 
 
 def test_observers_have_tables(run):
-    meter, wall = run.flow_meters["middle"], run.wall_forces["low_z"]
+    meter = run.flow_meters["middle"]
+    wall = run.wall_forces["low_z"]
     whole = run.timeseries_arrays
     np.testing.assert_array_equal(meter["flow_mass"], whole["flow_mass.middle"])
     np.testing.assert_array_equal(wall["wall_force_z"], whole["wall_force_z.low_z"])
     assert meter.units["mass_flow"] == "kg/s" and "time" in wall and "wall_force_z" not in meter
     np.testing.assert_array_equal(run.metrics["bed"]["rattler_share"], whole["rattler_share.bed"])
-    assert run.fields["bed"][-1]["position"].shape == (8, 3) and run.fields["bed"][-1]["density"].shape == (8,)
+    assert run.fields["bed"][-1]["position"].shape == (8, 3) and run.fields["bed"][-1]["density"].shape == (
+        8,
+    )
 
 
 def test_time_series_is_a_data_frame(run, monkeypatch):
@@ -93,7 +99,9 @@ def test_time_series_is_a_data_frame(run, monkeypatch):
 
 
 def test_representations_are_short(run, reference):
-    assert repr(run) == f'<Run "Trial" in {reference[0]}: complete, {run.time:.4g} s, {len(run.frames)} frames>'
+    assert (
+        repr(run) == f'<Run "Trial" in {reference[0]}: complete, {run.time:.4g} s, {len(run.frames)} frames>'
+    )
     assert repr(run.result).startswith(f"<Result: simulated time {run.time:.4g} s, steps ")
     assert repr(run.result).endswith("particles 27, expectations 1 of 1 met>")
     assert repr(run.snapshot(0)).startswith("<Snapshot at 0 s, stage first: 27 particles with ")
@@ -104,7 +112,9 @@ def test_representations_are_short(run, reference):
 
 def stopped(tmp_path, log=""):
     """A directory with the files of a run without a result."""
-    (tmp_path / "timeseries.csv").write_text("time [s],stage,kinetic_energy [J]\n0.0,fill,1\n0.5,fill,2\n0.75,fi")
+    (tmp_path / "timeseries.csv").write_text(
+        "time [s],stage,kinetic_energy [J]\n0.0,fill,1\n0.5,fill,2\n0.75,fi"
+    )
     (tmp_path / "run.log").write_text(log)
     return gf.read_run(tmp_path)
 
@@ -133,7 +143,9 @@ def test_damaged_files_are_reported(tmp_path):
 
 
 def test_a_directory_without_a_run_is_refused(tmp_path):
-    with pytest.raises(gf.GranflowError, match="is not the directory of a run: it contains none of scene_as_run"):
+    with pytest.raises(
+        gf.GranflowError, match="is not the directory of a run: it contains none of scene_as_run"
+    ):
         gf.read_run(tmp_path)
     with pytest.raises(gf.GranflowError, match="there is no such directory; give the directory of a run"):
         gf.read_run(tmp_path / "none")

@@ -13,14 +13,18 @@ OUTPUT = {"interval": 1e-3, "timeseries_interval": 5e-4, "energy_budget": True}
 
 def falling(groups=None, **more):
     """Two particles above a floor, one of which hits it within 2 ms, or other groups."""
-    groups = groups or {"balls": particle_group([[0.0, 0.0, 0.0055], [0.02, 0.0, 0.02]], velocity=[0.0, 0.0, -1.0])}
+    groups = groups or {
+        "balls": particle_group([[0.0, 0.0, 0.0055], [0.02, 0.0, 0.02]], velocity=[0.0, 0.0, -1.0])
+    }
     walls = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}
     return build_scene(groups, walls=walls, **{"run": {"duration": 2e-3}, "output": OUTPUT} | more)
 
 
 def files_of(folder):
     """Contents of the frames and of the time series."""
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in (".vtu", ".pvd", ".csv")}
+    return {
+        path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in (".vtu", ".pvd", ".csv")
+    }
 
 
 def test_run_in_parts_writes_the_files_of_one_run(tmp_path, taichi_f64):
@@ -32,7 +36,8 @@ def test_run_in_parts_writes_the_files_of_one_run(tmp_path, taichi_f64):
     whole = gf.Simulation(falling(), out=tmp_path / "whole")
     whole.run()
     whole.free()
-    first, second = files_of(tmp_path / "parts"), files_of(tmp_path / "whole")
+    first = files_of(tmp_path / "parts")
+    second = files_of(tmp_path / "whole")
     assert first == second and "particles.pvd" in first and len(first) > 4
     assert (tmp_path / "parts" / "result.json").exists()
 
@@ -46,12 +51,14 @@ def test_a_run_that_ended_at_its_start_can_be_resumed(tmp_path, taichi_f64, begi
         assert simulation.time == 0.0
     with gf.Simulation(falling(), out=tmp_path / "part", resume=tmp_path / "part") as simulation:
         simulation.run()
-    first, second = files_of(tmp_path / "part"), files_of(tmp_path / "whole")
+    first = files_of(tmp_path / "part")
+    second = files_of(tmp_path / "whole")
     assert first == second and "particles.pvd" in first and len(first) > 4
 
 
 def test_a_result_between_two_rows_does_not_change_the_energy_error(tmp_path, taichi_f64):
-    """The energy input is largest when the ball is lowest, at about 0.72 ms, between the rows at 0.5 and 1 ms."""
+    """The energy input is largest when the ball is lowest, at about 0.72 ms, between the rows at 0.5 and 1
+    ms."""
     groups = {"ball": particle_group([[0.0, 0.0, 0.0055]], velocity=[0.0, 0.0, -1.0])}
     scene = falling(groups, gravity=[0.0, 0.0, -100.0])
     with gf.Simulation(scene, out=tmp_path / "parts") as simulation:
@@ -59,13 +66,16 @@ def test_a_result_between_two_rows_does_not_change_the_energy_error(tmp_path, ta
         simulation.run()
     with gf.Simulation(scene, out=tmp_path / "whole") as simulation:
         simulation.run()
-    first, second = files_of(tmp_path / "parts"), files_of(tmp_path / "whole")
+    first = files_of(tmp_path / "parts")
+    second = files_of(tmp_path / "whole")
     assert first["timeseries.csv"] == second["timeseries.csv"]
 
 
 def test_run_continues_beyond_the_last_stage(taichi_f64):
     times = []
-    with gf.Simulation(falling(), observers=[gf.on_interval("1 ms", lambda s: times.append(s.time))]) as simulation:
+    with gf.Simulation(
+        falling(), observers=[gf.on_interval("1 ms", lambda s: times.append(s.time))]
+    ) as simulation:
         simulation.run()
         simulation.run(duration=1e-3)
         assert simulation.time == pytest.approx(3e-3, abs=2 * simulation.time_step)
@@ -95,7 +105,9 @@ def test_exception_of_the_script_leaves_a_checkpoint(tmp_path, taichi_f64):
         assert len(list(csv.reader(file))) == 4
 
 
-@pytest.mark.parametrize("arguments", [{"until": float("nan")}, {"duration": -1.0}, {"until": 1.0, "duration": 1.0}])
+@pytest.mark.parametrize(
+    "arguments", [{"until": float("nan")}, {"duration": -1.0}, {"until": 1.0, "duration": 1.0}]
+)
 def test_times_that_are_not_valid_are_refused(arguments, taichi_f64):
     with gf.Simulation(falling()) as simulation, pytest.raises(gf.GranflowError, match="until|duration"):
         simulation.run(**arguments)
@@ -154,13 +166,20 @@ def test_attributes_that_would_have_no_effect_cannot_be_set(taichi_f64, name):
     ("energy_budget", "kind", "name", "message"),
     [
         (True, "totals", "energy", "snapshot.totals has no energy; the names are particle_count, "),
-        (False, "totals", "elastic_energy", "snapshot.totals has no elastic_energy; set output.energy_budget to true."),
+        (
+            False,
+            "totals",
+            "elastic_energy",
+            "snapshot.totals has no elastic_energy; set output.energy_budget to true.",
+        ),
         (True, "particles", "spin", "snapshot.particles has no spin; the names are position, radius, mass, "),
         (True, "walls", "lid", "snapshot.walls has no lid; the names are floor."),
         (True, "impulses", "floor", "snapshot.impulses has no floor; it is empty."),
     ],
 )
-def test_unknown_names_of_a_snapshot_are_refused_with_the_known_ones(taichi_f64, energy_budget, kind, name, message):
+def test_unknown_names_of_a_snapshot_are_refused_with_the_known_ones(
+    taichi_f64, energy_budget, kind, name, message
+):
     with gf.Simulation(falling(output=OUTPUT | {"energy_budget": energy_budget})) as simulation:
         contents = getattr(simulation.snapshot(), kind)
     with pytest.raises(KeyError) as error:

@@ -30,7 +30,9 @@ def default_interrupt():
 
 def scene():
     """Two particles that bounce on a floor."""
-    beads = particle_group([[0.0, 0.0, 0.0052], [0.02, 0.0, 0.006]], velocity=[[0.1, 0.0, -0.5], [0.0, 0.1, -0.5]])
+    beads = particle_group(
+        [[0.0, 0.0, 0.0052], [0.02, 0.0, 0.006]], velocity=[[0.1, 0.0, -0.5], [0.0, 0.1, -0.5]]
+    )
     return build_scene(
         {"beads": beads}, {"floor": plane([0, 0, 0], [0, 0, 1])}, pair={"friction": 0.3}, gravity=[0.0, 0.0, -9.81],
         run={"duration": 0.004, "velocity_max": 1.0},
@@ -82,7 +84,9 @@ def test_after_ctrl_c_a_run_without_files_continues_and_one_with_files_names_the
     with gf.Simulation(scene(), out=tmp_path / "run", observers=[interrupt_at(0.001)]) as simulation:
         with pytest.raises(KeyboardInterrupt):
             simulation.run()
-        with pytest.raises(gf.GranflowError, match=r"KeyboardInterrupt has ended the run in .*checkpoint, at 0.001"):
+        with pytest.raises(
+            gf.GranflowError, match=r"KeyboardInterrupt has ended the run in .*checkpoint, at 0.001"
+        ):
             simulation.save()
 
 
@@ -108,16 +112,24 @@ def test_arguments_that_cannot_be_meant_are_refused(taichi_f64):
     with gf.Simulation(scene()) as simulation:
         simulation.run(until=0.001)
         simulation.run(until=simulation.time)
-        with pytest.raises(gf.GranflowError, match=r"until is 0.0005 s, but the simulation is at 0.00100372 s"):
+        with pytest.raises(
+            gf.GranflowError, match=r"until is 0.0005 s, but the simulation is at 0.00100372 s"
+        ):
             simulation.run(until=0.0005)
-        with pytest.raises(gf.GranflowError, match="request_stop takes an exception, such as KeyboardInterrupt"):
+        with pytest.raises(
+            gf.GranflowError, match="request_stop takes an exception, such as KeyboardInterrupt"
+        ):
             simulation.request_stop("stop")
         with pytest.raises(gf.GranflowError, match="save needs an output directory"):
             simulation.save()
         simulation.walls["floor"].remove()
-        with pytest.raises(gf.GranflowError, match=r"walls\['floor'\] was removed at 0.00100372 s: it cannot move"):
+        with pytest.raises(
+            gf.GranflowError, match=r"walls\['floor'\] was removed at 0.00100372 s: it cannot move"
+        ):
             simulation.walls["floor"].motion = gf.Translation(velocity=[0, 0, 1])
-        with pytest.raises(gf.GranflowError, match=r"position has the shape \(3, 5\), .* its transpose, position.T"):
+        with pytest.raises(
+            gf.GranflowError, match=r"position has the shape \(3, 5\), .* its transpose, position.T"
+        ):
             simulation.particles.add(position=np.zeros((3, 5)))
 
 
@@ -131,7 +143,9 @@ def test_a_material_of_several_groups_does_not_choose_one(taichi_f64):
 
 
 def test_missing_checkpoints_have_their_own_messages(tmp_path):
-    with pytest.raises(gf.GranflowError, match="none: there is no such file or directory; give a checkpoint or the"):
+    with pytest.raises(
+        gf.GranflowError, match="none: there is no such file or directory; give a checkpoint or the"
+    ):
         checkpoint_at(tmp_path / "none")
     with pytest.raises(gf.GranflowError, match="contains no usable checkpoint: a run writes them at its end"):
         checkpoint_at(tmp_path)
@@ -139,7 +153,9 @@ def test_missing_checkpoints_have_their_own_messages(tmp_path):
 
 def test_other_settings_are_refused_while_a_simulation_is_in_use(taichi_f64):
     with gf.Simulation(build_scene({"left": particle_group([[0.0, 0.0, 0.01]])}), threads=2) as simulation:
-        with pytest.raises(gf.GranflowError, match="f64 and 2 threads: end it by simulation.free.. before one"):
+        with pytest.raises(
+            gf.GranflowError, match="f64 and 2 threads: end it by simulation.free.. before one"
+        ):
             gf.start("cpu", "f64", 3)
         assert simulation.particles.position.shape == (1, 3)
 
@@ -166,7 +182,9 @@ def test_problems_of_data_do_not_repeat_the_key():
 def test_an_earlier_run_is_replaced_only_on_request(taichi_f64, tmp_path):
     gf.Simulation(scene(), out=tmp_path).run()
     before = (tmp_path / "timeseries.csv").read_bytes()
-    with pytest.raises(gf.GranflowError, match="contains an earlier run: give another directory, replace the run with"):
+    with pytest.raises(
+        gf.GranflowError, match="contains an earlier run: give another directory, replace the run with"
+    ):
         gf.Simulation(scene(), out=tmp_path)
     assert (tmp_path / "timeseries.csv").read_bytes() == before
     with gf.Simulation(scene(), out=tmp_path, overwrite=True) as simulation:
@@ -201,7 +219,9 @@ def test_exit_of_the_program_in_an_observer_writes_a_checkpoint(taichi_f64, tmp_
     assert ended.value.code == 5
     simulation.free()
     assert checkpoint_at(tmp_path).time == seen[-1] == pytest.approx(0.002, abs=1e-5)
-    with gf.Simulation(scene(), resume=tmp_path, out=tmp_path, observers=[gf.on_interval(2e-4, leave)]) as resumed:
+    with gf.Simulation(
+        scene(), resume=tmp_path, out=tmp_path, observers=[gf.on_interval(2e-4, leave)]
+    ) as resumed:
         seen += [0.0] * 12
         resumed.run()
         found = resumed.snapshot().particles
@@ -210,7 +230,9 @@ def test_exit_of_the_program_in_an_observer_writes_a_checkpoint(taichi_f64, tmp_
 
 
 @pytest.mark.parametrize("loss", ["renamed", "deleted", "disk full"])
-def test_a_failed_observer_is_named_although_no_checkpoint_can_be_written(taichi_f64, tmp_path, monkeypatch, loss):
+def test_a_failed_observer_is_named_although_no_checkpoint_can_be_written(
+    taichi_f64, tmp_path, monkeypatch, loss
+):
     out = tmp_path / "out"
 
     def full(*arguments):

@@ -13,7 +13,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.slow
 def test_programs_of_users_pass_a_strict_type_check(tmp_path):
-    """`mypy --strict` with the plugin of pydantic; a wrong program has errors in each line, no public name is Any."""
+    """`mypy --strict` with the plugin of pydantic; a wrong program has errors in each line, no public name is
+    Any."""
     (tmp_path / "mypy.ini").write_text("[mypy]\nplugins = pydantic.mypy\nfollow_imports = silent\n")
     names = "\n".join(f"reveal_type(gf.{name})" for name in gf.__all__)
     (tmp_path / "names.py").write_text(f"from typing import reveal_type\nimport granflow as gf\n{names}\n")

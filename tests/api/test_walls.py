@@ -7,7 +7,15 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
-from granflow.geometry.motion import MotionTable, Rotation, TableRotation, Translation, Vibration, placement_at, pose
+from granflow.geometry.motion import (
+    MotionTable,
+    Rotation,
+    TableRotation,
+    Translation,
+    Vibration,
+    placement_at,
+    pose,
+)
 from granflow.plan.build import plan_for, with_motions
 
 GRAVITY = 9.81
@@ -21,13 +29,16 @@ def resting(motion=(), **more):
     }
     groups = {"balls": particle_group([[0.0, 0.0, 0.005 - 1e-6]])}
     parts = {"gravity": [0.0, 0.0, -GRAVITY], "pair": {"friction": 0.5}}
-    return build_scene(groups, walls=walls, **parts | {"output": {"interval": 1.0, "energy_budget": True}} | more)
+    return build_scene(
+        groups, walls=walls, **parts | {"output": {"interval": 1.0, "energy_budget": True}} | more
+    )
 
 
 def test_particle_falls_after_its_wall_is_removed(taichi_f64):
     with gf.Simulation(resting()) as simulation:
         simulation.run(until=0.01)
-        height, speed = simulation.particles.position[0, 2], simulation.particles.velocity[0, 2]
+        height = simulation.particles.position[0, 2]
+        speed = simulation.particles.velocity[0, 2]
         simulation.walls["floor"].remove()
         assert not simulation.walls["floor"].is_present and simulation.walls["side"].is_present
         simulation.run(duration=0.02)
@@ -40,29 +51,38 @@ def test_particle_falls_after_its_wall_is_removed(taichi_f64):
 
 @pytest.mark.parametrize("moves_before", [False, True])
 def test_a_motion_starts_from_the_present_pose_at_the_present_time(moves_before, taichi_f64):
-    """The floor rises at 0.1 m/s from 5 ms on; in the first case no wall moves before, so that kernels are compiled."""
+    """The floor rises at 0.1 m/s from 5 ms on; in the first case no wall moves before, so that kernels are
+    compiled."""
     motion = [{"kind": "translation", "velocity": [0.2, 0.0, 0.0]}] if moves_before else ()
     with gf.Simulation(resting(motion)) as simulation:
         simulation.run(until=5e-3)
-        start, before = simulation.time, simulation.walls["floor"].pose.offset
+        start = simulation.time
+        before = simulation.walls["floor"].pose.offset
         simulation.walls["floor"].motion = gf.Translation(velocity=[0.0, 0.0, "10 cm/s"])
         simulation.run(duration=0.02)
         risen = 0.1 * (simulation.time - start)
-        np.testing.assert_allclose(simulation.walls["floor"].pose.offset, before + [0.0, 0.0, risen], atol=1e-12)
+        np.testing.assert_allclose(
+            simulation.walls["floor"].pose.offset, before + [0.0, 0.0, risen], atol=1e-12
+        )
         assert simulation.particles.position[0, 2] > 0.004 + risen
         assert simulation.snapshot().totals["wall_work"] > 0.0
         simulation.walls["floor"].motion = None
         simulation.run(duration=1e-3)
-        np.testing.assert_allclose(simulation.walls["floor"].pose.offset, before + [0.0, 0.0, risen], atol=1e-12)
+        np.testing.assert_allclose(
+            simulation.walls["floor"].pose.offset, before + [0.0, 0.0, risen], atol=1e-12
+        )
 
 
 def test_rotation_is_controlled_step_by_step(taichi_f64):
-    """Angular velocities of 1 and then 3 rad/s about an axis: the angle is the sum, the wall turns about the axis."""
+    """Angular velocities of 1 and then 3 rad/s about an axis: the angle is the sum, the wall turns about the
+    axis."""
     with gf.Simulation(resting()) as simulation:
         angle = 0.0
         for rate in (1.0, 3.0, 2.0):
             began = simulation.time
-            simulation.walls["side"].motion = gf.Rotation(point=[0.5, 0, 0], axis=[0, 0, 2], angular_velocity=rate)
+            simulation.walls["side"].motion = gf.Rotation(
+                point=[0.5, 0, 0], axis=[0, 0, 2], angular_velocity=rate
+            )
             simulation.run(duration=2e-3)
             angle += rate * (simulation.time - began)
         turned = simulation.walls["side"].pose
@@ -78,18 +98,21 @@ def test_placement_continues_any_motion():
         Translation((0.3, 0.0, 0.1)),
         Vibration((0.0, 1.0, 0.0), 0.01, 50.0),
     )
-    points, time = np.random.default_rng(1).normal(size=(5, 3)), 0.4
+    points = np.random.default_rng(1).normal(size=(5, 3))
+    time = 0.4
 
     def moved(motions, at):
         found = pose(motions, np.array([at]))
         return (points - found.pivot) @ found.rotation[0].T + found.pivot + found.offset[0]
 
-    placed, rate = placement_at(earlier, time), 1.5
+    placed = placement_at(earlier, time)
+    rate = 1.5
     turning = Rotation((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), rate, start=time)
     later = (placed, turning, Translation((0.0, 0.0, 0.2), start=time))
     before = moved(earlier, time)
     np.testing.assert_allclose(moved(later, time), before, atol=1e-12)
-    cosine, sine = math.cos(rate * 0.3), math.sin(rate * 0.3)
+    cosine = math.cos(rate * 0.3)
+    sine = math.sin(rate * 0.3)
     about_y = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
     expected = (before - [1.0, 0.0, 0.0]) @ about_y.T + [1.0, 0.0, 0.06]
     np.testing.assert_allclose(moved(later, time + 0.3), expected, atol=1e-12)
@@ -97,14 +120,18 @@ def test_placement_continues_any_motion():
     rates = (moved(later, time + 0.3 + step) - moved(later, time + 0.3 - step)) / (2 * step)
     found = pose(later, np.array([time + 0.3]))
     arms = moved(later, time + 0.3) - found.pivot - found.offset[0]
-    np.testing.assert_allclose(found.velocity[0] + np.cross(found.angular_velocity[0], arms), rates, atol=1e-8)
+    np.testing.assert_allclose(
+        found.velocity[0] + np.cross(found.angular_velocity[0], arms), rates, atol=1e-8
+    )
 
 
 def test_changes_that_are_not_possible_are_refused(taichi_f64):
     servo = [{"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": 0.1}]
     with gf.Simulation(resting(servo)) as simulation:
         walls = simulation.walls
-        with pytest.raises(gf.GranflowError, match="'flor' is not a wall of the scene; its walls are floor, side"):
+        with pytest.raises(
+            gf.GranflowError, match="'flor' is not a wall of the scene; its walls are floor, side"
+        ):
             walls["flor"].remove()
         for name, motion, message in (
             ("floor", None, "is force-controlled"),

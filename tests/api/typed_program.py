@@ -59,7 +59,13 @@ with gf.Simulation(
     force.parameters["axis"] = [0, 0, 2]
     snapshot: gf.Snapshot = simulation.snapshot(contacts=True)
     simulation.save()
-    print(repr(simulation), simulation.time + simulation.time_step, simulation.step_count, len(particles), energy)
+    print(
+        repr(simulation),
+        simulation.time + simulation.time_step,
+        simulation.step_count,
+        len(particles),
+        energy,
+    )
 try:
     gf.Simulation(scene, resume="out").run()
 except (gf.FunctionError, gf.RunError, gf.OutputError, gf.SceneError, gf.GranflowError) as error:

@@ -1,4 +1,5 @@
-"""Arguments, exit codes, messages and tables of the command line; the functions behind it are replaced by stubs."""
+"""Arguments, exit codes, messages and tables of the command line; the functions behind it are replaced by
+stubs."""
 
 import json
 import subprocess
@@ -33,7 +34,8 @@ def stubs(monkeypatch, tmp_path):
 
         def __init__(self, scene, **options):
             calls.simulation = options
-            self.plan, self.warnings = types.SimpleNamespace(), list(calls.warnings)
+            self.plan = types.SimpleNamespace()
+            self.warnings = list(calls.warnings)
 
         def request_stop(self, error):
             raise error
@@ -46,7 +48,10 @@ def stubs(monkeypatch, tmp_path):
             if calls.raises:
                 raise calls.raises
             return Result(
-                {"time_step": 1.25e-6}, {"forces": 3.0}, {"particle_count": 2.0}, expectations=calls.expectations
+                {"time_step": 1.25e-6},
+                {"forces": 3.0},
+                {"particle_count": 2.0},
+                expectations=calls.expectations,
             )
 
     def load(path, overrides=()):
@@ -119,7 +124,9 @@ def test_arguments_accept_units():
 
 
 def test_run_passes_arguments_to_the_simulation(stubs, capsys):
-    arguments = "run a.yaml --set x.y=1 --set z=2 --arch cuda --precision f32 --threads 2 --until 1 --out here"
+    arguments = (
+        "run a.yaml --set x.y=1 --set z=2 --arch cuda --precision f32 --threads 2 --until 1 --out here"
+    )
     assert main(arguments.split()) == 0
     assert stubs.overrides == ["x.y=1", "z=2", "run.precision=f32"]
     assert stubs.simulation == {
@@ -140,7 +147,13 @@ def test_default_output_directory_is_named_after_the_scene(stubs):
     main(["run", "scenes/hopper.yaml"])
     assert stubs.simulation == {
         **{"arch": "cpu", "threads": None},
-        **{"out": Path("out/hopper"), "progress": True, "allow_long": False, "communicator": None, "overwrite": False},
+        **{
+            "out": Path("out/hopper"),
+            "progress": True,
+            "allow_long": False,
+            "communicator": None,
+            "overwrite": False,
+        },
     }
 
 
@@ -170,7 +183,9 @@ def test_warnings_of_the_plan_are_printed_once(stubs, capsys):
 
 
 OUT = Path("out", "a")
-STOPPED = f"granflow: stopped at 0.25 s; granflow resume {OUT} continues. {OUT} contains the run up to this time.\n"
+STOPPED = (
+    f"granflow: stopped at 0.25 s; granflow resume {OUT} continues. {OUT} contains the run up to this time.\n"
+)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +201,11 @@ STOPPED = f"granflow: stopped at 0.25 s; granflow resume {OUT} continues. {OUT} 
             2,
             "granflow: out: this is a file, but a directory is needed; give another path.\n",
         ),
-        (SceneError(["a.yaml:1:1: A.", "a.yaml:2:1: B."]), 2, "a.yaml:1:1: A.\na.yaml:2:1: B.\n2 problems found.\n"),
+        (
+            SceneError(["a.yaml:1:1: A.", "a.yaml:2:1: B."]),
+            2,
+            "a.yaml:1:1: A.\na.yaml:2:1: B.\n2 problems found.\n",
+        ),
         (SceneError("a.yaml:1:1: A."), 2, "a.yaml:1:1: A.\n1 problem found.\n"),
     ],
 )
@@ -206,7 +225,8 @@ def test_unexpected_exceptions_keep_their_traceback(stubs):
 
 
 def test_command_deletes_no_files_of_an_earlier_run(stubs, capsys):
-    """Without --overwrite an earlier run is rejected; with it the simulation, here a stub, replaces the files."""
+    """Without --overwrite an earlier run is rejected; with it the simulation, here a stub, replaces the
+    files."""
     out = Path("out/a")
     out.mkdir(parents=True)
     names = {"particles_0000.vtu", "timeseries.csv", "notes.txt"}
@@ -249,7 +269,9 @@ def test_input_files_in_the_output_directory_are_rejected(tmp_path, inside):
         (out / name).touch()
     (tmp_path / "link").symlink_to(out)
     bowl = MeshWall.model_construct(shape="mesh", file="link/bowl.stl")
-    beads = types.SimpleNamespace(insert=FileInsertion.model_construct(kind="file", file="link/particles_0007.vtu"))
+    beads = types.SimpleNamespace(
+        insert=FileInsertion.model_construct(kind="file", file="link/particles_0007.vtu")
+    )
     scene_with_input = {
         "start_from": empty_scene(start_from=str(tmp_path / "link")),
         "walls.bowl.file": empty_scene(tmp_path, walls={"bowl": bowl}),
@@ -261,7 +283,8 @@ def test_input_files_in_the_output_directory_are_rejected(tmp_path, inside):
 
 
 def test_output_directory_is_locked_during_the_run(stubs, monkeypatch):
-    """The lock is held from the first check to the last file, so that no second process writes into the directory."""
+    """The lock is held from the first check to the last file, so that no second process writes into the
+    directory."""
     seen = []
 
     def lock_from_another_thread():
@@ -287,9 +310,7 @@ def test_output_directory_is_locked_during_the_run(stubs, monkeypatch):
 
 
 def test_collide_prints_json(stubs, capsys):
-    arguments = (
-        "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 --json"
-    )
+    arguments = "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 --json"
     assert main(arguments.split()) == 0
     assert json.loads(capsys.readouterr().out)["duration_theory"] == 4.1e-5
     assert stubs.collide == {
@@ -320,6 +341,8 @@ def test_low_memory_limit_is_refused(monkeypatch, capsys, limit, code):
     resource = pytest.importorskip("resource", reason="limits of POSIX")
     monkeypatch.setattr(resource, "getrlimit", lambda _: (limit, limit))
     assert main(["examples"]) == code
-    message = "the memory limit of the process (ulimit -v) is 511 MiB, but granflow needs at least 512 MiB to "
+    message = (
+        "the memory limit of the process (ulimit -v) is 511 MiB, but granflow needs at least 512 MiB to "
+    )
     message += "start, and a run at least 2 GB: raise or remove the limit."
     assert (message in capsys.readouterr().err) == (code == 2)

@@ -24,7 +24,8 @@ def test_every_shipped_scene_is_listed_with_its_title(capsys):
 
 
 def test_shipped_scenes_and_the_reference_name_no_file_of_a_clone():
-    """`granflow example` and `granflow schema` work without a clone: pages of the documentation are named by title."""
+    """`granflow example` and `granflow schema` work without a clone: pages of the documentation are named by
+    title."""
     texts = {path.name: path.read_text(encoding="utf-8") for path in SCENES.rglob("*.yaml")}
     texts["schema"] = json.dumps(json_schema())
     assert [name for name, text in texts.items() if re.search(r"\b(tools|docs)/", text)] == []
@@ -63,7 +64,9 @@ def test_changed_file_is_not_overwritten(tmp_path, capsys):
 
 def test_unknown_scene_is_an_error_with_a_suggestion(tmp_path, capsys):
     assert main(["example", "hoper", "--out", str(tmp_path)]) == 2
-    assert capsys.readouterr().err == "granflow: hoper is not one of the shipped scenes. Did you mean hopper?\n"
+    assert (
+        capsys.readouterr().err == "granflow: hoper is not one of the shipped scenes. Did you mean hopper?\n"
+    )
 
 
 @pytest.mark.slow
@@ -75,11 +78,17 @@ def test_wheel_contains_the_scenes_and_inputs(tmp_path):
     build = f"from hatchling.build import build_wheel; build_wheel({str(tmp_path)!r})"
     subprocess.run([sys.executable, "-c", build], cwd=ROOT, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*.whl")
-    subprocess.run([sys.executable, "-m", "zipfile", "-e", str(wheel), str(tmp_path / "installed")], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "zipfile", "-e", str(wheel), str(tmp_path / "installed")], check=True
+    )
 
     def granflow(*arguments):
-        program = f"import sys; sys.path.insert(0, {str(tmp_path / 'installed')!r}); import granflow.cli as cli; "
-        program += f"assert cli.__file__.startswith({str(tmp_path)!r}); sys.exit(cli.main({list(arguments)!r}))"
+        program = (
+            f"import sys; sys.path.insert(0, {str(tmp_path / 'installed')!r}); import granflow.cli as cli; "
+        )
+        program += (
+            f"assert cli.__file__.startswith({str(tmp_path)!r}); sys.exit(cli.main({list(arguments)!r}))"
+        )
         command = [sys.executable, "-c", program]
         return subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
 

@@ -5,7 +5,18 @@ import sys
 
 import pytest
 
-HEAVY = {"taichi", "scipy", "meshio", "rich", "jinja2", "pandas", "matplotlib", "pyvista", "psutil", "platformdirs"}
+HEAVY = {
+    "taichi",
+    "scipy",
+    "meshio",
+    "rich",
+    "jinja2",
+    "pandas",
+    "matplotlib",
+    "pyvista",
+    "psutil",
+    "platformdirs",
+}
 """Packages that reading and checking a scene does not require."""
 
 READS_SCENES = {"numpy", "pydantic", "ruamel"}
@@ -43,8 +54,12 @@ def test_help_imports_no_library(pytestconfig):
 
 
 def test_simulation_imports_no_table_or_mesh_library(pytestconfig):
-    program = "import sys, granflow.simulation; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
-    process = subprocess.run([sys.executable, "-c", program], cwd=pytestconfig.rootpath, capture_output=True, text=True)
+    program = (
+        "import sys, granflow.simulation; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    )
+    process = subprocess.run(
+        [sys.executable, "-c", program], cwd=pytestconfig.rootpath, capture_output=True, text=True
+    )
     packages = set(process.stdout.split())
     assert "taichi" in packages
     assert not packages & {"scipy", "meshio", "jinja2", "pandas", "matplotlib", "pyvista"}

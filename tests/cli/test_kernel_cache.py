@@ -1,4 +1,5 @@
-"""`granflow cache`, and runs with a cache folder that cannot be written, is shared, or contains a stale lock."""
+"""`granflow cache`, and runs with a cache folder that cannot be written, is shared, or contains a stale
+lock."""
 
 import os
 import subprocess
@@ -17,7 +18,9 @@ COLLISION = ("collide", "--material", "stainless_316", "--diameter", "25.4mm", "
 def start(cache, *arguments):
     command = [sys.executable, "-m", "granflow", *arguments]
     environment = os.environ | {"GRANFLOW_CACHE": str(cache)}
-    return subprocess.Popen(command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.Popen(
+        command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
 
 
 def granflow(cache, *arguments):

@@ -29,11 +29,16 @@ def run(tmp_path_factory):
 
 
 @pytest.mark.parametrize("verb", ["report", "render", "plot"])
-@pytest.mark.parametrize("name", ["scene_as_run.yaml", "timeseries.csv", "particles_0000.vtu", "run.log", "other"])
+@pytest.mark.parametrize(
+    "name", ["scene_as_run.yaml", "timeseries.csv", "particles_0000.vtu", "run.log", "other"]
+)
 def test_files_of_other_types_are_not_replaced(taichi_f64, run, capsys, verb, name):
     target = run / name
     before = target.read_bytes() if target.exists() else None
-    assert main([verb, str(run), "--out", str(target), *(["--y", "particle_count"] if verb == "plot" else [])]) == 2
+    assert (
+        main([verb, str(run), "--out", str(target), *(["--y", "particle_count"] if verb == "plot" else [])])
+        == 2
+    )
     assert f"--out {target} is not of a supported type; the name must end in ." in capsys.readouterr().err
     assert (target.read_bytes() if target.exists() else None) == before
 
@@ -51,9 +56,11 @@ def test_input_of_the_run_and_directories_are_not_replaced(taichi_f64, run, caps
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf", "html"])
 @pytest.mark.parametrize("link", [os.symlink, os.link])
 def test_a_plot_replaces_a_link(tmp_path, ending, link):
-    """A figure or a page does not change the file to which an existing link leads, such as the time series."""
+    """A figure or a page does not change the file to which an existing link leads, such as the time
+    series."""
     pytest.importorskip("plotly" if ending == "html" else "matplotlib")
-    series, out = tmp_path / "timeseries.csv", tmp_path / f"curve.{ending}"
+    series = tmp_path / "timeseries.csv"
+    out = tmp_path / f"curve.{ending}"
     series.write_text("time [s],mass [kg]\n0,1\n1,2\n")
     link(series, out)
     assert main(["plot", str(series), "--y", "mass", "--out", str(out)]) == 0
@@ -76,16 +83,21 @@ def test_full_disk_names_the_file(tmp_path):
     with pytest.raises(OSError, match="No space left") as failed, replacing(tmp_path / "frame.vtu"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert failed.value.filename == str(tmp_path / "frame.vtu")
-    with pytest.raises(OSError, match="No such file") as failed, replacing(tmp_path / "none" / "a.html") as temporary:
+    with (
+        pytest.raises(OSError, match="No such file") as failed,
+        replacing(tmp_path / "none" / "a.html") as temporary,
+    ):
         temporary.write_text("")
     assert failed.value.filename == str(tmp_path / "none" / "a.html"), "not the hidden file"
 
 
 def test_rows_replace_links(tmp_path):
-    """A resumed run shortens and extends a copy; the file outside, or a backup of hard links, stays as it is."""
+    """A resumed run shortens and extends a copy; the file outside, or a backup of hard links, stays as it
+    is."""
     saved = None
     for name in ("symbolic", "hard"):
-        outside, inside = tmp_path / f"outside_{name}.csv", tmp_path / f"{name}.csv"
+        outside = tmp_path / f"outside_{name}.csv"
+        inside = tmp_path / f"{name}.csv"
         rows = RowFile(inside)
         rows.write(["a"])
         saved = rows.state_dict()
@@ -128,7 +140,15 @@ sys.exit(main(sys.argv[1:]))
 
 
 def test_run_completes_while_the_clock_stands_still(run, tmp_path):
-    command = [sys.executable, "-c", STILL, "run", str(run / "scene_as_run.yaml"), "--out", str(tmp_path / "out")]
+    command = [
+        sys.executable,
+        "-c",
+        STILL,
+        "run",
+        str(run / "scene_as_run.yaml"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     done = subprocess.run([*command, "--threads", "1"], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert re.search(r"step count\s.*\d", done.stdout)

@@ -29,7 +29,9 @@ FRAMES_TIMEOUT = 60.0
 
 def granflow(directory, *arguments, environment=None):
     command = [sys.executable, "-m", "granflow", *arguments]
-    return subprocess.run(command, cwd=directory, env=environment, capture_output=True, text=True, timeout=200)
+    return subprocess.run(
+        command, cwd=directory, env=environment, capture_output=True, text=True, timeout=200
+    )
 
 
 def frames(directory, kind="particles"):
@@ -64,7 +66,9 @@ def test_run_succeeds_and_prints_a_summary(home, plain_run):
 
 
 def test_stderr_contains_only_progress(plain_run):
-    assert all(line.startswith("run: ") and "particle-steps/s" in line for line in plain_run.stderr.splitlines())
+    assert all(
+        line.startswith("run: ") and "particle-steps/s" in line for line in plain_run.stderr.splitlines()
+    )
     assert not any(word in plain_run.stdout + plain_run.stderr for word in ("Taichi", "Warning", "warning"))
 
 
@@ -72,7 +76,15 @@ def test_run_writes_all_files(home, plain_run):
     out = home / "out" / "beads"
     assert len(frames(out)) == len(frames(out, "walls")) == 6
     assert {path.name for path in out.iterdir() if path.suffix not in (".vtu", ".npz")} == {
-        *("particles.pvd", "walls.pvd", "timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", ".lock")
+        *(
+            "particles.pvd",
+            "walls.pvd",
+            "timeseries.csv",
+            "result.json",
+            "scene_as_run.yaml",
+            "run.log",
+            ".lock",
+        )
     }
     assert len(list(out.glob("checkpoint_*.npz"))) == 1
     assert json.loads((out / "result.json").read_text())["totals"]["particle_count"] == 10
@@ -114,7 +126,17 @@ def test_earlier_run_is_kept_without_overwrite_and_until_ends_the_run(home, plai
 
 def test_unsatisfied_expectation_and_warning_are_reported(home):
     unsatisfied = granflow(
-        *(home, "run", "beads.yaml", "--out", "unmet", "--set", "run.duration=10 ms", "--set", "run.time_step=5e-5"),
+        *(
+            home,
+            "run",
+            "beads.yaml",
+            "--out",
+            "unmet",
+            "--set",
+            "run.duration=10 ms",
+            "--set",
+            "run.time_step=5e-5",
+        ),
         *("--set", "expect.0.equals=11"),
     )
     assert unsatisfied.returncode == 1, unsatisfied.stderr
@@ -168,7 +190,9 @@ def test_aborted_run_writes_its_last_state(home):
 
 
 def test_particle_outside_the_domain_aborts_with_the_line_of_on_exit(home):
-    outside = granflow(home, "run", "beads.yaml", "--out", "left", "--set", "walls={}", "--set", "run.duration=1 s")
+    outside = granflow(
+        home, "run", "beads.yaml", "--out", "left", "--set", "walls={}", "--set", "run.duration=1 s"
+    )
     assert outside.returncode == 3, outside.stderr
     assert "is outside the domain" in outside.stderr and f"(beads.yaml:{ON_EXIT_LINE})" in outside.stderr
     assert frames(home / "left")
@@ -176,10 +200,14 @@ def test_particle_outside_the_domain_aborts_with_the_line_of_on_exit(home):
 
 @pytest.mark.parametrize("verb", ["run", "check", "explain"])
 def test_unstable_time_step_is_rejected(home, verb):
-    rejected = granflow(home, verb, "beads.yaml", "--set", "run.time_step=1 ms", *["--out", "no"] * (verb == "run"))
+    rejected = granflow(
+        home, verb, "beads.yaml", "--set", "run.time_step=1 ms", *["--out", "no"] * (verb == "run")
+    )
     assert rejected.returncode == 2
     problem, count = rejected.stderr.splitlines()
-    assert problem.startswith("--set run.time_step=1 ms: run.time_step is 0.001 s, above the stability limit 5e-05 s (")
+    assert problem.startswith(
+        "--set run.time_step=1 ms: run.time_step is 0.001 s, above the stability limit 5e-05 s ("
+    )
     assert problem.endswith(" s or remove it.") and count == "1 problem found."
     assert not (home / "no").exists()
 
@@ -190,10 +218,17 @@ def test_run_succeeds_with_closed_pipe_without_home_and_with_newlines_in_paths(h
     reading, writing = os.pipe()
     os.close(reading)
     command = [sys.executable, "-m", "granflow", "run", "be\nads.yaml", "--out", "o\nut"]
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "GRANFLOW_"))}
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "GRANFLOW_"))
+    }
     try:
         code = subprocess.call(
-            command, cwd=home, stdout=writing, stderr=writing, env=environment | {"HOME": "/dev/null"}, timeout=200
+            command,
+            cwd=home,
+            stdout=writing,
+            stderr=writing,
+            env=environment | {"HOME": "/dev/null"},
+            timeout=200,
         )
     finally:
         os.close(writing)
@@ -220,8 +255,20 @@ def test_check_reports_too_small_a_region(home):
 @pytest.mark.parametrize(("signal_number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_signal_stops_the_run_with_complete_files(home, signal_number, code):
     out = home / signal_number.name
-    command = [sys.executable, "-m", "granflow", "run", "beads.yaml", "--out", out.name, "--set", "run.duration=1000 s"]
-    running = subprocess.Popen(command, cwd=home, stderr=subprocess.PIPE, text=True, preexec_fn=restore_interrupts)
+    command = [
+        sys.executable,
+        "-m",
+        "granflow",
+        "run",
+        "beads.yaml",
+        "--out",
+        out.name,
+        "--set",
+        "run.duration=1000 s",
+    ]
+    running = subprocess.Popen(
+        command, cwd=home, stderr=subprocess.PIPE, text=True, preexec_fn=restore_interrupts
+    )
     deadline = time.monotonic() + FRAMES_TIMEOUT
     while len(frames(out)) < 3 and running.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -46,7 +46,9 @@ def test_warnings_are_counted_and_follow_the_result(scene_file, capsys):
 def test_check_reports_a_restitution_that_the_step_does_not_reach(tmp_path, capsys, change):
     """The message names the key that the scene gives, and a value with which the warning disappears."""
     path = tmp_path / "beads.yaml"
-    path.write_text(TEXT.replace("restitution: 0.7", "restitution: 0.3").replace("normal: zhou", "normal: hertz"))
+    path.write_text(
+        TEXT.replace("restitution: 0.7", "restitution: 0.3").replace("normal: zhou", "normal: hertz")
+    )
     assert main(["check", str(path), "--set", "numerics.rayleigh_fraction=1", "--set", change]) == 0
     error = capsys.readouterr().err
     assert "the given restitution is 0.3" in error
@@ -57,7 +59,11 @@ def test_check_reports_a_restitution_that_the_step_does_not_reach(tmp_path, caps
 
 
 def test_problems_are_listed_with_lines_and_counted(scene_file, capsys):
-    text = scene_file.read_text().replace("friction: 0", "frcition: 0").replace("duration: 20 ms", "duration: 20 mm")
+    text = (
+        scene_file.read_text()
+        .replace("friction: 0", "frcition: 0")
+        .replace("duration: 20 ms", "duration: 20 mm")
+    )
     scene_file.write_text(text)
     assert main(["check", "two.yaml"]) == 2
     output = capsys.readouterr()
@@ -82,7 +88,9 @@ def test_missing_file_is_reported_in_one_sentence(tmp_path, monkeypatch, capsys)
 
 def test_schema_is_json_with_the_blocks_of_a_scene(capsys):
     assert main(["schema"]) == 0
-    assert {"materials", "particles", "walls", "run"} <= json.loads(capsys.readouterr().out)["properties"].keys()
+    assert {"materials", "particles", "walls", "run"} <= json.loads(capsys.readouterr().out)[
+        "properties"
+    ].keys()
 
 
 def test_taichi_is_not_imported_for_an_invalid_scene(scene_file):

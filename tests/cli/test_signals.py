@@ -9,7 +9,10 @@ import time
 import pytest
 from subprocess_runner import restore_interrupts
 
-pytestmark = [pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"), pytest.mark.slow]  # needs idle cores
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"),
+    pytest.mark.slow,
+]  # needs idle cores
 
 LIMIT = 1.0
 """Seconds from the signal to the end of the process."""
@@ -49,7 +52,8 @@ def wait_until(is_ready, running):
 
 
 def send_signal(running, number):
-    """Sends a signal; returns the seconds until the process ends, its exit code as in a shell, and its messages."""
+    """Sends a signal; returns the seconds until the process ends, its exit code as in a shell, and its
+    messages."""
     began = time.monotonic()
     running.send_signal(number)
     _, message = running.communicate(timeout=60)

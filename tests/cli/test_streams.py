@@ -23,11 +23,14 @@ sys.exit(7)
 
 
 def with_closed_pipes(program, *arguments, stderr):
-    """Exit code and stderr of a process with a closed pipe as stdout; `stderr`: `separate_pipe` or `same_pipe`."""
+    """Exit code and stderr of a process with a closed pipe as stdout; `stderr`: `separate_pipe` or
+    `same_pipe`."""
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        process = subprocess.Popen([sys.executable, "-c", program, *arguments], stdout=writing, stderr=stderr(writing))
+        process = subprocess.Popen(
+            [sys.executable, "-c", program, *arguments], stdout=writing, stderr=stderr(writing)
+        )
     finally:
         os.close(writing)
     _, message = process.communicate(timeout=60)
@@ -48,8 +51,12 @@ def test_closed_pipe_ends_a_command_silently(arguments):
 
 
 def test_pipe_closed_after_the_first_line_ends_the_command():
-    program = "from granflow.cli.process import standard_streams\nwith standard_streams(): print('x\\n' * 10**6)"
-    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    program = (
+        "from granflow.cli.process import standard_streams\nwith standard_streams(): print('x\\n' * 10**6)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     assert process.stdout.read(2) == b"x\n"
     process.stdout.close()
     assert (process.stderr.read(), process.wait(60)) == (b"", 141)
@@ -65,7 +72,9 @@ def test_optional_output_is_dropped(stderr):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="requires /dev/full of Linux")
 def test_full_disk_is_reported_in_one_sentence():
     with open("/dev/full", "w") as full:
-        process = subprocess.run([sys.executable, "-c", MAIN, "schema"], stdout=full, stderr=subprocess.PIPE, text=True)
+        process = subprocess.run(
+            [sys.executable, "-c", MAIN, "schema"], stdout=full, stderr=subprocess.PIPE, text=True
+        )
     assert (process.returncode, process.stderr) == (2, "granflow: <stdout>: No space left on device.\n")
 
 

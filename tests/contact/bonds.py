@@ -36,7 +36,8 @@ def law_of(name, pair):
 
 @dataclass(frozen=True)
 class BondResult:
-    """Attraction [N], stored and lost energy [J] (contacts, steps), and history (contacts, steps, numbers)."""
+    """Attraction [N], stored and lost energy [J] (contacts, steps), and history (contacts, steps,
+    numbers)."""
 
     attraction: np.ndarray
     stored: np.ndarray
@@ -45,7 +46,8 @@ class BondResult:
 
 
 def evaluate_bonds(law, pair, overlap, first=0.0):
-    """Attraction along overlaps (contacts, steps) [m], which may be negative; `first`: first history field before."""
+    """Attraction along overlaps (contacts, steps) [m], which may be negative; `first`: first history field
+    before."""
     found = [np.zeros(overlap.shape) for _ in range(3)]
     history = np.zeros((*overlap.shape, max(law.history_count, 1)))
     history[:, 0, 0] = first
@@ -57,9 +59,12 @@ def evaluate_bonds(law, pair, overlap, first=0.0):
 @cache
 def bond_kernel(law):
     """A kernel that evaluates a cohesion model along overlaps."""
-    laws, size = SurfaceLaws(law), max(law.history_count, 1)
-    constants_of, counts = build_constants(laws), (len(law.constant_names), max(len(law.parameters), 1))
-    history_of, vector_of = build_slot_history(laws, "surface"), build_slot_vector(laws, "surface")
+    laws = SurfaceLaws(law)
+    size = max(law.history_count, 1)
+    constants_of = build_constants(laws)
+    counts = (len(law.constant_names), max(len(law.parameters), 1))
+    history_of = build_slot_history(laws, "surface")
+    vector_of = build_slot_vector(laws, "surface")
     has_history = law.history_count > 0
     row, square, cube = (ti.types.ndarray(ti.f64, dimensions) for dimensions in (1, 2, 3))
 

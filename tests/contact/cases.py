@@ -1,4 +1,5 @@
-"""Normal models of the catalog with their settings, and the evaluation of contacts along given overlap paths."""
+"""Normal models of the catalog with their settings, and the evaluation of contacts along given overlap
+paths."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -44,7 +45,8 @@ RADIUS, MASS, VELOCITY, TIME_STEP = 0.01, 0.01, 1.0, 1e-5
 YIELD_STRENGTH = 1e6
 """With this maximum contact pressure [Pa], a Hertz contact yields at an overlap of 15 micrometers."""
 COHESION = 5e4
-"""Cohesion energy density [J/m3]: an attraction of 3.1 kN/m times the overlap, below a sixth of the 20 kN/m spring."""
+"""Cohesion energy density [J/m3]: an attraction of 3.1 kN/m times the overlap, below a sixth of the 20 kN/m
+spring."""
 ANGLE = 0.5
 
 
@@ -105,7 +107,8 @@ def request(name, restitution, settings=lambda units: {}):
     """A function that builds the model of that name with the settings of a scene."""
 
     def build(units):
-        model, pair = models("normal")[name], pair_of(restitution, units)
+        model = models("normal")[name]
+        pair = pair_of(restitution, units)
         given = {key: each.default for key, each in model.options.items()} | settings(units)
         return ContactLaws(model.law.from_scene(ModelRequest(given, (pair,), units.velocity, ANGLE)))
 
@@ -122,7 +125,8 @@ def spring(number=None, velocity=None):
 
 
 def bilinear(stiffness, velocity=None):
-    """Settings of walton_braun; with a reference velocity [m/s] the restitution decreases with the impact velocity."""
+    """Settings of walton_braun; with a reference velocity [m/s] the restitution decreases with the impact
+    velocity."""
 
     def settings(units):
         unloading = "constant" if velocity is None else {"reference_velocity": velocity * units.velocity}
@@ -189,17 +193,26 @@ PLAIN = (
     case("kuwabara_kono", "kuwabara_kono", number(0.6), reference_velocity(0.7)),
     case("kuwabara_kono_elastic", "kuwabara_kono", number(1.0), reference_velocity(0.7)),
 )
-COHESIVE = ("zhou_impact", "hertz_elastic", "linear_number", "thornton", "walton_braun_number", "luding_tension")
+COHESIVE = (
+    "zhou_impact",
+    "hertz_elastic",
+    "linear_number",
+    "thornton",
+    "walton_braun_number",
+    "luding_tension",
+)
 CASES = (*PLAIN, *(adhesive(each) for each in PLAIN if each.name in (*COHESIVE, "kuwabara_kono")))
 
 
 CONTINUOUS = tuple(each for each in CASES if each.name != "zhou_without_rebound")
-"""Cases that are defined without a time step; at restitution 0 the time step limits the unloading stiffness."""
+"""Cases that are defined without a time step; at restitution 0 the time step limits the unloading
+stiffness."""
 
 
 @dataclass(frozen=True)
 class PathResult:
-    """Forces [N] and energies [J] of contacts along paths: (contacts, steps); history: (contacts, steps, numbers)."""
+    """Forces [N] and energies [J] of contacts along paths: (contacts, steps); history: (contacts, steps,
+    numbers)."""
 
     force: np.ndarray
     viscous: np.ndarray
@@ -215,7 +228,8 @@ class PathResult:
 
 
 def evaluate_path(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS, time_step=TIME_STEP):
-    """Evaluate contacts on the device along overlaps and rates (contacts, steps); separation resets the history.
+    """Evaluate contacts on the device along overlaps and rates (contacts, steps); separation resets the
+    history.
 
     With a time step of 0 [s] the model does not average over a step and equals the formulas of its source.
     """
@@ -236,10 +250,14 @@ def law_parameters(laws):
 
 
 def single_contact(laws):
-    """Device functions for one contact in a test kernel: constants, contact, history, force, energies of the laws."""
-    constants_of, normal_force_of = build_constants(laws), build_normal_force(laws, False)
-    size, slot_vector = max(laws.normal.history_count, 1), build_slot_vector(laws, "normal")
-    pair_count, parameter_count = sum(map(len, laws.constant_names.values())), len(law_parameters(laws))
+    """Device functions for one contact in a test kernel: constants, contact, history, force, energies of the
+    laws."""
+    constants_of = build_constants(laws)
+    normal_force_of = build_normal_force(laws, False)
+    size = max(laws.normal.history_count, 1)
+    slot_vector = build_slot_vector(laws, "normal")
+    pair_count = sum(map(len, laws.constant_names.values()))
+    parameter_count = len(law_parameters(laws))
     counts = {slot: law.history_count for slot, law in laws.by_slot.items() if law.history_count}
 
     @ti.func
@@ -296,7 +314,8 @@ def kernel_for(laws):
         force: table, viscous: table, repulsion: table, stored: table, lost: table, history: cube
     ):  # fmt: skip
         for i in range(overlap.shape[0]):
-            constants, history_now = read_constants(pair, parameters), new_history()
+            constants = read_constants(pair, parameters)
+            history_now = new_history()
             for s in range(overlap.shape[1]):
                 contact = contact_of(radius, mass, dt, overlap[i, s], rate[i, s])
                 if contact.overlap > 0.0:
@@ -315,7 +334,9 @@ def kernel_for(laws):
 
 def evaluate_reference(case, overlap, rate):
     """Force, force at an overlap larger by a relative `PERTURBATION`, and history of the numpy reference."""
-    law, cohesion, pair = case.law(), case.laws().cohesion, case.pair()
+    law = case.law()
+    cohesion = case.laws().cohesion
+    pair = case.pair()
     constants = np.array(law.pair_constants(pair))
     size = max(law.history_count, 1)
 
@@ -323,17 +344,23 @@ def evaluate_reference(case, overlap, rate):
         """Attraction [N] of the cohesion model."""
         if cohesion is None:
             return 0.0
-        named = SimpleNamespace(**dict(zip(cohesion.constant_names, cohesion.pair_constants(pair), strict=True)))
+        named = SimpleNamespace(
+            **dict(zip(cohesion.constant_names, cohesion.pair_constants(pair), strict=True))
+        )
         return cohesion.reference(ContactState(named, RADIUS, MASS, TIME_STEP, d, 0.0, SimpleNamespace()))[0]
 
-    force, perturbed, history = np.zeros(overlap.shape), np.zeros(overlap.shape), np.zeros((*overlap.shape, size))
+    force = np.zeros(overlap.shape)
+    perturbed = np.zeros(overlap.shape)
+    history = np.zeros((*overlap.shape, size))
     for i in range(len(overlap)):
         history_new = np.zeros(size)
         for s, (d, v) in enumerate(zip(overlap[i], rate[i], strict=True)):
             if d > 0.0:
                 pair_arguments = (constants, RADIUS, MASS, TIME_STEP)
                 force[i, s], history_new = law.reference_force(*pair_arguments, d, v, history_new)
-                perturbed[i, s], _ = law.reference_force(*pair_arguments, d * (1.0 + PERTURBATION), v, history_new)
+                perturbed[i, s], _ = law.reference_force(
+                    *pair_arguments, d * (1.0 + PERTURBATION), v, history_new
+                )
                 force[i, s] -= attraction(d)
                 perturbed[i, s] -= attraction(d * (1.0 + PERTURBATION))
             else:
@@ -347,7 +374,8 @@ PERTURBATION = 1e-7
 
 
 def random_paths(contacts, steps, seed=1):
-    """Overlaps [m] that increase and decrease by random amounts, with some separations, and overlap rates [m/s]."""
+    """Overlaps [m] that increase and decrease by random amounts, with some separations, and overlap rates
+    [m/s]."""
     rng = np.random.default_rng(seed)
     turning_points = rng.uniform(-1e-4, 4e-4, (contacts, steps // 4 + 2))
     x = np.arange(steps) / 4.0

@@ -43,7 +43,8 @@ class SurfaceLaws:
 
 @dataclass(frozen=True)
 class SurfaceResult:
-    """Forces [N] or torques [N m] (contacts, steps, 3), energies [J] (contacts, steps), history as a table."""
+    """Forces [N] or torques [N m] (contacts, steps, 3), energies [J] (contacts, steps), history as a
+    table."""
 
     force: np.ndarray
     loss: np.ndarray
@@ -54,9 +55,16 @@ class SurfaceResult:
 def evaluate_surface(law, pair, numbers, vectors):
     """Forces along paths; `numbers` (contacts, steps) and `vectors` (contacts, steps, 3) are by name."""
     shape = vectors["normal"].shape[:2]
-    table = np.ascontiguousarray(np.stack([np.broadcast_to(numbers[name], shape) for name in NUMBERS], axis=2), float)
+    table = np.ascontiguousarray(
+        np.stack([np.broadcast_to(numbers[name], shape) for name in NUMBERS], axis=2), float
+    )
     cube = np.ascontiguousarray(np.stack([vectors[name] for name in VECTORS], axis=2), float)
-    found = np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape), np.zeros((*shape, max(law.history_count, 1)))
+    found = (
+        np.zeros((*shape, 3)),
+        np.zeros(shape),
+        np.zeros(shape),
+        np.zeros((*shape, max(law.history_count, 1))),
+    )
     row = np.array(law.pair_constants(pair)), np.array(list(law.parameters.values()) or [0.0])
     surface_kernel(law)(*row, table, cube, *found)
     return SurfaceResult(*found)
@@ -65,9 +73,12 @@ def evaluate_surface(law, pair, numbers, vectors):
 @cache
 def surface_kernel(law):
     """A kernel that evaluates a tangential or rolling model along paths."""
-    laws, size = SurfaceLaws(law), max(law.history_count, 1)
-    constants_of, counts = build_constants(laws), (len(law.constant_names), max(len(law.parameters), 1))
-    history_of, vector_of = build_slot_history(laws, "surface"), build_slot_vector(laws, "surface")
+    laws = SurfaceLaws(law)
+    size = max(law.history_count, 1)
+    constants_of = build_constants(laws)
+    counts = (len(law.constant_names), max(len(law.parameters), 1))
+    history_of = build_slot_history(laws, "surface")
+    vector_of = build_slot_vector(laws, "surface")
     model_force = law.force if isinstance(law, TangentialLaw) else law.torque
     has_history = law.history_count > 0
     row, square, cube, four = (ti.types.ndarray(ti.f64, dimensions) for dimensions in (1, 2, 3, 4))
@@ -85,7 +96,9 @@ def surface_kernel(law):
         return ti.Vector([vectors[i, s, k, 0], vectors[i, s, k, 1], vectors[i, s, k, 2]])
 
     members = [
-        (name, read, k) for names, read in ((NUMBERS, number_in), (VECTORS, vector_in)) for k, name in enumerate(names)
+        (name, read, k)
+        for names, read in ((NUMBERS, number_in), (VECTORS, vector_in))
+        for k, name in enumerate(names)
     ]
 
     @ti.func
@@ -115,7 +128,8 @@ def surface_kernel(law):
 def evaluate_surface_reference(law, pair, numbers, vectors):
     """The same as `evaluate_surface` by the reference implementation: force and history."""
     shape = vectors["normal"].shape[:2]
-    force, history = np.zeros((*shape, 3)), np.zeros((*shape, max(law.history_count, 1)))
+    force = np.zeros((*shape, 3))
+    history = np.zeros((*shape, max(law.history_count, 1)))
     constants = SimpleNamespace(**dict(zip(law.constant_names, law.pair_constants(pair), strict=True)))
     for i in range(shape[0]):
         state = {each.name: 0.0 if each.size == 1 else np.zeros(3) for each in law.history}

@@ -1,10 +1,19 @@
-"""Cohesion models with a closed form: pull-off force, work of adhesion, range, and impacts that stick or rebound."""
+"""Cohesion models with a closed form: pull-off force, work of adhesion, range, and impacts that stick or
+rebound."""
 
 import math
 
 import numpy as np
 import pytest
-from contact.bonds import MODULUS, OPTIONS, RADIUS, evaluate_bonds, evaluate_reference_bonds, law_of, pair_with
+from contact.bonds import (
+    MODULUS,
+    OPTIONS,
+    RADIUS,
+    evaluate_bonds,
+    evaluate_reference_bonds,
+    law_of,
+    pair_with,
+)
 from geometry.meshes import sheet, write
 from scene_builders import build_scene, particle_group, plane, run_to_end
 from scipy.integrate import quad
@@ -34,8 +43,10 @@ def pulled(law, steps=20000):
 
 
 def test_jkr_pull_off_force_and_distance(taichi_f64):
-    """Smallest force -3/2 pi w R; snap-off at a = a_s / 4^(2/3), which is the distance 3/4 4^(-1/3) d_s (JKR 1971)."""
-    law, pair = law_of("jkr", pair_with()), pair_with()
+    """Smallest force -3/2 pi w R; snap-off at a = a_s / 4^(2/3), which is the distance 3/4 4^(-1/3) d_s (JKR
+    1971)."""
+    law = law_of("jkr", pair_with())
+    pair = pair_with()
     overlap = pulled(law)
     found = evaluate_bonds(law, pair, overlap)
     force = hertz(overlap) - found.attraction
@@ -44,13 +55,17 @@ def test_jkr_pull_off_force_and_distance(taichi_f64):
     bonded = found.history[0, :, 0] == 1.0
     assert -overlap[0, bonded].min() == pytest.approx(0.75 * 4.0 ** (-1.0 / 3.0) * LENGTH, rel=1e-3)
     at_snap = force[0, np.flatnonzero(bonded)[-1]]
-    assert at_snap == pytest.approx(-5.0 / 6.0 * math.pi * WORK * RADIUS, rel=0.02), "5/9 of the pull-off force"
+    assert at_snap == pytest.approx(-5.0 / 6.0 * math.pi * WORK * RADIUS, rel=0.02), (
+        "5/9 of the pull-off force"
+    )
     assert not found.attraction[0, ~bonded].any()
 
 
 def test_jkr_work_of_adhesion(taichi_f64):
-    """7.09 (w^5 R^4 / E^2)^(1/3) is lost in one contact (Thornton & Ning 1998), as the integral of the force."""
-    law, pair = law_of("jkr", pair_with()), pair_with()
+    """7.09 (w^5 R^4 / E^2)^(1/3) is lost in one contact (Thornton & Ning 1998), as the integral of the
+    force."""
+    law = law_of("jkr", pair_with())
+    pair = pair_with()
     overlap = pulled(law)
     found = evaluate_bonds(law, pair, overlap)
     expected = 7.09 * (WORK**5 * RADIUS**4 / MODULUS**2) ** (1.0 / 3.0)
@@ -61,11 +76,14 @@ def test_jkr_work_of_adhesion(taichi_f64):
 
 
 def test_capillary_work_and_force(taichi_f64):
-    """Force and work against the formulas of the papers, integrated by quadrature; equal spheres of radius 2 R."""
-    law, pair = law_of("capillary", pair_with()), pair_with()
+    """Force and work against the formulas of the papers, integrated by quadrature; equal spheres of radius 2
+    R."""
+    law = law_of("capillary", pair_with())
+    pair = pair_with()
     overlap = pulled(law)
     found = evaluate_bonds(law, pair, overlap)
-    volume, sphere = OPTIONS["liquid_volume"], 2.0 * RADIUS
+    volume = OPTIONS["liquid_volume"]
+    sphere = 2.0 * RADIUS
     touching = 2.0 * math.pi * sphere * OPTIONS["surface_tension"] * math.cos(OPTIONS["contact_angle"])
 
     def force(distance):
@@ -78,28 +96,36 @@ def test_capillary_work_and_force(taichi_f64):
     assert found.attraction.max() == pytest.approx(touching, rel=1e-12)
     assert law.pull_off_force(pair, RADIUS) == pytest.approx(touching, rel=1e-12)
     open_bonds = np.flatnonzero(bonded & (overlap[0] < 0.0))[::500]
-    np.testing.assert_allclose(found.attraction[0, open_bonds], [force(-d) for d in overlap[0, open_bonds]], rtol=1e-12)
+    np.testing.assert_allclose(
+        found.attraction[0, open_bonds], [force(-d) for d in overlap[0, open_bonds]], rtol=1e-12
+    )
     work = quad(force, 0.0, rupture, epsrel=1e-10)[0]
     assert found.lost[0, -1] == pytest.approx(work, rel=1e-9)
 
 
 def test_bridge_of_a_given_volume_is_that_of_the_model_with_constant_volume(taichi_f64):
     """Force, stored energy and rupture of `capillary_transfer` once the bridge exists, and its reference."""
-    pair, volume = pair_with(), OPTIONS["liquid_volume"]
-    constant, transfer = law_of("capillary", pair), law_of("capillary_transfer", pair)
+    pair = pair_with()
+    volume = OPTIONS["liquid_volume"]
+    constant = law_of("capillary", pair)
+    transfer = law_of("capillary_transfer", pair)
     overlap = np.linspace(0.2 * constant.range, -1.1 * constant.range, 5000)[None, :]
-    expected, found = evaluate_bonds(constant, pair, overlap), evaluate_bonds(transfer, pair, overlap, volume)
+    expected = evaluate_bonds(constant, pair, overlap)
+    found = evaluate_bonds(transfer, pair, overlap, volume)
     ruptured = found.history[0, :, 0] == 0.0
     np.testing.assert_array_equal(ruptured, expected.history[0, :, 0] == 0.0)
     assert 0 < ruptured.sum() < 1000 and set(found.history[0, :, 0]) == {0.0, volume}
     np.testing.assert_allclose(found.attraction, expected.attraction, rtol=1e-13)
-    np.testing.assert_allclose(found.stored, expected.stored, rtol=0.0, atol=1e-13 * np.abs(expected.stored).max())
+    np.testing.assert_allclose(
+        found.stored, expected.stored, rtol=0.0, atol=1e-13 * np.abs(expected.stored).max()
+    )
     reference = evaluate_reference_bonds(transfer, pair, overlap, bridge_volume=volume)
     np.testing.assert_allclose(found.attraction, reference, rtol=1e-13)
 
 
 def test_dry_contact_has_no_attraction(taichi_f64):
-    law, pair = law_of("capillary_transfer", pair_with()), pair_with()
+    law = law_of("capillary_transfer", pair_with())
+    pair = pair_with()
     found = evaluate_bonds(law, pair, random_distances(law))
     assert not found.attraction.any() and not found.stored.any() and not found.history.any()
 
@@ -112,8 +138,10 @@ def random_distances(law, contacts=100, steps=60, seed=7):
 
 @pytest.mark.parametrize("name", ["dmt", "jkr", "capillary", "van_der_waals"])
 def test_device_equals_its_reference(taichi_f64, name):
-    """The reference of JKR finds the contact radius as a root of a polynomial: sensitive at snap-off, a double root."""
-    law, pair = law_of(name, pair_with()), pair_with()
+    """The reference of JKR finds the contact radius as a root of a polynomial: sensitive at snap-off, a
+    double root."""
+    law = law_of(name, pair_with())
+    pair = pair_with()
     overlap = random_distances(law)
     if name == "dmt":
         overlap = np.abs(overlap)
@@ -121,14 +149,17 @@ def test_device_equals_its_reference(taichi_f64, name):
     expected = evaluate_reference_bonds(law, pair, overlap)
     assert np.array_equal(found == 0.0, expected == 0.0) and (found > 0.0).sum() > 1000
     assert np.all(found[overlap < -law.range] == 0.0)
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=(1e-7 if name == "jkr" else 1e-13) * expected.max())
+    np.testing.assert_allclose(
+        found, expected, rtol=0.0, atol=(1e-7 if name == "jkr" else 1e-13) * expected.max()
+    )
     far = overlap > -0.4 * LENGTH
     np.testing.assert_allclose(found[far], expected[far], rtol=0.0, atol=1e-12 * expected.max())
 
 
 @pytest.mark.parametrize("name", [*BONDS, "van_der_waals", "dmt", "sjkr"])
 def test_force_is_the_derivative_of_the_energy_and_losses_only_grow(taichi_f64, name):
-    law, pair = law_of(name, pair_with()), pair_with()
+    law = law_of(name, pair_with())
+    pair = pair_with()
     overlap = pulled(law)
     found = evaluate_bonds(law, pair, overlap)
     assert np.diff(found.lost[0]).min() >= 0.0
@@ -142,7 +173,8 @@ def test_force_is_the_derivative_of_the_energy_and_losses_only_grow(taichi_f64, 
 
 @pytest.mark.parametrize(("name", "without"), [("jkr", "work_of_adhesion"), ("capillary", "liquid_volume")])
 def test_a_pair_without_adhesion_has_no_force(taichi_f64, name, without):
-    law, plain = law_of(name, pair_with()), pair_with(**{without: 0.0})
+    law = law_of(name, pair_with())
+    plain = pair_with(**{without: 0.0})
     found = evaluate_bonds(law, plain, random_distances(law))
     assert not found.attraction.any() and np.abs(found.lost).max() == 0.0
     assert np.isfinite(found.history).all()
@@ -157,11 +189,13 @@ SHARES = (0.99, 1.01, 1.5, 3.0)
 
 
 def lost_energy(name, radius_eff):
-    """Energy [J] that one contact of the model loses: Thornton & Ning (1998); integral of the capillary force."""
+    """Energy [J] that one contact of the model loses: Thornton & Ning (1998); integral of the capillary
+    force."""
     solid = Solid(SOLID["young_modulus"], SOLID["poisson_ratio"], DENSITY)
     if name == "jkr":
         return 7.09 * (WORK**5 * radius_eff**4 / modulus_eff(solid, solid) ** 2) ** (1.0 / 3.0)
-    volume, angle = OPTIONS["liquid_volume"], OPTIONS["contact_angle"]
+    volume = OPTIONS["liquid_volume"]
+    angle = OPTIONS["contact_angle"]
     touching = 4.0 * math.pi * radius_eff * OPTIONS["surface_tension"] * math.cos(angle)
 
     def force(distance):
@@ -182,7 +216,9 @@ def impacts(name, chunk_size, gravity=0.0, floor_wall=None, normal="hertz"):
     shots = [[x, y, z + DIAMETER + gap] for x, y, z in targets]
     speeds = np.array([*(-floor * np.array(SHARES)), *np.zeros(len(SHARES)), *(-pair * np.array(SHARES))])
     group = particle_group(
-        [*falling, *targets, *shots], DIAMETER, velocity=np.stack([0 * speeds, 0 * speeds + SLIDING, speeds], 1)
+        [*falling, *targets, *shots],
+        DIAMETER,
+        velocity=np.stack([0 * speeds, 0 * speeds + SLIDING, speeds], 1),
     )
     options = {key: OPTIONS[key] for key in model_keys(name)}
     wall = floor_wall or plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
@@ -211,7 +247,9 @@ def model_keys(name):
         pytest.param("capillary", 1, marks=pytest.mark.slow),
     ],
 )
-def test_impacts_stick_below_the_sticking_velocity_and_lose_the_work_of_adhesion(taichi_f64, name, chunk_size):
+def test_impacts_stick_below_the_sticking_velocity_and_lose_the_work_of_adhesion(
+    taichi_f64, name, chunk_size
+):
     """Rebound velocity sqrt(v^2 - v_s^2), v_s = sqrt(2 W / M) (Thornton & Ning 1998), at walls and particles.
 
     Several particles per chunk are evaluated in batches, with half of the neighbor list.
@@ -252,8 +290,11 @@ def test_bonds_slide_from_one_triangle_of_a_mesh_to_the_next(taichi_f64, tmp_pat
 
 @pytest.mark.slow
 def test_energy_budget_closes_with_models_that_store_the_stiffness_of_a_contact(taichi_f64):
-    """Bonds rupture after their overlap has ended, and with it the stiffness in the history of the normal model."""
-    scene, *_ = impacts("jkr", 12, normal={"law": "walton_braun", "stiffness": "onset", "unloading": "constant"})
+    """Bonds rupture after their overlap has ended, and with it the stiffness in the history of the normal
+    model."""
+    scene, *_ = impacts(
+        "jkr", 12, normal={"law": "walton_braun", "stiffness": "onset", "unloading": "constant"}
+    )
     last, _ = run_to_end(scene)
     losses = 3 * (lost_energy("jkr", RADIUS) + lost_energy("jkr", 0.5 * RADIUS))
     assert abs(last.totals["energy_error"]) < 2e-3
@@ -261,12 +302,17 @@ def test_energy_budget_closes_with_models_that_store_the_stiffness_of_a_contact(
 
 
 def test_van_der_waals_attraction_is_conservative_on_a_contact_without_history(taichi_f64):
-    """Speed at contact from U = A R / 6 (1/s_0 - 1/s_c), s_c = 31 s_0, and at the cut-off again that of the approach.
+    """Speed at contact from U = A R / 6 (1/s_0 - 1/s_c), s_c = 31 s_0, and at the cut-off again that of the
+    approach.
 
     An elastic Hertz contact without friction has no history, so that no list entry is marked as a contact.
     """
-    radius, speed, hamaker, separation = 1e-5, 5e-3, 2e-18, 1e-7
-    mass, cutoff = DENSITY * 4.0 / 3.0 * math.pi * radius**3, 31.0 * separation
+    radius = 1e-5
+    speed = 5e-3
+    hamaker = 2e-18
+    separation = 1e-7
+    mass = DENSITY * 4.0 / 3.0 * math.pi * radius**3
+    cutoff = 31.0 * separation
     ball = particle_group([[0.0, 0.0, radius + cutoff]], 2.0 * radius, velocity=[0.0, 0.0, -speed])
     scene = build_scene(
         {"ball": ball}, {"floor": plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])},
@@ -275,7 +321,8 @@ def test_van_der_waals_attraction_is_conservative_on_a_contact_without_history(t
         materials={"glass": SOLID}, domain={"min": [-1e-3] * 3, "max": [1e-3] * 3, "on_exit": "error"},
         run={"duration": 2e-3, "velocity_max": 2.0 * speed},
     )  # fmt: skip
-    simulation, fastest = Simulation(scene), 0.0
+    simulation = Simulation(scene)
+    fastest = 0.0
     while simulation.time < scene.run.duration:
         simulation.step(20)
         height, velocity = (simulation.snapshot().particles[name][0, 2] for name in ("position", "velocity"))
@@ -291,4 +338,6 @@ def test_explain_shows_the_bond_number():
     scene, *_ = impacts("jkr", 12, gravity=10.0)
     text = explain(plan_for(scene))
     mass = DENSITY * math.pi / 6.0 * DIAMETER**3
-    assert f"{1.5 * math.pi * WORK * RADIUS / (mass * 10.0):.3g}" in text.split("Bond number")[1].split("\n")[0]
+    assert (
+        f"{1.5 * math.pi * WORK * RADIUS / (mass * 10.0):.3g}" in text.split("Bond number")[1].split("\n")[0]
+    )

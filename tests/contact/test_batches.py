@@ -1,4 +1,5 @@
-"""Contact models without branches are evaluated in batches: same results as single contacts, and no compiler crash."""
+"""Contact models without branches are evaluated in batches: same results as single contacts, and no compiler
+crash."""
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ STEPS, TIME_STEP = 250, 1e-6
 
 
 def overlapping_lattice(law, cohesion, chunk_size):
-    """Moving particles in contact with their neighbors initially: contacts load, unload, attract and separate."""
+    """Moving particles in contact with their neighbors initially: contacts load, unload, attract and
+    separate."""
     rng = np.random.default_rng(3)
     positions = 0.999 * DIAMETER * (np.argwhere(np.ones((SIDE, SIDE, SIDE))) - 2.5)
     group = particle_group(positions, DIAMETER, velocity=rng.normal(0.0, 0.3, positions.shape))
@@ -34,13 +36,17 @@ def overlapping_lattice(law, cohesion, chunk_size):
 
 
 def single_and_batched(law, cohesion):
-    """Positions, velocities, angular velocities and contact counts after `STEPS` for both ways of evaluation."""
-    states, contacts = [], []
+    """Positions, velocities, angular velocities and contact counts after `STEPS` for both ways of
+    evaluation."""
+    states = []
+    contacts = []
     for chunk_size in (1, SIDE**3):
         scene = overlapping_lattice(law, cohesion, chunk_size)
         assert plan_for(scene).chunk_size == chunk_size
         last, _ = run_to_end(scene)
-        states.append([last.particles[name].tolist() for name in ("position", "velocity", "angular_velocity")])
+        states.append(
+            [last.particles[name].tolist() for name in ("position", "velocity", "angular_velocity")]
+        )
         contacts.append(last.totals["contact_count"])
     return states, contacts
 
@@ -55,7 +61,8 @@ def single_and_batched(law, cohesion):
     ],
 )
 def test_batches_equal_single_contacts_within_rounding(law, cohesion):
-    """The sum over forces has another order: rounding of 1e-16 per step, which 250 steps of collisions amplify."""
+    """The sum over forces has another order: rounding of 1e-16 per step, which 250 steps of collisions
+    amplify."""
     (single, batched), contacts = in_subprocess(single_and_batched, law, cohesion)
     assert 0.3 * 3 * SIDE**2 * (SIDE - 1) < contacts[0] == contacts[1]
     for one, other, scale in zip(single, batched, (SIDE * DIAMETER, 0.3, 0.3 / DIAMETER), strict=True):

@@ -42,9 +42,15 @@ def kernel_for(laws):
         limit: ti.i32, rebound: TABLE, duration: TABLE, lost: TABLE
     ):  # fmt: skip
         for i in range(velocity.shape[0]):
-            constants, history = read_constants(pair, parameters), new_history()
-            overlap, half, force, viscous_work, time = start[i] * dt[i] * velocity[i], velocity[i], 0.0, 0.0, 0.0
-            over, free = 0, 0
+            constants = read_constants(pair, parameters)
+            history = new_history()
+            overlap = start[i] * dt[i] * velocity[i]
+            half = velocity[i]
+            force = 0.0
+            viscous_work = 0.0
+            time = 0.0
+            over = 0
+            free = 0
             for _ in range(limit):
                 if over == 0:
                     rate = half
@@ -77,7 +83,8 @@ def collisions(case, steps, phases=7, velocities=VELOCITIES):
 
     The phases are initial overlaps as fractions of the distance per time step.
     """
-    law, pair = case.law(), case.pair()
+    law = case.law()
+    pair = case.pair()
     velocity = np.repeat(velocities, phases)
     expected = np.repeat([sum(law.phase_durations(pair, RADIUS, MASS, v)) for v in velocities], phases)
     start = np.tile((np.arange(phases) + 0.5) / phases, len(velocities))
@@ -100,23 +107,30 @@ WITHOUT_REBOUND = "zhou_without_rebound"
 
 
 def expected_restitution(case, steps):
-    """Restitution of the model, or the smallest that it reaches with this number of steps: (velocities, 1)."""
-    law, pair = case.law(), case.pair()
+    """Restitution of the model, or the smallest that it reaches with this number of steps: (velocities,
+    1)."""
+    law = case.law()
+    pair = case.pair()
     found = np.array([law.restitution(pair, RADIUS, MASS, v) for v in VELOCITIES])
     if law.limits_restitution:
         durations = np.array([sum(law.phase_durations(pair, RADIUS, MASS, v)) for v in VELOCITIES])
         least = [
-            law.least_restitution(pair, RADIUS, MASS, *each) for each in zip(VELOCITIES, durations / steps, strict=True)
+            law.least_restitution(pair, RADIUS, MASS, *each)
+            for each in zip(VELOCITIES, durations / steps, strict=True)
         ]
         found = np.maximum(found, least)
     return found[:, None]
 
 
-@pytest.mark.parametrize("case", [case for case in PLAIN if case.name not in ("zhou_damped", WITHOUT_REBOUND)], ids=str)
+@pytest.mark.parametrize(
+    "case", [case for case in PLAIN if case.name not in ("zhou_damped", WITHOUT_REBOUND)], ids=str
+)
 def test_restitution_converges_in_second_order(taichi_f64, case):
-    """Error below 1e-4 at 200 steps: onset, maximum overlap and separation are resolved within a time step."""
+    """Error below 1e-4 at 200 steps: onset, maximum overlap and separation are resolved within a time
+    step."""
     coarse, fine = (
-        np.abs(collisions(case, steps)[0] - expected_restitution(case, steps)).max() for steps in (COARSE, FINE)
+        np.abs(collisions(case, steps)[0] - expected_restitution(case, steps)).max()
+        for steps in (COARSE, FINE)
     )
     assert coarse <= 1e-4
     assert coarse / fine >= 0.9 * 4.0**2
@@ -155,11 +169,16 @@ def test_reloading_damping_does_not_change_the_bits_of_a_binary_collision(taichi
 
 @pytest.mark.parametrize(
     "case",
-    [case for case in PLAIN if not case.name.startswith(("linear", "hertz_damped", "zhou_damped", "zhou_without"))],
+    [
+        case
+        for case in PLAIN
+        if not case.name.startswith(("linear", "hertz_damped", "zhou_damped", "zhou_without"))
+    ],
     ids=str,
 )
 def test_duration_equals_the_closed_form(taichi_f64, case):
-    """Within the resolution of the separation time, half a step; models with a dashpot state undamped durations."""
+    """Within the resolution of the separation time, half a step; models with a dashpot state undamped
+    durations."""
     for steps in (COARSE, FINE):
         assert np.abs(collisions(case, steps)[1] - 1.0).max() <= 0.51 / steps + 1e-4
 
@@ -168,26 +187,33 @@ def test_duration_equals_the_closed_form(taichi_f64, case):
 def test_energy_balance_converges_in_second_order(taichi_f64, case):
     """The loss of kinetic energy equals the dissipation of the model: plastic work plus damping.
 
-    At the largest velocity some cohesive contacts do not separate, and their energy is still stored. A contact of the
-    restitution 0 accumulates its work as the leapfrog scheme does: without error.
+    At the largest velocity some cohesive contacts do not separate, and their energy is still stored. A
+    contact of the restitution 0 accumulates its work as the leapfrog scheme does: without error.
     """
     separating = VELOCITIES[:-1] if case.adhesive else VELOCITIES
-    coarse, fine = (np.abs(collisions(case, steps, velocities=separating)[2]).max() for steps in (COARSE, FINE))
+    coarse, fine = (
+        np.abs(collisions(case, steps, velocities=separating)[2]).max() for steps in (COARSE, FINE)
+    )
     assert coarse <= 2e-4
     assert coarse / fine >= 9.0 or max(coarse, fine) <= 1e-13 and case.name == WITHOUT_REBOUND
 
 
 @pytest.mark.parametrize("case", [case for case in PLAIN if case in CONTINUOUS], ids=str)
 def test_unloading_stiffness_equals_the_steepest_chord(taichi_f64, case):
-    """The steepest chord of the elastic force near the maximum overlap of a collision; it determines the time step."""
-    law, pair, velocity = case.law(), case.pair(), 1.0
+    """The steepest chord of the elastic force near the maximum overlap of a collision; it determines the time
+    step."""
+    law = case.law()
+    pair = case.pair()
+    velocity = 1.0
     steepest = law.unloading_stiffness(pair, RADIUS, MASS, velocity)
     rising = np.linspace(0.0, 1.2e-3, 12001)[1:]
     rate = np.full((1, len(rising)), velocity)
     force = evaluate_path(case, rising[None, :], rate, time_step=0.0).elastic[0]
     turn = int(np.searchsorted(np.cumsum(force) * rising[0], 0.5 * MASS * velocity**2))
     path = np.concatenate([rising[: turn + 1], rising[:turn][::-1]])
-    elastic = evaluate_path(case, path[None, :], rate[:, :1] * np.ones((1, len(path))), time_step=0.0).elastic[0]
+    elastic = evaluate_path(
+        case, path[None, :], rate[:, :1] * np.ones((1, len(path))), time_step=0.0
+    ).elastic[0]
     chord_max = np.abs(np.diff(elastic) / np.diff(path)).max()
     assert chord_max <= 1.002 * steepest
     if np.isfinite(steepest):
@@ -201,7 +227,8 @@ def test_cohesion_is_conservative(taichi_f64):
 
 
 def test_cohesion_lowers_the_restitution_of_a_bilinear_contact(taichi_f64):
-    """The attraction is a spring of -kc, which increases the overlap: e^2 = 1 - (1 - e0^2) / (1 - kc / k1)."""
+    """The attraction is a spring of -kc, which increases the overlap: e^2 = 1 - (1 - e0^2) / (1 - kc /
+    k1)."""
     (case,) = (case for case in CASES if case.name == "sjkr_walton_braun_number")
     attraction = 2.0 * np.pi * COHESION * RADIUS
     expected = np.sqrt(1.0 - (1.0 - 0.6**2) / (1.0 - attraction / 2e4))

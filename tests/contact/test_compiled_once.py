@@ -1,4 +1,5 @@
-"""Numbers of contact models are no literals of kernels: models that differ in numbers share compiled kernels."""
+"""Numbers of contact models are no literals of kernels: models that differ in numbers share compiled
+kernels."""
 
 import os
 from dataclasses import dataclass
@@ -21,7 +22,9 @@ from granflow.engine.backend import CACHED_KERNELS as KERNELS
 def variants(model, number):
     """Laws of a record for each word and key of its choices, with every number equal to `number`."""
     values = {
-        key: [number] if isinstance(option, Amount) else [*option.words, *({key: number} for key in option.keyed)]
+        key: [number]
+        if isinstance(option, Amount)
+        else [*option.words, *({key: number} for key in option.keyed)]
         for key, option in model.options.items()
     }
     first = {key: choices[0] for key, choices in values.items()}
@@ -30,7 +33,9 @@ def variants(model, number):
     restitution = VelocityRestitution(number, 0.9 * number, 1.0 + number) if fit else number
     options = {option.key: number for option in model.pair_options}
     pair = PairMaterial(4e7 * number, 1e7, restitution, number, yield_strength=1e6 * number, options=options)
-    return [model.law.from_scene(ModelRequest(given, (pair,), number, 0.9 * number, True)) for given in settings]
+    return [
+        model.law.from_scene(ModelRequest(given, (pair,), number, 0.9 * number, True)) for given in settings
+    ]
 
 
 def compile_models(number, folder):
@@ -43,7 +48,9 @@ def compile_models(number, folder):
 
 def evaluate(law):
     """Compile and launch a kernel that contains the device functions of a law, on no contacts."""
-    flat, cube, row = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(9)
+    flat = np.zeros((0, 0))
+    cube = np.zeros((0, 0, 0))
+    row = np.zeros(9)
     if isinstance(law, TangentialLaw | RollingLaw | TwistingLaw):
         surface_kernel(law)(row, row, cube, np.zeros((0, 0, 0, 0)), cube, flat, flat, cube)
     else:

@@ -14,7 +14,15 @@ from resume.runs import files_of, states_of
 
 from granflow import SceneError, load_scene, register_contact_model
 from granflow.cli.main import main
-from granflow.contact.law import Amount, CohesionLaw, ContactModel, HistoryField, ModelRequest, PairOption, RollingLaw
+from granflow.contact.law import (
+    Amount,
+    CohesionLaw,
+    ContactModel,
+    HistoryField,
+    ModelRequest,
+    PairOption,
+    RollingLaw,
+)
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal.hertz import Hertz
@@ -84,7 +92,8 @@ class Viscous(RollingLaw):
 
     @ti.func
     def torque(self, constants, contact, history):
-        rate, history_new = contact.rolling_rate, history
+        rate = contact.rolling_rate
+        history_new = history
         torque = -constants.rolling_viscosity * (rate - rate.dot(contact.normal) * contact.normal)
         lost = -0.5 * contact.time_step * (history.torque + torque).dot(rate)
         history_new.torque = torque
@@ -95,14 +104,18 @@ class Viscous(RollingLaw):
 STICKY = ContactModel(
     Sticky,
     "attraction that increases to a constant",
-    options={"saturation": Amount("overlap [m] at half the attraction", "1 um", "length", "an overlap", above=0)},
+    options={
+        "saturation": Amount("overlap [m] at half the attraction", "1 um", "length", "an overlap", above=0)
+    },
     pair_options=(PairOption("attraction", Amount("largest attraction [N]", "1 mN", "force", at_least=0)),),
     example={"saturation": 1e-6},
 )
 VISCOUS = ContactModel(
     Viscous,
     "syrupy rolling torque",
-    pair_options=(PairOption("rolling_viscosity", Amount("torque over rolling rate [N m s]", "1e-6", at_least=0)),),
+    pair_options=(
+        PairOption("rolling_viscosity", Amount("torque over rolling rate [N m s]", "1e-6", at_least=0)),
+    ),
 )
 SCENE = """\
 title: External models
@@ -167,7 +180,8 @@ def message_of(tmp_path, old, new):
 
 def test_scene_runs_with_energy_budget_contact_output_and_identical_restart(tmp_path, taichi_f64):
     scene = scene_of(tmp_path)
-    whole, again = tmp_path / "whole", tmp_path / "again"
+    whole = tmp_path / "whole"
+    again = tmp_path / "again"
     simulation = Simulation(scene, out=whole, threads=2)
     simulation.run()
     last = simulation.snapshot(contacts=True)
@@ -183,9 +197,12 @@ def test_scene_runs_with_energy_budget_contact_output_and_identical_restart(tmp_
     assert abs(last.totals["energy_error"]) < 1e-3
     frame = meshio.read(sorted(whole.glob("contacts_*.vtu"))[-1])
     arrays = {name: value[0] for name, value in frame.cell_data.items()}
-    largest, overlap = arrays["cohesion_largest"], arrays["overlap"]
+    largest = arrays["cohesion_largest"]
+    overlap = arrays["overlap"]
     assert len(overlap) > 5 and overlap.min() > 0.0 and np.all(largest >= overlap * (1.0 - 1e-6))
-    assert arrays["rolling_torque"].shape == (len(overlap), 3) and np.abs(arrays["rolling_torque"]).max() > 0.0
+    assert (
+        arrays["rolling_torque"].shape == (len(overlap), 3) and np.abs(arrays["rolling_torque"]).max() > 0.0
+    )
     assert 0.0 < arrays["rolling_duration"].min() and arrays["rolling_duration"].max() <= 0.01
 
 
@@ -210,7 +227,9 @@ def test_scene_keys_in_the_terminal_contain_the_models(capsys):
     assert main(["schema", "contact.cohesion.sticky"]) == 0
     assert "saturation  number [m]; required" in capsys.readouterr().out
     assert main(["schema", "pairs.rolling_viscosity"]) == 0
-    assert "torque over rolling rate [N m s]; required with contact.rolling: syrupy" in capsys.readouterr().out
+    assert (
+        "torque over rolling rate [N m s]; required with contact.rolling: syrupy" in capsys.readouterr().out
+    )
     unregister_contact_model(VISCOUS)
     main(["schema", "pairs.rolling_viscosity"])
     assert "syrupy" not in capsys.readouterr().out
@@ -235,7 +254,11 @@ def test_json_schema_contains_the_models():
         ("law: sticky", "law: stiky", "scene.yaml:10"),
         ("attraction: 20 mN", "attraction: 20 kg", "scene.yaml:5:62: pairs.glass-glass.attraction is 20 kg"),
         (", attraction: 20 mN", "", "pairs.glass-glass.attraction is missing: contact.cohesion is sticky"),
-        ("rolling: syrupy", "rolling: none", "contact.rolling is none; remove rolling_viscosity, or choose syrupy"),
+        (
+            "rolling: syrupy",
+            "rolling: none",
+            "contact.rolling is none; remove rolling_viscosity, or choose syrupy",
+        ),
         ("rolling: syrupy", "rolling: syrupi", "scene.yaml:9:12: contact.rolling is syrupi"),
     ],
 )

@@ -2,7 +2,17 @@
 
 import numpy as np
 import pytest
-from scene_builders import SOFT, box, build_scene, column, particle_group, plane, run_and_sample, run_to_end, times
+from scene_builders import (
+    SOFT,
+    box,
+    build_scene,
+    column,
+    particle_group,
+    plane,
+    run_and_sample,
+    run_to_end,
+    times,
+)
 
 SPRING = {"stiffness": {"reference_velocity": 1.0}}
 NORMALS = {
@@ -53,9 +63,13 @@ def test_cohesion_increases_the_friction_limit(taichi_f64):
 
     At k d^1.5 = 2 pi w R d repulsion and attraction balance; a limit of mu times the total force would be 0.
     """
-    radius, friction, cohesion, speed = 0.005, 0.3, 1e6, 0.5
+    radius = 0.005
+    friction = 0.3
+    cohesion = 1e6
+    speed = 0.5
     modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
-    spring, attraction = 4.0 / 3.0 * modulus * np.sqrt(radius), 2.0 * np.pi * cohesion * radius
+    spring = 4.0 / 3.0 * modulus * np.sqrt(radius)
+    attraction = 2.0 * np.pi * cohesion * radius
     overlap = (attraction / spring) ** 2
     sphere = particle_group([0.0, 0.0, radius - overlap], 2.0 * radius, velocity=[[speed, 0.0, 0.0]])
     pair = {"restitution": 1.0, "friction": friction, "cohesion_energy_density": cohesion}
@@ -65,7 +79,8 @@ def test_cohesion_increases_the_friction_limit(taichi_f64):
         run={"duration": 3e-4, "time_step": 1e-6, "velocity_max": speed},
     )  # fmt: skip
     snapshots = run_and_sample(scene, 1e-5)
-    velocity, time = column(snapshots, "velocity")[:, 0], times(snapshots)
+    velocity = column(snapshots, "velocity")[:, 0]
+    time = times(snapshots)
     mass = 4.0 / 3.0 * np.pi * radius**3 * SOFT["density"]
     late = time > 1e-4
     deceleration = -np.polyfit(time[late], velocity[late, 0], 1)[0]

@@ -21,14 +21,16 @@ every_law = pytest.mark.parametrize("case", CASES, ids=str)
 every_continuous_law = pytest.mark.parametrize("case", CONTINUOUS, ids=str)
 
 ULPS = 4
-"""Device against reference: tolerance in ulps of the repulsion, or of its change per ulp of the maximum overlap."""
+"""Device against reference: tolerance in ulps of the repulsion, or of its change per ulp of the maximum
+overlap."""
 
 HISTORY_ULPS = 12
 """The same for each history number: e(v) amplifies the rounding of a velocity near the limit velocity."""
 
 
 def grid_paths(contacts, steps, seed=3):
-    """Closed random paths on a grid of overlaps: grid numbers above 0 out and back, (contacts, steps) each."""
+    """Closed random paths on a grid of overlaps: grid numbers above 0 out and back, (contacts, steps)
+    each."""
     rng = np.random.default_rng(seed)
     outward = np.cumsum(rng.choice([-1, 1], (contacts, steps)), axis=1)
     outward -= outward.min(axis=1, keepdims=True) - 1
@@ -50,7 +52,8 @@ def test_device_equals_its_numpy_reference(taichi_f64, case):
     overlap_max = history[..., names.index("overlap_max")] if "overlap_max" in names else overlap
     attraction = found.repulsion - found.force
     tangent = (np.abs(perturbed - force) / PERTURBATION + attraction) / overlap
-    eps, tiny = np.finfo(float).eps, np.finfo(float).tiny
+    eps = np.finfo(float).eps
+    tiny = np.finfo(float).tiny
     unit = np.maximum(eps * np.maximum(found.repulsion, tangent * overlap_max), tiny)
     worst = np.max(np.abs(found.force - force) / unit)
     assert worst <= ULPS, worst
@@ -73,9 +76,13 @@ def test_only_attractive_models_have_tension(taichi_f64, case):
 def test_force_vanishes_at_zero_overlap(taichi_f64, case):
     tiny = 1e-9
     overlap = np.array([[3e-4, 3e-4], [3e-4 * tiny, 3e-4 * tiny]])
-    rate = np.array([[0.5, 0.5]] * 2)  # at rest, a contact of restitution 0 has no force at its maximum overlap
+    rate = np.array(
+        [[0.5, 0.5]] * 2
+    )  # at rest, a contact of restitution 0 has no force at its maximum overlap
     large, small = np.abs(evaluate_path(case, overlap, rate).elastic[:, 1])
-    assert 0.0 < small <= 1.001 * tiny * large, "the force of every model is at most proportional to a small overlap"
+    assert 0.0 < small <= 1.001 * tiny * large, (
+        "the force of every model is at most proportional to a small overlap"
+    )
 
 
 @every_continuous_law
@@ -90,7 +97,8 @@ def test_force_is_continuous_between_branches(taichi_f64, case):
         rate[0, 0] = 0.5
         return np.abs(np.diff(evaluate_path(case, overlap, rate, time_step=0.0).elastic)).max()
 
-    coarse, fine = largest_jump(4000), largest_jump(64000)
+    coarse = largest_jump(4000)
+    fine = largest_jump(64000)
     assert coarse / fine == pytest.approx(16.0, rel=0.1)
 
 
@@ -114,15 +122,19 @@ def test_work_on_closed_paths_is_not_negative(taichi_f64, case):
 
 @every_continuous_law
 def test_work_equals_stored_plus_lost_energy(taichi_f64, case):
-    """The quadrature of the elastic force equals the stored and lost energy of the model; second order in the step."""
-    rising, falling = np.linspace(0.0, 3e-4, 4001)[1:], np.linspace(3e-4, 2.4e-4, 8001)[1:]
+    """The quadrature of the elastic force equals the stored and lost energy of the model; second order in the
+    step."""
+    rising = np.linspace(0.0, 3e-4, 4001)[1:]
+    falling = np.linspace(3e-4, 2.4e-4, 8001)[1:]
     overlap = np.concatenate([rising, falling, falling[-2::-1], [3e-4], 3e-4 + rising[:500] / 10])[None, :]
     rate = np.zeros_like(overlap)
     rate[0, 0] = 0.5
     found = evaluate_path(case, overlap, rate, time_step=0.0)
     midpoint_force = 0.5 * (found.elastic[0, 1:] + found.elastic[0, :-1])
     work = (
-        np.concatenate([[0.0], np.cumsum(midpoint_force * np.diff(overlap[0]))]) + found.stored[0, 0] + found.lost[0, 0]
+        np.concatenate([[0.0], np.cumsum(midpoint_force * np.diff(overlap[0]))])
+        + found.stored[0, 0]
+        + found.lost[0, 0]
     )
     accounting = found.stored[0] + found.lost[0]
     np.testing.assert_allclose(work, accounting, atol=2e-6 * accounting.max())
@@ -133,29 +145,43 @@ def test_work_equals_stored_plus_lost_energy(taichi_f64, case):
 
 
 @every_law
-@pytest.mark.parametrize("units", [Units(1e3, 1.0, 1.0), Units(1.0, 1e-3, 1.0), Units(1.0, 1.0, 1e6)], ids=str)
+@pytest.mark.parametrize(
+    "units", [Units(1e3, 1.0, 1.0), Units(1.0, 1e-3, 1.0), Units(1.0, 1.0, 1e6)], ids=str
+)
 def test_force_and_energy_scale_with_the_units(taichi_f64, case, units):
     overlap, rate = random_paths(contacts=100, steps=40, seed=4)
-    plain, scaled = evaluate_path(case, overlap, rate), evaluate_path(case, overlap, rate, units)
-    # the residual overlap is a difference: the unloading tangent amplifies its rounding, at most 300 Hertz forces
+    plain = evaluate_path(case, overlap, rate)
+    scaled = evaluate_path(case, overlap, rate, units)
+    # the residual overlap is a difference: the unloading tangent amplifies its rounding, at most 300 Hertz
+    # forces
     size = plain.force.max()
     np.testing.assert_allclose(scaled.force / units.newton, plain.force, rtol=1e-12, atol=1e-13 * size)
     energy = units.newton * units.meter
-    np.testing.assert_allclose(scaled.stored / energy, plain.stored, rtol=1e-12, atol=1e-13 * plain.stored.max())
+    np.testing.assert_allclose(
+        scaled.stored / energy, plain.stored, rtol=1e-12, atol=1e-13 * plain.stored.max()
+    )
 
 
 @every_law
 def test_wall_is_the_limit_of_a_growing_partner(taichi_f64, case):
-    """The difference decreases as 1 / partner radius; the mass of the partner grows with the cube and is negligible."""
+    """The difference decreases as 1 / partner radius; the mass of the partner grows with the cube and is
+    negligible."""
     overlap, rate = random_paths(contacts=20, steps=40, seed=5)
     wall = evaluate_path(case, overlap, rate).force
 
     def difference(times):
-        radius, mass = RADIUS * times / (1.0 + times), MASS * times**3 / (1.0 + times**3)
-        return np.abs(evaluate_path(case, overlap, rate, radius=radius, mass=mass).force - wall).max() / wall.max()
+        radius = RADIUS * times / (1.0 + times)
+        mass = MASS * times**3 / (1.0 + times**3)
+        return (
+            np.abs(evaluate_path(case, overlap, rate, radius=radius, mass=mass).force - wall).max()
+            / wall.max()
+        )
 
-    ten_thousand, million = difference(1e4), difference(1e6)
-    if case.name.startswith(("linear", "walton_braun", "luding")) and case.name.endswith(("number", "elastic")):
+    ten_thousand = difference(1e4)
+    million = difference(1e6)
+    if case.name.startswith(("linear", "walton_braun", "luding")) and case.name.endswith(
+        ("number", "elastic")
+    ):
         assert ten_thousand <= 1e-12, "a stiffness given as a number does not depend on the radius"
     else:
         assert ten_thousand <= 1e-4

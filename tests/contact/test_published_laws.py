@@ -1,4 +1,5 @@
-"""Normal models other than zhou against the closed forms and numbers of their papers, and against solve_ivp."""
+"""Normal models other than zhou against the closed forms and numbers of their papers, and against
+solve_ivp."""
 
 import numpy as np
 import pytest
@@ -21,13 +22,15 @@ def law_of(name, pair, **settings):
 
 def terminal(event):
     """The event ends the integration when it crosses zero from above."""
-    event.terminal, event.direction = True, -1.0
+    event.terminal = True
+    event.direction = -1.0
     return event
 
 
 def test_thornton_yields_at_the_published_velocity():
     """v_y = 1.56 sqrt(p^5 / (E^4 rho)) for a sphere on a wall (Thornton 1997, Eq. 21)."""
-    radius, pair = 0.01, PairMaterial(modulus_eff(STEEL, STEEL), 1.0, None, 0.0, yield_strength=STEEL.yield_strength)
+    radius = 0.01
+    pair = PairMaterial(modulus_eff(STEEL, STEEL), 1.0, None, 0.0, yield_strength=STEEL.yield_strength)
     mass = 4.0 / 3.0 * np.pi * radius**3 * STEEL.density
     law = law_of("thornton", pair, yield_ratio=1.6)
     expected = 1.56 * np.sqrt((1.6 * STEEL.yield_strength) ** 5 / (pair.modulus_eff**4 * STEEL.density))
@@ -38,7 +41,8 @@ def test_thornton_yields_at_the_published_velocity():
 def test_thornton_restitution_decreases_with_the_fourth_root_of_velocity():
     """e = 1.185 (v_y / v)^(1/4) for v >> v_y (Thornton 1997)."""
     case = BY_NAME["thornton"]
-    law, pair = case.law(), case.pair()
+    law = case.law()
+    pair = case.pair()
     k = 4.0 / 3.0 * pair.modulus_eff * np.sqrt(RADIUS)
     yielding = RADIUS * (0.5 * np.pi * pair.yield_strength / pair.modulus_eff) ** 2
     velocity = np.sqrt(0.8 * k * yielding**2.5 / MASS)
@@ -49,8 +53,10 @@ def test_thornton_restitution_decreases_with_the_fourth_root_of_velocity():
 def test_thornton_agrees_with_the_equation_of_motion(velocity):
     """The published force of loading and unloading, integrated with scipy."""
     case = BY_NAME["thornton"]
-    law, pair = case.law(), case.pair()
-    pressure, modulus = pair.yield_strength, pair.modulus_eff
+    law = case.law()
+    pair = case.pair()
+    pressure = pair.yield_strength
+    modulus = pair.modulus_eff
     k = 4.0 / 3.0 * modulus * np.sqrt(RADIUS)
     yielding = RADIUS * (0.5 * np.pi * pressure / modulus) ** 2
 
@@ -75,15 +81,22 @@ def test_thornton_agrees_with_the_equation_of_motion(velocity):
         return 4.0 / 3.0 * modulus * np.sqrt(curvature) * max(d - residual, 0.0) ** 1.5
 
     free = terminal(lambda t, s: s[0] - residual - 1e-12)
-    up = solve_ivp(lambda t, s: [s[1], -unloading(s[0]) / MASS], (0.0, 0.1), [overlap_max, 0.0], events=free, **exact)
-    assert -up.y_events[0][0][1] / velocity == pytest.approx(law.restitution(pair, RADIUS, MASS, velocity), rel=1e-5)
+    up = solve_ivp(
+        lambda t, s: [s[1], -unloading(s[0]) / MASS], (0.0, 0.1), [overlap_max, 0.0], events=free, **exact
+    )
+    assert -up.y_events[0][0][1] / velocity == pytest.approx(
+        law.restitution(pair, RADIUS, MASS, velocity), rel=1e-5
+    )
     found = law.phase_durations(pair, RADIUS, MASS, velocity)
     assert found == pytest.approx((down.t_events[0][0], up.t_events[0][0]), rel=1e-5)
 
 
 def test_walton_braun_restitution_follows_the_published_slope():
-    """e = sqrt(w0 / (S v + w0)), w0 = sqrt(2 k1 / m), for two spheres of mass m and k2 = k1 + S F_max (1986)."""
-    k1, e, reference = 2e4, 0.6, 0.7
+    """e = sqrt(w0 / (S v + w0)), w0 = sqrt(2 k1 / m), for two spheres of mass m and k2 = k1 + S F_max
+    (1986)."""
+    k1 = 2e4
+    e = 0.6
+    reference = 0.7
     pair = PairMaterial(4e7, SHEAR_MODULUS, e, 0.0)
     law = law_of("walton_braun", pair, stiffness={"value": k1}, unloading={"reference_velocity": reference})
     omega = np.sqrt(2.0 * k1 / (2.0 * MASS))
@@ -111,7 +124,8 @@ def test_luding_restitution_is_minimal_at_the_maximum_plastic_overlap():
 
 
 def test_luding_with_high_tension_prevents_separation_after_plastic_deformation():
-    """At the limit the springs return 0.36 of the energy, and separation with kc = 5 k1 requires 0.73 of it."""
+    """At the limit the springs return 0.36 of the energy, and separation with kc = 5 k1 requires 0.73 of
+    it."""
     law, pair = luding(tension=5.0)
     velocity = 2.0 * 0.01 * RADIUS / (1.0 - 0.6**2) * np.sqrt(2e4 / MASS)
     assert law.restitution(pair, RADIUS, MASS, velocity) == 0.0
@@ -121,12 +135,15 @@ def test_luding_with_high_tension_prevents_separation_after_plastic_deformation(
 
 
 def test_luding_energy_balance_holds_under_tension(taichi_f64):
-    """Unloading to the tension line and along it, reloading beyond the previous maximum overlap, full unloading."""
+    """Unloading to the tension line and along it, reloading beyond the previous maximum overlap, full
+    unloading."""
     corners = np.array([1e-9, 2.5e-4, 6e-5, 1.5e-4, 3e-5, 4e-4, 1e-5, 1e-9])
     lengths = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners)))])
     path = np.interp(np.linspace(0.0, lengths[-1], 100_001), lengths, corners)[None, :]
     found = evaluate_path(BY_NAME["luding_tension"], path, np.ones_like(path))
-    work = np.concatenate([[0.0], np.cumsum(0.5 * (found.force[0, 1:] + found.force[0, :-1]) * np.diff(path[0]))])
+    work = np.concatenate(
+        [[0.0], np.cumsum(0.5 * (found.force[0, 1:] + found.force[0, :-1]) * np.diff(path[0]))]
+    )
     accounting = found.stored[0] + found.lost[0]
     np.testing.assert_allclose(work, accounting, atol=1e-6 * accounting.max())
     assert found.force.min() < -0.05 * found.force.max()
@@ -137,7 +154,8 @@ def test_luding_energy_balance_holds_under_tension(taichi_f64):
 @pytest.mark.parametrize("velocity", [0.05, 0.7, 3.0])
 def test_kuwabara_kono_agrees_with_the_equation_of_motion(velocity):
     case = BY_NAME["kuwabara_kono"]
-    law, pair = case.law(), case.pair(SI)
+    law = case.law()
+    pair = case.pair(SI)
     k = 4.0 / 3.0 * pair.modulus_eff * np.sqrt(RADIUS)
     # F = k d^1.5 + (3/2) A k d^0.5 d', with A from the dissipation at the reference velocity of 0.7 m/s
     constant = dissipation_for(0.6) / (1.5 * (k / MASS) ** 0.4 * 0.7**0.2)
@@ -151,8 +169,12 @@ def test_kuwabara_kono_agrees_with_the_equation_of_motion(velocity):
         lambda t, s: [s[1], -force(s) / MASS], (0.0, 10.0 * scale), [0.0, velocity], max_step=0.01 * scale,
         events=terminal(lambda t, s: force(s) + (t < scale)), method="DOP853", rtol=1e-10, atol=1e-16,
     )  # fmt: skip
-    assert -done.y_events[0][0][1] / velocity == pytest.approx(law.restitution(pair, RADIUS, MASS, velocity), rel=1e-5)
-    assert done.t_events[0][0] == pytest.approx(sum(law.phase_durations(pair, RADIUS, MASS, velocity)), rel=1e-5)
+    assert -done.y_events[0][0][1] / velocity == pytest.approx(
+        law.restitution(pair, RADIUS, MASS, velocity), rel=1e-5
+    )
+    assert done.t_events[0][0] == pytest.approx(
+        sum(law.phase_durations(pair, RADIUS, MASS, velocity)), rel=1e-5
+    )
     assert law.restitution(pair, RADIUS, MASS, 0.7) == pytest.approx(0.6, abs=1e-9)
 
 

@@ -23,12 +23,18 @@ class Incomplete(NormalLaw):
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        (ContactModel(Incomplete, "x"), "must define force, stored_energy, phase_durations, unloading_stiffness, see "),
+        (
+            ContactModel(Incomplete, "x"),
+            "must define force, stored_energy, phase_durations, unloading_stiffness, see ",
+        ),
         (
             ContactModel(type("Other", (Hertz,), {"name": "other", "constant_names": ("k",)}), "x"),
             "begins with modulus_e",
         ),
-        (ContactModel(Sticky, "x", options={"size": Amount("x", "1 m", "lenght")}), "dimension lenght is not one of"),
+        (
+            ContactModel(Sticky, "x", options={"size": Amount("x", "1 m", "lenght")}),
+            "dimension lenght is not one of",
+        ),
     ],
 )
 def test_incomplete_models_are_refused_at_registration(model, message):
@@ -40,7 +46,10 @@ def test_incomplete_models_are_refused_at_registration(model, message):
 def test_a_model_without_source_is_refused_at_registration():
     """As in the interactive interpreter: the kernel language compiles the text of the functions."""
     names: dict = {"ti": ti, "Sticky": Sticky}
-    exec("class Typed(Sticky):\n    @ti.func\n    def force(self, *values):\n        return 0.0, values[2]", names)
+    exec(
+        "class Typed(Sticky):\n    @ti.func\n    def force(self, *values):\n        return 0.0, values[2]",
+        names,
+    )
     with pytest.raises(GranflowError, match="the source of force is not available, .*; define it in a file"):
         register_contact_model(ContactModel(names["Typed"], "x"))
 

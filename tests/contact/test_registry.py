@@ -24,7 +24,9 @@ def test_every_model_describes_its_constants_history_limits_and_source(model):
     law, pair = law_of(model)
     assert len(law.pair_constants(pair)) == len(law.constant_names) == len(set(law.constant_names))
     assert len(model.law.limits) > 20 and not model.law.limits.endswith(".")
-    assert model.slot == "cohesion" or any(character.isdigit() for character in law.source), "the source has a year"
+    assert model.slot == "cohesion" or any(character.isdigit() for character in law.source), (
+        "the source has a year"
+    )
     assert all(each.size in (1, 3) and each.description for each in law.history)
     assert not model.needs_options or model.example
     if model.slot == "normal":

@@ -1,4 +1,5 @@
-"""Tangential springs and rolling torques: device against reference, Coulomb limit, and energy of the springs."""
+"""Tangential springs and rolling torques: device against reference, Coulomb limit, and energy of the
+springs."""
 
 import numpy as np
 import pytest
@@ -40,7 +41,13 @@ def rotate(displacement: VECTORS, normal: VECTORS, middle: VECTORS, rotated: VEC
 
 @ti.kernel
 def apply_torque(
-    radius: ti.f64, friction: ti.f64, normal_force: NUMBERS, rate: VECTORS, inertia: ti.f64, dt: ti.f64, torque: VECTORS
+    radius: ti.f64,
+    friction: ti.f64,
+    normal_force: NUMBERS,
+    rate: VECTORS,
+    inertia: ti.f64,
+    dt: ti.f64,
+    torque: VECTORS,
 ):
     for i in range(normal_force.shape[0]):
         omega = ti.Vector([rate[i, 0], rate[i, 1], rate[i, 2]])
@@ -50,12 +57,16 @@ def apply_torque(
 
 
 def random_springs(count=4000, seed=1):
-    """Stiffness [N/m], contact radius ratio, force limit [N], displacement [m] and increment [m] of random springs."""
+    """Stiffness [N/m], contact radius ratio, force limit [N], displacement [m] and increment [m] of random
+    springs."""
     rng = np.random.default_rng(seed)
-    stiffness, share = rng.uniform(1e3, 1e5, count), rng.uniform(0.2, 1.8, count)
+    stiffness = rng.uniform(1e3, 1e5, count)
+    share = rng.uniform(0.2, 1.8, count)
     force_max = rng.uniform(0.0, 2.0, count)
-    displacement_before, step = rng.normal(0.0, 2e-5, (count, 3)), rng.normal(0.0, 1e-5, (count, 3))
-    # no spring starts above the force limit of the previous step, which the contact force of that step determines
+    displacement_before = rng.normal(0.0, 2e-5, (count, 3))
+    step = rng.normal(0.0, 1e-5, (count, 3))
+    # no spring starts above the force limit of the previous step, which the contact force of that step
+    # determines
     displacement_before *= np.minimum(
         1.0, force_max / (share * stiffness) / np.linalg.norm(displacement_before, axis=1)
     )[:, None]
@@ -64,11 +75,9 @@ def random_springs(count=4000, seed=1):
 
 def stretched(stiffness, share, force_max, displacement_before, step):
     """Force [N], displacement [m] and loss [J] of springs after an increment."""
-    force, spring_history, lost = (
-        np.zeros_like(displacement_before),
-        np.zeros_like(displacement_before),
-        np.zeros_like(force_max),
-    )
+    force = np.zeros_like(displacement_before)
+    spring_history = np.zeros_like(displacement_before)
+    lost = np.zeros_like(force_max)
     stretch(stiffness, share, force_max, displacement_before, step, force, spring_history, lost)
     return force, spring_history, lost
 
@@ -88,7 +97,8 @@ def test_spring_force_is_limited_to_the_friction_limit(taichi_f64):
     size = np.linalg.norm(force, axis=1)
     assert np.all(size <= force_max * (1.0 + 1e-15 * 4))
     sliding = (
-        stiffness * np.linalg.norm(np.minimum(share, 1.0)[:, None] * displacement_before + step, axis=1) > force_max
+        stiffness * np.linalg.norm(np.minimum(share, 1.0)[:, None] * displacement_before + step, axis=1)
+        > force_max
     )
     assert 100 < sliding.sum() < len(force_max) - 100
     np.testing.assert_allclose(size[sliding], force_max[sliding], rtol=1e-14)
@@ -128,7 +138,8 @@ def rotated_by_90_degrees(steps):
 
 
 def test_displacement_rotates_with_the_contact_plane(taichi_f64):
-    """Fourth order in the angle of a step, so third order in total: half the step gives an eighth of the error."""
+    """Fourth order in the angle of a step, so third order in total: half the step gives an eighth of the
+    error."""
     errors = [np.linalg.norm(rotated_by_90_degrees(steps) - [0.0, 0.5, -1.0]) for steps in (20, 40)]
     assert errors[0] < 1e-3
     assert errors[0] / errors[1] > 7.5
@@ -137,8 +148,12 @@ def test_displacement_rotates_with_the_contact_plane(taichi_f64):
 
 def test_directional_torque_opposes_rolling_and_never_reverses_it(taichi_f64):
     rng = np.random.default_rng(6)
-    radius, friction, inertia, dt = 0.01, 0.1, 4e-7, 3e-4
-    normal_force, rate = rng.uniform(0.0, 1.0, 500), rng.normal(0.0, 1.0, (500, 3))
+    radius = 0.01
+    friction = 0.1
+    inertia = 4e-7
+    dt = 3e-4
+    normal_force = rng.uniform(0.0, 1.0, 500)
+    rate = rng.normal(0.0, 1.0, (500, 3))
     rate[0] = 0.0
     torque = np.zeros((500, 3))
     apply_torque(radius, friction, normal_force, rate, inertia, dt, torque)
@@ -156,15 +171,17 @@ def test_directional_torque_opposes_rolling_and_never_reverses_it(taichi_f64):
 def test_no_set_of_neighbors_reverses_a_rotation_in_one_step():
     """Neighbor j removes the fraction I_j / (I_i + I_j) = 1 / (1 + x^-5), x = R_j / R_i, of `STOPPED_SHARE`.
 
-    The branch vectors from particle i to n contacting particles without mutual contact form angles of at least t:
-    x / (1 + x) = sin(t / 2). The largest t for n points on a sphere: Tammes problem (Musin & Tarasov 2015, Exp. Math.
-    24:460).
+    The branch vectors from particle i to n contacting particles without mutual contact form angles of at
+    least t:
+    x / (1 + x) = sin(t / 2). The largest t for n points on a sphere: Tammes problem (Musin & Tarasov 2015,
+    Exp. Math. 24:460).
     """
     angles = {
         3: 120.0, 4: 109.4712, 5: 90.0, 6: 90.0, 7: 77.8695, 8: 74.8585, 9: 70.5288, 10: 66.1468, 11: 63.4349,
         12: 63.4349, 13: 57.1367, 14: 55.6706
     }  # fmt: skip
-    count, sine = np.array(list(angles)), np.sin(0.5 * np.radians(list(angles.values())))
+    count = np.array(list(angles))
+    sine = np.sin(0.5 * np.radians(list(angles.values())))
     ratio = sine / (1.0 - sine)
     total = count / (1.0 + ratio**-5)
     assert total.max() == pytest.approx(7.51, abs=0.01)

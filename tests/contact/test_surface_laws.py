@@ -31,7 +31,9 @@ def name_of(model):
 
 
 every_model = pytest.mark.parametrize("model", MODELS, ids=name_of)
-every_limited_model = pytest.mark.parametrize("model", [model for model in MODELS if model.pair_options], ids=name_of)
+every_limited_model = pytest.mark.parametrize(
+    "model", [model for model in MODELS if model.pair_options], ids=name_of
+)
 COEFFICIENT = 0.3
 """Friction coefficient, and value of every other pair option in SI units; lengths are 1e-5 times this."""
 RADIUS, MASS, TIME_STEP = 0.01, 0.01, 1e-5
@@ -41,7 +43,8 @@ STIFFNESS, LOAD, SLIP, RATE = 1e4, 2.0, 2e-5, 1e3
 
 def scales(units):
     """Value of the SI unit of each pair option, number and vector in other units."""
-    torque, time = units.newton * units.meter, units.second
+    torque = units.newton * units.meter
+    time = units.second
     return {
         "number": 1.0, "time": units.second, "length": units.meter,
         "radius_eff": units.meter, "mass_eff": units.kilogram, "inertia_eff": units.kilogram * units.meter**2,
@@ -69,17 +72,20 @@ def law_and_pair(model, coefficient=COEFFICIENT, units=SI):
 
 
 def paths(contacts, steps, seed=1, steady=False):
-    """Numbers and vectors of contacts that slip and roll in random directions, with rates of 1e-4 to 1 times RATE.
+    """Numbers and vectors of contacts that slip and roll in random directions, with rates of 1e-4 to 1 times
+    RATE.
 
     The normal turns by up to 0.05 rad per step and stiffness and load vary, unless the path is `steady`.
     """
     rng = np.random.default_rng(seed)
     shape = (contacts, steps)
     turning, varying = (0.0, 0.0) if steady else (0.03, 0.5)
-    start, turns = 3.0 * rng.normal(0.0, 1.0, (contacts, 1, 3)), turning * rng.normal(0.0, 1.0, (contacts, steps, 3))
+    start = 3.0 * rng.normal(0.0, 1.0, (contacts, 1, 3))
+    turns = turning * rng.normal(0.0, 1.0, (contacts, steps, 3))
     normal = np.cumsum(np.concatenate([start, turns], axis=1), axis=1)
     normal /= np.linalg.norm(normal, axis=2, keepdims=True)
-    now, middle = normal[:, 1:], normal[:, :-1] + normal[:, 1:]
+    now = normal[:, 1:]
+    middle = normal[:, :-1] + normal[:, 1:]
     middle /= np.sum(middle * now, axis=2, keepdims=True)
     slip, rate = (size * rng.normal(0.0, 1.0, (*shape, 3)) for size in (SLIP, RATE))
     rate *= 10.0 ** rng.uniform(-4.0, 0.0, (contacts, 1, 1))
@@ -99,7 +105,8 @@ def paths(contacts, steps, seed=1, steady=False):
 
 @every_model
 def test_device_equals_its_numpy_reference(taichi_f64, model):
-    """Within one rounding of the largest force for each of the 30 steps; slip and roll reach the limit on the way."""
+    """Within one rounding of the largest force for each of the 30 steps; slip and roll reach the limit on the
+    way."""
     law, pair = law_and_pair(model)
     numbers, vectors = paths(contacts=100, steps=30)
     found = evaluate_surface(law, pair, numbers, vectors)
@@ -160,17 +167,22 @@ def test_force_is_zero_without_coefficient_or_load(taichi_f64, model):
 
 @every_model
 def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64, model):
-    """Work by the trapezoid rule on contacts of constant normal, stiffness and load that return to their start."""
+    """Work by the trapezoid rule on contacts of constant normal, stiffness and load that return to their
+    start."""
     law, pair = law_and_pair(model)
     numbers, vectors = paths(contacts=200, steps=24, seed=5, steady=True)
     there_and_back = {name: np.concatenate([value, -value], axis=1) for name, value in vectors.items()}
-    there_and_back |= {name: np.concatenate([vectors[name]] * 2, axis=1) for name in ("normal", "normal_half")}
+    there_and_back |= {
+        name: np.concatenate([vectors[name]] * 2, axis=1) for name in ("normal", "normal_half")
+    }
     numbers = numbers | {
         name: np.tile(numbers[name][:, :1], 48) for name in ("stiffness", "stiffness_ratio", "normal_load")
     }
     found = evaluate_surface(law, pair, numbers, there_and_back)
     before = np.concatenate([np.zeros_like(found.force[:, :1]), found.force[:, :-1]], axis=1)
-    path = there_and_back["slip"] if model.slot == "tangential" else TIME_STEP * there_and_back["rolling_rate"]
+    path = (
+        there_and_back["slip"] if model.slot == "tangential" else TIME_STEP * there_and_back["rolling_rate"]
+    )
     work = -0.5 * np.sum((before + found.force) * path, axis=2).sum(axis=1)
     accounted = found.stored[:, -1] + found.loss.sum(axis=1)
     np.testing.assert_allclose(work, accounted, rtol=0.0, atol=1e-12 * np.abs(accounted).max())
@@ -180,7 +192,9 @@ def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64
 
 
 @every_model
-@pytest.mark.parametrize("units", [Units(1e3, 1.0, 1.0), Units(1.0, 1e-3, 1.0), Units(1.0, 1.0, 1e6)], ids=str)
+@pytest.mark.parametrize(
+    "units", [Units(1e3, 1.0, 1.0), Units(1.0, 1e-3, 1.0), Units(1.0, 1.0, 1e6)], ids=str
+)
 def test_force_and_energy_scale_with_the_units(taichi_f64, model, units):
     numbers, vectors = paths(contacts=20, steps=20, seed=6)
     law, pair = law_and_pair(model)

@@ -6,7 +6,13 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
 from granflow.contact import theory
-from granflow.contact.material import Solid, VelocityRestitution, limit_velocity, modulus_eff, shear_modulus_eff
+from granflow.contact.material import (
+    Solid,
+    VelocityRestitution,
+    limit_velocity,
+    modulus_eff,
+    shear_modulus_eff,
+)
 
 FIGURES = {
     0.2: (0.968000, 31.2483, 0.2513, 1.7230, 20.8),
@@ -15,7 +21,8 @@ FIGURES = {
     0.9: (0.290089, 0.79440, 1.2067, 2.6783, 1.14),
     1.0: (0.0, 0.0, 1.4716, 2.9433, 1.0),
 }
-"""e: x, Lambda, eta2, T/Ts, ratio of unloading to Hertz tangent; computed from Zhou 2011, Eqs. 7, 8, 13-15."""
+"""e: x, Lambda, eta2, T/Ts, ratio of unloading to Hertz tangent; computed from Zhou 2011, Eqs. 7, 8,
+13-15."""
 RESTITUTIONS = (0.05, 0.2, 0.5, 0.7, 0.9, 0.99, 1.0)
 
 STAINLESS = Solid(193e9, 0.35, 8030.0, 0.310e9)
@@ -59,7 +66,8 @@ def test_recovery_rejects_restitution_outside_0_to_1(e):
 @pytest.mark.parametrize("e", RESTITUTIONS)
 def test_unloading_work_is_the_squared_restitution(e):
     """The ratio of unloading to loading work in Eq. 4 is e^2, the condition that Eq. 8 solves."""
-    y, slope = float(theory.recovery(e)), float(theory.unloading_slope(e))
+    y = float(theory.recovery(e))
+    slope = float(theory.unloading_slope(e))
     work, _ = quad(lambda u: slope * u + e**3 * u**1.5, 0.0, y, epsabs=1e-15)
     assert work / 0.4 == pytest.approx(e**2, rel=1e-10)
     assert slope * y + e**3 * y**1.5 == pytest.approx(1.0, rel=1e-12), "continuous with loading at dmax"
@@ -68,12 +76,14 @@ def test_unloading_work_is_the_squared_restitution(e):
 def test_closed_form_of_the_residual_has_the_published_accuracy():
     """Within 1 % up to e = 0.99; at e = 1 both approach 0 as 1 - e, with slopes that differ by 1.15 %.
 
-    Slopes dx/d(1 - e) at e = 1: of Eq. 8, y' (1 - 1/2) = 8/5 + 3/5, so 22/5; of Eq. 9, 8/5 + (8 + (1-c)/c)/5 + 1.
+    Slopes dx/d(1 - e) at e = 1: of Eq. 8, y' (1 - 1/2) = 8/5 + 3/5, so 22/5; of Eq. 9, 8/5 + (8 + (1-c)/c)/5
+    + 1.
     """
     c = 0.8**2.5
     limit = 1.0 - (1.6 + 0.2 * (8.0 + (1.0 - c) / c) + 1.0) / 4.4
     e = np.linspace(1e-3, 1.0 - 1e-7, 200001)
-    exact, approximation = 1.0 - theory.recovery(e), theory.residual_closed_form(e)
+    exact = 1.0 - theory.recovery(e)
+    approximation = theory.residual_closed_form(e)
     error = np.abs(approximation / exact - 1.0)
     assert error[e <= 0.99].max() < 0.01
     assert error[-1] == error.max() == pytest.approx(limit, rel=1e-4)
@@ -83,11 +93,16 @@ def test_closed_form_of_the_residual_has_the_published_accuracy():
 
 @pytest.mark.parametrize("e", RESTITUTIONS)
 def test_unloading_duration_is_the_integral_of_equation_15(e):
-    y, kappa = float(theory.recovery(e)), 1.25 * e**2 * float(theory.unloading_slope(e))
+    y = float(theory.recovery(e))
+    kappa = 1.25 * e**2 * float(theory.unloading_slope(e))
 
     def integrand(w):
         # u - x = w: singular at the end as 1 / sqrt(y - w), which the weight function of quad includes
-        rest = kappa * (y + w) + e**5 * (y**2.5 - w**2.5) / (y - w) if w < y else 2 * kappa * y + 2.5 * e**5 * y**1.5
+        rest = (
+            kappa * (y + w) + e**5 * (y**2.5 - w**2.5) / (y - w)
+            if w < y
+            else 2 * kappa * y + 2.5 * e**5 * y**1.5
+        )
         return e / np.sqrt(rest)
 
     value, _ = quad(integrand, 0.0, y, weight="alg", wvar=(0.0, -0.5), epsrel=1e-11)
@@ -96,8 +111,11 @@ def test_unloading_duration_is_the_integral_of_equation_15(e):
 
 @pytest.mark.parametrize("e", RESTITUTIONS)
 def test_duration_and_rebound_agree_with_the_equation_of_motion(e):
-    k, mass, velocity = 5.3e6, 0.012, 1.7
-    overlap_max, lam = float(theory.overlap_max(k, mass, velocity)), 0.0
+    k = 5.3e6
+    mass = 0.012
+    velocity = 1.7
+    overlap_max = float(theory.overlap_max(k, mass, velocity))
+    lam = 0.0
     scale = float(theory.time_scale(k, mass, velocity))
     lam = k * np.sqrt(overlap_max) * float(theory.unloading_slope(e))
     residual = overlap_max * (1.0 - float(theory.recovery(e)))
@@ -111,9 +129,14 @@ def test_duration_and_rebound_agree_with_the_equation_of_motion(e):
 
     exact = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-16}
     down = solve_ivp(loading, (0.0, 5 * scale), [0.0, velocity], events=terminal(lambda t, s: s[1]), **exact)
-    at_rest, turn = down.y_events[0][0], down.t_events[0][0]
+    at_rest = down.y_events[0][0]
+    turn = down.t_events[0][0]
     up = solve_ivp(
-        unloading, (0.0, 5 * scale), [at_rest[0], 0.0], events=terminal(lambda t, s: s[0] - residual - 1e-13), **exact
+        unloading,
+        (0.0, 5 * scale),
+        [at_rest[0], 0.0],
+        events=terminal(lambda t, s: s[0] - residual - 1e-13),
+        **exact,
     )
     assert at_rest[0] == pytest.approx(overlap_max, rel=1e-9)
     assert -up.y_events[0][0][1] / velocity == pytest.approx(e, rel=1e-6)
@@ -128,7 +151,9 @@ def terminal(event):
 
 
 def test_equivalent_spring_stores_the_energy_of_the_hertz_contact():
-    k, mass, velocity = 2.2e7, 0.03, 0.8
+    k = 2.2e7
+    mass = 0.03
+    velocity = 0.8
     overlap_max = theory.overlap_max(k, mass, velocity)
     spring = theory.equivalent_spring(k, mass, velocity)
     assert 0.5 * spring * overlap_max**2 == pytest.approx(0.5 * mass * velocity**2, rel=1e-12)

@@ -59,11 +59,14 @@ def test_code_in_tutorials_is_not_wider_than_the_page():
 
 
 def test_no_text_advises_to_install_granflow_by_name():
-    """There is no granflow on PyPI, and anyone can take the name: messages name the missing packages instead."""
+    """There is no granflow on PyPI, and anyone can take the name: messages name the missing packages
+    instead."""
     advice = re.compile(r"granflow\[|(?:pip|uv|uvx|pipx|conda)\W+(?:install|add) [\'\"\\]*granflow")
     for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*"), *(ROOT / "granflow").rglob("*")):
         if path.suffix in (".md", ".ipynb", ".html", ".py", ".yaml"):
-            text = re.sub(r'"\n\s*f?"', "", path.read_text(encoding="utf-8"))  # joins the strings of a message
+            text = re.sub(
+                r'"\n\s*f?"', "", path.read_text(encoding="utf-8")
+            )  # joins the strings of a message
             assert not advice.findall(text), path
 
 
@@ -124,7 +127,9 @@ def test_sweep_and_calibration_of_the_guide_are_valid(tmp_path, monkeypatch):
     for name in ("flat_silo.yaml", "angle_of_repose.yaml"):
         shutil.copy(ROOT / "scenes" / name, tmp_path)
     Path("flow.csv").write_text("time,value\n0.0,0.0\n1.0,0.1\n")
-    found = {NAMED.match(text)[1]: text for language, text in blocks(Path("guides/sweeps.md")) if NAMED.match(text)}
+    found = {
+        NAMED.match(text)[1]: text for language, text in blocks(Path("guides/sweeps.md")) if NAMED.match(text)
+    }
     assert set(found) == set(STUDY_FILES)
     for name, text in found.items():
         Path(name).write_text(text)
@@ -193,7 +198,9 @@ def test_site_is_built_and_a_dead_link_fails(copied_docs):
     site = copied_docs / "out" / "site"
     assert 'id="cone-radius-from"' in (site / "reference" / "scene.html").read_text(encoding="utf-8")
     assert "<math" in (site / "contact_models" / "zhou.html").read_text(encoding="utf-8")
-    assert not re.search(r'(?:src|href)="https?://(?!squidfunk|doi)', (site / "index.html").read_text(encoding="utf-8"))
+    assert not re.search(
+        r'(?:src|href)="https?://(?!squidfunk|doi)', (site / "index.html").read_text(encoding="utf-8")
+    )
     with (copied_docs / "docs" / "pages" / "tutorials" / "hopper.md").open("a") as page:
         page.write("\n[dead](../guides/missing.md) and [dead](../guides/resume.md#missing)\n")
     done = build(copied_docs)

@@ -1,4 +1,5 @@
-"""Generated reference pages of the documentation: every key, command, quantity, public name and contact model."""
+"""Generated reference pages of the documentation: every key, command, quantity, public name and contact
+model."""
 
 import importlib
 import re
@@ -35,7 +36,8 @@ def keys():
 
 
 def test_every_scene_key_has_a_description_and_a_type_and_is_in_the_reference(keys):
-    page, anchor = docsite("scene_reference").page(), docsite("scene_reference").key_anchor
+    page = docsite("scene_reference").page()
+    anchor = docsite("scene_reference").key_anchor
     assert len(keys) > 200
     for key in keys:
         assert key.description and type_text(key.schema), key
@@ -162,11 +164,15 @@ def test_every_contact_model_has_a_page_with_its_facts():
         assert all(f"pairs.NAME.{option.key}" in facts for option in model.pair_options)
 
 
-@pytest.mark.parametrize("name", ["zhou", "hertz", "linear", "walton_braun", "luding", "thornton", "kuwabara_kono"])
+@pytest.mark.parametrize(
+    "name", ["zhou", "hertz", "linear", "walton_braun", "luding", "thornton", "kuwabara_kono"]
+)
 def test_pictured_restitution_agrees_with_the_closed_form(name):
     """The integration with 400 steps is of second order: its error is far below the width of a line."""
-    pictures, laws = docsite("model_pictures"), docsite("example_laws")
-    law, pair = laws.normal_law(name), laws.example_pair(name)
+    pictures = docsite("model_pictures")
+    laws = docsite("example_laws")
+    law = laws.normal_law(name)
+    pair = laws.example_pair(name)
     radius, mass = laws.two_spheres()
     for velocity in (0.01, 1.0):
         restitution, duration = pictures.collide(law, pair, velocity)

@@ -1,4 +1,5 @@
-"""The table of restitutions in the guide for users of other codes, against the collision that each code integrates."""
+"""The table of restitutions in the guide for users of other codes, against the collision that each code
+integrates."""
 
 import re
 from pathlib import Path
@@ -17,7 +18,8 @@ ROWS = [
 
 
 def restitution(damping, cuts_tension):
-    """x'' = -x^(3/2) - a x^(1/4) x', from x = 0 and x' = 1 to overlap 0, or to force 0 if the tension is cut."""
+    """x'' = -x^(3/2) - a x^(1/4) x', from x = 0 and x' = 1 to overlap 0, or to force 0 if the tension is
+    cut."""
 
     def force(x, v):
         return max(x, 0.0) ** 1.5 + damping * max(x, 0.0) ** 0.25 * v
@@ -25,8 +27,11 @@ def restitution(damping, cuts_tension):
     def end(_, state):
         return force(*state) if cuts_tension else state[0]
 
-    end.terminal, end.direction = True, -1
-    run = solve_ivp(lambda _, s: (s[1], -force(*s)), (0.0, 50.0), (1e-9, 1.0), events=end, rtol=1e-9, atol=1e-12)
+    end.terminal = True
+    end.direction = -1
+    run = solve_ivp(
+        lambda _, s: (s[1], -force(*s)), (0.0, 50.0), (1e-9, 1.0), events=end, rtol=1e-9, atol=1e-12
+    )
     return -run.y_events[0][0][1]
 
 

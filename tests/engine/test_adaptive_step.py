@@ -1,4 +1,5 @@
-"""The adaptive time step: equal to the planned step at the present velocity, exact in free flight, bit-identical."""
+"""The adaptive time step: equal to the planned step at the present velocity, exact in free flight,
+bit-identical."""
 
 import hashlib
 
@@ -11,7 +12,12 @@ from subprocess_runner import each_in_subprocess
 from granflow.contact import theory
 from granflow.engine import threads as workers
 from granflow.load import Scene
-from granflow.plan.time_step import LEVELS_PER_DOUBLING, STEPS_BETWEEN_UPDATES, VELOCITY_MARGIN, choose_time_step
+from granflow.plan.time_step import (
+    LEVELS_PER_DOUBLING,
+    STEPS_BETWEEN_UPDATES,
+    VELOCITY_MARGIN,
+    choose_time_step,
+)
 from granflow.scene.blocks.run import Numerics
 from granflow.simulation import Simulation
 
@@ -27,8 +33,12 @@ def adaptive(scene, **run):
 def pair_at(gap, velocity, **run):
     """Two particles with a gap [m] that closes at `velocity` [m/s]; the planned velocity is 4 m/s."""
     positions = [[-RADIUS - 0.5 * gap, 0, 0], [RADIUS + 0.5 * gap, 0, 0]]
-    group = particle_group(positions, 2.0 * RADIUS, velocity=[[0.5 * velocity, 0, 0], [-0.5 * velocity, 0, 0]])
-    return build_scene({"balls": group}, run={"duration": 0.01, "velocity_max": 4.0, "time_step": "adaptive"} | run)
+    group = particle_group(
+        positions, 2.0 * RADIUS, velocity=[[0.5 * velocity, 0, 0], [-0.5 * velocity, 0, 0]]
+    )
+    return build_scene(
+        {"balls": group}, run={"duration": 0.01, "velocity_max": 4.0, "time_step": "adaptive"} | run
+    )
 
 
 def first_adapted_step(scene):
@@ -58,9 +68,12 @@ def test_step_equals_the_planned_step_for_the_present_velocity(taichi_f64, veloc
 
 
 def test_overlap_counts_as_the_impact_velocity_that_causes_it(taichi_f64):
-    """At rest at the maximum overlap of an impact at 1 m/s (Zhou 2011, Eq. 5), the step equals that for 1 m/s."""
+    """At rest at the maximum overlap of an impact at 1 m/s (Zhou 2011, Eq. 5), the step equals that for 1
+    m/s."""
     mass = 4.0 / 3.0 * np.pi * RADIUS**3 * SOFT["density"]
-    k = theory.hertz_stiffness(SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2)), 0.5 * RADIUS)
+    k = theory.hertz_stiffness(
+        SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2)), 0.5 * RADIUS
+    )
     overlapping, _ = first_adapted_step(pair_at(-float(theory.overlap_max(k, 0.5 * mass, 1.001)), 0.0))
     approaching, _ = first_adapted_step(pair_at(1e-5, 1.001))
     assert overlapping == approaching
@@ -68,7 +81,9 @@ def test_overlap_counts_as_the_impact_velocity_that_causes_it(taichi_f64):
 
 def test_step_grows_in_free_flight_and_the_parabola_stays_exact(taichi_f64):
     """The leapfrog is exact for a constant acceleration, also where the step changes."""
-    start, throw, gravity = np.array([0.0, 0.0, 0.4]), np.array([0.3, 0.0, 2.0]), np.array([0.5, 0.0, -9.81])
+    start = np.array([0.0, 0.0, 0.4])
+    throw = np.array([0.3, 0.0, 2.0])
+    gravity = np.array([0.5, 0.0, -9.81])
     group = particle_group([start], 2.0 * RADIUS, velocity=throw)
     scene = build_scene(
         {"ball": group}, gravity=gravity.tolist(),
@@ -80,12 +95,16 @@ def test_step_grows_in_free_flight_and_the_parabola_stays_exact(taichi_f64):
     assert engine.mean_time_step == pytest.approx(last.time / engine.step_count)
     expected = start + throw * last.time + 0.5 * gravity * last.time**2
     np.testing.assert_allclose(last.particles["position"][0], expected, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(last.particles["velocity"][0], throw + gravity * last.time, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(
+        last.particles["velocity"][0], throw + gravity * last.time, rtol=0.0, atol=1e-11
+    )
 
 
 def test_collisions_with_a_changing_step_reach_their_restitution(taichi_f64):
     """A slow collision follows a fast one: the step grows in between, and both pairs rebound with e = 0.8."""
-    positions = [[-2.0 * RADIUS, 0.02 * side, 0] for side in (0, 1)] + [[1e-5, 0.02 * side, 0] for side in (0, 1)]
+    positions = [[-2.0 * RADIUS, 0.02 * side, 0] for side in (0, 1)] + [
+        [1e-5, 0.02 * side, 0] for side in (0, 1)
+    ]
     velocity = [[3.0, 0, 0], [0.02, 0, 0], [0, 0, 0], [0, 0, 0]]
     scene = build_scene(
         {"balls": particle_group(positions, 2.0 * RADIUS, velocity=velocity)},

@@ -40,7 +40,11 @@ def test_threads_are_identified_if_one_thread_runs_all_tasks_of_a_launch():
         turns = itertools.cycle([first] * 7 + [second])
 
         def launch():
-            return next(turns).submit(lambda: [threading.get_native_id(), hashlib.sha256(DATA).digest()]).result()[0]
+            return (
+                next(turns)
+                .submit(lambda: [threading.get_native_id(), hashlib.sha256(DATA).digest()])
+                .result()[0]
+            )
 
         threads = sorted({launch() for _ in range(8)})
         assert identify_threads(2, launch) == threads

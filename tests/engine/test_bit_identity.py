@@ -30,7 +30,8 @@ ARRAYS = ("id", "position", "velocity", "angular_velocity", "force", "torque", "
 
 
 def falling_lattice(particles=None, **changes):
-    """A lattice of 256 particles falls into a vibrating box: friction, rolling friction, a moving wall, rebuilds."""
+    """A lattice of 256 particles falls into a vibrating box: friction, rolling friction, a moving wall,
+    rebuilds."""
     lattice = moving_lattice((8, 8, 4), largest=0.006, speed=0.3)
     return build_scene(
         {"lattice": lattice} | (particles or {}), walls=vibrating_box(0.06), rolling="epsd", gravity=[0.0, 0.0, -9.81],
@@ -71,12 +72,17 @@ def fingerprint(threads, workers_from, precision="f64", cores=None):
     if cores:
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     last, simulation = run_to_end(complex_scene(), threads=threads, precision=precision)
-    counts = (last.totals["particle_count"], last.totals["contact_count"], simulation.engine.timing.rebuild_count)
+    counts = (
+        last.totals["particle_count"],
+        last.totals["contact_count"],
+        simulation.engine.timing.rebuild_count,
+    )
     return [digest_of(last, *last.impulses.values(), *last.collisions.values()), *counts]
 
 
 def test_results_are_bit_identical_for_any_thread_count():
-    """Two threads with two workers and with one; more workers than threads in the pool; two workers on one core.
+    """Two threads with two workers and with one; more workers than threads in the pool; two workers on one
+    core.
 
     A worker that waits too long at a barrier leaves the launch and frees its thread, so no worker blocks it.
     """
@@ -123,11 +129,17 @@ def gpu_fingerprint(as_on_gpu):
     simulation = Simulation(scene, threads=2)
     simulation.run()
     last = simulation.snapshot()
-    return digest_of(last), simulation.engine.state.stride, last.totals["contact_count"], last.totals["energy_error"]
+    return (
+        digest_of(last),
+        simulation.engine.state.stride,
+        last.totals["contact_count"],
+        last.totals["energy_error"],
+    )
 
 
 def test_gpu_code_path_is_bit_identical_to_the_cpu_code_path():
-    cpu, gpu = in_subprocess(gpu_fingerprint, False), in_subprocess(gpu_fingerprint, True)
+    cpu = in_subprocess(gpu_fingerprint, False)
+    gpu = in_subprocess(gpu_fingerprint, True)
     assert gpu[1] == 1 and cpu[1] > 1, "the code paths differ"
     assert cpu[2] > 20
     assert gpu[0] == cpu[0]
@@ -148,7 +160,9 @@ def liquid_fingerprint(threads, in_parallel, as_on_gpu=False):
     )  # fmt: skip
     last, _ = run_to_end(scene, threads=threads)
     order = np.argsort(last.particles["id"])
-    arrays = [np.ascontiguousarray(last.particles[name][order]) for name in ("position", "velocity", "liquid_film")]
+    arrays = [
+        np.ascontiguousarray(last.particles[name][order]) for name in ("position", "velocity", "liquid_film")
+    ]
     digest = hashlib.sha256(b"".join(each.tobytes() for each in arrays)).hexdigest()
     films, bridges = (last.totals[f"liquid_{name}_volume"] for name in ("film", "bridge"))
     return digest, bridges, films + bridges

@@ -39,7 +39,9 @@ def compressed_bed(chunk_size):
 def run_and_sample(scene):
     """Snapshots with contacts every millisecond and at the end, and the simulation."""
     snapshots = []
-    simulation = Simulation(scene, observers=[on_interval(1e-3, snapshots.append, ("particles", "totals", "contacts"))])
+    simulation = Simulation(
+        scene, observers=[on_interval(1e-3, snapshots.append, ("particles", "totals", "contacts"))]
+    )
     simulation.run()
     snapshots.append(simulation.snapshot(contacts=True))
     simulation.free()
@@ -53,7 +55,9 @@ def separate_states(monkeypatch):
 
 
 @pytest.mark.parametrize("chunk_size", [1, pytest.param(16, marks=pytest.mark.slow)])
-def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monkeypatch, separate_states, chunk_size):
+def test_capacities_that_start_at_1_grow_and_are_bit_identical(
+    taichi_f64, monkeypatch, separate_states, chunk_size
+):
     scene = compressed_bed(chunk_size)
     reference, reference_run = run_and_sample(scene)
     assert reference_run.engine.timing.growth_count == 0
@@ -66,7 +70,9 @@ def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monke
     grown, growing_run = run_and_sample(scene)
     assert growing_run.plan.capacities.list_entries_per_segment <= 2
     assert growing_run.engine.timing.growth_count > 0
-    assert growing_run.engine.state.capacities.list_entries < reference_run.engine.state.capacities.list_entries
+    assert (
+        growing_run.engine.state.capacities.list_entries < reference_run.engine.state.capacities.list_entries
+    )
     assert len(grown) == len(reference)
     for one, other in zip(grown, reference, strict=True):
         assert one.totals == other.totals
@@ -77,8 +83,10 @@ def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monke
 
 
 def test_batch_grows_for_a_particle_with_many_neighbors(taichi_f64, monkeypatch, separate_states):
-    """450 small particles press on a large one; a batch at first holds 392 candidate pairs of one particle."""
-    turn, height = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(450), 1.0 - (2.0 * np.arange(450) + 1.0) / 450
+    """450 small particles press on a large one; a batch at first holds 392 candidate pairs of one
+    particle."""
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(450)
+    height = 1.0 - (2.0 * np.arange(450) + 1.0) / 450
     level = np.sqrt(1.0 - height**2)
     directions = np.stack([level * np.cos(turn), level * np.sin(turn), height], axis=1)
     groups = {
@@ -128,14 +136,19 @@ def test_cell_grid_respects_the_cell_limit_for_any_extent(taichi_f64):
 
 
 def falling_particle_grid():
-    """Function (extent [m], side [m], cell limit): sides and cells of the grid over a cube in an expanding domain."""
+    """Function (extent [m], side [m], cell limit): sides and cells of the grid over a cube in an expanding
+    domain."""
     domain = {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "expand"}
-    state = prepared_simulation(build_scene({"ball": particle_group([[0.0] * 3])}, domain=domain)).engine.state
+    state = prepared_simulation(
+        build_scene({"ball": particle_group([[0.0] * 3])}, domain=domain)
+    ).engine.state
     grid_over = build_grid_over(state)
 
     @ti.kernel
     def lay(extent: ti.f64, side: ti.f64, limit: ti.i32) -> ti.types.vector(6, ti.f64):
-        _low, sides, cells = grid_over(ti.Vector.zero(ti.f64, 3), extent * ti.Vector.one(ti.f64, 3), side, limit)
+        _low, sides, cells = grid_over(
+            ti.Vector.zero(ti.f64, 3), extent * ti.Vector.one(ti.f64, 3), side, limit
+        )
         return ti.Vector([sides[0], sides[1], sides[2], cells[0], cells[1], cells[2]], dt=ti.f64)
 
     return lambda extent, side, limit: lay(extent, side, limit).to_list()

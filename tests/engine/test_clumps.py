@@ -1,4 +1,5 @@
-"""Clumps in the engine: one sphere, threads, code path of a GPU, precision, periodic box, outlets, energy budget."""
+"""Clumps in the engine: one sphere, threads, code path of a GPU, precision, periodic box, outlets, energy
+budget."""
 
 import numpy as np
 import pytest
@@ -36,7 +37,9 @@ def falling_clumps(duration=0.03, **changes):
         "run": {"duration": duration, "velocity_max": 4.0, "time_step": 4e-6},
         "output": {"interval": 0.004, "energy_budget": True, "checkpoint": {"interval": 0.002, "keep": 100}},
     }  # fmt: skip
-    return build_scene({"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), **(parts | changes))
+    return build_scene(
+        {"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), **(parts | changes)
+    )
 
 
 def fingerprint(threads, precision="f64", as_on_gpu=False):
@@ -89,8 +92,10 @@ def test_rebuilds_in_mixed_precision_do_not_round_clumps():
 def test_a_clump_of_one_sphere_moves_like_a_sphere(taichi_f64):
     """Contacts, friction and mass are equal; only the rounding of the integration differs."""
     motion = {"velocity": [0.4, 0.1, -0.5], "angular_velocity": [20.0, -30.0, 10.0]}
-    floor, found = {"floor": plane([0, 0, 0], [0, 0, 1])}, []
-    sphere, clump = particle_group([[0, 0, 0.006]], 0.01), clump_group([[0, 0, 0.006]], [[0, 0, 0]], 5e-3)
+    floor = {"floor": plane([0, 0, 0], [0, 0, 1])}
+    found = []
+    sphere = particle_group([[0, 0, 0.006]], 0.01)
+    clump = clump_group([[0, 0, 0.006]], [[0, 0, 0]], 5e-3)
     for group in (sphere | motion, clump | motion):
         scene = build_scene(
             {"ball": group}, floor, {"friction": 0.3, "restitution": 0.7}, gravity=[0.0, 0.0, -9.81],
@@ -100,7 +105,9 @@ def test_a_clump_of_one_sphere_moves_like_a_sphere(taichi_f64):
         last, _ = run_to_end(scene, threads=1)
         found.append(last)
     sphere, clump = found
-    assert abs(sphere.particles["angular_velocity"] - motion["angular_velocity"]).max() > 10.0  # friction has acted
+    assert (
+        abs(sphere.particles["angular_velocity"] - motion["angular_velocity"]).max() > 10.0
+    )  # friction has acted
     for name in ("position", "velocity", "angular_velocity", "mass"):
         assert clump.particles[name] == pytest.approx(sphere.particles[name], rel=1e-9, abs=1e-12), name
     for name in ("kinetic_energy", "rotational_energy", "friction_dissipation", "gravitational_energy"):
@@ -171,18 +178,23 @@ def test_outlets_delete_whole_clumps(taichi_f64):
     snapshots = run_and_sample(scene, 0.002, threads=1)
     counts = [each.totals["particle_count"] for each in snapshots]
     assert sorted(set(counts), reverse=True) == [8.0, 4.0]
-    last, kept = snapshots[-1], snapshots[0].particles["mass"]
+    last = snapshots[-1]
+    kept = snapshots[0].particles["mass"]
     assert last.totals["outlet_mass.out"] == pytest.approx(kept[:4].sum())
     assert last.particles["id"].tolist() == [4, 5, 6, 7]
-    step, speed = snapshots[1].time / snapshots[1].step, np.sqrt(2 * 9.81 * 0.02)
+    step = snapshots[1].time / snapshots[1].step
+    speed = np.sqrt(2 * 9.81 * 0.02)
     assert abs(last.totals["energy_error"]) < 9.81 * step / speed
 
 
 def test_an_abort_names_the_clumps_of_its_spheres(taichi_f64):
-    """Two rods of four spheres, side by side, overlap by a quarter of the radius; ids and clumps as in frames."""
+    """Two rods of four spheres, side by side, overlap by a quarter of the radius; ids and clumps as in
+    frames."""
     rods = clump_group([[0.0, 0.0, 0.0], [0.0, 3.5e-3, 0.0]])
     simulation = Simulation(build_scene({"rods": rods}, numerics={"max_overlap": 0.2}), threads=1)
-    with pytest.raises(RunError, match=r"particle \d of clump [04] \(.*overlaps with particle \d of clump [04] \("):
+    with pytest.raises(
+        RunError, match=r"particle \d of clump [04] \(.*overlaps with particle \d of clump [04] \("
+    ):
         simulation.run()
     simulation.free()
 

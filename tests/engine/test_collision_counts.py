@@ -6,7 +6,15 @@ import json
 import numpy as np
 import pytest
 from geometry.meshes import write
-from scene_builders import SOFT, build_scene, moving_lattice, particle_group, plane, run_and_sample, run_to_end
+from scene_builders import (
+    SOFT,
+    build_scene,
+    moving_lattice,
+    particle_group,
+    plane,
+    run_and_sample,
+    run_to_end,
+)
 
 from granflow import load_scene
 from granflow.errors import SceneError
@@ -31,17 +39,21 @@ def counts_of(*energies):
 
 
 def test_single_impacts_have_the_energies_of_their_effective_masses(taichi_f64):
-    """m v^2 / 2 at a wall, (m / 2) v^2 / 2 and (2/3) m v^2 / 2 for masses 1:1 and 1:2; slow ones are below 1 nJ.
+    """m v^2 / 2 at a wall, (m / 2) v^2 / 2 and (2/3) m v^2 / 2 for masses 1:1 and 1:2; slow ones are below 1
+    nJ.
 
     The rebound of the first sphere from the wall does not reach another one.
     """
-    speed, heavy = 0.7, {"heavy": SOFT | {"density": 5000.0}}
+    speed = 0.7
+    heavy = {"heavy": SOFT | {"density": 5000.0}}
     light = particle_group(
         [[0.0, 0.0, 0.0051], [0.1, 0.0, 0.5], [0.1, 0.0, 0.5101], [0.3, 0.0, 0.5], [0.5, 0.0, 0.0051]], 0.01,
         velocity=[[0.3, 0.0, -speed], [0.0, 0.0, speed], [0.0, 0.0, 0.0], [0.0, 0.0, speed], [0.0, 0.0, -1e-3]],
     )  # fmt: skip
     dense = particle_group([[0.3, 0.0, 0.5101]], 0.01, "heavy")
-    scene = counting({"light": light, "dense": dense}, FLOOR, duration=0.11, materials=heavy, pair={"restitution": 0.5})
+    scene = counting(
+        {"light": light, "dense": dense}, FLOOR, duration=0.11, materials=heavy, pair={"restitution": 0.5}
+    )
     last, _ = run_to_end(scene)
     energy = 0.5 * MASS * speed**2
     assert last.collisions["wall"].tolist() == counts_of(energy, 0.5 * MASS * 1e-6)
@@ -58,26 +70,31 @@ def test_fixed_partner_counts_like_a_wall_with_the_mass_of_the_mobile_particle(t
 def test_bouncing_sphere_counts_each_impact_and_a_resting_one_none(taichi_f64):
     """Impacts with e = 0.7 from 0.1 m/s lose 51 % of the energy each; a sphere at rest stays in contact."""
     ball = particle_group([[0.0, 0.0, 0.00501]], 0.01, velocity=[[0.0, 0.0, -0.1]])
-    scene = counting({"ball": ball}, FLOOR, gravity=[0.0, 0.0, -9.81], pair={"restitution": 0.7}, duration=0.2)
+    scene = counting(
+        {"ball": ball}, FLOOR, gravity=[0.0, 0.0, -9.81], pair={"restitution": 0.7}, duration=0.2
+    )
     snapshots = run_and_sample(scene, 0.02)
     totals = [each.collisions["wall"].sum() for each in snapshots]
     impacts = snapshots[-1].collisions["wall"]
     energies = 0.5 * MASS * 0.01 * 0.49 ** np.arange(40)
     for edge in (1e-7, 1e-6):
-        above, index = int((energies > edge).sum()), int(np.searchsorted(EDGES, edge))
+        above = int((energies > edge).sum())
+        index = int(np.searchsorted(EDGES, edge))
         assert abs(impacts[index + 1 :].sum() - above) <= 1
     assert totals[-1] == totals[-2] == totals[-3] > 5, "the sphere rests"
 
 
 @pytest.mark.parametrize("chunk_size", [1, 16])
 def test_each_contact_of_a_gas_counts_once(taichi_f64, chunk_size):
-    """The pairs of snapshots after each step that were not in contact a step before, with rebuilds in between."""
+    """The pairs of snapshots after each step that were not in contact a step before, with rebuilds in
+    between."""
     gas = {"gas": moving_lattice((6, 6, 6), largest=0.006, speed=0.6)}
     walls = {
         f"{name}_{axis}": wall
         for name, shift, sign in (("low", 0.0, 1), ("high", 0.042, -1))
         for axis, wall in (
-            (k, plane([shift * (k == m) for m in range(3)], [sign * (k == m) for m in range(3)])) for k in range(3)
+            (k, plane([shift * (k == m) for m in range(3)], [sign * (k == m) for m in range(3)]))
+            for k in range(3)
         )
     }
     step = 4e-6
@@ -91,7 +108,8 @@ def test_each_contact_of_a_gas_counts_once(taichi_f64, chunk_size):
         now = {*zip(snapshot.contacts["id_i"].tolist(), snapshot.contacts["id_j"].tolist(), strict=True)}
         for pair in now - before:
             new["wall" if min(pair) < 0 else "particle"] += 1
-        before, last = now, snapshot
+        before = now
+        last = snapshot
     assert {kind: int(counts.sum()) for kind, counts in last.collisions.items()} == new
     assert new["particle"] > 100 and new["wall"] > 20
 
@@ -105,7 +123,11 @@ def test_sphere_that_slides_over_the_triangles_of_a_mesh_collides_once(tmp_path,
     ball = particle_group([[0.0, 0.003, 0.00501]], 0.01, velocity=[[0.5, 0.0, 0.0]])
     wall = {"shape": "mesh", "file": "plate.obj", "material": "glass"}
     given = counting(
-        {"ball": ball}, FLOOR, gravity=[0.0, 0.0, -9.81], pair={"restitution": 0.05, "friction": 0.1}, duration=0.3
+        {"ball": ball},
+        FLOOR,
+        gravity=[0.0, 0.0, -9.81],
+        pair={"restitution": 0.05, "friction": 0.1},
+        duration=0.3,
     ).to_dict()
     (tmp_path / "scene.yaml").write_text(json.dumps(given | {"walls": {"plate": wall}}))
     snapshots = run_and_sample(load_scene(tmp_path / "scene.yaml"), 0.05)

@@ -1,4 +1,5 @@
-"""The first launch of each kernel runs in the context for compilation; the pool of threads is measured when needed."""
+"""The first launch of each kernel runs in the context for compilation; the pool of threads is measured when
+needed."""
 
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -47,7 +48,9 @@ def test_the_pool_is_measured_once_per_start_of_taichi_and_only_for_several_work
         return state.control.patience
 
     monkeypatch.setattr(workers, "_measure_pool", measure)
-    several, first, second = workers.SINGLE_WORKER_PARTICLES + 1, backend(2), backend(2)
+    several = workers.SINGLE_WORKER_PARTICLES + 1
+    first = backend(2)
+    second = backend(2)
     assert prepared(several - 1, first) == prepared(several, backend(1)) == [0, 0]
     assert not measured
     assert all(prepared(several, first)) and all(prepared(several, first))

@@ -1,4 +1,5 @@
-"""Scenes that differ in numbers only share their kernels: on disk between processes, in memory within one process."""
+"""Scenes that differ in numbers only share their kernels: on disk between processes, in memory within one
+process."""
 
 import os
 from hashlib import sha256
@@ -30,11 +31,17 @@ CHANGES = {
 
 
 def scene_of(case):
-    """Particles between a vibrating floor and a falling lid in a box that is periodic along x, with an outlet."""
+    """Particles between a vibrating floor and a falling lid in a box that is periodic along x, with an
+    outlet."""
     sites = np.argwhere(np.ones((5, 5, 4)))[: case["count"]]
     velocity = np.random.default_rng(1).normal(0.0, 0.3, sites.shape)
     group = particle_group(0.0041 * (sites + [0.6, 0.6, 0.7]), case["diameter"], velocity=velocity)
-    vibration = {"kind": "vibration", "direction": [0.0, 0.0, 1.0], "amplitude": 1e-4, "frequency": case["rate"]}
+    vibration = {
+        "kind": "vibration",
+        "direction": [0.0, 0.0, 1.0],
+        "amplitude": 1e-4,
+        "frequency": case["rate"],
+    }
     floor = plane([0.0, 0.0, case["floor"]], [0.0, 0.0, 1.0], motion=vibration)
     falling = {"kind": "free", "direction": [0.0, 0.0, 1.0], "mass": case["mass"]}
     lid = plane([0.0, 0.0, 0.02], [0.0, 0.0, -1.0], motion=falling)
@@ -105,7 +112,8 @@ def test_copies_in_memory_and_by_kernels_give_the_same_bits(cache):
     """Also after a reset, at which a kernel clears the fields."""
     cases = [BASE, BASE | CHANGES | {"threads": 1}]
     in_memory, by_kernels = (
-        in_subprocess(digests, str(cache), cases) for digests in (digests_with_cache, digests_with_copy_kernels)
+        in_subprocess(digests, str(cache), cases)
+        for digests in (digests_with_cache, digests_with_copy_kernels)
     )
     assert in_memory == by_kernels
 

@@ -24,7 +24,11 @@ def cloud(count, seed=1):
     parts = {"glass": slice(0, half), "steel": slice(half, count)}
     return {
         name: particle_group(
-            positions[cut], diameter[cut], name, velocity=velocity[cut], angular_velocity=angular_velocity[cut]
+            positions[cut],
+            diameter[cut],
+            name,
+            velocity=velocity[cut],
+            angular_velocity=angular_velocity[cut],
         )
         for name, cut in parts.items()
     }
@@ -43,8 +47,9 @@ def momenta(snapshot):
 def test_momentum_of_a_closed_system_is_conserved_to_rounding(taichi_f64, rolling):
     """Forces and torques cancel exactly, so each step adds rounding errors of half an ulp only.
 
-    Velocities are rounded randomly during contact: six standard deviations grow with the square root of the number of
-    steps. In free flight, the rounding error of a position is the same in each step and random between particles.
+    Velocities are rounded randomly during contact: six standard deviations grow with the square root of the
+    number of steps. In free flight, the rounding error of a position is the same in each step and random
+    between particles.
     """
     pair = {"restitution": 0.7, "friction": 0.5} | ({"rolling_friction": 0.2} if rolling != "none" else {})
     scene = build_scene(
@@ -81,7 +86,11 @@ def colliding_pairs(count=40):
 
 def pair_forces(chunk_size, rolling):
     """Forces on the first and on the second partners, torques and velocities, each (times, particles, 3)."""
-    pair = {"restitution": {"sigma": 1.0, "psi": 0.5, "limit_velocity": 3.0}, "friction": 0.3, "rolling_friction": 0.1}
+    pair = {
+        "restitution": {"sigma": 1.0, "psi": 0.5, "limit_velocity": 3.0},
+        "friction": 0.3,
+        "rolling_friction": 0.1,
+    }
     scene = build_scene(
         colliding_pairs(), pair=pair, rolling=rolling, materials=MATERIALS,
         numerics={"chunk_size": chunk_size}, run={"duration": 0.0008, "velocity_max": 2.0},
@@ -94,8 +103,10 @@ def pair_forces(chunk_size, rolling):
 
 @pytest.mark.parametrize("rolling", ["epsd", pytest.param("cdt", marks=pytest.mark.slow)])
 def test_forces_on_both_partners_are_exactly_opposite(taichi_f64, rolling):
-    """A pair within one chunk is computed once; a pair across two chunks of one particle is computed twice."""
-    computed_twice, computed_once = pair_forces(1, rolling), pair_forces(512, rolling)
+    """A pair within one chunk is computed once; a pair across two chunks of one particle is computed
+    twice."""
+    computed_twice = pair_forces(1, rolling)
+    computed_once = pair_forces(512, rolling)
     assert np.count_nonzero(computed_twice[0].any(axis=2).any(axis=0)) >= 35
     np.testing.assert_array_equal(computed_twice[0], -computed_twice[1])
     np.testing.assert_array_equal(computed_once[0], -computed_once[1])
@@ -119,10 +130,12 @@ def bouncing_box(time_step, normal="zhou", rolling="epsd"):
 
 
 @pytest.mark.parametrize(
-    ("normal", "rolling"), [("zhou", "epsd"), pytest.param("zhou", "cdt", marks=pytest.mark.slow), ("hertz", "epsd")]
+    ("normal", "rolling"),
+    [("zhou", "epsd"), pytest.param("zhou", "cdt", marks=pytest.mark.slow), ("hertz", "epsd")],
 )
 def test_energy_error_is_of_first_order_in_the_time_step(taichi_f64, normal, rolling):
-    """The error is of first order in the time step: an eighth of the step leaves an eighth of the error or less."""
+    """The error is of first order in the time step: an eighth of the step leaves an eighth of the error or
+    less."""
     coarse, fine = (run_to_end(bouncing_box(step, normal, rolling))[0].totals for step in (4e-6, 5e-7))
     dissipated = "plastic_dissipation" if normal == "zhou" else "damping_dissipation"
     for part in ("friction_dissipation", "rolling_dissipation", dissipated):

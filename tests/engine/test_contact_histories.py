@@ -3,19 +3,31 @@
 import numpy as np
 from scene_builders import build_scene, particle_group, prepared_simulation
 
-from granflow.engine.host import HistoryTable, ListedHistories, append_particles, copy_to_host, joined_histories
+from granflow.engine.host import (
+    HistoryTable,
+    ListedHistories,
+    append_particles,
+    copy_to_host,
+    joined_histories,
+)
 
 WALL = -2
 
 
 def test_inserted_particle_has_no_contacts_of_a_deleted_one(taichi_f64):
-    """A new particle that takes the array entry of a deleted one finds its neighbor list; it has no contacts."""
+    """A new particle that takes the array entry of a deleted one finds its neighbor list; it has no
+    contacts."""
     positions = 0.0098 * np.argwhere(np.ones((2, 2, 2)))
-    simulation = prepared_simulation(build_scene({"balls": particle_group(positions)}, numerics={"chunk_size": 1}))
+    simulation = prepared_simulation(
+        build_scene({"balls": particle_group(positions)}, numerics={"chunk_size": 1})
+    )
     state = simulation.engine.state
     histories = HistoryTable(state)
     assert histories.read(np.arange(8), 8).count.tolist() == [3] * 8
-    new = {name: values[-1:] for name, values in copy_to_host(state, ("id", "position", "radius", "mass")).items()}
+    new = {
+        name: values[-1:]
+        for name, values in copy_to_host(state, ("id", "position", "radius", "mass")).items()
+    }
     state.count = 7
     append_particles(state, new)
     assert histories.listed(np.arange(8), 8).count[-1] == 0
@@ -40,12 +52,19 @@ def test_both_sides_of_a_pair_in_one_list():
     assert found.count.tolist() == [1, 2, 2]
     assert found.partner.tolist() == [3, 9, 7, 3, WALL]
     # The first component is one of a vector, which has the other sign for the partner.
-    assert found.values["slot"].tolist() == [[1.0, 10.0], [2.0, 20.0], [-1.0, 10.0], [-2.0, 20.0], [4.0, 40.0]]
+    assert found.values["slot"].tolist() == [
+        [1.0, 10.0],
+        [2.0, 20.0],
+        [-1.0, 10.0],
+        [-2.0, 20.0],
+        [4.0, 40.0],
+    ]
 
 
 def test_selected_particles_have_the_same_histories_as_among_all():
     rows = np.array([2, 1])
-    found, expected = listed().of(rows), listed().of(np.arange(3)).of(rows)
+    found = listed().of(rows)
+    expected = listed().of(np.arange(3)).of(rows)
     assert found.count.tolist() == expected.count.tolist() == [2, 2]
     assert found.partner.tolist() == expected.partner.tolist()
     assert found.values["slot"].tolist() == expected.values["slot"].tolist()

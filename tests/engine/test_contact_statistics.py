@@ -10,7 +10,9 @@ from scene_builders import build_scene, particle_group, plane, run_to_end
 def test_overlap_is_relative_to_the_smaller_radius_in_either_order(taichi_f64, chunk_size, diameters):
     """The contact is computed twice (chunks of one particle) or once."""
     pair = particle_group([[0.0, 0.0, 0.0], [0.01198, 0.0, 0.0]], diameters)
-    scene = build_scene({"balls": pair}, numerics={"chunk_size": chunk_size}, run={"duration": 1e-6, "time_step": 1e-6})
+    scene = build_scene(
+        {"balls": pair}, numerics={"chunk_size": chunk_size}, run={"duration": 1e-6, "time_step": 1e-6}
+    )
     last, _ = run_to_end(scene)
     separation = np.linalg.norm(np.subtract(*last.particles["position"]))
     expected = (0.012 - separation) / 0.002
@@ -21,7 +23,8 @@ def test_overlap_is_relative_to_the_smaller_radius_in_either_order(taichi_f64, c
 
 @pytest.mark.parametrize("chunk_size", [1, 512])
 def test_wall_contacts_are_not_part_of_the_coordination_number(taichi_f64, chunk_size):
-    """A chain of three particles between two walls: 1, 2 and 1 contacts with particles, 1, 0 and 1 with walls."""
+    """A chain of three particles between two walls: 1, 2 and 1 contacts with particles, 1, 0 and 1 with
+    walls."""
     chain = particle_group([[0.00495, 0, 0], [0.0148, 0, 0], [0.02465, 0, 0]], 0.01)
     walls = {"left": plane([0, 0, 0], [1, 0, 0]), "right": plane([0.0296, 0, 0], [-1, 0, 0])}
     numerics = {"chunk_size": chunk_size}

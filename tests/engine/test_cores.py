@@ -1,4 +1,5 @@
-"""The default thread count follows CPU affinity, cgroup quota and Slurm; --threads cannot exceed the cores."""
+"""The default thread count follows CPU affinity, cgroup quota and Slurm; --threads cannot exceed the
+cores."""
 
 import re
 
@@ -52,7 +53,9 @@ def test_cgroup_v1_quota_limits_the_cores(write_system_files, folder, quota, cor
     assert quota_cores({}) == cores
 
 
-@pytest.mark.parametrize(("value", "cores"), [("3", 3), ("0", None), ("-2", None), ("many", None), ("", None)])
+@pytest.mark.parametrize(
+    ("value", "cores"), [("3", 3), ("0", None), ("-2", None), ("many", None), ("", None)]
+)
 def test_slurm_limits_the_cores(write_system_files, value, cores):
     assert quota_cores({"SLURM_CPUS_PER_TASK": value}) == cores
 

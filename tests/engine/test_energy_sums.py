@@ -41,12 +41,12 @@ def totals(inserted, removed=0.5, **changes):
         wall_dynamics=None,
         ranks=OneProcess(),
     )
-    state.backend, state.plan = (
-        SimpleNamespace(precision="f64", on_cpu=True),
-        SimpleNamespace(sum_units=SimpleNamespace()),
-    )
+    state.backend = SimpleNamespace(precision="f64", on_cpu=True)
+    state.plan = SimpleNamespace(sum_units=SimpleNamespace())
     state.plan.sum_units.energy = ENERGY_UNIT
-    return energy_budget_totals(state, Accounting(inserted_energy=inserted, removed_energy=removed), ENERGIES, MEASURED)
+    return energy_budget_totals(
+        state, Accounting(inserted_energy=inserted, removed_energy=removed), ENERGIES, MEASURED
+    )
 
 
 BALANCED = 7.0 + 2.0 - 4.0 + 1.5 + (0.5 + 0.75 + 0.25 + 0.125 + 1.0) + 0.5 - 3.0

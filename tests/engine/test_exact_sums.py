@@ -1,4 +1,5 @@
-"""Bits do not depend on the neighbor lists: not on skin, rebuild times, chunk size, batches or number of threads."""
+"""Bits do not depend on the neighbor lists: not on skin, rebuild times, chunk size, batches or number of
+threads."""
 
 import hashlib
 
@@ -29,7 +30,8 @@ def particles(seed=4):
 
 
 def walled(numerics):
-    """Particles fall into a vibrating box below a servo wall; insertion, rolling friction, wall forces, budget."""
+    """Particles fall into a vibrating box below a servo wall; insertion, rolling friction, wall forces,
+    budget."""
     walls = vibrating_box(0.06)
     walls["lid"] = plane(
         [0.0, 0.0, 0.03],
@@ -71,7 +73,10 @@ def fingerprint(name, chunk_size, skin, threads, rebuild_steps, precision):
 
     interval = (rebuild_steps or 100) * 2e-6
     simulation = Simulation(
-        scene, observers=[on_interval(interval, request_rebuild, ("walls",))], threads=threads, precision=precision
+        scene,
+        observers=[on_interval(interval, request_rebuild, ("walls",))],
+        threads=threads,
+        precision=precision,
     )
     simulation.run()
     last = simulation.snapshot()
@@ -103,8 +108,12 @@ def test_neighbor_lists_do_not_change_the_bits(name, precision):
 @pytest.mark.parametrize(("name", "bits"), [("f32", 45), ("f64", 50)])
 def test_rounding_to_the_grid_is_odd_and_exact_in_half_units(taichi_f64, name, bits):
     """Numbers up to 2^bits units: of the two precisions, the one with the larger eps needs all branches."""
-    numpy_type, real, unit = getattr(np, name.replace("f", "float")), getattr(ti, name), 2.0**-40
-    to_grid, external, shift = build_to_grid(real), ti.types.ndarray(), 1.5 * unit / np.finfo(numpy_type).eps
+    numpy_type = getattr(np, name.replace("f", "float"))
+    real = getattr(ti, name)
+    unit = 2.0**-40
+    to_grid = build_to_grid(real)
+    external = ti.types.ndarray()
+    shift = 1.5 * unit / np.finfo(numpy_type).eps
 
     @ti.kernel
     def round_all(values: external, rounded: external, by: real):
@@ -112,7 +121,9 @@ def test_rounding_to_the_grid_is_odd_and_exact_in_half_units(taichi_f64, name, b
             rounded[k] = to_grid(values[k], by)
 
     rng = np.random.default_rng(3)
-    positive = (unit * rng.uniform(1.0, 2.0, 20_000) * 2.0 ** rng.uniform(-5.0, bits - 1.0, 20_000)).astype(numpy_type)
+    positive = (unit * rng.uniform(1.0, 2.0, 20_000) * 2.0 ** rng.uniform(-5.0, bits - 1.0, 20_000)).astype(
+        numpy_type
+    )
     values = np.concatenate([positive, -positive])
     rounded = np.zeros_like(values)
     round_all(values, rounded, shift)
@@ -124,7 +135,8 @@ def test_rounding_to_the_grid_is_odd_and_exact_in_half_units(taichi_f64, name, b
 
 def test_force_above_the_range_of_the_sums_aborts_the_run(taichi_f64, monkeypatch):
     monkeypatch.setattr(sum_units, "FORCE_BITS", 70)  # sums are exact up to 2^(50 - 70) of the largest force
-    positions, velocity = [[0.0, 0.0, 0.0], [0.0101, 0.0, 0.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    positions = [[0.0, 0.0, 0.0], [0.0101, 0.0, 0.0]]
+    velocity = [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     scene = build_scene({"pair": particle_group(positions, velocity=velocity)}, run={"duration": 0.001})
     with pytest.raises(RunError, match=r"the contact force on particle 0 \(glass, .* is above .* N"):
         run_to_end(scene)

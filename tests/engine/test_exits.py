@@ -1,4 +1,5 @@
-"""Particles that leave the domain outside the outlets are reported at the end of a run, with the face of the domain."""
+"""Particles that leave the domain outside the outlets are reported at the end of a run, with the face of the
+domain."""
 
 import json
 
@@ -15,13 +16,17 @@ ASIDE = [[0.012 * k - 0.012, 0.0, 0.05] for k in range(2)]
 
 
 def scene(aside=2, outlets=None, meters=None, **parts):
-    """Three particles at the height 0 fall down; the others at 5 cm fly 10 cm along x in 45 ms and fall 10 mm."""
+    """Three particles at the height 0 fall down; the others at 5 cm fly 10 cm along x in 45 ms and fall 10
+    mm."""
     groups = {"falling": particle_group(BELOW, velocity=[0.0, 0.0, -1.0])}
     if aside:
         groups["flying"] = particle_group(ASIDE[:aside], velocity=[2.5, 0.0, 0.0])
     output = {"interval": 0.01, "flow_meters": meters or {}}
-    gravity, run = [0.0, 0.0, -9.81], {"duration": 0.06, "velocity_max": 3.0}
-    return build_scene(groups, outlets=outlets or {}, gravity=gravity, run=run, output=output, domain=DOMAIN, **parts)
+    gravity = [0.0, 0.0, -9.81]
+    run = {"duration": 0.06, "velocity_max": 3.0}
+    return build_scene(
+        groups, outlets=outlets or {}, gravity=gravity, run=run, output=output, domain=DOMAIN, **parts
+    )
 
 
 def warnings_of(given, **options):
@@ -68,7 +73,8 @@ def test_the_lowest_face_is_reported_if_the_scene_has_an_outlet_elsewhere(taichi
 
 
 def test_the_count_is_in_all_files_and_kept_by_a_resumed_run(taichi_f64, tmp_path):
-    out, given = tmp_path / "run", scene(outlets=HOLE)
+    out = tmp_path / "run"
+    given = scene(outlets=HOLE)
     with Simulation(given, out=out) as simulation:
         simulation.run(until=0.055)
     assert checkpoint_at(out).saved["engine"]["accounting"]["exits"]["x_max"] == 2

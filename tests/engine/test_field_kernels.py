@@ -30,7 +30,8 @@ def wrong_entries():
     start("cpu", "f64", 2)
     found = []
     for dispatch.LARGEST_DISPATCH in (1, 7, 2**22):
-        sources, targets = fields_and_values(0.0), fields_and_values(1.0)
+        sources = fields_and_values(0.0)
+        targets = fields_and_values(1.0)
         fields = [field for field, _ in targets]
         field_kernels.build_copy([field for field, _ in sources], fields)()
         pairs = [(values, target.to_numpy()) for (_, values), target in zip(sources, fields, strict=True)]
@@ -41,12 +42,15 @@ def wrong_entries():
 
 
 def wrong_values():
-    """Numbers of values that differ after fields are read to the host, written to longer ones, and read again."""
+    """Numbers of values that differ after fields are read to the host, written to longer ones, and read
+    again."""
     start("cpu", "f64", 2)
     wrong = 0
     for field, values in fields_and_values(0.0):
         longer = (2 * field.shape[0], *field.shape[1:])
-        target = ti.Vector.field(3, ti.f64, longer) if values.ndim > len(field.shape) else ti.field(ti.f64, longer)
+        target = (
+            ti.Vector.field(3, ti.f64, longer) if values.ndim > len(field.shape) else ti.field(ti.f64, longer)
+        )
         target.fill(1.0)
         field_kernels.write_field(target, field_kernels.read_field(field))
         found = field_kernels.read_field(target)

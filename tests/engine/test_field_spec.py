@@ -20,7 +20,9 @@ ROOM, HOT = 293.15, 400.0
 @pytest.fixture
 def with_temperature(monkeypatch):
     """The table with a temperature, a charge (the fourth scalar real) and an integer property."""
-    entry = fields.FieldSpec("temperature", "T", "K", "temperature of the particle", dtype="real", default=ROOM)
+    entry = fields.FieldSpec(
+        "temperature", "T", "K", "temperature of the particle", dtype="real", default=ROOM
+    )
     charge = fields.FieldSpec("charge", "q", "C", "electric charge", dtype="real")
     count = fields.FieldSpec("visits", "", "1", "number of visits", file_type="int32", dtype="i32", default=3)
     for spec in (entry, charge, count):
@@ -35,23 +37,29 @@ def expected_temperature(ids, initial_count):
 def test_added_property_is_carried_saved_restored_and_written(taichi_f64, with_temperature, tmp_path):
     scene = complex_scene()
     simulation = Simulation(scene, out=tmp_path / "run")
-    state, initial_count = simulation.engine.state, simulation.engine.state.count
+    state = simulation.engine.state
+    initial_count = simulation.engine.state.count
     found = copy_to_host(state, ("id", "temperature", "visits"))
     assert set(found["temperature"]) == {ROOM} and set(found["visits"]) == {3}, "defaults at insertion"
     table = particle_table(state, ("temperature", "charge"))
     table.put(np.arange(initial_count), {"temperature": HOT + found["id"], "charge": found["id"]})
 
     simulation.run(0.012)
-    before, now = found["id"], copy_to_host(state, ("id", "temperature", "charge"))
+    before = found["id"]
+    now = copy_to_host(state, ("id", "temperature", "charge"))
     assert simulation.engine.timing.rebuild_count > 1 and not np.array_equal(before, now["id"][: len(before)])
     assert now["id"].max() >= initial_count, "particles were inserted during the run"
     np.testing.assert_array_equal(now["temperature"], expected_temperature(now["id"], initial_count))
     np.testing.assert_array_equal(now["charge"], np.where(now["id"] < initial_count, now["id"], 0))
 
     particles = simulation.snapshot().particles
-    np.testing.assert_array_equal(particles["temperature"], expected_temperature(particles["id"], initial_count))
+    np.testing.assert_array_equal(
+        particles["temperature"], expected_temperature(particles["id"], initial_count)
+    )
     frame = meshio.read(sorted((tmp_path / "run").glob("particles_*.vtu"))[-1]).point_data
-    np.testing.assert_allclose(frame["temperature"], expected_temperature(frame["id"], initial_count), rtol=1e-6)
+    np.testing.assert_allclose(
+        frame["temperature"], expected_temperature(frame["id"], initial_count), rtol=1e-6
+    )
     assert set(frame["visits"]) == {3}
     simulation.free()
 
@@ -60,7 +68,9 @@ def test_added_property_is_carried_saved_restored_and_written(taichi_f64, with_t
     np.testing.assert_array_equal(saved["temperature"], expected_temperature(saved["id"], initial_count))
     resumed = Simulation(scene, out=tmp_path / "run", resume=checkpoint)
     restored = resumed.snapshot().particles
-    np.testing.assert_array_equal(restored["temperature"], expected_temperature(restored["id"], initial_count))
+    np.testing.assert_array_equal(
+        restored["temperature"], expected_temperature(restored["id"], initial_count)
+    )
     assert set(restored["visits"]) == {3}
     resumed.free()
 
@@ -76,7 +86,9 @@ def test_added_property_is_counted_in_the_memory_estimate(monkeypatch, precision
 
 
 def test_property_with_a_condition_exists_only_if_the_plan_needs_it(taichi_f64, monkeypatch):
-    entry = fields.FieldSpec("charge", "q", "C", "charge", dtype="real", condition=lambda features: features.outlets)
+    entry = fields.FieldSpec(
+        "charge", "q", "C", "charge", dtype="real", condition=lambda features: features.outlets
+    )
     monkeypatch.setitem(fields.particles._PARTICLE_FIELDS, "charge", entry)
     simulation = Simulation(complex_scene())
     assert simulation.engine.state.particles.charge is None

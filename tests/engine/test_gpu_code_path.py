@@ -1,4 +1,5 @@
-"""The code path of a GPU, executed on the CPU: the bits of the CPU's code path, and the number of dispatches."""
+"""The code path of a GPU, executed on the CPU: the bits of the CPU's code path, and the number of
+dispatches."""
 
 import hashlib
 import json
@@ -32,7 +33,8 @@ LARGEST_BUFFER = 2**18
 
 
 def use_gpu_code_path():
-    """Each chunk is a task of its own, the host reads flags by kernels, and a tree has at most LARGEST_BUFFER."""
+    """Each chunk is a task of its own, the host reads flags by kernels, and a tree has at most
+    LARGEST_BUFFER."""
     backend.Backend.on_cpu = property(lambda self: False)
     prepare = FieldBlock.__init__
 
@@ -52,14 +54,21 @@ def results(name, as_on_gpu, free_memory=None, largest_dispatch=dispatch.LARGEST
     if as_on_gpu:
         use_gpu_code_path()
     if free_memory is not None:
-        Plan.list_capacity_per_segment, plan_module.MIN_LIST_ENTRIES = property(lambda plan: 1), 1
+        Plan.list_capacity_per_segment = property(lambda plan: 1)
+        plan_module.MIN_LIST_ENTRIES = 1
         gpu_stepper.free_device_memory = lambda arch: free_memory
     os.chdir(tempfile.mkdtemp())
     simulation = Simulation(SCENES[name](os.getcwd()), threads=2)
     simulation.run()
     assert (len(simulation.engine.state._block._trees) > 3) == as_on_gpu
-    last, timing = simulation.snapshot(contacts=True), simulation.engine.timing
-    arrays = [*last.particles.values(), *last.contacts.values(), *last.impulses.values(), *last.collisions.values()]
+    last = simulation.snapshot(contacts=True)
+    timing = simulation.engine.timing
+    arrays = [
+        *last.particles.values(),
+        *last.contacts.values(),
+        *last.impulses.values(),
+        *last.collisions.values(),
+    ]
     arrays += [wall.offset for wall in last.walls.values()]
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
     counts = [timing.step_count, timing.rebuild_count, int(last.totals["contact_count"])]
@@ -70,7 +79,8 @@ def results(name, as_on_gpu, free_memory=None, largest_dispatch=dispatch.LARGEST
 
 
 def assert_same_results(name):
-    cpu, gpu = in_subprocess(results, name, False, seconds=600), in_subprocess(results, name, True, seconds=600)
+    cpu = in_subprocess(results, name, False, seconds=600)
+    gpu = in_subprocess(results, name, True, seconds=600)
     assert cpu[2][1] > 2, "the neighbor lists are rebuilt"
     assert gpu == cpu
 
@@ -82,8 +92,8 @@ def test_servo_and_free_walls_have_the_bits_of_the_cpu_code_path():
 def test_neighbor_lists_grow_without_changing_a_bit():
     """On the device, with dispatches of 7 threads, and over the host.
 
-    With at most 7 threads per dispatch, each thread has several of the 64 particles. All fields have 1.4 MB: with 1 MiB
-    in addition, old and new fields do not fit together, and pass through the host.
+    With at most 7 threads per dispatch, each thread has several of the 64 particles. All fields have 1.4 MB:
+    with 1 MiB in addition, old and new fields do not fit together, and pass through the host.
     """
     calls = [(False,), (True, 2**40, 7), (True, 2**20)]
     cpu, on_device, over_host = (in_subprocess(results, "periodic", *each, seconds=600) for each in calls)
@@ -99,15 +109,18 @@ def test_each_scene_has_the_bits_of_the_cpu_code_path(name):
 
 
 def dispatches(name):
-    """Dispatches of 4 batches of steps, of a rebuild, and kernel launches that read flags, as counted by Taichi."""
+    """Dispatches of 4 batches of steps, of a rebuild, and kernel launches that read flags, as counted by
+    Taichi."""
     os.environ["TI_KERNEL_PROFILER"] = "1"
     use_gpu_code_path()
     os.chdir(tempfile.mkdtemp())
     simulation = Simulation(SCENES[name](os.getcwd()), threads=1)
     simulation.step(1)
-    engine, found = simulation.engine, Counter()
+    engine = simulation.engine
+    found = Counter()
     while not found and engine.step_count < 400:  # four batches without a rebuild and without a sampled step
-        rebuilds, engine.stepper._since_sample = engine.timing.rebuild_count, 0
+        rebuilds = engine.timing.rebuild_count
+        engine.stepper._since_sample = 0
         counted_tasks()
         engine.advance(4 * GPU_BATCH)
         found = Counter() if engine.timing.rebuild_count > rebuilds else counted_tasks()

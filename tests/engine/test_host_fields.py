@@ -16,7 +16,11 @@ SHAPES = {"number": (7,), "vector": (5, 3), "table": (4, 6), "vectors": (4, 6, 2
 def block(taichi_f64):
     """Block of interleaved and separate fields of all kinds, with batch columns between them."""
     block = FieldBlock(backend.start())
-    fields = {"number": block.scalar(ti.i32, 7), "vector": block.vector(ti.f32, 5), "table": block.scalar(ti.i64, 4, 6)}
+    fields = {
+        "number": block.scalar(ti.i32, 7),
+        "vector": block.vector(ti.f32, 5),
+        "table": block.scalar(ti.i64, 4, 6),
+    }
     block.column(block.parts(2), ti.f64, 24)
     fields |= {"vectors": block.vector(ti.f64, 4, 6, count=2), "matrices": block.matrix(ti.f64, 2, 3)}
     pair = ti.field(ti.f64), ti.Vector.field(2, ti.i32)
@@ -48,7 +52,9 @@ def test_kernels_read_what_the_host_writes(block):
     _, fields = block
     for field in fields.values():
         field.from_numpy(1 + numbered(memory_of(field).shape).astype(memory_of(field).dtype))
-    scalar, vector, table = fields["first"], fields["second"], fields["table"]
+    scalar = fields["first"]
+    vector = fields["second"]
+    table = fields["table"]
     found = np.zeros((9, 3)), np.zeros((4, 6), np.int64)
 
     @ti.kernel

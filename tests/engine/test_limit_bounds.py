@@ -28,10 +28,13 @@ LOW, HIGH = np.array([-0.1, -0.2, -1.0]), np.array([0.4, 0.5, 0.6])
 
 
 def limit_exceeded(simulation, positions=None, velocities=None, steps=0):
-    """Name of the limit that a state exceeds (None: none), positions and velocities by id; kernels are reused."""
+    """Name of the limit that a state exceeds (None: none), positions and velocities by id; kernels are
+    reused."""
     state = simulation.engine.state
     state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
-    state.count = simulation.plan.particle_capacity  # the previous sort moved a particle outside the domain to the end
+    state.count = (
+        simulation.plan.particle_capacity
+    )  # the previous sort moved a particle outside the domain to the end
     for index, number in enumerate(state.particles.id.to_numpy()[: state.count]):
         if positions is not None:
             state.particles.position[index] = list(positions[number])
@@ -47,7 +50,8 @@ def limit_exceeded(simulation, positions=None, velocities=None, steps=0):
 
 
 def touching(pair=0.01, floor=0.01, mesh=0.01):
-    """Positions of two particles in contact, one on a plane, one on a mesh; overlaps relative to the smaller radius."""
+    """Positions of two particles in contact, one on a plane, one on a mesh; overlaps relative to the smaller
+    radius."""
     return np.array([
         [0.0, 0.0, 0.3],
         [RADIUS + SMALLER * (1 - pair), 0.0, 0.3],
@@ -63,7 +67,8 @@ def contacts(request, taichi_f64, tmp_path_factory):
     write(folder / "sheet.ply", *sheet(3))
     radii = (RADIUS, SMALLER, RADIUS, RADIUS)
     groups = {
-        f"g{n}": particle_group(at, 2 * radius) for n, (at, radius) in enumerate(zip(touching(), radii, strict=True))
+        f"g{n}": particle_group(at, 2 * radius)
+        for n, (at, radius) in enumerate(zip(touching(), radii, strict=True))
     }
     walls = {
         "floor": plane([0, 0, FLOOR], [0, 0, 1]), "sheet": {"shape": "mesh", "file": "sheet.ply", "material": "glass"}
@@ -90,7 +95,8 @@ def test_the_overlap_limit_holds_for_each_kind_of_contact(contacts, contact):
 @pytest.mark.parametrize("side", [LOW, HIGH], ids=["low", "high"])
 def test_a_center_outside_any_face_of_the_domain_aborts_the_run(contacts, side):
     """The corners of the domain are clear of the walls: the mesh extends from -0.5 m to 0.5 m."""
-    middle, positions = 0.5 * (LOW + HIGH), touching()
+    middle = 0.5 * (LOW + HIGH)
+    positions = touching()
     for axis in (None, 0, 1, 2):
         inside = np.array([1 - NEAR if axis != each else 1 + NEAR for each in range(3)])
         positions[0] = middle + inside * (side - middle)
@@ -115,9 +121,12 @@ def free_particle(taichi_f64):
 
 
 def after_one_step(free_particle, displacement):
-    """Limit that a step of `displacement` [m] exceeds, and whether the step requests a neighbor-list rebuild."""
+    """Limit that a step of `displacement` [m] exceeds, and whether the step requests a neighbor-list
+    rebuild."""
     engine = free_particle.engine
-    limit_exceeded(free_particle, np.zeros((1, 3)), np.zeros((1, 3)))  # the reach is that of a particle at rest
+    limit_exceeded(
+        free_particle, np.zeros((1, 3)), np.zeros((1, 3))
+    )  # the reach is that of a particle at rest
     engine.state.particles.velocity[0] = [0.0, displacement / STEP, 0.0]
     rebuilds = engine.timing.rebuild_count
     engine.advance(1)
@@ -125,14 +134,16 @@ def after_one_step(free_particle, displacement):
 
 
 def test_a_displacement_of_half_a_skin_requests_a_rebuild(free_particle):
-    """If two particles approach by more than half a skin each, they can touch before the list contains them."""
+    """If two particles approach by more than half a skin each, they can touch before the list contains
+    them."""
     assert after_one_step(free_particle, 0.5 * SKIN * (1 - NEAR)) == (None, False)
     assert after_one_step(free_particle, 0.5 * SKIN * (1 + NEAR)) == (None, True)
 
 
 def test_the_reach_of_a_fast_particle_is_longer_by_a_number_of_steps(free_particle):
     """With d the displacement per step, a rebuild is due after n steps with n d > skin/2 + REACH_STEPS d."""
-    engine, displacement = free_particle.engine, SKIN / 9
+    engine = free_particle.engine
+    displacement = SKIN / 9
     assert SKIN / 2 + REACH_STEPS * displacement < engine.plan.reach_max
     limit_exceeded(free_particle, np.zeros((1, 3)), [[0.0, displacement / STEP, 0.0]])
     rebuilds = engine.timing.rebuild_count

@@ -1,4 +1,5 @@
-"""Aborted runs: the run stops at once, the message reports particle and time, and the last state is written."""
+"""Aborted runs: the run stops at once, the message reports particle and time, and the last state is
+written."""
 
 import re
 
@@ -13,7 +14,8 @@ from granflow.observers.observer import on_interval
 from granflow.simulation import Simulation
 
 FAULTY_ID = 2
-"""Id of the particle that exceeds a limit in each scene here (the smaller id of two); all others are valid."""
+"""Id of the particle that exceeds a limit in each scene here (the smaller id of two); all others are
+valid."""
 
 
 def among_valid(*more):
@@ -41,7 +43,9 @@ def test_abort_reports_particle_and_time_and_writes_a_frame(taichi_f64, tmp_path
     def inject_nan(snapshot):
         if reason == "is not a number" and snapshot.time > 0.0:
             particles = simulation.engine.state.particles
-            particles.velocity[int(np.flatnonzero(particles.id.to_numpy() == FAULTY_ID)[0])] = [float("nan")] * 3
+            particles.velocity[int(np.flatnonzero(particles.id.to_numpy() == FAULTY_ID)[0])] = [
+                float("nan")
+            ] * 3
 
     simulation = Simulation(SCENES[reason](), out=tmp_path, observers=[on_interval(1e-4, inject_nan)])
     with pytest.raises(RunError) as stopped:
@@ -73,8 +77,11 @@ def assert_finite(folder):
 
 
 @pytest.mark.parametrize(("distance", "frames"), [(0.0, 0), (0.006, 1)])
-def test_abort_before_the_first_step_writes_the_initial_state_if_finite(taichi_f64, tmp_path, distance, frames):
-    """Two particles at the same point have no contact normal: forces are not finite, so no frame is written."""
+def test_abort_before_the_first_step_writes_the_initial_state_if_finite(
+    taichi_f64, tmp_path, distance, frames
+):
+    """Two particles at the same point have no contact normal: forces are not finite, so no frame is
+    written."""
     group = particle_group([[0.0, 0, 0], [distance, 0, 0]], velocity=[0.0, 3.0, 0.0])
     simulation = Simulation(build_scene(groups(group), run={"duration": 0.01}), out=tmp_path)
     with pytest.raises(RunError, match="They overlap initially") as stopped:
@@ -100,7 +107,8 @@ def test_f32_run_aborts_where_positions_are_not_resolved():
 
 
 def flight(height):
-    """Message of the abort, or an empty string; a particle flies 4 m from `height` [m] and leaves an expanding domain.
+    """Message of the abort, or an empty string; a particle flies 4 m from `height` [m] and leaves an
+    expanding domain.
 
     In f32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 = 8192 m and 0.98 mm beyond; the limit is 0.5 mm.
     """
@@ -117,7 +125,9 @@ def flight(height):
 
 def test_valid_run_has_no_diagnosis(taichi_f64):
     simulation = Simulation(
-        build_scene(among_valid(particle_group([[0.0, 0.0, 0.0]], velocity=[1.0, 0, 0])), run={"duration": 0.01})
+        build_scene(
+            among_valid(particle_group([[0.0, 0.0, 0.0]], velocity=[1.0, 0, 0])), run={"duration": 0.01}
+        )
     )
     simulation.run()
     assert simulation.engine.diagnosis is None
@@ -155,7 +165,9 @@ def test_overlap_message_names_both_particles_with_material_and_speed(taichi_f64
     assert 0.1 < number_after(") by", message) < 0.2
     assert 39.0 < number_after("approach at", message) < 40.0
     assert "results from an impact at 40 m/s" in message
-    assert re.search(r"set materials\.glass\.young_modulus to .* and materials\.steel\.young_modulus to", message)
+    assert re.search(
+        r"set materials\.glass\.young_modulus to .* and materials\.steel\.young_modulus to", message
+    )
 
 
 def test_overlap_in_the_first_step_is_diagnosed_as_an_impact(taichi_f64):
@@ -172,26 +184,29 @@ def test_overlap_in_the_first_step_is_diagnosed_as_an_impact(taichi_f64):
 
 
 def test_impact_above_the_planned_velocity_suggests_a_velocity_max(taichi_f64):
-    scene = build_scene(groups(BULLET, TARGET), run={"duration": 0.01, "velocity_max": 1.0}, numerics={"skin": 5e-3})
+    scene = build_scene(
+        groups(BULLET, TARGET), run={"duration": 0.01, "velocity_max": 1.0}, numerics={"skin": 5e-3}
+    )
     message = abort_message(scene)
     assert "above the planned 1 m/s" in message
     assert 40.0 <= number_after("set run.velocity_max to", message) < 60.0
 
 
 def test_step_above_the_stable_step_of_the_pair_is_diagnosed(taichi_f64):
-    """The stable step is 2 sqrt(M/K), with the tangent stiffness K at the maximum overlap d of an impact at 5 m/s:
+    """The stable step is 2 sqrt(M/K), with the tangent stiffness K at the maximum overlap d of an impact at 5
+    m/s:
 
         K = 1.5 k sqrt(d),    d = (5 M v^2 / (4 k))^0.4
 
     It is proportional to v^-0.2. The fifth step overlaps by 0.075 mm; half a step more changes v by
     k d^1.5 / M * dt / 2, 6 %.
     """
-    speed, step = 5.0, 1.8e-4
-    bullet, target = (
-        particle_group([[0, 0, 0]], velocity=[speed, 0, 0]),
-        particle_group([[0.014425, 0, 0]], material="steel"),
-    )
-    numerics, run = {"skin": 5e-3, "max_overlap": 0.01}, {"duration": 0.01, "velocity_max": 1.0, "time_step": step}
+    speed = 5.0
+    step = 1.8e-4
+    bullet = particle_group([[0, 0, 0]], velocity=[speed, 0, 0])
+    target = particle_group([[0.014425, 0, 0]], material="steel")
+    numerics = {"skin": 5e-3, "max_overlap": 0.01}
+    run = {"duration": 0.01, "velocity_max": 1.0, "time_step": step}
     message = abort_message(build_scene(groups(bullet, target), numerics=numerics, run=run))
     mass_eff = MASS / 2
     largest = (5 * mass_eff * speed**2 / (4 * HERTZ)) ** 0.4
@@ -202,14 +217,20 @@ def test_step_above_the_stable_step_of_the_pair_is_diagnosed(taichi_f64):
 
 
 def test_initial_overlap_is_diagnosed(taichi_f64):
-    message = abort_message(build_scene(groups(particle_group([[0.0, 0, 0], [0.006, 0, 0]])), run={"duration": 0.01}))
+    message = abort_message(
+        build_scene(groups(particle_group([[0.0, 0, 0], [0.006, 0, 0]])), run={"duration": 0.01})
+    )
     assert "particle 0 (glass, at rest) at 0 s" in message
     assert number_after(") by", message) == pytest.approx(0.004 / 0.005, rel=1e-3)
-    assert message.endswith("They overlap initially: move them apart."), "0.8 is the largest numerics.max_overlap"
+    assert message.endswith("They overlap initially: move them apart."), (
+        "0.8 is the largest numerics.max_overlap"
+    )
 
 
 def test_a_small_initial_overlap_may_be_accepted(taichi_f64):
-    message = abort_message(build_scene(groups(particle_group([[0.0, 0, 0], [0.008, 0, 0]])), run={"duration": 0.01}))
+    message = abort_message(
+        build_scene(groups(particle_group([[0.0, 0, 0], [0.008, 0, 0]])), run={"duration": 0.01})
+    )
     assert message.endswith("move them apart, or set numerics.max_overlap to 0.41 if this is intended.")
 
 
@@ -230,7 +251,8 @@ def test_overlap_message_names_the_wall_with_its_velocity(taichi_f64, moves):
 
 def test_displacement_message_names_the_overlapping_partner(taichi_f64):
     """The displacement in the first step from rest under F = k d^1.5 is F dt^2 / (2 m)."""
-    step, overlap = 6e-5, 0.0039
+    step = 6e-5
+    overlap = 0.0039
     message = abort_message(
         build_scene(
             groups(particle_group([[0.0, 0, 0], [0.0061, 0, 0]])), numerics={"max_overlap": 0.8, "skin": 5e-4},
@@ -240,12 +262,17 @@ def test_displacement_message_names_the_overlapping_partner(taichi_f64):
     assert "particle 0 (glass, " in message
     assert "and particle 1 (glass, " in message
     assert number_after("overlapped by", message) == pytest.approx(overlap / 0.005, rel=1e-3)
-    assert number_after("moves", message) == pytest.approx(HERTZ * overlap**1.5 * step**2 / (2 * MASS), rel=1e-2)
+    assert number_after("moves", message) == pytest.approx(
+        HERTZ * overlap**1.5 * step**2 / (2 * MASS), rel=1e-2
+    )
 
 
 @pytest.mark.parametrize(
     ("presence", "stage", "key"),
-    [({"stages": ["hold"]}, "hold", "walls.gate.stages"), ({"appears_at": 5e-4}, "fill", "walls.gate.appears_at")],
+    [
+        ({"stages": ["hold"]}, "hold", "walls.gate.stages"),
+        ({"appears_at": 5e-4}, "fill", "walls.gate.appears_at"),
+    ],
 )
 def test_wall_that_appears_inside_of_a_particle_is_named_with_its_stage(taichi_f64, presence, stage, key):
     """The gate cuts one of two particles that touch, 1 mm below its center: an overlap of 0.8 radii."""
@@ -255,7 +282,8 @@ def test_wall_that_appears_inside_of_a_particle_is_named_with_its_stage(taichi_f
     message = abort_message(build_scene(groups(pair), walls=walls, stages=stages))
     assert "overlaps with wall gate (glass, at rest) by 0.8 times the smaller radius" in message
     assert (
-        f"Wall gate appears at this time, in stage {stage}, where the particle is. Change {key}, or let it" in message
+        f"Wall gate appears at this time, in stage {stage}, where the particle is. Change {key}, or let it"
+        in message
     )
 
 
@@ -263,7 +291,9 @@ def test_message_of_a_particle_outside_the_domain_has_its_position(taichi_f64):
     domain = {"min": [-0.01] * 3, "max": [0.01] * 3, "on_exit": "error"}
     fast = particle_group([[0.0, 0, 0]], velocity=[3.0, 0, 0])
     message = abort_message(
-        build_scene(groups(particle_group([[0, 0.008, 0]], 0.001), fast), domain=domain, run={"duration": 0.1})
+        build_scene(
+            groups(particle_group([[0, 0.008, 0]], 0.001), fast), domain=domain, run={"duration": 0.1}
+        )
     )
     assert re.search(r"particle 1 at 0\.003\d+ s is outside the domain", message)
     assert re.search(r"it is at \[0\.01\d+, 0, 0\] m \(glass, 3 m/s\)", message)

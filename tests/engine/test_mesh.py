@@ -1,4 +1,5 @@
-"""Mesh contacts on the device: equal to the numpy reference; bit-identical for any thread count and on restart."""
+"""Mesh contacts on the device: equal to the numpy reference; bit-identical for any thread count and on
+restart."""
 
 import shutil
 from pathlib import Path
@@ -62,7 +63,9 @@ def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
                 for axis in ti.static(range(3)):
                     normal[i, t, axis] = direction[axis]
 
-    rng, slack, first = np.random.default_rng(7), 0.05, 0
+    rng = np.random.default_rng(7)
+    slack = 0.05
+    first = 0
     count = sum(mesh.triangle_count for mesh in plan.meshes.values())
     low = np.min([mesh.points.min(axis=0) for mesh in plan.meshes.values()], axis=0)
     high = np.max([mesh.points.max(axis=0) for mesh in plan.meshes.values()], axis=0)
@@ -85,7 +88,9 @@ def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
         found = normal[:, own].reshape(-1, 3)[owned & (expected > 0.0)]
         np.testing.assert_allclose(found, direction[owned & (expected > 0.0)], rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(bare[:, own].reshape(-1), distance, rtol=0.0, atol=2e-15)
-        gap_after_move, _ = reference_contact(mesh.adjacency, triangles, np.repeat(moved, mesh.triangle_count, axis=0))
+        gap_after_move, _ = reference_contact(
+            mesh.adjacency, triangles, np.repeat(moved, mesh.triangle_count, axis=0)
+        )
         assert np.all(near[:, own].reshape(-1)[(gap_after_move < FAR_AWAY) | owned] == 1)
         assert near[:, own].mean() < 0.7, "most triangles are excluded"
     state.free()
@@ -96,7 +101,8 @@ ROTATION = {"kind": "rotation", "point": [0, 0, 0.019], "axis": [1, 0, 0], "angu
 
 
 def mixing_scene(out):
-    """A scene in the folder `out`: particles over a vibrating bumpy floor with a rotating cube of plates among them."""
+    """A scene in the folder `out`: particles over a vibrating bumpy floor with a rotating cube of plates
+    among them."""
     out.mkdir(exist_ok=True)
     write(out / "hills.ply", *sheet(12, 0.1, bumps=5e-4))
     points, corners = cube()
@@ -132,9 +138,11 @@ def mixing_scene(out):
 
 
 def run_and_resume(folder, threads, precision):
-    """Final states of a run and of one resumed from its first checkpoint, contact and rotation checks, energy error."""
+    """Final states of a run and of one resumed from its first checkpoint, contact and rotation checks, energy
+    error."""
     workers.SINGLE_WORKER_PARTICLES = 0
-    first, resumed_folder = Path(folder) / f"run{threads}{precision}", Path(folder) / f"again{threads}{precision}"
+    first = Path(folder) / f"run{threads}{precision}"
+    resumed_folder = Path(folder) / f"again{threads}{precision}"
     simulation = Simulation(mixing_scene(first), out=first, threads=threads, precision=precision)
     simulation.run()
     last = simulation.snapshot()
@@ -143,7 +151,11 @@ def run_and_resume(folder, threads, precision):
     shutil.copytree(first, resumed_folder)
     checkpoint = read_checkpoint(sorted(resumed_folder.glob("checkpoint_*.npz"))[0])
     simulation = Simulation(
-        mixing_scene(resumed_folder), out=resumed_folder, threads=threads, precision=precision, resume=checkpoint
+        mixing_scene(resumed_folder),
+        out=resumed_folder,
+        threads=threads,
+        precision=precision,
+        resume=checkpoint,
     )
     simulation.run()
     totals = simulation.snapshot().totals
@@ -156,7 +168,9 @@ def run_and_resume(folder, threads, precision):
 @pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
 def test_results_are_bit_identical_for_any_thread_count_and_after_restart(tmp_path, precision):
     """Two moving meshes among planes, with friction, rolling springs and the energy budget."""
-    one, two = each_in_subprocess(run_and_resume, [(str(tmp_path), n, precision) for n in (1, 2)], seconds=1000)
+    one, two = each_in_subprocess(
+        run_and_resume, [(str(tmp_path), n, precision) for n in (1, 2)], seconds=1000
+    )
     whole, resumed, contacts_and_rotation, energy_error = one
     assert whole == resumed
     assert one == two

@@ -1,4 +1,5 @@
-"""Neighbor list: candidate pairs, growing capacity, contact history through rebuilds, deletion of particles."""
+"""Neighbor list: candidate pairs, growing capacity, contact history through rebuilds, deletion of
+particles."""
 
 import numpy as np
 import pytest
@@ -31,12 +32,16 @@ def random_particles(count, seed=1):
 
 @pytest.mark.parametrize("chunk_size", [1, 37, 512])
 def test_neighbor_list_holds_exactly_the_candidate_pairs(taichi_f64, chunk_size):
-    """Compared with a search over all pairs: a pair within a chunk is listed once, a pair across chunks twice."""
-    scene = build_scene(random_particles(400), walls=box(0.12), numerics={"chunk_size": chunk_size, "skin": 0.002})
+    """Compared with a search over all pairs: a pair within a chunk is listed once, a pair across chunks
+    twice."""
+    scene = build_scene(
+        random_particles(400), walls=box(0.12), numerics={"chunk_size": chunk_size, "skin": 0.002}
+    )
     simulation = prepared_simulation(scene)
     arrays = copy_to_host(simulation.engine.state, ("id", "position", "radius"))
     order = np.argsort(arrays["id"])
-    position, radius = arrays["position"][order], arrays["radius"][order]
+    position = arrays["position"][order]
+    radius = arrays["radius"][order]
     candidates = {
         tuple(pair)
         for pair in cKDTree(position).query_pairs(0.018, output_type="ndarray").tolist()
@@ -83,14 +88,17 @@ def test_list_capacity_grows_without_changing_the_result(taichi_f64, monkeypatch
 
 
 def traveling_pair(skin):
-    """Two particles, the first in front, that rub against each other in flight, clamped between two of large mass.
+    """Two particles, the first in front, that rub against each other in flight, clamped between two of large
+    mass.
 
     A particle at rest fixes the grid, so that cell boundaries pass between the two in flight.
     """
     flight = [3.0, 0.0, 0.0]
     groups = {
         "pair": particle_group(
-            [[0.0098, 0, 0], [0, 0, 0]], velocity=flight, angular_velocity=[[20.0, 0, 50.0], [-10.0, 30.0, 50.0]]
+            [[0.0098, 0, 0], [0, 0, 0]],
+            velocity=flight,
+            angular_velocity=[[20.0, 0, 50.0], [-10.0, 30.0, 50.0]],
         ),
         "clamp": particle_group([[-0.0098, 0, 0], [0.0196, 0, 0]], material="heavy", velocity=flight),
         "post": particle_group([[-0.1, -0.1, -0.1]]),
@@ -111,18 +119,22 @@ def owners_during(scene):
     owners = []
 
     def sample(snapshot):
-        owners.extend(int(owner) for owner, partner, _ in neighbors_of(simulation.engine) if {owner, partner} == {0, 1})
+        owners.extend(
+            int(owner) for owner, partner, _ in neighbors_of(simulation.engine) if {owner, partner} == {0, 1}
+        )
 
     simulation = Simulation(scene, observers=[on_interval(1e-4, sample)])
     simulation.run()
-    last, count = simulation.snapshot(), simulation.engine.timing.rebuild_count
+    last = simulation.snapshot()
+    count = simulation.engine.timing.rebuild_count
     simulation.free()
     return owners, last, count
 
 
 def test_contact_history_does_not_depend_on_owner_and_rebuilds(taichi_f64):
     """A run with many rebuilds and a change of owner is bit-identical to a run with few rebuilds."""
-    many_rebuilds, few_rebuilds = owners_during(traveling_pair(1e-3)), owners_during(traveling_pair(0.02))
+    many_rebuilds = owners_during(traveling_pair(1e-3))
+    few_rebuilds = owners_during(traveling_pair(0.02))
     assert set(many_rebuilds[0]) == {0, 1}, "each particle owns the pair at some time"
     assert many_rebuilds[2] > 10 * few_rebuilds[2]
     assert many_rebuilds[1].totals["friction_dissipation"] > 0.0
@@ -164,7 +176,9 @@ def test_expanding_domain_keeps_all_particles(taichi_f64):
     *_, last = run_and_sample(open_scene("expand"), 0.01)
     directions = np.concatenate([np.eye(3), -np.eye(3)])
     assert last.totals["deleted_count"] == 0.0
-    np.testing.assert_allclose(last.particles["position"][:6], (0.05 + 2.0 * last.time) * directions, rtol=1e-12)
+    np.testing.assert_allclose(
+        last.particles["position"][:6], (0.05 + 2.0 * last.time) * directions, rtol=1e-12
+    )
     pair = {"two": particle_group([[0.05, 0, 0], [-0.05, 0, 0.002]], velocity=[[2.0, 0, 0], [4.0, 0, 0]])}
     large, small = (
         run_to_end(
@@ -181,13 +195,17 @@ def test_distant_particles_do_not_enlarge_the_cells(taichi_f64):
     """Particles a kilometer away lie outside the grid; their candidate pairs are found as for all others."""
     rng = np.random.default_rng(7)
     bulk = rng.uniform(0.0, 0.1, (600, 3))
-    distant = np.array([[1000.0, 0.0, 0.0], [1000.008, 0.0, 0.0], [-300.0, 5.0, 2000.0], [-300.0, 5.009, 2000.0]])
+    distant = np.array(
+        [[1000.0, 0.0, 0.0], [1000.008, 0.0, 0.0], [-300.0, 5.0, 2000.0], [-300.0, 5.009, 2000.0]]
+    )
     scene = build_scene(
         {"balls": particle_group(np.concatenate([bulk, distant]), 0.01)}, numerics={"skin": 0.001, "chunk_size": 64},
         domain={"min": [0.0] * 3, "max": [0.1] * 3, "on_exit": "expand"},
     )  # fmt: skip
     simulation = prepared_simulation(scene)
-    assert simulation.engine.state.cell_sort.cell_side[0].to_numpy() == pytest.approx(np.full(3, 0.011), rel=1e-5)
+    assert simulation.engine.state.cell_sort.cell_side[0].to_numpy() == pytest.approx(
+        np.full(3, 0.011), rel=1e-5
+    )
     near = {tuple(pair) for pair in cKDTree(np.concatenate([bulk, distant])).query_pairs(0.011).copy()}
     found = {tuple(sorted(entry[:2])) for entry in neighbors_of(simulation.engine)}
     assert {(600, 601), (602, 603)} <= found == near
@@ -214,12 +232,16 @@ def test_ids_stay_with_their_particles_after_deletions(taichi_f64):
 @pytest.mark.parametrize("periodic", [[], ["x", "y", "z"]])
 def test_size_classes_find_all_candidate_pairs(taichi_f64, periodic):
     """Sizes 1 : 20 in four classes; pairs are owned, and listed twice across chunks, as with one class."""
-    rng, size, skin = np.random.default_rng(9), 0.1, 0.0003
+    rng = np.random.default_rng(9)
+    size = 0.1
+    skin = 0.0003
     diameter = 0.0015 * 20.0 ** np.concatenate([rng.random(800) ** 3, [0.0, 1.0]])
     positions = rng.uniform(0.0, size, (len(diameter), 3))
     domain = {"min": [0.0] * 3, "max": [size] * 3, "periodic": periodic, "on_exit": "error"}
     scene = build_scene(
-        {"balls": particle_group(positions, diameter)}, numerics={"chunk_size": 64, "skin": skin}, domain=domain
+        {"balls": particle_group(positions, diameter)},
+        numerics={"chunk_size": 64, "skin": skin},
+        domain=domain,
     )
     simulation = prepared_simulation(scene)
     assert simulation.plan.features.size_classes == "4"

@@ -18,7 +18,8 @@ MASSES = {diameter: pi / 6.0 * diameter**3 * SOFT["density"] for diameter in (0.
 
 
 def chute(**parts):
-    """Two size classes are inserted downward, fall past fixed particles, and reach a box or a half-space outlet."""
+    """Two size classes are inserted downward, fall past fixed particles, and reach a box or a half-space
+    outlet."""
     classes = [{"diameter": diameter, "fraction": 1} for diameter in MASSES]
     face = {"disc": {"center": [0, 0, 0.05], "normal": [0, 0, -1], "radius": 0.015}}
     inflow = {
@@ -26,7 +27,9 @@ def chute(**parts):
         "diameter": {"distribution": "classes", "by": "number", "classes": classes},
         "insert": {"kind": "inlet", "face": face, "mass_flow": 1.0, "start": 0.001},
     }  # fmt: skip
-    row = particle_group([[0.012 * k - 0.012, 0, 0] for k in range(3)] + [[0.5, 0, 0]], 0.006) | {"fixed": True}
+    row = particle_group([[0.012 * k - 0.012, 0, 0] for k in range(3)] + [[0.5, 0, 0]], 0.006) | {
+        "fixed": True
+    }
     defaults = {
         "outlets": {
             "side": {"box": {"min": [0.0, -1.0, -0.05], "max": [1.0, 1.0, 0.001]}},
@@ -41,21 +44,29 @@ def chute(**parts):
 
 
 def test_outlets_delete_and_count_all_inserted_particles_also_after_restart(tmp_path, taichi_f64):
-    whole, resumed = tmp_path / "whole", tmp_path / "again"
+    whole = tmp_path / "whole"
+    resumed = tmp_path / "again"
     simulation = Simulation(chute(), out=whole)
     result = simulation.run()
     last = simulation.snapshot()
     simulation.free()
     count = round(0.02 / np.mean(list(MASSES.values())))
-    assert result.numbers["inserted_count.inflow"] == count and result.numbers["not_inserted_count.inflow"] == 0.0
+    assert (
+        result.numbers["inserted_count.inflow"] == count
+        and result.numbers["not_inserted_count.inflow"] == 0.0
+    )
     counts = {name: result.numbers[f"outlet_count.{name}"] for name in ("side", "below", "nowhere")}
     assert sum(counts.values()) == count == result.totals["deleted_count"] and counts["nowhere"] == 0.0
     assert counts["side"] > 20 and counts["below"] > 20
     masses = [result.numbers[f"outlet_mass.{name}"] for name in counts]
     assert (
-        sum(masses) == pytest.approx(result.numbers["inserted_mass.inflow"]) == pytest.approx(0.02, abs=MASSES[0.005])
+        sum(masses)
+        == pytest.approx(result.numbers["inserted_mass.inflow"])
+        == pytest.approx(0.02, abs=MASSES[0.005])
     )
-    assert last.particles["fixed"].tolist() == [1] * 4, "outlets keep fixed particles, and no particle left the domain"
+    assert last.particles["fixed"].tolist() == [1] * 4, (
+        "outlets keep fixed particles, and no particle left the domain"
+    )
     assert abs(result.totals["energy_error"]) < 1e-3
     head = (whole / "timeseries.csv").read_text().splitlines()[0]
     assert "queued_count,deleted_count" in head and "outlet_count.side,outlet_mass.side [kg]" in head
@@ -78,7 +89,9 @@ def fingerprint(threads, precision):
         workers.SINGLE_WORKER_PARTICLES = 0
     last, _ = run_to_end(chute(), until=0.045, threads=threads, precision=precision)
     digest = hashlib.sha256(
-        b"".join(last.particles[name].tobytes() for name in ("id", "position", "velocity", "angular_velocity"))
+        b"".join(
+            last.particles[name].tobytes() for name in ("id", "position", "velocity", "angular_velocity")
+        )
     )
     return digest.hexdigest(), [last.totals[f"outlet_count.{name}"] for name in ("side", "below")]
 

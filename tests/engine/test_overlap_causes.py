@@ -35,7 +35,12 @@ def bed(modulus, count=120, walls=None, contact=None, duration=0.3, height=0.095
         "front": plane([0, 0, 0], [0, 1, 0]), "back": plane([0, WIDTH, 0], [0, -1, 0]),
     }  # fmt: skip
     region = {"box": {"min": [0.0] * 3, "max": [WIDTH, WIDTH, height]}}
-    group = {"material": "glass", "count": count, "diameter": DIAMETER, "insert": {"kind": "pack", "region": region}}
+    group = {
+        "material": "glass",
+        "count": count,
+        "diameter": DIAMETER,
+        "insert": {"kind": "pack", "region": region},
+    }
     usual = {"normal": "hertz", "tangential": "mindlin", "rolling": "none"}
     return build_scene(
         {"beads": group}, walls=sides | (walls or {}), materials=soft(modulus), gravity=[0.0, 0.0, -9.81],
@@ -47,7 +52,8 @@ def bed(modulus, count=120, walls=None, contact=None, duration=0.3, height=0.095
 
 
 def tower(modulus):
-    """40 spheres on top of each other, without overlap at the start: the lowest contact carries the weight of all."""
+    """40 spheres on top of each other, without overlap at the start: the lowest contact carries the weight of
+    all."""
     spheres = particle_group([[0.0, 0.0, (k + 0.5) * DIAMETER] for k in range(40)], DIAMETER)
     return build_scene(
         {"tower": spheres}, walls={"floor": plane([0, 0, 0], [0, 0, 1])}, materials=soft(modulus), normal="hertz",
@@ -60,11 +66,14 @@ def under_lid(modulus):
     """A servo wall presses a bed that is almost at rest with 20 kPa; its weight is 0.1 kPa."""
     shape = {"shape": "rectangle", "corner": [0, 0, 0.036], "sides": [[WIDTH, 0, 0], [0, WIDTH, 0]]}
     motion = {"kind": "servo", "direction": [0, 0, -1], "pressure": 2e4, "velocity_max": 0.1}
-    return bed(modulus, count=100, walls={"lid": shape | {"material": "glass", "motion": motion}}, height=0.034)
+    return bed(
+        modulus, count=100, walls={"lid": shape | {"material": "glass", "motion": motion}}, height=0.034
+    )
 
 
 def cohesive(modulus):
-    """Attraction and repulsion of particles balance at an overlap of half of (3 pi w / (2 E*))^2, 0.13 for 1 MPa."""
+    """Attraction and repulsion of particles balance at an overlap of half of (3 pi w / (2 E*))^2, 0.13 for 1
+    MPa."""
     return bed(modulus, count=40, contact={"cohesion": "sjkr"}, height=0.05, cohesion_energy_density=4.1e4)
 
 
@@ -104,7 +113,8 @@ def test_abort_names_its_cause_and_a_run_with_the_advised_modulus_passes(taichi_
 
 
 def test_contact_with_a_soft_spring_of_its_onset_advises_the_same_stiffness_for_all(taichi_f64):
-    """With Eq. 19 at the planned velocity, the spring is 6.3 = (1/0.01)^(2/5) times as stiff as the softest."""
+    """With Eq. 19 at the planned velocity, the spring is 6.3 = (1/0.01)^(2/5) times as stiff as the
+    softest."""
     onset = {"normal": {"law": "linear", "stiffness": "onset"}}
     message = aborted(bed(2e6, contact=onset))
     assert "because a contact that begins slowly gets a soft spring" in message
@@ -147,12 +157,14 @@ def test_forecast_of_the_weight_is_close_to_the_largest_overlap_of_a_bed(taichi_
     ("weight", "cause"), [(10.0, "its cause is not a static load"), (1e4, "a static load, such as")]
 )
 def test_weight_that_explains_less_than_half_of_the_overlap_is_not_named(weight, cause):
-    """A contact almost at rest in a drum while particles land on the bed: 0.1 m/s of 1.1 m/s at an overlap of 0.11.
+    """A contact almost at rest in a drum while particles land on the bed: 0.1 m/s of 1.1 m/s at an overlap of
+    0.11.
 
     Under 10 Pa, spheres of 4 mm and 1 MPa overlap by 0.01 of the radius, under 10 kPa by more than 0.1.
     """
     plan = plan_for(bed(1e6))
-    radius, first = 0.5 * DIAMETER, Body("particle 1", "glass", (0.0, 0.0, 0.1), (0.0, 0.0, 0.01))
+    radius = 0.5 * DIAMETER
+    first = Body("particle 1", "glass", (0.0, 0.0, 0.1), (0.0, 0.0, 0.01))
     mass = 2500.0 * 4.0 / 3.0 * 3.14159 * radius**3
     second = Body("particle 2", "glass", (0.0, 0.0, 0.0), (0.0, 0.0, 0.014))
     pair = ContactPair(first, second, 0.11, 0.1, 1.1, 1e-5, radius, 0.5 * radius, 0.5 * mass, weight)

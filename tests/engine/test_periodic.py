@@ -29,10 +29,13 @@ def domain(size, axes):
 
 @pytest.mark.parametrize("axes", ["xyz", "y"])
 def test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images(taichi_f64, axes):
-    """Compared with a search over all pairs; the grid has eight cells along x, three along y and two along z."""
-    size, skin = np.array([0.15, 0.06, 0.037]), 0.002
+    """Compared with a search over all pairs; the grid has eight cells along x, three along y and two along
+    z."""
+    size = np.array([0.15, 0.06, 0.037])
+    skin = 0.002
     rng = np.random.default_rng(5)
-    positions, diameter = size * rng.random((500, 3)), rng.uniform(0.004, 0.016, 500)
+    positions = size * rng.random((500, 3))
+    diameter = rng.uniform(0.004, 0.016, 500)
     simulation = prepared_simulation(
         build_scene(
             {"balls": particle_group(positions, diameter)},
@@ -78,7 +81,9 @@ def test_shifting_all_particles_by_half_a_box_changes_rounding_only(taichi_f64):
     assert middle.totals["friction_dissipation"] > 1e-3
     for name in ("velocity", "angular_velocity", "force"):
         largest = np.abs(middle.particles[name]).max()
-        np.testing.assert_allclose(middle.particles[name], shifted.particles[name], atol=1e-6 * largest, rtol=0)
+        np.testing.assert_allclose(
+            middle.particles[name], shifted.particles[name], atol=1e-6 * largest, rtol=0
+        )
     separation = (shifted.particles["position"] - middle.particles["position"] - [0.02, 0.017, 0.0]) / 0.04
     np.testing.assert_allclose(separation, np.round(separation), atol=1e-9)
     assert np.all((shifted.particles["position"] >= 0.0) & (shifted.particles["position"] <= 0.04))
@@ -98,7 +103,8 @@ def test_gas_conserves_momentum_and_closes_its_energy_budget(taichi_f64):
 
 def test_particle_that_falls_out_of_the_box_reenters_at_the_top(taichi_f64):
     """Free fall over s takes t = sqrt(2 s / g); gravity adds m g L per crossing; the meter counts no wrap."""
-    size, drop = 0.1, 0.62
+    size = 0.1
+    drop = 0.62
     duration = float(np.sqrt(2.0 * drop / GRAVITY))
     scene = build_scene(
         {"ball": particle_group([[0.05, 0.05, 0.09]])}, gravity=[0.0, 0.0, -GRAVITY], domain=domain([size] * 3, "xyz"),
@@ -119,21 +125,30 @@ def test_particle_that_falls_out_of_the_box_reenters_at_the_top(taichi_f64):
 
 def test_floor_that_ends_at_the_boundary_has_no_seam(taichi_f64):
     """A particle that slides across the boundary keeps the height of one in the middle, to the last bit."""
-    floor = {"shape": "rectangle", "corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]], "material": "glass"}
-    group = particle_group([[0.09, 0.02, 0.0049], [0.05, 0.08, 0.0049]], velocity=[[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    floor = {
+        "shape": "rectangle",
+        "corner": [0, 0, 0],
+        "sides": [[0.1, 0, 0], [0, 0.1, 0]],
+        "material": "glass",
+    }
+    group = particle_group(
+        [[0.09, 0.02, 0.0049], [0.05, 0.08, 0.0049]], velocity=[[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    )
     scene = build_scene(
         {"balls": group}, walls={"floor": floor}, gravity=[0.0, 0.0, -GRAVITY], domain=domain([0.1] * 3, "xy"),
         run={"duration": 0.03, "velocity_max": 2.0, "time_step": 1e-5}, numerics={"skin": 0.002},
     )  # fmt: skip
     snapshots = run_and_sample(scene, 1e-4)
-    position, time = column(snapshots, "position"), times(snapshots)
+    position = column(snapshots, "position")
+    time = times(snapshots)
     assert np.ptp(position[:, 1, 2]) > 1e-5, "both particles bounce"
     np.testing.assert_array_equal(position[:, 0, 2], position[:, 1, 2])
     np.testing.assert_allclose(position[:, 0, 0], (0.09 + time) % 0.1, atol=1e-12)
 
 
 def test_box_too_narrow_for_minimum_images_is_rejected():
-    """Below two maximum diameters plus twice the skin, 21 mm + 2 mm, a particle can touch two images of another."""
+    """Below two maximum diameters plus twice the skin, 21 mm + 2 mm, a particle can touch two images of
+    another."""
     group = {"balls": particle_group([[0.01, 0.01, 0.01]], 0.0105)}
     parts = {"numerics": {"skin": 0.001}, "pair": {}}
     plan_for(build_scene(group, domain=domain([0.02301] * 3, "xyz"), **parts))
@@ -162,7 +177,9 @@ def test_wall_that_differs_at_the_ends_of_a_periodic_axis_is_rejected(wall, fits
     if fits:
         assert plan_for(scene).walls
     else:
-        with pytest.raises(SceneError, match="walls.wall differs between the two ends of the periodic axis x"):
+        with pytest.raises(
+            SceneError, match="walls.wall differs between the two ends of the periodic axis x"
+        ):
             plan_for(scene)
 
 
@@ -178,15 +195,23 @@ def test_packing_does_not_overlap_periodic_images():
         },
         domain=domain([0.1] * 3, "xyz"),
     )  # fmt: skip
-    particles, periodic_box = initial_particles(scene), scene.domain.periodic_box()
+    particles = initial_particles(scene)
+    periodic_box = scene.domain.periodic_box()
     gaps = (
         np.linalg.norm(
-            periodic_box.nearest_images(particles.position[1:], particles.position[:1]) - particles.position[0], axis=1
+            periodic_box.nearest_images(particles.position[1:], particles.position[:1])
+            - particles.position[0],
+            axis=1,
         )
         - 0.025
     )
     assert gaps.min() >= 0.0
-    assert np.count_nonzero(np.linalg.norm(particles.position[1:] - particles.position[0], axis=1) - gaps > 0.026) > 10
+    assert (
+        np.count_nonzero(
+            np.linalg.norm(particles.position[1:] - particles.position[0], axis=1) - gaps > 0.026
+        )
+        > 10
+    )
 
 
 def test_unbounded_rotating_wall_is_rejected_in_an_expanding_domain():

@@ -1,4 +1,5 @@
-"""Forces are evaluated again after insertions, wall changes and at stage boundaries, without effect on the motion."""
+"""Forces are evaluated again after insertions, wall changes and at stage boundaries, without effect on the
+motion."""
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ MODELS = {
     "zhou": ({"normal": "zhou"}, {}),
     "restitution 0": ({"normal": "zhou"}, {"restitution": 0.0}),
     "mindlin": ({"normal": "hertz", "tangential": {"law": "mindlin", **DAMPED}}, {}),
-    "linear_history": ({"normal": "hertz", "tangential": {"law": "linear_history", "stiffness": 1e4, **DAMPED}}, {}),
+    "linear_history": (
+        {"normal": "hertz", "tangential": {"law": "linear_history", "stiffness": 1e4, **DAMPED}},
+        {},
+    ),
     "sds": ({"normal": "zhou", "rolling": "sds"}, {"rolling_friction": 0.1, "rolling_damping": 0.3}),
     "marshall": ({"normal": "hertz", "twisting": {"law": "marshall", **DAMPED}}, {}),
 }
@@ -19,7 +23,9 @@ def stacked(model, **parts):
     """Two rotating particles, one on the other, on a floor; they overlap from the start."""
     contact, pair = MODELS[model]
     stack = particle_group(
-        [[0.0, 0.0, 0.00495], [0.0005, 0.0, 0.0148]], velocity=[0.05, 0.0, -0.02], angular_velocity=[1.0, 5.0, 3.0]
+        [[0.0, 0.0, 0.00495], [0.0005, 0.0, 0.0148]],
+        velocity=[0.05, 0.0, -0.02],
+        angular_velocity=[1.0, 5.0, 3.0],
     )
     return build_scene(
         {"stack": stack},

@@ -1,4 +1,5 @@
-"""Taichi is restarted for new structures and settings: kernels come from the cache on disk, bits stay the same."""
+"""Taichi is restarted for new structures and settings: kernels come from the cache on disk, bits stay the
+same."""
 
 import os
 from hashlib import sha256
@@ -64,7 +65,8 @@ def test_precision_and_threads_change_in_one_process():
 
 
 def error_with_fields_of_the_program():
-    """The message on other settings, and the values of fields and of a simulation in use, whose structures differ."""
+    """The message on other settings, and the values of fields and of a simulation in use, whose structures
+    differ."""
     run_of(FRICTIONLESS)
     held = Simulation(scene_of(FRICTIONLESS))
     run_of(FRICTIONAL)

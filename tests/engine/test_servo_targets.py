@@ -15,7 +15,8 @@ RADIUS, TARGET = 0.005, 0.5
 
 
 def lid_scene(gap, press, release=0.0, force=TARGET, velocity_max=0.5, **servo):
-    """Four particles on a floor, and a lid `gap` [m] above them that presses with `force` [N] in the stage press."""
+    """Four particles on a floor, and a lid `gap` [m] above them that presses with `force` [N] in the stage
+    press."""
     walls = {"floor": box(0.04)["low_z"], "lid": {
         "shape": "rectangle", "corner": [0, 0, 2.0 * RADIUS + gap], "sides": [[0.04, 0, 0], [0, 0.04, 0]],
         "material": "glass", "motion": {
@@ -23,7 +24,9 @@ def lid_scene(gap, press, release=0.0, force=TARGET, velocity_max=0.5, **servo):
         } | servo,
     }}  # fmt: skip
     positions = [[0.02 + 0.006 * x, 0.02 + 0.006 * y, RADIUS] for x in (-1, 1) for y in (-1, 1)]
-    stages = [{"name": "press", "duration": press}] + ([{"name": "release", "duration": release}] if release else [])
+    stages = [{"name": "press", "duration": press}] + (
+        [{"name": "release", "duration": release}] if release else []
+    )
     return build_scene(
         {"balls": particle_group(positions)}, walls=walls, pair={"restitution": 0.1}, stages=stages,
         run={"velocity_max": 1.0}, output={"interval": 1.0, "checkpoint": {"interval": 0.004}},
@@ -41,11 +44,14 @@ def test_servo_that_never_touches_the_bed_is_reported_once(taichi_f64, tmp_path,
     """The stage press ends before the lid arrives; the servo is not active in the stage release."""
     with caplog.at_level(logging.WARNING, "granflow"):
         found = warned(lid_scene(0.003, 0.005, release=0.001), tmp_path)
-    assert len(found) == 1 and found == [each for each in caplog.messages if "does not touch the particles" in each]
+    assert len(found) == 1 and found == [
+        each for each in caplog.messages if "does not touch the particles" in each
+    ]
     assert "walls.lid.motion" in found[0] and "stage press (0.005" in found[0]
     assert "0 N (0 Pa) instead of 0.5 N (312 Pa)" in found[0]
     assert (
-        "less than velocity_max 0.5 m/s. Give it more time, a larger gain or a higher target force, start" in found[0]
+        "less than velocity_max 0.5 m/s. Give it more time, a larger gain or a higher target force, start"
+        in found[0]
     )
 
 

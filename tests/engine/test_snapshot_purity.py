@@ -37,7 +37,12 @@ def assert_equal(first, second):
 
 @pytest.mark.parametrize("energy_budget", [True, False])
 def test_run_with_additional_snapshots_is_bit_identical(taichi_f64, tmp_path, energy_budget):
-    output = {"interval": 4e-3, "timeseries_interval": 1e-3, "energy_budget": energy_budget, "wall_forces": True}
+    output = {
+        "interval": 4e-3,
+        "timeseries_interval": 1e-3,
+        "energy_budget": energy_budget,
+        "wall_forces": True,
+    }
     scene = complex_scene(0.012, output=output)
     snapshots = []
 

@@ -14,7 +14,8 @@ MASS = 2500.0 * np.pi / 6 * 0.01**3
 
 
 def warnings_of(scene, change=None):
-    """Warnings of a run by kind, with a check every 0.1 ms; `change` is called with simulation and snapshot."""
+    """Warnings of a run by kind, with a check every 0.1 ms; `change` is called with simulation and
+    snapshot."""
     simulation = Simulation(
         scene, observers=[on_interval(1e-4, lambda snapshot: change and change(simulation, snapshot))]
     )
@@ -28,18 +29,26 @@ def gas(**parts):
     positions = 0.015 * (np.argwhere(np.ones((3, 3, 3))) + 0.5)
     velocity = rng.normal(0.0, 1.0, positions.shape)
     run = {"duration": 0.01, "velocity_max": 4.0} | parts.pop("run", {})
-    return build_scene({"gas": particle_group(positions, velocity=velocity)}, walls=box(0.045), run=run, **parts)
+    return build_scene(
+        {"gas": particle_group(positions, velocity=velocity)}, walls=box(0.045), run=run, **parts
+    )
 
 
 @pytest.mark.parametrize("energy", [False, True])
 def test_valid_run_has_no_warnings(taichi_f64, energy):
     output = {"interval": 1.0, "energy_budget": energy}
-    assert not warnings_of(gas(pair={"restitution": 1.0, "friction": 0.3}, gravity=[0, 0, -9.81], output=output))
+    assert not warnings_of(
+        gas(pair={"restitution": 1.0, "friction": 0.3}, gravity=[0, 0, -9.81], output=output)
+    )
 
 
 def double_velocities_once(simulation, snapshot):
     """Injects energy: doubles all velocities at the first check after 2 ms; checks are 0.1 ms apart."""
-    if snapshot.time > 0.002 and not simulation.engine.stability_monitor.warnings and snapshot.time - 1e-4 <= 0.002:
+    if (
+        snapshot.time > 0.002
+        and not simulation.engine.stability_monitor.warnings
+        and snapshot.time - 1e-4 <= 0.002
+    ):
         field = simulation.engine.state.particles.velocity
         field.from_numpy(2.0 * field.to_numpy())
 
@@ -61,7 +70,9 @@ def test_injected_energy_causes_a_warning(taichi_f64, energy):
 def test_energy_error_above_half_a_percent_in_two_rows_causes_a_warning(errors, warns):
     monitor = StabilityMonitor(
         plan_for(
-            build_scene({"ball": particle_group([[0.0, 0.0, 0.0]])}, output={"interval": 1.0, "energy_budget": True})
+            build_scene(
+                {"ball": particle_group([[0.0, 0.0, 0.0]])}, output={"interval": 1.0, "energy_budget": True}
+            )
         )
     )
     for number, error in enumerate(errors):
@@ -103,15 +114,20 @@ def test_velocity_too_high_for_the_step_causes_a_warning_with_the_required_step(
 
 def test_work_of_moving_walls_causes_no_warning(taichi_f64):
     walls = box(0.0305)
-    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 300.0}}
+    walls["low_z"] |= {
+        "motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 300.0}
+    }
     scene = build_scene(
-        {"gas": particle_group([[0.015, 0.015, 0.00501]])}, walls=walls, run={"duration": 0.01, "velocity_max": 4.0}
+        {"gas": particle_group([[0.015, 0.015, 0.00501]])},
+        walls=walls,
+        run={"duration": 0.01, "velocity_max": 4.0},
     )
     assert not warnings_of(scene)
 
 
 def warnings_at_the_start(precision):
-    """Kinds of warnings for particles released at height: no motion yet, potential energies with rounding errors."""
+    """Kinds of warnings for particles released at height: no motion yet, potential energies with rounding
+    errors."""
     positions = [[0.0137 * k, 0.0, 0.731] for k in range(5)]
     scene = build_scene(
         {"beads": particle_group(positions, 0.0093)}, gravity=[0.0, 0.0, -9.81],

@@ -18,7 +18,8 @@ def on_a_mesh(**walls):
 
 
 def test_contacts_with_triangles_survive_another_wall(taichi_f64, tmp_path, monkeypatch):
-    """The numbers of triangles follow those of the walls: with another wall they change, the histories do not."""
+    """The numbers of triangles follow those of the walls: with another wall they change, the histories do
+    not."""
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "hills.ply", *sheet(5))
     with Simulation(on_a_mesh()) as undisturbed:
@@ -38,6 +39,8 @@ def test_contacts_with_triangles_survive_another_wall(taichi_f64, tmp_path, monk
 
 def test_numbers_of_walls_and_particles_remain(taichi_f64):
     ball = {"ball": particle_group([[0.0] * 3])}
-    walls = {name: plane([0.0, 0.0, 0.5 * z], [0.0, 0.0, -1.0 * z]) for name, z in (("lid", 1), ("floor", -1))}
+    walls = {
+        name: plane([0.0, 0.0, 0.5 * z], [0.0, 0.0, -1.0 * z]) for name, z in (("lid", 1), ("floor", -1))
+    }
     before, now = (plan_for(build_scene(ball, walls=dict(list(walls.items())[:count]))) for count in (1, 2))
     np.testing.assert_array_equal(renumbered(np.array([7, 0, -1, -2, -9]), before, now), [7, 0, -1, -3, -10])

@@ -1,4 +1,5 @@
-"""Limit of the displacement per step: no center crosses a thin wall, on any code path and in any precision."""
+"""Limit of the displacement per step: no center crosses a thin wall, on any code path and in any
+precision."""
 
 import re
 from pathlib import Path
@@ -23,11 +24,17 @@ FAST = {"run": {"duration": 2.4e-3, "velocity_max": 1.0, "time_step": STEP}, "nu
 STIFF = {"young_modulus": 1e10, "poisson_ratio": 0.25, "density": 2500.0}
 """An impact of 100 m/s on a wall overlaps by d = (15 M v^2 / (16 E* sqrt(R)))^0.4 = 0.2 R."""
 
-THIN_WALL = {"shape": "rectangle", "corner": [-0.5, -0.5, 0.0], "sides": [[1, 0, 0], [0, 1, 0]], "material": "glass"}
+THIN_WALL = {
+    "shape": "rectangle",
+    "corner": [-0.5, -0.5, 0.0],
+    "sides": [[1, 0, 0], [0, 1, 0]],
+    "material": "glass",
+}
 
 
 def launched(velocity, group=None, walls=None, **parts):
-    """A simulation that sets the velocity of its first particle after planning, so that the plan does not check it."""
+    """A simulation that sets the velocity of its first particle after planning, so that the plan does not
+    check it."""
     simulation = Simulation(
         build_scene({"fast": group or particle_group([[0.0, 0.0, 0.0]])}, walls=walls, **(FAST | parts))
     )
@@ -48,13 +55,15 @@ def abort_message(simulation):
 
 
 def messages_of(precision, on_gpu, few):
-    """Messages just below and just above the limit, for one particle (`few`) or for 80 in chunks of several."""
+    """Messages just below and just above the limit, for one particle (`few`) or for 80 in chunks of
+    several."""
     from granflow.engine import backend
 
     if on_gpu:
         backend.Backend.on_cpu = property(lambda self: False)
     positions = [[0.03 * (k % 9) - 0.12, 0.03 * (k // 9) - 0.12, 0.5] for k in range(1 if few else 80)]
-    group, run = particle_group(positions), FAST["run"] | {"precision": precision}
+    group = particle_group(positions)
+    run = FAST["run"] | {"precision": precision}
     return [abort_message(launched((0.0, 0.0, -share * FASTEST), group, run=run)) for share in (0.999, 1.001)]
 
 
@@ -68,7 +77,9 @@ def test_displacement_limit_in_each_precision_and_on_the_gpu_code_path(precision
 def test_displacement_limit_and_its_message(taichi_f64):
     below, above = messages_of("f64", False, False)
     assert below == ""
-    sentence = "particle 0 (glass, 100 m/s) at 0 s moves 0.001 m in one step of 1e-05 s, above the limit of 0.001 m "
+    sentence = (
+        "particle 0 (glass, 100 m/s) at 0 s moves 0.001 m in one step of 1e-05 s, above the limit of 0.001 m "
+    )
     assert sentence + "(0.2 of the smallest radius 0.005 m): beyond it contacts can be missed." in above
     assert "numerics.skin" not in above
     suggested = float(above.partition("Lower run.time_step to ")[2].split()[0])
@@ -93,9 +104,15 @@ def test_fast_particles_do_not_cross_thin_walls(taichi_f64, tmp_path, monkeypatc
     heights = 0.02 + speed * STEP * (np.arange(xs.size) / xs.size)
     positions = np.stack([(xs + 0.0075 * sides).ravel(), ys.ravel(), sides.ravel() * heights], axis=1)
     walls = {name: wall | {"material": "glass"} for name, wall in thin_walls().items()}
-    numerics, materials = FAST["numerics"] | {"max_overlap": 0.5}, {"glass": STIFF}
+    numerics = FAST["numerics"] | {"max_overlap": 0.5}
+    materials = {"glass": STIFF}
     simulation = launched(
-        (0, 0, 0), particle_group(positions), walls, materials=materials, numerics=numerics, pair={"restitution": 0.5}
+        (0, 0, 0),
+        particle_group(positions),
+        walls,
+        materials=materials,
+        numerics=numerics,
+        pair={"restitution": 0.5},
     )
     velocity = np.zeros(positions.shape)
     velocity[:, 2] = -speed * np.sign(positions[:, 2])
@@ -110,13 +127,20 @@ def test_fast_particles_do_not_cross_thin_walls(taichi_f64, tmp_path, monkeypatc
 def test_velocity_that_would_cross_a_wall_aborts_the_run_for_any_skin(taichi_f64):
     """2500 m/s is 25 mm in a step of 10 us: from 12 mm above a wall to 13 mm below it."""
     walls = {"sheet": THIN_WALL}
-    message = abort_message(launched((0, 0, -2500.0), particle_group([[0, 0, 0.012]]), walls, numerics={"skin": 0.03}))
+    message = abort_message(
+        launched((0, 0, -2500.0), particle_group([[0, 0, 0.012]]), walls, numerics={"skin": 0.03})
+    )
     assert "moves 0.025 m in one step" in message
 
 
 def test_initial_velocity_above_the_limit_is_rejected():
-    for share, message in ((0.999, ""), (1.001, "particles.fast starts with 100 m/s, which is 0.001 m per step")):
-        scene = build_scene({"fast": particle_group([[0, 0, 0.1]], velocity=[0, 0, -share * FASTEST])}, **FAST)
+    for share, message in (
+        (0.999, ""),
+        (1.001, "particles.fast starts with 100 m/s, which is 0.001 m per step"),
+    ):
+        scene = build_scene(
+            {"fast": particle_group([[0, 0, 0.1]], velocity=[0, 0, -share * FASTEST])}, **FAST
+        )
         if message:
             with pytest.raises(SceneError, match=message):
                 plan_for(scene)
@@ -126,7 +150,10 @@ def test_initial_velocity_above_the_limit_is_rejected():
 
 def test_rotation_above_the_limit_per_step_is_rejected():
     """The surface moves w R dt per step: 0.2 R at w = 0.2 / 10 us = 20 000 rad/s."""
-    for rate, message in ((19_990.0, ""), (20_010.0, "starts with 2e.04 rad/s, which is 0.2 rad per step of 1e-05 s")):
+    for rate, message in (
+        (19_990.0, ""),
+        (20_010.0, "starts with 2e.04 rad/s, which is 0.2 rad per step of 1e-05 s"),
+    ):
         group = particle_group([[0, 0, 0.1]], angular_velocity=[0, rate, 0])
         scene = build_scene({"spun": group}, run={"duration": 1.0, "velocity_max": 1.0, "time_step": 1e-5})
         if message:
@@ -139,20 +166,36 @@ def test_rotation_above_the_limit_per_step_is_rejected():
 def moving(kind, speed, **parts):
     motion = {
         "translation": {"kind": "translation", "velocity": [0, 0, speed]},
-        "vibration": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": speed / 628.3, "frequency": 100.0},
-        "rotation": {"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": speed / 0.5},
+        "vibration": {
+            "kind": "vibration",
+            "direction": [0, 0, 1],
+            "amplitude": speed / 628.3,
+            "frequency": 100.0,
+        },
+        "rotation": {
+            "kind": "rotation",
+            "point": [0, 0, 0],
+            "axis": [1, 0, 0],
+            "angular_velocity": speed / 0.5,
+        },
     }
     walls = {"paddle": THIN_WALL | {"motion": [motion[kind]]}}
     return build_scene(
-        {"ball": particle_group([[0, 0, 0.1]])}, walls=walls, **(FAST | {"numerics": {"skin": 0.003}}), **parts
+        {"ball": particle_group([[0, 0, 0.1]])},
+        walls=walls,
+        **(FAST | {"numerics": {"skin": 0.003}}),
+        **parts,
     )
 
 
 @pytest.mark.parametrize("kind", ["translation", "vibration", "rotation"])
 def test_wall_velocity_above_the_limit_is_rejected(kind):
-    """A paddle that rotates about its center reaches 0.5 m; half of the skin is larger than a fifth of the radius."""
+    """A paddle that rotates about its center reaches 0.5 m; half of the skin is larger than a fifth of the
+    radius."""
     plan_for(moving(kind, 0.999 * FASTEST))
-    with pytest.raises(SceneError, match=r"walls.paddle moves at up to 100 m/s, which is 0.001 m per step of 1e-05 s"):
+    with pytest.raises(
+        SceneError, match=r"walls.paddle moves at up to 100 m/s, which is 0.001 m per step of 1e-05 s"
+    ):
         plan_for(moving(kind, 1.001 * FASTEST))
 
 
@@ -173,7 +216,13 @@ def test_wall_displacement_above_half_a_skin_is_rejected():
 def test_lees_edwards_image_velocity_above_the_limit_is_rejected(share, refused):
     rate = share * FASTEST / 0.1
     shear = {"flow": "x", "gradient": "y", "rate": rate}
-    domain = {"min": [0] * 3, "max": [0.1] * 3, "periodic": ["x", "y"], "on_exit": "error", "lees_edwards": shear}
+    domain = {
+        "min": [0] * 3,
+        "max": [0.1] * 3,
+        "periodic": ["x", "y"],
+        "on_exit": "error",
+        "lees_edwards": shear,
+    }
     scene = build_scene({"ball": particle_group([[0.05] * 3])}, domain=domain, **FAST)
     if refused:
         with pytest.raises(
@@ -187,7 +236,8 @@ def test_lees_edwards_image_velocity_above_the_limit_is_rejected(share, refused)
 @pytest.mark.parametrize(("share", "stops"), [(0.999, False), (1.001, True)])
 def test_free_wall_above_the_limit_aborts_the_run(taichi_f64, share, stops):
     """A force F moves a wall of mass M from rest by F/M dt^2 (k - 1/2) in step k."""
-    steps, mass = 40, 1.0
+    steps = 40
+    mass = 1.0
     force = share * SHARE * RADIUS * mass / (STEP**2 * (steps - 0.5))
     motion = [{"kind": "free", "direction": [0, 0, 1], "mass": mass, "force": force}]
     walls = {"lid": plane([0, 0, -0.5], [0, 0, 1], motion=motion)}
@@ -207,7 +257,9 @@ def test_the_chosen_step_respects_the_limit_at_the_planned_velocity():
     """A soft particle: its contacts at 100 m/s allow a displacement of 6 mm per step."""
     soft = {"materials": {"glass": {"young_modulus": 1e3, "poisson_ratio": 0.25, "density": 2500.0}}}
     plan = plan_for(
-        build_scene({"ball": particle_group([[0.0] * 3])}, run={"duration": 1.0, "velocity_max": 100.0}, **soft)
+        build_scene(
+            {"ball": particle_group([[0.0] * 3])}, run={"duration": 1.0, "velocity_max": 100.0}, **soft
+        )
     )
     assert plan.time_step == pytest.approx(SHARE * RADIUS / 100.0, rel=1e-12)
     assert "0.2 of the smallest radius" in plan.step.limited_by

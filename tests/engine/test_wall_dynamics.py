@@ -1,4 +1,5 @@
-"""Force-controlled walls: a free piston against its equation of motion, and a servo wall that holds a pressure."""
+"""Force-controlled walls: a free piston against its equation of motion, and a servo wall that holds a
+pressure."""
 
 import hashlib
 import re
@@ -38,7 +39,10 @@ def free(mass, **more):
 def falling_piston(mass=0.01, damping=0.0, **parts):
     """A particle that touches the floor without overlap, and a free piston at rest 1 mm above it."""
     walls = {"floor": FLOOR, "piston": lid(2.0 * RADIUS + 1e-3, free(mass, force=0.02, damping=damping))}
-    defaults = {"run": {"duration": 0.03, "velocity_max": 0.3}, "output": {"interval": 1.0, "energy_budget": True}}
+    defaults = {
+        "run": {"duration": 0.03, "velocity_max": 0.3},
+        "output": {"interval": 1.0, "energy_budget": True},
+    }
     return build_scene(
         {"ball": particle_group([[0.0, 0.0, RADIUS]])}, walls=walls, pair={"restitution": 1.0}, normal="hertz",
         gravity=[0.0, 0.0, -GRAVITY], numerics={"time_step_fraction": 0.01}, **(defaults | parts),
@@ -60,7 +64,9 @@ def test_free_piston_bounces_on_a_particle(taichi_f64, damping):
         return [w, v, (below - above) / MASS - GRAVITY, (above + 0.02 - damping * v) / mass - GRAVITY]
 
     start = [RADIUS, 2.0 * RADIUS + 1e-3, 0.0, 0.0]
-    exact = solve_ivp(rates, (0.0, 0.031), start, t_eval=times(snapshots), rtol=1e-10, atol=1e-14, max_step=2e-5).y
+    exact = solve_ivp(
+        rates, (0.0, 0.031), start, t_eval=times(snapshots), rtol=1e-10, atol=1e-14, max_step=2e-5
+    ).y
     piston_height = np.array([each.walls["piston"].offset[2] for each in snapshots]) + 2.0 * RADIUS + 1e-3
     piston_velocity = np.array([each.totals["wall_velocity.piston"] for each in snapshots])
     assert exact[1].min() < 2.0 * RADIUS - 1e-5 and np.diff(np.sign(exact[3])).any(), (
@@ -77,9 +83,11 @@ def test_free_piston_bounces_on_a_particle(taichi_f64, damping):
 
 
 def test_floor_carries_the_weight_of_a_free_piston_at_rest(taichi_f64):
-    """One particle between floor and piston, at static overlaps: nothing moves, and the floor carries both weights."""
+    """One particle between floor and piston, at static overlaps: nothing moves, and the floor carries both
+    weights."""
     mass = 0.05
-    above, below = mass * GRAVITY, (mass + MASS) * GRAVITY
+    above = mass * GRAVITY
+    below = (mass + MASS) * GRAVITY
     particle_height = RADIUS - (below / AT_WALL) ** (2.0 / 3.0)
     piston_height = particle_height + RADIUS - (above / AT_WALL) ** (2.0 / 3.0)
     scene = build_scene(
@@ -97,11 +105,15 @@ def test_floor_carries_the_weight_of_a_free_piston_at_rest(taichi_f64):
 
 
 def test_displacement_of_a_free_wall_contains_its_prescribed_motions(taichi_f64):
-    """Free fall upwards: x(t) = v t + F / (2 M) t^2 along z, while the wall turns about z and moves along x and z.
+    """Free fall upwards: x(t) = v t + F / (2 M) t^2 along z, while the wall turns about z and moves along x
+    and z.
 
     The leapfrog scheme is exact for a constant acceleration.
     """
-    mass, force, rate, end = 0.5, 0.2, 0.03, 0.02
+    mass = 0.5
+    force = 0.2
+    rate = 0.03
+    end = 0.02
     motions = [
         {"kind": "rotation", "point": [0.5, 0, 0], "axis": [0, 0, 1], "angular_velocity": 2.0},
         {"kind": "translation", "velocity": [0.1, 0, rate]},
@@ -113,7 +125,8 @@ def test_displacement_of_a_free_wall_contains_its_prescribed_motions(taichi_f64)
     )  # fmt: skip
     with Simulation(scene) as simulation:
         result = simulation.run().numbers
-        time, pose = simulation.time, simulation.walls["lid"].pose
+        time = simulation.time
+        pose = simulation.walls["lid"].pose
     expected = rate * time + 0.5 * force / mass * time**2
     assert result["wall_displacement.lid"] == pytest.approx(expected, rel=1e-9)
     assert result["wall_displacement.lid"] == pytest.approx(pose.offset[2], rel=1e-12)
@@ -147,7 +160,8 @@ def compression_scene(duration=0.03, **parts):
 
 
 def wall_results(precision, threads=1, until=None, in_parallel=False):
-    """Mean pressure on the lid and force on the side wall in the last stage, and a digest of the final state."""
+    """Mean pressure on the lid and force on the side wall in the last stage, and a digest of the final
+    state."""
     if in_parallel:
         workers.SINGLE_WORKER_PARTICLES = 0
     simulation = Simulation(compression_scene(), threads=threads, precision=precision)
@@ -184,21 +198,31 @@ def largest_response(plan):
     return [max(each) for each in zip(*(plan.law.present_response(*case) for case in cases), strict=True)]
 
 
-@pytest.mark.parametrize(("normal", "restitution"), [("hertz", 0.1), pytest.param("zhou", 0.2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("normal", "restitution"), [("hertz", 0.1), pytest.param("zhou", 0.2, marks=pytest.mark.slow)]
+)
 def test_servo_comes_to_rest_on_a_contact_with_dashpot_or_stiff_unloading(taichi_f64, normal, restitution):
-    """Force 1.6 N at an elastic contact: F = k d^1.5; a plastic one has been compressed further by the approach."""
+    """Force 1.6 N at an elastic contact: F = k d^1.5; a plastic one has been compressed further by the
+    approach."""
     simulation = Simulation(loaded_ball(normal, restitution, 0.03))
     simulation.run()
     last = simulation.snapshot(contacts=True)
     assert abs(last.totals["wall_velocity.lid"]) < 1e-9
     assert last.contacts["normal_force"] == pytest.approx(1.6, rel=1e-6)
-    elastic, largest = (1.6 / AT_WALL) ** (2.0 / 3.0), last.contacts["overlap"].max()
+    elastic = (1.6 / AT_WALL) ** (2.0 / 3.0)
+    largest = last.contacts["overlap"].max()
     assert largest > elastic if normal == "zhou" else largest == pytest.approx(elastic, rel=1e-6)
 
 
 @pytest.mark.parametrize(
     ("normal", "restitution", "fraction"),
-    [("hertz", 0.9, 0.05), ("hertz", 0.05, 0.05), ("hertz", 0.05, 0.01), ("zhou", 0.0, 0.05), ("zhou", 0.1, 0.02)],
+    [
+        ("hertz", 0.9, 0.05),
+        ("hertz", 0.05, 0.05),
+        ("hertz", 0.05, 0.01),
+        ("zhou", 0.0, 0.05),
+        ("zhou", 0.1, 0.02),
+    ],
 )
 def test_lag_of_a_servo_makes_it_stable_on_all_contacts_of_the_layer(normal, restitution, fraction):
     """Roots of the recursion of its displacement on n contacts of stiffness K and viscosity C.
@@ -216,7 +240,8 @@ def test_lag_of_a_servo_makes_it_stable_on_all_contacts_of_the_layer(normal, res
 
 
 def test_least_mass_of_a_free_wall_is_twice_that_of_stability_on_dashpots():
-    """z^2 - (2 - a - b) z + 1 - a = 0 with a = C dt/M, b = K dt^2/M for a wall of mass M; stable for 2 a + b < 4."""
+    """z^2 - (2 - a - b) z + 1 - a = 0 with a = C dt/M, b = K dt^2/M for a wall of mass M; stable for 2 a + b
+    < 4."""
     with pytest.raises(SceneError, match="oscillates too fast") as refused:
         plan_for(loaded_ball("hertz", 0.1, 0.05, free(1e-9)))
     mass = float(re.search(r"set it to (\S+) kg", str(refused.value))[1])
@@ -240,7 +265,13 @@ def test_results_are_bit_identical_for_any_thread_count(precision):
 
 def test_restart_is_bit_identical(tmp_path, taichi_f64):
     scene = compression_scene(
-        0.006, output={"interval": 0.006, "wall_forces": True, "energy_budget": True, "checkpoint": {"interval": 0.002}}
+        0.006,
+        output={
+            "interval": 0.006,
+            "wall_forces": True,
+            "energy_budget": True,
+            "checkpoint": {"interval": 0.002},
+        },
     )
     snapshots = []
     for out in ("whole", "again"):
@@ -275,5 +306,7 @@ def test_free_mass_and_servo_gain_unstable_for_the_step_are_rejected():
     with pytest.raises(SceneError, match=r"walls.piston.motion.mass is 1e-09 kg, but .* oscillates too fast"):
         plan_for(falling_piston(mass=1e-9))
     motion = {"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": 0.1, "gain": 1e3}
-    with pytest.raises(SceneError, match=r"walls.piston.motion.gain is 1e\+03 m/\(s N\), but from .* on the wall"):
+    with pytest.raises(
+        SceneError, match=r"walls.piston.motion.gain is 1e\+03 m/\(s N\), but from .* on the wall"
+    ):
         plan_for(build_scene({"ball": particle_group([[0, 0, RADIUS]])}, walls={"piston": lid(0.02, motion)}))

@@ -16,15 +16,22 @@ EPS = np.finfo(float).eps
 
 
 def shaken_box():
-    """Spinning particles in a box with a vibrating floor and a rotating lid; friction and rolling friction."""
+    """Spinning particles in a box with a vibrating floor and a rotating lid; friction and rolling
+    friction."""
     rng = np.random.default_rng(2)
     positions = 0.0115 * (np.argwhere(np.ones((5, 5, 5))) + 0.6)
     walls = box(0.0575)
-    walls["low_z"]["motion"] = {"kind": "vibration", "direction": [1, 0, 1], "amplitude": 1e-4, "frequency": 300.0}
+    walls["low_z"]["motion"] = {
+        "kind": "vibration",
+        "direction": [1, 0, 1],
+        "amplitude": 1e-4,
+        "frequency": 300.0,
+    }
     walls["high_z"]["motion"] = {
         "kind": "rotation", "point": [0.03, 0.03, 0.0], "axis": [0, 0, 1], "angular_velocity": 60.0,
     }  # fmt: skip
-    velocity, angular_velocity = rng.normal(0.0, 0.5, positions.shape), rng.normal(0.0, 50.0, positions.shape)
+    velocity = rng.normal(0.0, 0.5, positions.shape)
+    angular_velocity = rng.normal(0.0, 50.0, positions.shape)
     return build_scene(
         {"balls": particle_group(positions, 0.01, velocity=velocity, angular_velocity=angular_velocity)},
         walls=walls,
@@ -37,17 +44,22 @@ def shaken_box():
 
 
 def momenta(particles):
-    """Momentum and angular momentum about the origin (2, 3), their rates (2, 3), and the sum of all |m v_i|."""
+    """Momentum and angular momentum about the origin (2, 3), their rates (2, 3), and the sum of all |m
+    v_i|."""
     p = particles
     inertia = 0.4 * (p["mass"] * p["radius"] ** 2)[:, None]
     linear = p["mass"][:, None] * p["velocity"]
-    momentum = linear.sum(axis=0), (np.cross(p["position"], linear) + inertia * p["angular_velocity"]).sum(axis=0)
+    momentum = (
+        linear.sum(axis=0),
+        (np.cross(p["position"], linear) + inertia * p["angular_velocity"]).sum(axis=0),
+    )
     rate = p["force"].sum(axis=0), (np.cross(p["position"], p["force"]) + p["torque"]).sum(axis=0)
     return np.array(momentum), np.array(rate), np.abs(linear).sum()
 
 
 def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
-    """The leapfrog satisfies P(t) - P(0) + J = dt/2 [F(0) - F(t)] to rounding, for momentum and angular momentum.
+    """The leapfrog satisfies P(t) - P(0) + J = dt/2 [F(0) - F(t)] to rounding, for momentum and angular
+    momentum.
 
     Wall torques refer to the point of the wall's rotation: (x - p) x F integrates to L - p x J.
     """
@@ -70,7 +82,8 @@ def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
 
 @pytest.mark.parametrize("restitution", [1.0, 0.6])
 def test_impulse_of_one_impact(taichi_f64, restitution):
-    """J = m (1 + e) v with the measured e; no tangential impulse; the pressure is over the area of the disc."""
+    """J = m (1 + e) v with the measured e; no tangential impulse; the pressure is over the area of the
+    disc."""
     disc = {"shape": "disc", "center": [0, 0, 0], "normal": [0, 0, 1], "radius": 0.03, "material": "glass"}
     scene = build_scene(
         {"ball": particle_group([[0.01, 0.0, 0.0051]], velocity=[0.0, 0.0, -1.0])}, walls={"disc": disc},
@@ -84,7 +97,9 @@ def test_impulse_of_one_impact(taichi_f64, restitution):
     rebound = last.particles["velocity"][0, 2]
     assert rebound == pytest.approx(restitution, rel=0.02)
     impulse = MASS * (1.0 + rebound)
-    np.testing.assert_allclose(last.impulses["disc"][[2, 4, 6]], [-impulse, 0.01 * impulse, impulse], rtol=1e-12)
+    np.testing.assert_allclose(
+        last.impulses["disc"][[2, 4, 6]], [-impulse, 0.01 * impulse, impulse], rtol=1e-12
+    )
     np.testing.assert_allclose(last.impulses["disc"][[0, 1, 3, 5]], 0.0, atol=1e-12 * impulse)
     mean = impulse / last.time
     assert result["wall_force_z.disc"] == pytest.approx(-mean, rel=1e-12)
@@ -94,7 +109,8 @@ def test_impulse_of_one_impact(taichi_f64, restitution):
 def stacked_particles(count=3, **output):
     """Particles stacked on a floor, each contact at its static overlap."""
     modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
-    heights, below = [], 0.0
+    heights = []
+    below = 0.0
     for index in range(count):
         k = theory.hertz_stiffness(modulus, 0.005 if index == 0 else 0.0025)
         below += (0.005 if index == 0 else 0.01) - ((count - index) * MASS * GRAVITY / k) ** (2.0 / 3.0)
@@ -118,7 +134,9 @@ def test_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
     with open(tmp_path / "timeseries.csv") as file:
         rows = list(csv.DictReader(file))
     weight = 3 * MASS * GRAVITY
-    assert [float(row["wall_force_z.floor [N]"]) for row in rows[1:]] == pytest.approx([-weight] * 4, rel=1e-9)
+    assert [float(row["wall_force_z.floor [N]"]) for row in rows[1:]] == pytest.approx(
+        [-weight] * 4, rel=1e-9
+    )
     assert {float(row["wall_force_z.lid [N]"]) for row in rows} == {0.0}
     assert "wall_pressure.floor [Pa]" not in rows[0]
     assert result.numbers["wall_force_largest.floor"] == pytest.approx(weight, rel=1e-9)
@@ -129,9 +147,13 @@ def test_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
 def test_wall_force_output_does_not_change_the_motion(taichi_f64):
     """Runs with and without wall forces are bit-identical; without them, the field is not allocated."""
     with_wall_forces = run_and_sample(stacked_particles(), 0.002)
-    simulation = Simulation(stacked_particles(wall_forces=False, interval=0.002).model_copy(update={"expect": ()}))
+    simulation = Simulation(
+        stacked_particles(wall_forces=False, interval=0.002).model_copy(update={"expect": ()})
+    )
     simulation.run()
     assert simulation.engine.state.control.impulses is None
     assert simulation.snapshot().impulses == {}
-    assert np.array_equal(simulation.snapshot().particles["velocity"], column(with_wall_forces, "velocity")[-1])
+    assert np.array_equal(
+        simulation.snapshot().particles["velocity"], column(with_wall_forces, "velocity")[-1]
+    )
     simulation.free()

@@ -23,9 +23,12 @@ def simulation_on_a_shaken_floor():
 
 def test_snapshots_between_steps_upload_no_poses(taichi_f64, monkeypatch):
     """300 steps with a snapshot after each 10 need the uploads of the start, and one per WALL_BATCH steps."""
-    simulation, uploads = simulation_on_a_shaken_floor(), []
+    simulation = simulation_on_a_shaken_floor()
+    uploads = []
     upload = wall_poses.upload_poses
-    monkeypatch.setattr(wall_poses, "upload_poses", lambda state, step: (uploads.append(step), upload(state, step)))
+    monkeypatch.setattr(
+        wall_poses, "upload_poses", lambda state, step: (uploads.append(step), upload(state, step))
+    )
     for _ in range(30):
         simulation.step(10)
         simulation.snapshot(contacts=True)
@@ -35,7 +38,8 @@ def test_snapshots_between_steps_upload_no_poses(taichi_f64, monkeypatch):
 
 
 def test_snapshot_at_any_pose_of_the_batch_is_bit_identical(taichi_f64):
-    """A snapshot with the poses on the device equals one after a new upload, whose first pose is the present one."""
+    """A snapshot with the poses on the device equals one after a new upload, whose first pose is the present
+    one."""
     simulation = simulation_on_a_shaken_floor()
     for steps in (1, 99, 155, 1):
         simulation.step(steps)

@@ -9,12 +9,13 @@ AMPLITUDE, OMEGA, STEP, COUNT = 1e-5, 5e4, 1e-6, 31
 
 
 def test_friction_uses_the_wall_velocity_in_the_middle_of_the_step(taichi_f64):
-    """A particle too heavy to move sticks to a plane that vibrates below it. Its tangential force is Kt times the sum
+    """A particle too heavy to move sticks to a plane that vibrates below it. Its tangential force is Kt times
+    the sum
 
         sum of dt A w cos(w (k - 1/2) dt), k = 1..n  =  A sin(w n dt) (w dt / 2) / sin(w dt / 2)
 
-    with Kt = 8 G sqrt(R d) (Mindlin). w t ends near pi/2, where the velocity has dropped from A w to 0: a velocity
-    evaluated half a step early or late changes the sum by A w dt / 2, 2.5 % of it.
+    with Kt = 8 G sqrt(R d) (Mindlin). w t ends near pi/2, where the velocity has dropped from A w to 0: a
+    velocity evaluated half a step early or late changes the sum by A w dt / 2, 2.5 % of it.
     """
     heavy = {"glass": SOFT | {"density": 1e6}}
     motion = {

@@ -1,4 +1,5 @@
-"""The worker tuner selects the fastest number of workers from rates and contention of launches (modeled here)."""
+"""The worker tuner selects the fastest number of workers from rates and contention of launches (modeled
+here)."""
 
 import pytest
 
@@ -9,7 +10,8 @@ LAUNCH = 0.05
 
 
 def launches(tuner, speed, seconds, contended_above=99, launch=LAUNCH):
-    """Launches for `seconds`; `size` workers do `speed[size]` units per second. Returns the time [s] by size."""
+    """Launches for `seconds`; `size` workers do `speed[size]` units per second. Returns the time [s] by
+    size."""
     time_by_size = dict.fromkeys(speed, 0.0)
     for _ in range(round(seconds / launch)):
         size = tuner.next_size
@@ -36,7 +38,8 @@ def test_all_workers_are_used_if_they_are_faster():
 @pytest.mark.parametrize("launch", [0.002, 0.01, 0.05])
 def test_contention_reduces_the_workers_within_a_second(launch):
     """Two cores, each shared with another process: two workers wait for each other at most barriers."""
-    tuner, shared = WorkerTuner(2), {1: 1.0, 2: 0.3}
+    tuner = WorkerTuner(2)
+    shared = {1: 1.0, 2: 0.3}
     launches(tuner, {1: 1.0, 2: 1.9}, 30.0, launch=launch)
     launches(tuner, shared, 1.0, contended_above=1, launch=launch)
     time_by_size = launches(tuner, shared, 5.0, contended_above=1, launch=launch)
@@ -45,7 +48,8 @@ def test_contention_reduces_the_workers_within_a_second(launch):
 
 
 def test_contention_reduces_four_workers_to_one_within_a_second():
-    tuner, shared = WorkerTuner(4), {1: 1.0, 2: 0.7, 4: 0.3}
+    tuner = WorkerTuner(4)
+    shared = {1: 1.0, 2: 0.7, 4: 0.3}
     launches(tuner, IDLE, 30.0)
     launches(tuner, shared, 1.0, contended_above=1)
     assert tuner.size == 1
@@ -67,7 +71,8 @@ def test_fewer_workers_are_used_if_more_are_slower_without_contention():
 
 
 def test_rare_contention_keeps_two_workers_if_they_are_faster():
-    tuner, speed = WorkerTuner(2), {1: 1.0, 2: 1.6}
+    tuner = WorkerTuner(2)
+    speed = {1: 1.0, 2: 1.6}
     for number in range(2_000):
         size = tuner.next_size
         tuner.record(LAUNCH * speed[size], LAUNCH, contended=size == 2 and number % 3 == 0)
@@ -75,7 +80,8 @@ def test_rare_contention_keeps_two_workers_if_they_are_faster():
 
 
 def test_short_launches_are_evaluated_together():
-    """The rate of one launch of 1 ms scatters by a factor of ten; twenty launches together have the mean rate."""
+    """The rate of one launch of 1 ms scatters by a factor of ten; twenty launches together have the mean
+    rate."""
     tuner = WorkerTuner(2)
     for number in range(4_000):
         speed = {1: 1.0, 2: 1.9}[tuner.next_size]

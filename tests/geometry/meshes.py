@@ -8,7 +8,8 @@ from granflow.geometry.mesh_file import RawTriangles
 
 
 def sheet(count, size=1.0, bumps=0.0, seed=1):
-    """Points and corners of a square from -size/2 to size/2 at z = 0: count x count cells of two triangles each.
+    """Points and corners of a square from -size/2 to size/2 at z = 0: count x count cells of two triangles
+    each.
 
     `bumps` is the standard deviation of random heights.
     """
@@ -30,7 +31,8 @@ def cube():
 
 
 def tube(facets, radius=1.0, length=2.0, rings=1):
-    """Points and corners of a tube about z from 0 to `length`; the centers of its facets are `radius` from the axis."""
+    """Points and corners of a tube about z from 0 to `length`; the centers of its facets are `radius` from
+    the axis."""
     angle = 2 * np.pi * (np.arange(facets) + 0.5) / facets
     outer = radius / np.cos(np.pi / facets)
     levels = np.linspace(0.0, length, rings + 1)

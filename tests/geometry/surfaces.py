@@ -26,8 +26,10 @@ SHAPES = {
 
 
 def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
-    """Distances (n,), normals (n, 3) and distances without shared edges (n,) from the device, in the given types."""
-    number, parameter_number = NUMPY_TYPES[dtype], NUMPY_TYPES[parameter_dtype]
+    """Distances (n,), normals (n, 3) and distances without shared edges (n,) from the device, in the given
+    types."""
+    number = NUMPY_TYPES[dtype]
+    parameter_number = NUMPY_TYPES[parameter_dtype]
     distance, bare = np.zeros((2, len(points)), dtype=number)
     normal = np.zeros((len(points), 3), dtype=number)
     measure = kernel_for(shape.kind, dtype, parameter_dtype)
@@ -38,7 +40,8 @@ def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
 @cache
 def kernel_for(kind, dtype, parameter_dtype):
     """A kernel that evaluates the device functions of a kind over arrays."""
-    closest, bare_distance = kind.closest, kind.surface_distance
+    closest = kind.closest
+    bare_distance = kind.surface_distance
 
     @ti.kernel
     def measure(

@@ -1,4 +1,5 @@
-"""Volume, center of mass and moments of inertia of clumps against closed forms and an independent integration."""
+"""Volume, center of mass and moments of inertia of clumps against closed forms and an independent
+integration."""
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ def shape_of(centers, radii):
 def two_spheres(radius, distance):
     """Volume and moments (along, across the axis) of two equal overlapping spheres about their center.
 
-    Body of revolution about x with the radius y(x): V = pi int y^2, I_x = pi/2 int y^4, I_y = pi int (y^4/4 + x^2 y^2)
-    with y^2 = R^2 - (x - d/2)^2 for x from 0 to d/2 + R, and the same on the other side.
+    Body of revolution about x with the radius y(x): V = pi int y^2, I_x = pi/2 int y^4, I_y = pi int (y^4/4 +
+    x^2 y^2) with y^2 = R^2 - (x - d/2)^2 for x from 0 to d/2 + R, and the same on the other side.
     """
     x = Polynomial([0.0, 1.0])
     square = radius**2 - (x - 0.5 * distance) ** 2
@@ -25,7 +26,8 @@ def two_spheres(radius, distance):
 
 @pytest.mark.parametrize("distance", [0.3, 1.1, 1.9, 2.0])
 def test_two_overlapping_spheres_have_the_closed_forms(distance):
-    radius, scale = 1.0, 2e-3
+    radius = 1.0
+    scale = 2e-3
     volume, along, across = two_spheres(radius, distance)
     shape = shape_of(scale * np.array([[0.0, 0.0, 0.0], [distance, 0.0, 0.0]]), [scale, scale])
     assert shape.volume == pytest.approx(scale**3 * volume, rel=1e-12)
@@ -36,7 +38,8 @@ def test_two_overlapping_spheres_have_the_closed_forms(distance):
 
 def test_disjoint_spheres_have_the_moments_of_the_parallel_axis_theorem():
     rng = np.random.default_rng(5)
-    centers, radii = 4.0 * np.argwhere(np.ones((2, 2, 2))) + rng.uniform(-0.5, 0.5, (8, 3)), rng.uniform(0.5, 1.4, 8)
+    centers = 4.0 * np.argwhere(np.ones((2, 2, 2))) + rng.uniform(-0.5, 0.5, (8, 3))
+    radii = rng.uniform(0.5, 1.4, 8)
     volumes = 4.0 / 3.0 * np.pi * radii**3
     center = volumes @ centers / volumes.sum()
     branch = centers - center
@@ -57,11 +60,13 @@ def test_a_contained_or_repeated_sphere_counts_once():
 
 
 def chords(centers, radii, lines=500):
-    """Volume and center of mass of a union of spheres by the union of its chords along x on a grid of lines."""
+    """Volume and center of mass of a union of spheres by the union of its chords along x on a grid of
+    lines."""
     low, high = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
     edges = [np.linspace(low[axis], high[axis], lines + 1) for axis in (1, 2)]
     y, z = np.meshgrid(*(0.5 * (edge[1:] + edge[:-1]) for edge in edges), indexing="ij")
-    y, z = y.ravel()[:, None], z.ravel()[:, None]
+    y = y.ravel()[:, None]
+    z = z.ravel()[:, None]
     half = np.sqrt(np.maximum(radii**2 - (y - centers[:, 1]) ** 2 - (z - centers[:, 2]) ** 2, 0.0))
     begin, end = centers[:, 0] - half, centers[:, 0] + half
     order = np.argsort(begin, axis=1)
@@ -71,7 +76,10 @@ def chords(centers, radii, lines=500):
     length = np.maximum(end - start, 0.0)
     area = (edges[0][1] - edges[0][0]) * (edges[1][1] - edges[1][0])
     volume = area * length.sum()
-    first = [area * (length * 0.5 * (start + end))[length > 0.0].sum(), *(area * (length * v).sum() for v in (y, z))]
+    first = [
+        area * (length * 0.5 * (start + end))[length > 0.0].sum(),
+        *(area * (length * v).sum() for v in (y, z)),
+    ]
     return volume, np.array(first) / volume
 
 
@@ -93,7 +101,9 @@ def test_the_shape_does_not_depend_on_the_axes_of_the_given_positions():
         other = shape_of(CLUSTER @ rotation.T, RADII)
         assert other.volume == pytest.approx(one.volume, rel=1e-5)
         assert sorted(other.moments) == pytest.approx(sorted(one.moments), rel=1e-5)
-        assert np.linalg.norm(other.offset, axis=1) == pytest.approx(np.linalg.norm(one.offset, axis=1), rel=1e-5)
+        assert np.linalg.norm(other.offset, axis=1) == pytest.approx(
+            np.linalg.norm(one.offset, axis=1), rel=1e-5
+        )
         back = matrices(other.principal_axes[None])[0]
         assert other.offset @ back.T + other.center == pytest.approx(CLUSTER @ rotation.T, abs=1e-12)
 

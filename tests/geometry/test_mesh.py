@@ -12,9 +12,11 @@ from granflow.io.files import FormatError
 
 
 def contacts(surface, points):
-    """Gaps (n, t) and normals (n, t, 3) of all points and triangles, and distances without ownership (n, t)."""
+    """Gaps (n, t) and normals (n, t, 3) of all points and triangles, and distances without ownership (n,
+    t)."""
     count = surface.triangle_count
-    triangles, repeated = np.tile(np.arange(count), len(points)), np.repeat(points, count, axis=0)
+    triangles = np.tile(np.arange(count), len(points))
+    repeated = np.repeat(points, count, axis=0)
     gap, normal = reference_contact(surface.adjacency, triangles, repeated)
     bare = triangle_distances(surface.adjacency.vertex[triangles], repeated)
     return gap.reshape(-1, count), normal.reshape(-1, count, 3), bare.reshape(-1, count)
@@ -54,7 +56,8 @@ def test_smallest_gap_is_the_distance_to_the_mesh(name):
 
 
 def test_exactly_one_triangle_of_a_flat_mesh_owns_a_contact():
-    """Centers over faces, edges and vertices, exactly or within rounding; the gap is the height to the last bit."""
+    """Centers over faces, edges and vertices, exactly or within rounding; the gap is the height to the last
+    bit."""
     surface = mesh(*sheet(8))
     rng = np.random.default_rng(3)
     edges = rng.integers(-4, 5, (400, 2)) / 8.0
@@ -84,10 +87,13 @@ def test_exactly_one_triangle_of_a_convex_body_owns_a_contact():
 
 
 def test_contact_inside_a_faceted_tube_has_one_owner():
-    """For every particle size the gap is that of the nearest facet, and no second contact doubles the stiffness."""
+    """For every particle size the gap is that of the nearest facet, and no second contact doubles the
+    stiffness."""
     surface = mesh(*tube(24, rings=3))
     rng = np.random.default_rng(5)
-    angle, r, z = rng.uniform(0.0, 2 * np.pi, 400), rng.uniform(0.05, 0.95, 400), rng.uniform(0.3, 1.7, 400)
+    angle = rng.uniform(0.0, 2 * np.pi, 400)
+    r = rng.uniform(0.05, 0.95, 400)
+    z = rng.uniform(0.3, 1.7, 400)
     points = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
     gap, _, bare = contacts(surface, points)
     assert np.all(np.sum(gap < 1.0, axis=1) == 1)  # facets beyond the axis are farther
@@ -96,9 +102,13 @@ def test_contact_inside_a_faceted_tube_has_one_owner():
 
 def test_concave_corner_has_two_contacts_and_convex_edge_has_one():
     """Two plates at 90 degrees: two contacts inside the corner, one contact with the edge outside."""
-    points, corners = [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1], [0, 1, 1]], [
-        [0, 2, 1], [2, 3, 1], [0, 1, 4], [1, 5, 4],
-    ]  # fmt: skip
+    points = [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1], [0, 1, 1]]
+    corners = [
+        [0, 2, 1],
+        [2, 3, 1],
+        [0, 1, 4],
+        [1, 5, 4],
+    ]
     gap, _, _ = contacts(mesh(points, corners), np.array([[0.2, 0.45, 0.3], [-0.3, 0.45, -0.4]]))
     assert sorted(gap[0])[:2] == [0.2, 0.3]
     assert np.sum(gap[0] < FAR_AWAY) == 2
@@ -107,7 +117,8 @@ def test_concave_corner_has_two_contacts_and_convex_edge_has_one():
 
 def test_grid_lists_every_triangle_within_reach_once():
     """Against the distances to all triangles."""
-    surface, reach = SURFACES["rough sheet"], 0.12
+    surface = SURFACES["rough sheet"]
+    reach = 0.12
     grid = grid_over(surface.adjacency.vertex, reach)
     points = np.random.default_rng(6).uniform(-0.7, 0.7, (200, 3))
     _, _, bare = contacts(surface, points)
@@ -122,14 +133,19 @@ def test_grid_lists_every_triangle_within_reach_once():
 
 
 def test_parts_with_different_meshes_are_joined_at_their_common_edge():
-    """A square of two triangles next to one of 32: one triangle owns each contact, also along the common edge."""
+    """A square of two triangles next to one of 32: one triangle owns each contact, also along the common
+    edge."""
     coarse, halves = sheet(1)
     fine, corners = sheet(4)
-    surface = mesh(np.concatenate([coarse, fine + [1.0, 0.0, 0.0]]), np.concatenate([halves, corners + len(coarse)]))
+    surface = mesh(
+        np.concatenate([coarse, fine + [1.0, 0.0, 0.0]]), np.concatenate([halves, corners + len(coarse)])
+    )
     assert surface.divided_count == 1
     assert (surface.triangle_count, surface.adjacency.open_count) == (2 + 3 + 32, 3 + 12)
     rng = np.random.default_rng(8)
-    positions = np.stack([rng.choice([0.5, 0.5 + 1e-17, 0.499, 0.501, 0.3], 300), rng.uniform(-0.5, 0.5, 300)], axis=1)
+    positions = np.stack(
+        [rng.choice([0.5, 0.5 + 1e-17, 0.499, 0.501, 0.3], 300), rng.uniform(-0.5, 0.5, 300)], axis=1
+    )
     points = np.concatenate([positions, rng.choice([-0.2, 0.1], (300, 1))], axis=1)
     points[:10, 1] = np.linspace(-0.5, 0.5, 9)[[0, 1, 2, 3, 4, 5, 6, 7, 8, 4]]
     gap, _, _ = contacts(surface, points)
@@ -163,7 +179,8 @@ def _ply(declared, binary):
     header = f"ply\nformat {'binary_little_endian' if binary else 'ascii'} 1.0\nelement vertex 9\n"
     header += "".join(f"property float {axis}\n" for axis in "xyz")
     header += f"element face {declared}\nproperty list uchar int vertex_indices\nend_header\n"
-    points, corners = np.arange(27, dtype=np.float32).reshape(9, 3), np.arange(9, dtype=np.int32).reshape(3, 3)
+    points = np.arange(27, dtype=np.float32).reshape(9, 3)
+    corners = np.arange(9, dtype=np.int32).reshape(3, 3)
     if binary:
         return header.encode() + points.tobytes() + b"".join(b"\x03" + each.tobytes() for each in corners)
     rows = [*points.tolist(), *([3, *each] for each in corners.tolist())]
@@ -171,7 +188,9 @@ def _ply(declared, binary):
 
 
 TRIANGLES = np.arange(27.0).reshape(3, 3, 3)
-TEXT_STL = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+TEXT_STL = (
+    "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+)
 COUNTS = {
     "below.stl": (_stl(1, TRIANGLES), "declares 1 triangles, but its size is that of 3"),
     "none.stl": (_stl(0, TRIANGLES), "declares 0 triangles, but its size is that of 3"),

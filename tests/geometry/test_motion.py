@@ -1,4 +1,5 @@
-"""Poses of moving walls: velocities are derivatives of poses; walls are at rest before the start and after the end."""
+"""Poses of moving walls: velocities are derivatives of poses; walls are at rest before the start and after
+the end."""
 
 from math import inf, pi
 
@@ -29,12 +30,21 @@ def moved(points, motions, times):
 def test_vibration_follows_the_formulas_of_the_schema():
     """The displacement is relative to the position of the wall in the scene."""
     description = json_schema()["$defs"]["Vibration"]["description"]
-    formulas = dict(line.strip().split(":", 1) for line in description.splitlines() if ": " in line and "*" in line)
+    formulas = dict(
+        line.strip().split(":", 1) for line in description.splitlines() if ": " in line and "*" in line
+    )
     assert set(formulas) >= {"displacement", "velocity"}
-    amplitude, angular_frequency, start = 2e-3, 90.0, 0.01
+    amplitude = 2e-3
+    angular_frequency = 90.0
+    start = 0.01
     times = start + np.linspace(0.0, 0.1, 51)
     for phase in (0.0, 0.7, pi / 2):
-        known = {"amplitude": amplitude, "angular_frequency": angular_frequency, "phase": phase, "t": times - start}
+        known = {
+            "amplitude": amplitude,
+            "angular_frequency": angular_frequency,
+            "phase": phase,
+            "t": times - start,
+        }
         expected = {name: eval(formulas[name], {"sin": np.sin, "cos": np.cos, **known}) for name in formulas}
         found = pose([Vibration((0, 0, 1), amplitude, angular_frequency, phase, start)], times)
         np.testing.assert_allclose(found.offset[:, 2], expected["displacement"], atol=1e-17)
@@ -115,31 +125,42 @@ def test_speed_bound_is_the_maximum_speed():
     bound = speed_bound(MOTIONS, 0.4)
     assert bound == pytest.approx(0.01 * 50 * pi + np.sqrt(0.14) + 5.0 * 0.4)
     vibration = pose([Vibration((0, 0, 1), 0.01, 10.0)], np.linspace(0, 1, 1000))
-    assert np.abs(vibration.velocity).max() == pytest.approx(speed_bound([Vibration((0, 0, 1), 0.01, 10.0)], 1.0))
+    assert np.abs(vibration.velocity).max() == pytest.approx(
+        speed_bound([Vibration((0, 0, 1), 0.01, 10.0)], 1.0)
+    )
 
 
 RAMPS = [
     Translation((0.1, 0.2, -0.3), start=0.1, end=0.9, initial_velocity=(0.0, -0.4, 0.2), ramp_duration=0.25),
-    Rotation((0.3, 0.1, 0.2), AXIS, 5.0, start=0.3, end=0.8, initial_angular_velocity=-3.0, ramp_duration=0.2),
+    Rotation(
+        (0.3, 0.1, 0.2), AXIS, 5.0, start=0.3, end=0.8, initial_angular_velocity=-3.0, ramp_duration=0.2
+    ),
 ]
 
 
 def test_ramps_change_velocities_linearly():
-    """Half-way through the ramp the velocity is the mean of both; the displacement is that of the mean velocity."""
+    """Half-way through the ramp the velocity is the mean of both; the displacement is that of the mean
+    velocity."""
     times = np.array([0.1, 0.225, 0.35, 0.5, 1.0])
     found = pose(RAMPS[:1], times)
     first, last = np.array(RAMPS[0].initial_velocity), np.array(RAMPS[0].velocity)
-    np.testing.assert_allclose(found.velocity, [first, (first + last) / 2, last, last, 0.0 * last], atol=1e-15)
+    np.testing.assert_allclose(
+        found.velocity, [first, (first + last) / 2, last, last, 0.0 * last], atol=1e-15
+    )
     in_ramp = 0.25 * (first + last) / 2
-    np.testing.assert_allclose(found.offset[2:], [in_ramp, in_ramp + 0.15 * last, in_ramp + 0.55 * last], atol=1e-15)
+    np.testing.assert_allclose(
+        found.offset[2:], [in_ramp, in_ramp + 0.15 * last, in_ramp + 0.55 * last], atol=1e-15
+    )
 
 
 def test_velocities_of_ramps_are_derivatives_of_the_pose():
-    points, step = np.random.default_rng(3).uniform(-1, 1, (5, 3)), 1e-6
+    points = np.random.default_rng(3).uniform(-1, 1, (5, 3))
+    step = 1e-6
     times = np.random.default_rng(4).uniform(0.0, 1.0, 400)
     switches = np.array([0.1, 0.3, 0.35, 0.5, 0.8, 0.9])
     times = times[np.abs(times[:, None] - switches).min(axis=1) > 2 * step]
-    poses, now = pose(RAMPS, times), moved(points, RAMPS, times)
+    poses = pose(RAMPS, times)
+    now = moved(points, RAMPS, times)
     arms = now - poses.pivot - poses.offset[:, None, :]
     velocity = poses.velocity[:, None, :] + np.cross(poses.angular_velocity[:, None, :], arms)
     difference = (moved(points, RAMPS, times + step) - moved(points, RAMPS, times - step)) / (2 * step)
@@ -163,7 +184,9 @@ def test_surface_velocity_turns_with_the_wall_and_does_not_move_it():
 
 
 def test_reach_excludes_surfaces_that_rotation_leaves_unchanged():
-    origin, along_z, along_x = np.zeros(3), np.array([0, 0, 1.0]), np.array([1.0, 0, 0])
+    origin = np.zeros(3)
+    along_z = np.array([0, 0, 1.0])
+    along_x = np.array([1.0, 0, 0])
     drum = cylinder([0, 0, 0], [0, 0, 2], 0.5)
     assert reach_about(drum, origin, along_z, 9.0) == 0.0
     assert reach_about(drum, np.array([1.0, 0, 0]), along_z, 9.0) == pytest.approx(1.5)

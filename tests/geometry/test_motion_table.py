@@ -1,4 +1,5 @@
-"""Motions from tables: interpolation with a continuous rate, without overshoot; bounds of rate and acceleration."""
+"""Motions from tables: interpolation with a continuous rate, without overshoot; bounds of rate and
+acceleration."""
 
 from math import pi
 
@@ -20,13 +21,16 @@ def test_displacements_pass_through_the_rows_without_overshoot():
     values, _ = table.at(times)
     row = np.minimum(np.searchsorted(TIMES, times, side="right") - 1, 3)
     before, after = (np.array(VALUES)[row + k] - VALUES[0] for k in (0, 1))
-    assert (values >= np.minimum(before, after) - 1e-12).all() and (values <= np.maximum(before, after) + 1e-12).all()
+    assert (values >= np.minimum(before, after) - 1e-12).all() and (
+        values <= np.maximum(before, after) + 1e-12
+    ).all()
     np.testing.assert_allclose(table.at(np.linspace(0.2, 0.5, 50))[0], 0.1, atol=1e-14)
 
 
 def test_velocities_are_linear_between_rows():
     """The displacement is the area below the polygon of the velocities."""
-    table, times = MotionTable.of_rates(TIMES, RATES), np.linspace(0.0, 0.999, 500)
+    table = MotionTable.of_rates(TIMES, RATES)
+    times = np.linspace(0.0, 0.999, 500)
     values, rates = table.at(times)
     np.testing.assert_allclose(rates, np.interp(times, TIMES, RATES), atol=1e-13)
     area = [trapezoid(np.interp(x := np.unique([*np.linspace(0.0, t, 2001), *(r for r in TIMES if r < t)]),
@@ -36,7 +40,8 @@ def test_velocities_are_linear_between_rows():
 
 @pytest.mark.parametrize("table", [MotionTable.of_values(TIMES, VALUES), MotionTable.of_rates(TIMES, RATES)])
 def test_rates_are_continuous_derivatives_within_their_bounds(table):
-    step, times = 1e-6, np.linspace(0.001, 0.999, 4999)
+    step = 1e-6
+    times = np.linspace(0.001, 0.999, 4999)
     value, rate = table.at(times)
     slope = (table.at(times + step)[0] - table.at(times - step)[0]) / (2 * step)
     np.testing.assert_allclose(rate, slope, atol=1.1 * step * table.largest_change_of_rate)
@@ -51,15 +56,21 @@ def test_rates_are_continuous_derivatives_within_their_bounds(table):
 def test_a_densely_tabulated_sine_is_a_vibration():
     """The error of the displacement is of second order in the spacing of the rows at the extrema."""
     times = np.linspace(0.0, 1.0, 201)
-    motion = TableTranslation((0.0, 0.0, 1.0), MotionTable.of_values(times, 0.01 * np.sin(2 * pi * times)), start=0.5)
+    motion = TableTranslation(
+        (0.0, 0.0, 1.0), MotionTable.of_values(times, 0.01 * np.sin(2 * pi * times)), start=0.5
+    )
     at = 0.5 + np.linspace(0.0, 0.999, 777)
     found = pose([motion], at)
-    np.testing.assert_allclose(found.offset[:, 2], 0.01 * np.sin(2 * pi * (at - 0.5)), atol=0.01 * (2 * pi / 200) ** 2)
+    np.testing.assert_allclose(
+        found.offset[:, 2], 0.01 * np.sin(2 * pi * (at - 0.5)), atol=0.01 * (2 * pi / 200) ** 2
+    )
     assert speed_bound([motion], 1.0) == pytest.approx(0.02 * pi, rel=1e-3)
 
 
 def test_the_wall_is_at_rest_outside_the_table():
-    motion = TableTranslation((1.0, 0.0, 0.0), MotionTable.of_values((0.1, 0.2), (0.0, 3.0)), start=1.0, end=1.15)
+    motion = TableTranslation(
+        (1.0, 0.0, 0.0), MotionTable.of_values((0.1, 0.2), (0.0, 3.0)), start=1.0, end=1.15
+    )
     found = pose([motion], np.array([0.0, 1.05, 1.12, 1.5, 9.0]))
     np.testing.assert_allclose(found.offset[:, 0], [0.0, 0.0, 0.6, 1.5, 1.5], atol=1e-12)
     np.testing.assert_allclose(found.velocity[:, 0], [0.0, 0.0, 30.0, 0.0, 0.0], atol=1e-12)

@@ -1,4 +1,5 @@
-"""Triangulation of wall shapes for output: points on the surface, total area; fixed codes of the shape kinds."""
+"""Triangulation of wall shapes for output: points on the surface, total area; fixed codes of the shape
+kinds."""
 
 import numpy as np
 import pytest
@@ -32,9 +33,13 @@ def test_triangle_corners_lie_on_the_surface(name):
 )
 def test_triangles_cover_the_area_of_the_shape(shape, expected):
     points, faces = triangles(shape, CENTER, 0.5)
-    corner, first, second = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
+    corner = points[faces[:, 0]]
+    first = points[faces[:, 1]]
+    second = points[faces[:, 2]]
     area = np.linalg.norm(np.cross(first - corner, second - corner), axis=1).sum() / 2
-    assert area == pytest.approx(expected, rel=3e-3)  # 64 facets: 1 - sin(x) / x with x = 2 pi / 64, at most twice
+    assert area == pytest.approx(
+        expected, rel=3e-3
+    )  # 64 facets: 1 - sin(x) / x with x = 2 pi / 64, at most twice
 
 
 def test_codes_of_shape_kinds_are_fixed():

@@ -1,4 +1,5 @@
-"""Distance and normal of every shape: device against reference and against elementary geometry, in all precisions."""
+"""Distance and normal of every shape: device against reference and against elementary geometry, in all
+precisions."""
 
 import os
 import subprocess
@@ -14,7 +15,8 @@ from granflow.kernel_language import ti
 
 EPSILON = np.finfo(float).eps
 COORDINATE_SIZE = 4.0
-"""Largest intermediate coordinate of the random points; rounding errors are relative to it, not to the distance."""
+"""Largest intermediate coordinate of the random points; rounding errors are relative to it, not to the
+distance."""
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -25,7 +27,8 @@ def test_device_equals_reference(taichi_f64, name):
     expected_distance, expected_normal = shape.kind.reference_closest(points, shape.parameters)
     tolerance = 4 * EPSILON * COORDINATE_SIZE
     np.testing.assert_allclose(distance, expected_distance, rtol=0, atol=tolerance)
-    # A tangential error of `tolerance` rotates the normal by tolerance / distance; below 1e-9 it is indeterminate.
+    # A tangential error of `tolerance` rotates the normal by tolerance / distance; below 1e-9 it is
+    # indeterminate.
     determinate = (np.abs(distance) > 1e-9) & off_axis(shape, points)
     rotation = np.linalg.norm(normal - expected_normal, axis=1)[determinate]
     assert np.all(rotation <= tolerance * (1 + 1 / np.abs(distance[determinate])))
@@ -45,7 +48,8 @@ def test_normal_is_the_unit_gradient_of_the_distance(taichi_f64, name):
         ahead, _, _ = on_device(shape, points + shift)
         behind, _, _ = on_device(shape, points - shift)
         gradient[:, axis] = (ahead - behind) / (2 * step)
-    # Second derivatives are at most 1 / 0.05 away from edges; their jump across an edge adds at most step / 0.05.
+    # Second derivatives are at most 1 / 0.05 away from edges; their jump across an edge adds at most step /
+    # 0.05.
     np.testing.assert_allclose(normal[smooth], gradient[smooth], atol=2 * step / 0.05)
 
 
@@ -83,7 +87,8 @@ def test_distance_and_normal_of_elementary_cases(taichi_f64, case):
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_normal_on_the_axis_is_a_unit_vector(taichi_f64, name):
-    """At r = 0 the radial direction is arbitrary, but the distance and the length of the normal are defined."""
+    """At r = 0 the radial direction is arbitrary, but the distance and the length of the normal are
+    defined."""
     shape = SHAPES[name]
     points = shape.parameters[0:3] + np.linspace(-2, 2, 9)[:, None] * shape.parameters[3:6]
     distance, normal, _ = on_device(shape, points)

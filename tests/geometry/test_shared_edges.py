@@ -1,4 +1,5 @@
-"""Edges shared by surfaces of revolution: one contact at a convex edge, no edge contact in a concave corner."""
+"""Edges shared by surfaces of revolution: one contact at a convex edge, no edge contact in a concave
+corner."""
 
 import numpy as np
 import pytest
@@ -33,7 +34,8 @@ def hopper(flip):
 
 @pytest.mark.parametrize("flip", [False, True])
 def test_convex_edge_has_one_contact(taichi_f64, flip):
-    """The edge of the orifice from inside: between the normals of cone and tube the edge is the nearest feature."""
+    """The edge of the orifice from inside: between the normals of cone and tube the edge is the nearest
+    feature."""
     shapes = join_shared_edges(hopper(flip), [0, 0])
     cone_normal = np.array([-2.0, 1.0]) / np.sqrt(5)
     tube_normal = np.array([-1.0, 0.0])
@@ -45,7 +47,8 @@ def test_convex_edge_has_one_contact(taichi_f64, flip):
 
 @pytest.mark.parametrize("flip", [False, True])
 def test_concave_corner_has_two_face_contacts(taichi_f64, flip):
-    """Outside the hopper, in the corner between cone and tube: contacts with both faces, none with the edge."""
+    """Outside the hopper, in the corner between cone and tube: contacts with both faces, none with the
+    edge."""
     shapes = join_shared_edges(hopper(flip), [0, 0])
     assert contacts(shapes, (0.12, -0.001)) == [0, 1]
     assert contacts(shapes, (0.12, -0.02)) == [1]
@@ -53,14 +56,17 @@ def test_concave_corner_has_two_face_contacts(taichi_f64, flip):
 
 
 def test_joined_shapes_keep_the_distance_around_a_convex_edge(taichi_f64):
-    """The distance to the union of both surfaces is exact, and no two contacts have the same contact point."""
+    """The distance to the union of both surfaces is exact, and no two contacts have the same contact
+    point."""
     shapes = join_shared_edges(hopper(False), [0, 0])
     angle = np.linspace(0, 2 * np.pi, 721)
     points = np.stack([0.1 + 0.02 * np.cos(angle), 0 * angle, 0.02 * np.sin(angle)], axis=1)
     free = np.array([on_device(shape, points)[0] for shape in hopper(False)])
     joined = np.array([on_device(shape, points)[0] for shape in shapes])
     np.testing.assert_allclose(joined.min(axis=0), free.min(axis=0), rtol=1e-15)
-    contact_points = [points - d[:, None] * on_device(s, points)[1] for d, s in zip(joined, shapes, strict=True)]
+    contact_points = [
+        points - d[:, None] * on_device(s, points)[1] for d, s in zip(joined, shapes, strict=True)
+    ]
     both = np.all(joined < FAR_AWAY, axis=0)
     assert both.any()
     assert np.linalg.norm(contact_points[0] - contact_points[1], axis=1)[both].min() > 1e-6
@@ -79,17 +85,24 @@ def test_gate_at_the_end_of_a_cone_shares_its_edge(taichi_f64):
 
 def test_split_cylinder_acts_as_one_cylinder(taichi_f64):
     """Two halves end to end: one contact and no gap at the joint."""
-    shapes = join_shared_edges([cylinder([0, 0, 0], [0, 0, 0.5], 0.2), cylinder([0, 0, 0.5], [0, 0, 1], 0.2)], [0, 0])
+    shapes = join_shared_edges(
+        [cylinder([0, 0, 0], [0, 0, 0.5], 0.2), cylinder([0, 0, 0.5], [0, 0, 1], 0.2)], [0, 0]
+    )
     for z in (0.499, 0.5, 0.501):
         assert len(contacts(shapes, (0.19, z))) == 1
     assert len(contacts(shapes, (0.19, 1.01))) == 1
 
 
 def test_edge_of_three_shapes_has_one_owner(taichi_f64):
-    """Cone, tube and an outward shelf: only the two shapes adjacent to the widest opening can own the edge."""
+    """Cone, tube and an outward shelf: only the two shapes adjacent to the widest opening can own the
+    edge."""
     shapes = join_shared_edges([*hopper(False), disc([0, 0, 0], [0, 0, 1], 0.5, 0.1)], [0, 0, 0])
     assert (
-        sum(shape[name] for shape, name in zip(shapes, ["start_owned", "end_owned", "start_owned"], strict=True)) == 1
+        sum(
+            shape[name]
+            for shape, name in zip(shapes, ["start_owned", "end_owned", "start_owned"], strict=True)
+        )
+        == 1
     )
     assert len(contacts(shapes, (0.085, 0.003))) == 1
     assert contacts(shapes, (0.11, -0.01)) == [1, 2]

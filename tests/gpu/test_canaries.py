@@ -22,7 +22,9 @@ def after_inner_loop(arch):
     llvmpipe of Mesa 22.3 writes none of them.
     """
     ti = started(arch)
-    largest, smallest, written = ti.field(ti.i32, 1), ti.field(ti.i32, 1), ti.field(ti.i32, COUNT)
+    largest = ti.field(ti.i32, 1)
+    smallest = ti.field(ti.i32, 1)
+    written = ti.field(ti.i32, COUNT)
 
     @ti.kernel
     def scan(length: ti.i32):
@@ -49,7 +51,9 @@ def neighboring_fields(arch):
     Taichi 1.7 on Vulkan overwrites an integer field, because the f64 field is not aligned.
     """
     ti = started(arch)
-    before, reals, after = ti.field(ti.i32), ti.Vector.field(3, ti.f64), ti.field(ti.i32)
+    before = ti.field(ti.i32)
+    reals = ti.Vector.field(3, ti.f64)
+    after = ti.field(ti.i32)
     builder = ti.FieldsBuilder()
     for field, length in ((before, COUNT), (reals, COUNT), (after, COUNT)):
         builder.dense(ti.i, length).place(field)
@@ -68,7 +72,8 @@ def neighboring_fields(arch):
 
     write_integers()
     write_reals()
-    numbers, written = [field.to_numpy().tolist() for field in (before, after)], reals.to_numpy()
+    numbers = [field.to_numpy().tolist() for field in (before, after)]
+    written = reals.to_numpy()
     return [*numbers, float(written.min()), float(written.max())]
 
 
@@ -98,9 +103,11 @@ def test_20000_launches_are_executed(vulkan):
 
 
 def atomic_sums(arch):
-    """A sum of i64 terms above the range of i32 in one entry, and the same terms added to 4 entries of vectors."""
+    """A sum of i64 terms above the range of i32 in one entry, and the same terms added to 4 entries of
+    vectors."""
     ti = started(arch)
-    total, shared = ti.field(ti.i64, 1), ti.Vector.field(3, ti.i64, 4)
+    total = ti.field(ti.i64, 1)
+    shared = ti.Vector.field(3, ti.i64, 4)
 
     @ti.kernel
     def add():
@@ -129,7 +136,9 @@ def rounding(arch):
     found = np.zeros((2000, 8))
 
     @ti.kernel
-    def evaluate(a: ti.types.ndarray(), b: ti.types.ndarray(), c: ti.types.ndarray(), found: ti.types.ndarray()):
+    def evaluate(
+        a: ti.types.ndarray(), b: ti.types.ndarray(), c: ti.types.ndarray(), found: ti.types.ndarray()
+    ):
         for i in range(2000):
             found[i, 0] = a[i] * b[i] + c[i] * c[i]
             found[i, 1] = (a[i] - b[i]) / c[i]
@@ -141,7 +150,15 @@ def rounding(arch):
             found[i, 7] = a[i] * b[i] + a[i] * c[i]
 
     evaluate(a, b, c, found)
-    exact = [a * b + c * c, (a - b) / c, np.sqrt(a * a + 1.0), a - (a + b), (a + b) - a, (a * 0.3) * 0.7, a / 3.0]
+    exact = [
+        a * b + c * c,
+        (a - b) / c,
+        np.sqrt(a * a + 1.0),
+        a - (a + b),
+        (a + b) - a,
+        (a * 0.3) * 0.7,
+        a / 3.0,
+    ]
     return np.count_nonzero(found != np.stack([*exact, a * b + a * c], axis=1), axis=0).tolist()
 
 
@@ -150,7 +167,9 @@ def test_each_operation_has_the_bits_of_numpy(vulkan):
     assert in_subprocess(rounding, "vulkan")[:4] == [0] * 4
 
 
-@pytest.mark.xfail(reason="neither Quadrants nor Taichi marks operations as exact, so that Vulkan drivers reassociate")
+@pytest.mark.xfail(
+    reason="neither Quadrants nor Taichi marks operations as exact, so that Vulkan drivers reassociate"
+)
 def test_expressions_have_the_bits_of_numpy(vulkan):
     """Required for the bits of the CPU; if this passes, `test_scenes` can compare bits."""
     assert in_subprocess(rounding, "vulkan")[4:] == [0] * 4

@@ -32,7 +32,8 @@ def test_canary_the_kernel_language_does_not_copy_long_fields(vulkan):
 def wrong_entries():
     """Number of entries that differ after they are written to a field and read again."""
     start("vulkan", "f32")
-    field, values = ti.field(ti.i32, LENGTH), np.arange(1, LENGTH - 6, dtype=np.int32)
+    field = ti.field(ti.i32, LENGTH)
+    values = np.arange(1, LENGTH - 6, dtype=np.int32)
     write_field(field, values)
     found = read_field(field)
     return int((found[: len(values)] != values).sum()) + int(np.count_nonzero(found[len(values) :]))

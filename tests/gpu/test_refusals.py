@@ -1,4 +1,5 @@
-"""Backends that return wrong results, or end early, are refused with one sentence and a remedy; no GPU is needed."""
+"""Backends that return wrong results, or end early, are refused with one sentence and a remedy; no GPU is
+needed."""
 
 import os
 import subprocess
@@ -14,7 +15,9 @@ LLVMPIPE = "llvmpipe (LLVM 15.0.6, 256 bits)"
 OLD = VulkanDevice(LLVMPIPE, "llvmpipe Mesa 22.3.6 (LLVM 15.0.6)", on_cpu=True)
 NEW = VulkanDevice(LLVMPIPE, "llvmpipe Mesa 25.0.7-2~bpo12+1 (LLVM 15.0.6)", on_cpu=True)
 CARD = VulkanDevice("NVIDIA A100", "NVIDIA 550.54.14", on_cpu=False)
-CARD_32_BIT = VulkanDevice("Intel Arc", "Intel open-source Mesa driver Mesa 24.1.0", on_cpu=False, has_64_bit=False)
+CARD_32_BIT = VulkanDevice(
+    "Intel Arc", "Intel open-source Mesa driver Mesa 24.1.0", on_cpu=False, has_64_bit=False
+)
 
 
 def refusal(monkeypatch, language, *devices):

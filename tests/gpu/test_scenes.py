@@ -1,10 +1,11 @@
 """Runs on Vulkan agree with the CPU to rounding, and repeat bit for bit.
 
-Vulkan drivers reassociate sums and products, see `test_canaries`, so that forces are rounded differently. The deviation
-from the CPU is limited by that of two runs on the CPU with a modulus that is larger, or smaller, by a few roundings,
-and with units of the exact sums that are twice as large: where particle sizes differ, contacts of small particles are
-rounded to these. One run can underestimate the deviation sixfold: with the model luding in f32, the positions of three
-larger moduli deviate by 4.2, 4.6 and 13 roundings, of two smaller ones by 27 and 29, on Vulkan by 60.
+Vulkan drivers reassociate sums and products, see `test_canaries`, so that forces are rounded differently. The
+deviation from the CPU is limited by that of two runs on the CPU with a modulus that is larger, or smaller, by
+a few roundings, and with units of the exact sums that are twice as large: where particle sizes differ,
+contacts of small particles are rounded to these. One run can underestimate the deviation sixfold: with the
+model luding in f32, the positions of three larger moduli deviate by 4.2, 4.6 and 13 roundings, of two smaller
+ones by 27 and 29, on Vulkan by 60.
 """
 
 import numpy as np
@@ -30,7 +31,8 @@ EPSILON = {"f32": 2.0**-23, "f64": 2.0**-52}
 def state_after(scene, arch, precision):
     """Final particles by id, counts of the run; the ids are checked."""
     last, simulation = run_to_end(scene, arch=arch, precision=precision, threads=1)
-    ids, inserted = last.particles["id"].tolist(), simulation.engine.accounting.inserted_count
+    ids = last.particles["id"].tolist()
+    inserted = simulation.engine.accounting.inserted_count
     assert len(set(ids)) == len(ids) == int(last.totals["particle_count"])
     assert set(ids) <= set(range(inserted)), "each id is that of an inserted particle"
     assert len(ids) == inserted - last.totals["deleted_count"]
@@ -42,7 +44,8 @@ def state_after(scene, arch, precision):
 
 
 def states(names, folder, arch, precision, disturbance=0.0):
-    """The final state of each scene; `disturbance`: relative change of the modulus, with larger units if not 0."""
+    """The final state of each scene; `disturbance`: relative change of the modulus, with larger units if not
+    0."""
     scene_builders.SOFT["young_modulus"] *= 1.0 + disturbance
     sum_units.FORCE_BITS -= int(disturbance != 0.0)
     return {name: state_after(SCENES[name](folder), arch, precision) for name in names}
@@ -65,13 +68,16 @@ def assert_agreement(names, folder, precision):
     arguments = (list(names), str(folder))
     cpu = in_subprocess(states, *arguments, "cpu", precision, seconds=900)
     disturbances = (ROUNDINGS * EPSILON[precision], -ROUNDINGS * EPSILON[precision])
-    disturbed = [in_subprocess(states, *arguments, "cpu", precision, each, seconds=900) for each in disturbances]
+    disturbed = [
+        in_subprocess(states, *arguments, "cpu", precision, each, seconds=900) for each in disturbances
+    ]
     gpu = in_subprocess(states, *arguments, "vulkan", precision, seconds=900)
     for name in names:
         assert cpu[name]["contacts"] or cpu[name]["rebuilds"] > 2
         assert all(gpu[name][key] == cpu[name][key] for key in ("ids", "steps")), name
     found = {
-        name: worst_deviation(cpu[name], [each[name] for each in disturbed], gpu[name], precision) for name in names
+        name: worst_deviation(cpu[name], [each[name] for each in disturbed], gpu[name], precision)
+        for name in names
     }
     assert max(found.values()) <= 1.0, found
 
@@ -98,7 +104,9 @@ def state_in_small_trees(folder, tree_size):
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
 def test_fields_in_several_buffers_have_the_bits_of_those_in_one(vulkan, tmp_path):
-    one, several = (in_subprocess(state_in_small_trees, str(tmp_path), 2**power, seconds=1400) for power in (32, 19))
+    one, several = (
+        in_subprocess(state_in_small_trees, str(tmp_path), 2**power, seconds=1400) for power in (32, 19)
+    )
     assert one["contacts"] and one == several
 
 

@@ -50,9 +50,18 @@ def test_invalid_scene_gives_its_messages(case, tmp_path):
 
 FILES = [
     (b"", ":1:1: the file is empty, but a scene is a mapping of keys to values, such as title: My scene."),
-    (b"# nothing\n", ":1:1: the file is empty, but a scene is a mapping of keys to values, such as title: My scene."),
-    (b"- a\n", ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene."),
-    (b"hopper", ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene."),
+    (
+        b"# nothing\n",
+        ":1:1: the file is empty, but a scene is a mapping of keys to values, such as title: My scene.",
+    ),
+    (
+        b"- a\n",
+        ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene.",
+    ),
+    (
+        b"hopper",
+        ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene.",
+    ),
     ("title: x\n".encode("utf-16"), ":1:1: the file is encoded in UTF-16; save it as UTF-8."),
     (b"title: x\nseed: \xff\n", ":2:7: the file is not valid UTF-8 text; save it as UTF-8."),
     (b"title: x\0\n", ": the file is binary; a scene is UTF-8 text."),
@@ -68,8 +77,11 @@ def test_file_that_is_not_a_scene_is_rejected(raw, sentence, tmp_path):
 
 def test_missing_file_is_reported_with_a_similar_name(tmp_path):
     (tmp_path / "hopper.yaml").touch()
-    similar, different = tmp_path / "hoper.yaml", tmp_path / "x.yaml"
-    assert sentences(similar) == [f"{similar}: there is no such file. Did you mean {tmp_path / 'hopper.yaml'}?"]
+    similar = tmp_path / "hoper.yaml"
+    different = tmp_path / "x.yaml"
+    assert sentences(similar) == [
+        f"{similar}: there is no such file. Did you mean {tmp_path / 'hopper.yaml'}?"
+    ]
     assert sentences(different) == [f"{different}: there is no such file."]
 
 
@@ -159,7 +171,9 @@ def test_invalid_override_gives_its_message(override, sentence):
 
 
 def test_missing_key_in_an_override_is_reported_with_the_override():
-    assert sentences(HERE / "good.yaml", "walls.lid={shape: disc, material: steel, center: [0, 0, 0], radius: 1}") == [
+    assert sentences(
+        HERE / "good.yaml", "walls.lid={shape: disc, material: steel, center: [0, 0, 0], radius: 1}"
+    ) == [
         "--set walls.lid={shape: disc, material: steel, center: [0, 0, 0], radius: 1}: "
         "walls.lid.normal is missing: normal; its length and sign do not matter."
     ]

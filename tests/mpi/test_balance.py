@@ -24,7 +24,9 @@ class ThreadRanks:
     """Communicators of ranks that are threads of this process."""
 
     def __init__(self, size):
-        self.size, self.barrier, self.values = size, Barrier(size), [None] * size
+        self.size = size
+        self.barrier = Barrier(size)
+        self.values = [None] * size
 
     def on_each(self, rank, value):
         """The values of all ranks."""
@@ -44,7 +46,9 @@ class ThreadRank:
     """The communicator of one of these ranks."""
 
     def __init__(self, ranks, rank):
-        self.ranks, self.rank, self.size = ranks, rank, ranks.size
+        self.ranks = ranks
+        self.rank = rank
+        self.size = ranks.size
 
     def from_each(self, value):
         return self.ranks.on_each(self.rank, value)
@@ -57,10 +61,12 @@ class ThreadRank:
 
 
 def owner_of(position, contacts, *measured):
-    """Rank of each particle after a rebuild, and after each further one, before which the ranks measure times [s]."""
+    """Rank of each particle after a rebuild, and after each further one, before which the ranks measure times
+    [s]."""
 
     def rebuilds(communicator):
-        balance, own = LoadBalance(communicator), np.array_split(np.arange(COUNT), communicator.size)[communicator.rank]
+        balance = LoadBalance(communicator)
+        own = np.array_split(np.arange(COUNT), communicator.size)[communicator.rank]
         found = []
         for seconds in (None, *measured):
             if seconds is not None:
@@ -68,7 +74,9 @@ def owner_of(position, contacts, *measured):
                 balance.record(0.5 * own_seconds)
                 balance.record(1.5 * own_seconds)
             moved = balance.owners(position[own], contacts[own])
-            owners, rows = (np.concatenate(part) for part in zip(*communicator.from_each((moved, own)), strict=True))
+            owners, rows = (
+                np.concatenate(part) for part in zip(*communicator.from_each((moved, own)), strict=True)
+            )
             found.append(owners[np.argsort(rows)])
             own = np.flatnonzero(found[-1] == communicator.rank)
         return found
@@ -146,7 +154,8 @@ def test_cost_of_a_rank_begins_anew_after_a_migration():
 
 @pytest.mark.parametrize(("steps", "due"), [(39, False), (41, True)])
 def test_migration_is_due_when_waiting_has_cost_twice_its_time(steps, due):
-    """Steps of 12 and 8 ms: 2 ms over the mean in each, 80 ms in 40 steps, twice the 40 ms of the slower migration."""
+    """Steps of 12 and 8 ms: 2 ms over the mean in each, 80 ms in 40 steps, twice the 40 ms of the slower
+    migration."""
     costs = [MeasuredCost(0.012, steps, 0.03), MeasuredCost(0.008, steps, 0.04)]
     assert migration_pays(costs) is due
     assert not migration_pays([MeasuredCost(0.012, 10 * steps, 0.03), MeasuredCost(0.012, 10 * steps, 0.04)])

@@ -9,13 +9,16 @@ from rank_launcher import alone, on_ranks
 from rank_scenes import FEATURES, LAWS
 from resume.runs import complex_scene, files_of
 
-pytestmark = pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
+pytestmark = pytest.mark.skipif(
+    bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started"
+)
 
 PROGRAM = Path(__file__).parent.parent / "rank_runs.py"
 
 
 def state_of(folder, scene, ranks=0, kind="ranks"):
-    """Arrays of the last state of a scene of `rank_runs`, without MPI or on a number of ranks; `kind` as there."""
+    """Arrays of the last state of a scene of `rank_runs`, without MPI or on a number of ranks; `kind` as
+    there."""
     path = folder / f"{scene}_{ranks}.npz"
     options = (PROGRAM, scene, path, kind if ranks else "alone")
     done = on_ranks(ranks, *options) if ranks else alone(*options)
@@ -27,10 +30,12 @@ def state_of(folder, scene, ranks=0, kind="ranks"):
 def assert_same_bits(expected, found):
     """Assert that a run on ranks has the arrays of one without MPI.
 
-    Returns the numbers of particles that each rank has sent to each rank after the first rebuild, the number of
-    reallocations, and the number of particles of each rank at the end.
+    Returns the numbers of particles that each rank has sent to each rank after the first rebuild, the number
+    of reallocations, and the number of particles of each rank at the end.
     """
-    migrations, growths, owned = found.pop("migrations"), found.pop("growths"), found.pop("owned")
+    migrations = found.pop("migrations")
+    growths = found.pop("growths")
+    owned = found.pop("owned")
     assert found.keys() == expected.keys()
     different = [name for name, values in expected.items() if not np.array_equal(values, found[name])]
     assert not different
@@ -38,7 +43,8 @@ def assert_same_bits(expected, found):
 
 
 def test_two_ranks_give_the_bits_of_a_run_without_mpi(tmp_path):
-    expected, found = state_of(tmp_path, "short"), state_of(tmp_path, "short", 2)
+    expected = state_of(tmp_path, "short")
+    found = state_of(tmp_path, "short", 2)
     migrations, _, _ = assert_same_bits(expected, found)
     assert expected["rebuilds"] >= 5
     assert len(expected["history.pairs"].T) > 40
@@ -98,7 +104,9 @@ def test_ranks_with_more_contacts_have_fewer_particles(tmp_path):
 
 @pytest.mark.slow
 def test_arrays_grow_on_all_ranks(tmp_path):
-    _, growths, _ = assert_same_bits(state_of(tmp_path, "long_lists"), state_of(tmp_path, "long_lists", 3, "small"))
+    _, growths, _ = assert_same_bits(
+        state_of(tmp_path, "long_lists"), state_of(tmp_path, "long_lists", 3, "small")
+    )
     assert growths >= 2, "for particles and for neighbor lists"
 
 

@@ -11,7 +11,8 @@ from granflow.parallel.exchange import box_of, within
 
 
 class AllParticles:
-    """A communicator of a rank that has all particles, with a number of ranks to which they are distributed."""
+    """A communicator of a rank that has all particles, with a number of ranks to which they are
+    distributed."""
 
     def __init__(self, size):
         self.size = size
@@ -30,7 +31,9 @@ def ones(position):
 @pytest.mark.parametrize("ranks", [1, 2, 3, 5, 8])
 def test_each_rank_has_an_equal_number_of_particles(ranks):
     position = np.random.default_rng(1).normal(size=(1000, 3)) * [3.0, 1.0, 0.2]
-    counts = np.bincount(bisected(AllParticles(ranks), position, ones(position)).owners(position), minlength=ranks)
+    counts = np.bincount(
+        bisected(AllParticles(ranks), position, ones(position)).owners(position), minlength=ranks
+    )
     assert len(counts) == ranks
     assert np.ptp(counts) <= 2
 
@@ -38,8 +41,11 @@ def test_each_rank_has_an_equal_number_of_particles(ranks):
 @pytest.mark.parametrize("ranks", [2, 3, 5])
 def test_each_rank_has_an_equal_weight(ranks):
     rng = np.random.default_rng(6)
-    position, weights = rng.random((1000, 3)), rng.integers(1, 50, 1000)
-    owned = np.bincount(bisected(AllParticles(ranks), position, weights).owners(position), weights, minlength=ranks)
+    position = rng.random((1000, 3))
+    weights = rng.integers(1, 50, 1000)
+    owned = np.bincount(
+        bisected(AllParticles(ranks), position, weights).owners(position), weights, minlength=ranks
+    )
     assert np.ptp(owned) <= 100, "two particles"
 
 
@@ -51,7 +57,9 @@ def test_parts_are_cut_across_their_longest_side():
 
 def test_particles_outside_the_bed_have_an_owner():
     position = np.random.default_rng(3).random((100, 3))
-    owners = bisected(AllParticles(4), position, ones(position)).owners(np.array([[-9.0, 0.5, 0.5], [9.0, 9.0, 9.0]]))
+    owners = bisected(AllParticles(4), position, ones(position)).owners(
+        np.array([[-9.0, 0.5, 0.5], [9.0, 9.0, 9.0]])
+    )
     assert set(owners) <= {0, 1, 2, 3}
 
 
@@ -65,16 +73,22 @@ def test_without_particles_one_rank_owns_all_that_come_later():
 SHEAR = ImageMotion(flow=1, gradient=0, speed=1.0, start=0.0)
 
 
-@pytest.mark.parametrize(("axes", "motion"), [((), None), ((0,), None), ((0, 1, 2), None), ((0, 1, 2), SHEAR)])
+@pytest.mark.parametrize(
+    ("axes", "motion"), [((), None), ((0,), None), ((0, 1, 2), None), ((0, 1, 2), SHEAR)]
+)
 def test_ghosts_contain_all_pairs_within_reach(axes, motion):
-    rng, width = np.random.default_rng(5), np.array([1.0, 0.8, 0.6])
-    position, reach = rng.random((600, 3)) * width, rng.uniform(0.02, 0.06, 600)
+    rng = np.random.default_rng(5)
+    width = np.array([1.0, 0.8, 0.6])
+    position = rng.random((600, 3)) * width
+    reach = rng.uniform(0.02, 0.06, 600)
     box = PeriodicBox(axes, np.zeros(3), width, motion)
     plan = SimpleNamespace(
         periodic_box=box, domain_low=np.zeros(3), domain_high=width, laws=SimpleNamespace(range=0.01)
     )
     own, other = position[:, 0] < 0.3, position[:, 0] >= 0.3
-    ghosts = within(SimpleNamespace(plan=plan), box_of(position[own], reach[own]), position[other], reach[other])
+    ghosts = within(
+        SimpleNamespace(plan=plan), box_of(position[own], reach[own]), position[other], reach[other]
+    )
     for time in (0.0, 0.13, 0.37):  # images of the shear are at other places
         images = box.at(time).nearest_images(
             np.repeat(position[other], own.sum(), axis=0), np.tile(position[own], (other.sum(), 1))

@@ -49,7 +49,9 @@ def test_frames_of_ranks_equal_those_without_mpi(tmp_path):
         for name, values in expected.particles.items():
             np.testing.assert_array_equal(values, found.particles[name], name)
             assert values.dtype == found.particles[name].dtype
-    assert (tmp_path / "one" / "timeseries.csv").read_bytes() == (tmp_path / "two" / "timeseries.csv").read_bytes()
+    assert (tmp_path / "one" / "timeseries.csv").read_bytes() == (
+        tmp_path / "two" / "timeseries.csv"
+    ).read_bytes()
     metric = "output.metrics.bed={kind: coordination}"
     for verb, *options in (("report",), ("analyze", "--set", metric), ("render",)):
         done = alone("-m", "granflow", verb, tmp_path / "two", *options)
@@ -70,7 +72,8 @@ def written(folder, *parts):
     def write(directory, frame):
         pieces = []
         for rank, ids in enumerate(parts):
-            path, mesh = piece_path(directory, frame, rank), mesh_of(ids)
+            path = piece_path(directory, frame, rank)
+            mesh = mesh_of(ids)
             write_vtu(path, mesh)
             pieces.append(Piece.of(path.name, mesh))
         return pieces
@@ -81,7 +84,8 @@ def written(folder, *parts):
 
 def test_pieces_are_joined_in_the_order_of_the_ids(tmp_path):
     written(tmp_path, [5, 1], [], [4, 2])
-    found, expected = read_pvtu(tmp_path / "particles_0000.pvtu", LARGEST), mesh_of([1, 2, 4, 5])
+    found = read_pvtu(tmp_path / "particles_0000.pvtu", LARGEST)
+    expected = mesh_of([1, 2, 4, 5])
     np.testing.assert_array_equal(found.points, expected.points)
     assert found.points.dtype == np.float32
     for name, values in expected.point_data.items():
@@ -92,9 +96,7 @@ def test_pieces_are_joined_in_the_order_of_the_ids(tmp_path):
 def test_pyvista_reads_the_frame(tmp_path):
     pytest.importorskip("pyvista")
     written(tmp_path, [5, 1], [], [4, 2])
-    program = (
-        "import pyvista, sys; frame = pyvista.read(sys.argv[1]); print(sorted(frame['id']), frame['velocity'].shape)"
-    )
+    program = "import pyvista, sys; frame = pyvista.read(sys.argv[1]); print(sorted(frame['id']), frame['velocity'].shape)"
     done = subprocess.run(
         [sys.executable, "-c", program, str(tmp_path / "particles_0000.pvtu")],
         capture_output=True,

@@ -20,7 +20,9 @@ from granflow.engine.backend import CACHE_VARIABLE as VARIABLE
 from granflow.engine.backend import CACHED_KERNELS as KERNELS
 from granflow.io.checkpoint import newest_checkpoint, read_checkpoint
 
-pytestmark = pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
+pytestmark = pytest.mark.skipif(
+    bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started"
+)
 
 PROGRAM = Path(__file__).parent.parent / "rank_runs.py"
 LONGEST_END = 10.0
@@ -40,7 +42,9 @@ def test_an_exception_in_one_rank_ends_all(tmp_path, fault, rank):
 
 def small_scene(folder, **changes):
     """File of a scene with two particles that collide."""
-    groups = {"pair": particle_group([[0.0, 0.0, 0.0], [0.0, 0.0, 0.011]], velocity=[[0.0] * 3, [0.0, 0.0, -1.0]])}
+    groups = {
+        "pair": particle_group([[0.0, 0.0, 0.0], [0.0, 0.0, 0.011]], velocity=[[0.0] * 3, [0.0, 0.0, -1.0]])
+    }
     scene = build_scene(groups, **({"run": {"duration": 0.002}, "output": {"interval": 0.001}} | changes))
     return scene.save(folder / "scene.yaml")
 
@@ -53,7 +57,10 @@ def run_on_ranks(ranks, *arguments):
 def test_files_of_a_run_on_ranks_equal_those_without_mpi(tmp_path):
     """The first stage ends on a quantity: when the particles touch, after 1 ms."""
     condition = {"quantity": "contact_count", "above": 0}
-    stages = [{"name": "approach", "until": condition, "max_duration": 1.0}, {"name": "rest", "duration": 1e-3}]
+    stages = [
+        {"name": "approach", "until": condition, "max_duration": 1.0},
+        {"name": "rest", "duration": 1e-3},
+    ]
     output = {"interval": 1e-3, "timeseries_interval": 1e-5}
     scene = small_scene(tmp_path, stages=stages, run={"velocity_max": 1.0}, output=output)
     one = alone("-m", "granflow", "run", scene, "--out", tmp_path / "one")
@@ -64,7 +71,8 @@ def test_files_of_a_run_on_ranks_equal_those_without_mpi(tmp_path):
 
 
 def test_ranks_with_different_scenes_are_refused_with_one_sentence(tmp_path):
-    """Each rank runs in a folder of its own; the scene of rank 1 has another restitution, or does not exist."""
+    """Each rank runs in a folder of its own; the scene of rank 1 has another restitution, or does not
+    exist."""
     folders = [tmp_path / "0", tmp_path / "1"]
     for folder, e in zip(folders, (0.8, 0.3), strict=True):
         folder.mkdir()
@@ -86,7 +94,8 @@ def test_ranks_with_different_scenes_are_refused_with_one_sentence(tmp_path):
 
 
 def test_ranks_store_their_kernels_for_the_next_run(tmp_path, monkeypatch):
-    cache, scene = tmp_path / "cache", small_scene(tmp_path)
+    cache = tmp_path / "cache"
+    scene = small_scene(tmp_path)
     monkeypatch.setenv(VARIABLE, str(cache))
     found = []
     for ranks in (1, 2):
@@ -96,7 +105,8 @@ def test_ranks_store_their_kernels_for_the_next_run(tmp_path, monkeypatch):
 
 
 def resumable_scene(folder):
-    """File of a scene with 64 particles, friction, rain, a vibrating floor, a servo wall, and frames of contacts."""
+    """File of a scene with 64 particles, friction, rain, a vibrating floor, a servo wall, and frames of
+    contacts."""
     region = {"box": {"min": [0.005, 0.005, 0.032], "max": [0.023, 0.023, 0.05]}}
     rain = {"material": "glass", "count": 20, "diameter": 0.004,
             "insert": {"kind": "rain", "region": region, "rate": 20000.0}}  # fmt: skip
@@ -137,7 +147,9 @@ def test_a_run_on_two_ranks_is_resumed_without_mpi(tmp_path):
     completed(run_on_ranks(2, "run", scene, "--mpi", "--out", tmp_path / "parts", "--until", "0.0021"))
     kept = [*(tmp_path / "parts").glob("checkpoint_*.npz")]
     assert len(kept) == len([*(tmp_path / "parts").glob("rank_*_0001.npz")]) == 2
-    counts = [len(read_checkpoint(kept[0], part).saved["engine"]["particles"]["id"]) for part in ("root", "all")]
+    counts = [
+        len(read_checkpoint(kept[0], part).saved["engine"]["particles"]["id"]) for part in ("root", "all")
+    ]
     assert 20 < counts[0] < 64 < counts[1]
     completed(alone("-m", "granflow", "resume", tmp_path / "parts", "--threads", "1"))
     assert_same_files(tmp_path / "whole", tmp_path / "parts")
@@ -145,7 +157,8 @@ def test_a_run_on_two_ranks_is_resumed_without_mpi(tmp_path):
 
 @pytest.mark.slow
 def test_a_run_is_resumed_on_other_numbers_of_ranks(tmp_path):
-    scene, parts = resumable_scene(tmp_path), tmp_path / "parts"
+    scene = resumable_scene(tmp_path)
+    parts = tmp_path / "parts"
     completed(alone("-m", "granflow", "run", scene, "--out", tmp_path / "whole", "--threads", "1"))
     completed(alone("-m", "granflow", "run", scene, "--out", parts, "--until", "0.0008"))
     for ranks, until in ((2, "0.0016"), (1, "0.0022"), (3, "0.0029"), (4, "0.004")):
@@ -155,7 +168,8 @@ def test_a_run_is_resumed_on_other_numbers_of_ranks(tmp_path):
 
 @pytest.mark.slow
 def test_ranks_refuse_a_damaged_file_and_use_the_checkpoint_before_it(tmp_path):
-    scene, parts = resumable_scene(tmp_path), tmp_path / "parts"
+    scene = resumable_scene(tmp_path)
+    parts = tmp_path / "parts"
     completed(alone("-m", "granflow", "run", scene, "--out", tmp_path / "whole", "--threads", "1"))
     completed(run_on_ranks(3, "run", scene, "--mpi", "--out", parts, "--until", "0.0021"))
     damaged = max(parts.glob("rank_*.npz"))
@@ -164,7 +178,9 @@ def test_ranks_refuse_a_damaged_file_and_use_the_checkpoint_before_it(tmp_path):
     damaged.write_bytes(data)
     done = run_on_ranks(2, "resume", parts, "--mpi")
     assert done.returncode == 2
-    sentence = f"{damaged} is damaged: it is truncated, or its bytes have changed. Remove it to use the checkpoint "
+    sentence = (
+        f"{damaged} is damaged: it is truncated, or its bytes have changed. Remove it to use the checkpoint "
+    )
     assert done.stderr.count(sentence) == 1
     assert "Traceback" not in done.stderr
     damaged.unlink()
@@ -176,7 +192,8 @@ def test_ranks_refuse_a_damaged_file_and_use_the_checkpoint_before_it(tmp_path):
 
 @pytest.mark.slow
 def test_a_run_with_a_killed_rank_is_resumed(tmp_path):
-    scene, parts = resumable_scene(tmp_path), tmp_path / "parts"
+    scene = resumable_scene(tmp_path)
+    parts = tmp_path / "parts"
     completed(alone("-m", "granflow", "run", scene, "--out", tmp_path / "whole", "--threads", "1"))
     command = [rank_launcher.MPIRUN, "-n", "2", sys.executable, "-m", "granflow", "run", "--mpi", str(scene)]
     with subprocess.Popen(
@@ -185,7 +202,9 @@ def test_a_run_with_a_killed_rank_is_resumed(tmp_path):
         while not [*parts.glob("checkpoint_*.npz")]:
             assert launcher.poll() is None
             time.sleep(0.01)
-        ranks = [each for each in psutil.Process(launcher.pid).children(recursive=True) if "python" in each.name()]
+        ranks = [
+            each for each in psutil.Process(launcher.pid).children(recursive=True) if "python" in each.name()
+        ]
         os.kill(ranks[-1].pid, signal.SIGKILL)
         launcher.wait(timeout=60)
     assert not (parts / "result.json").exists(), "the run has not ended before the kill"
@@ -230,15 +249,22 @@ def test_an_invalid_scene_is_reported_once(tmp_path):
 @contextmanager
 def endless_run(folder):
     """The process of mpirun and those of two ranks, which compute the steps of a scene of 50 s."""
-    walls, positions = box(0.1), 0.012 * (np.argwhere(np.ones((8, 8, 8))) + 0.5)
-    scene = build_scene({"bed": particle_group(positions)}, walls, gravity=[0.0, 0.0, -9.81], run={"duration": 50.0})
+    walls = box(0.1)
+    positions = 0.012 * (np.argwhere(np.ones((8, 8, 8))) + 0.5)
+    scene = build_scene(
+        {"bed": particle_group(positions)}, walls, gravity=[0.0, 0.0, -9.81], run={"duration": 50.0}
+    )
     command = [rank_launcher.MPIRUN, "-n", "2", sys.executable, "-m", "granflow", "run", "--mpi"]
     command += [str(scene.save(folder / "scene.yaml")), "--out", str(folder / "out")]
-    with subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as launcher:
+    with subprocess.Popen(
+        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    ) as launcher:
         while not (folder / "out" / "particles_0000.vtu").exists():
             assert launcher.poll() is None
             time.sleep(0.1)
-        ranks = [each for each in psutil.Process(launcher.pid).children(recursive=True) if "python" in each.name()]
+        ranks = [
+            each for each in psutil.Process(launcher.pid).children(recursive=True) if "python" in each.name()
+        ]
         assert len(ranks) == 2
         try:
             yield launcher, ranks

@@ -28,7 +28,10 @@ def test_another_kernel_language_is_refused_by_check(tmp_path, capsys, monkeypat
     monkeypatch.setattr(ranks, "KERNELS", "quadrants")
     path = scene_with({}).save(tmp_path / "scene.yaml")
     assert main(["check", str(path), "--mpi"]) == 2
-    assert "GRANFLOW_KERNELS=quadrants does not work with --mpi: unset GRANFLOW_KERNELS." in capsys.readouterr().err
+    assert (
+        "GRANFLOW_KERNELS=quadrants does not work with --mpi: unset GRANFLOW_KERNELS."
+        in capsys.readouterr().err
+    )
     assert main(["check", str(path)]) == 0
 
 

@@ -26,9 +26,12 @@ def particles_of(count, seed=0, **replaced):
 
 
 def snapshot_of(time=0.0, step=0, stage="run", particles=None, contacts=None, walls=None, totals=None):
-    """A snapshot of the given parts; by default of five particles with two totals, without contacts and walls."""
+    """A snapshot of the given parts; by default of five particles with two totals, without contacts and
+    walls."""
     particles = particles_of(5) if particles is None else particles
-    totals = {"particle_count": len(particles.get("id", ())), "kinetic_energy": 0.25} if totals is None else totals
+    totals = (
+        {"particle_count": len(particles.get("id", ())), "kinetic_energy": 0.25} if totals is None else totals
+    )
     return Snapshot(time, step, stage, particles, contacts, walls or {}, totals)
 
 
@@ -38,7 +41,9 @@ def contacts_of(count, seed=1):
 
 
 def turned(angle, offset=(0.0, 0.0, 0.0), pivot=(0.0, 0.0, 0.0), present=True):
-    """Pose of a wall that is rotated about z by `angle` [rad] around `pivot` [m] and then moved by `offset` [m]."""
-    c, s = np.cos(angle), np.sin(angle)
+    """Pose of a wall that is rotated about z by `angle` [rad] around `pivot` [m] and then moved by `offset`
+    [m]."""
+    c = np.cos(angle)
+    s = np.sin(angle)
     rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return WallPose(present, np.array(offset), rotation, np.array(pivot))

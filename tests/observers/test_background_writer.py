@@ -1,4 +1,5 @@
-"""Frames are written in order by a thread; its errors reach the run, and no frame is lost before a checkpoint."""
+"""Frames are written in order by a thread; its errors reach the run, and no frame is lost before a
+checkpoint."""
 
 import errno
 import threading
@@ -15,7 +16,8 @@ POINT = VtuMesh.of_points(np.zeros((1, 3)), {})
 
 
 def test_tasks_run_in_order_in_another_thread():
-    writer, seen = BackgroundWriter(), []
+    writer = BackgroundWriter()
+    seen = []
     with writer.running():
         for number in range(50):
             writer.submit(lambda number=number: seen.append((number, threading.current_thread())))
@@ -24,14 +26,17 @@ def test_tasks_run_in_order_in_another_thread():
 
 
 def test_task_outside_of_running_is_executed_at_once():
-    writer, seen = BackgroundWriter(), []
+    writer = BackgroundWriter()
+    seen = []
     writer.submit(lambda: seen.append(threading.current_thread()))
     assert seen == [threading.main_thread()]
 
 
 def test_full_queue_delays_the_submitting_thread(monkeypatch):
     monkeypatch.setattr(background_writer, "LONGEST_QUEUE", 2)
-    writer, gate, submitted = BackgroundWriter(), threading.Event(), []
+    writer = BackgroundWriter()
+    gate = threading.Event()
+    submitted = []
 
     def submit_five():
         for number in range(5):
@@ -50,7 +55,9 @@ def test_full_queue_delays_the_submitting_thread(monkeypatch):
 
 def test_error_is_raised_once_and_later_tasks_are_tried_again():
     """The failed task stays first, so that the order of files is kept."""
-    writer, seen, disk = BackgroundWriter(), [], {"full": True}
+    writer = BackgroundWriter()
+    seen = []
+    disk = {"full": True}
 
     def write(name):
         if disk["full"]:
@@ -80,7 +87,8 @@ def test_end_of_running_raises_the_error_of_the_last_task():
 
 def test_sync_waits_for_all_frames(tmp_path, monkeypatch):
     """A checkpoint contains the list of frames after `sync`: all of them are on the disk then."""
-    written, gate = [], threading.Event()
+    written = []
+    gate = threading.Event()
 
     def write_slowly(path, mesh, _):
         gate.wait(0.05)

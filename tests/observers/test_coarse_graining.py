@@ -15,7 +15,8 @@ GRAVITY = 9.81
 
 
 def cloud(count=300, seed=0):
-    """Particles of many sizes in the unit cube and one contact per particle, with random branch vectors and forces."""
+    """Particles of many sizes in the unit cube and one contact per particle, with random branch vectors and
+    forces."""
     random = np.random.default_rng(seed)
     position = random.uniform(0.0, 1.0, (count, 3))
     particles = particles_of(
@@ -37,11 +38,13 @@ def cube(count, low=-0.5, high=1.5, **more):
 
 @pytest.mark.parametrize("count", [1, 7, 30])
 def test_the_grid_integrates_to_the_totals(count):
-    """Mass, volume, momentum, kinetic energy (of the mean flow and of the fluctuations) and virial, to rounding."""
+    """Mass, volume, momentum, kinetic energy (of the mean flow and of the fluctuations) and virial, to
+    rounding."""
     particles, contacts = cloud()
     grid = cube(count)
     fields = fields_from(accumulate(particles, contacts, grid, GaussianKernel(0.05, 3.0)))
-    mass, velocity = particles["mass"], particles["velocity"]
+    mass = particles["mass"]
+    velocity = particles["velocity"]
     branch = contacts["position_j"] - contacts["position_i"]
     mean_flow = 0.5 * fields["density"] * (fields["velocity"] ** 2).sum(axis=1)
     fluctuation = 1.5 * fields["density"] * fields["granular_temperature"]
@@ -54,15 +57,22 @@ def test_the_grid_integrates_to_the_totals(count):
     }
     for name, (field, total) in expected.items():
         np.testing.assert_allclose(
-            grid.cell_volume * field.sum(axis=0), total, rtol=1e-12, atol=1e-12 * np.abs(total).max(), err_msg=name
+            grid.cell_volume * field.sum(axis=0),
+            total,
+            rtol=1e-12,
+            atol=1e-12 * np.abs(total).max(),
+            err_msg=name,
         )
     assert np.nanmax(np.abs(fields["fabric"][:, [0, 4, 8]].sum(axis=1) - 1.0)) < 1e-9
 
 
 def test_cell_value_is_the_mean_of_the_kernel_over_the_cell():
     """Compared with the kernel formula at 30^3 points of each cell."""
-    width, cutoff, center = 0.3, 3.0, np.array([[0.1, -0.2, 0.05]])
-    grid, kernel = CoarseGrid((-1.2,) * 3, (1.3,) * 3, (5, 4, 3)), GaussianKernel(0.3, 3.0)
+    width = 0.3
+    cutoff = 3.0
+    center = np.array([[0.1, -0.2, 0.05]])
+    grid = CoarseGrid((-1.2,) * 3, (1.3,) * 3, (5, 4, 3))
+    kernel = GaussianKernel(0.3, 3.0)
     found = grid.deposit(kernel, center, np.ones((1, 1)))[:, 0] / grid.cell_volume
     steps = (np.arange(30) + 0.5) / 30 - 0.5
     inner = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3) * grid.cell_size
@@ -70,17 +80,23 @@ def test_cell_value_is_the_mean_of_the_kernel_over_the_cell():
     top = (np.sqrt(2.0 * np.pi) * width * erf(cutoff / np.sqrt(2.0))) ** -3
     inside = (np.abs(r) < cutoff * width).all(axis=2)
     expected = (top * np.exp(-0.5 * (r**2).sum(axis=2) / width**2) * inside).mean(axis=1)
-    # Midpoint rule: error of h^2 / 24 times the second derivative, and of h / 2 times the step of 1 % at the cutoff.
+    # Midpoint rule: error of h^2 / 24 times the second derivative, and of h / 2 times the step of 1 % at the
+    # cutoff.
     np.testing.assert_allclose(found, expected, atol=2e-3 * top)
 
 
 def test_contact_stress_is_distributed_along_the_branch_vector():
-    """The stress of one contact is f b times the mean of the Gaussian along the branch vector, an error function."""
-    width, force, branch = 0.1, np.array([1.0, 2.0, 3.0]), np.array([0.0, 0.0, 0.35])
+    """The stress of one contact is f b times the mean of the Gaussian along the branch vector, an error
+    function."""
+    width = 0.1
+    force = np.array([1.0, 2.0, 3.0])
+    branch = np.array([0.0, 0.0, 0.35])
     contacts = {"position_i": np.zeros((1, 3)), "position_j": branch[None], "force": force[None]}
     grid = CoarseGrid((-0.6, -0.6, -0.6), (0.6, 0.6, 1.0), (24, 24, 32))
     stress = accumulate(cloud(1)[0], contacts, grid, GaussianKernel(width, 6.0)).arrays["contact_stress"]
-    edges = [np.linspace(low, high, n + 1) for low, high, n in zip(grid.low, grid.high, grid.counts, strict=True)]
+    edges = [
+        np.linspace(low, high, n + 1) for low, high, n in zip(grid.low, grid.high, grid.counts, strict=True)
+    ]
 
     def cumulative(s):
         return 0.5 + 0.5 * erf(s / (np.sqrt(2.0) * width))
@@ -102,12 +118,19 @@ def test_contact_stress_is_distributed_along_the_branch_vector():
 
 def test_stress_of_a_column_at_rest_is_the_weight_above():
     """Twenty particles stacked in a shaft: -stress_zz is the weight above over the cross section."""
-    count, radius, section = 20, 0.01, 0.1**2
+    count = 20
+    radius = 0.01
+    section = 0.1**2
     particles = particles_of(count)
     height = radius * (1.0 + 2.0 * np.arange(count))
     mass = np.linspace(1.0, 2.0, count)
     position = np.column_stack([np.zeros(count), np.zeros(count), height])
-    particles |= {"position": position, "mass": mass, "velocity": 0.0 * position, "radius": np.full(count, radius)}
+    particles |= {
+        "position": position,
+        "mass": mass,
+        "velocity": 0.0 * position,
+        "radius": np.full(count, radius),
+    }
     particles["fixed"] = np.zeros(count)
     load = GRAVITY * np.cumsum(mass[::-1])[::-1]
     partner_height = np.append(0.0, height[:-1])
@@ -138,16 +161,19 @@ def test_velocity_and_temperature_of_uniform_shear():
 
     s^2 is the variance of the kernel, a normal distribution within 3 widths, and h the edge length of a cell.
     """
-    rate, side = 5.0, 24
+    rate = 5.0
+    side = 24
     y = (np.arange(side) + 0.5) / side
     position = np.stack(np.meshgrid(y, y, y), axis=-1).reshape(-1, 3)
     velocity = np.zeros_like(position)
     velocity[:, 0] = rate * position[:, 1]
     ones = np.ones(len(position))
     particles = particles_of(len(position), position=position, velocity=velocity, mass=ones, fixed=0.0 * ones)
-    grid, kernel = CoarseGrid((0.35,) * 3, (0.65,) * 3, (6, 6, 6)), GaussianKernel(0.1, 3.0)
+    grid = CoarseGrid((0.35,) * 3, (0.65,) * 3, (6, 6, 6))
+    kernel = GaussianKernel(0.1, 3.0)
     fields = fields_from(accumulate(particles, None, grid, kernel))
-    # A lattice of spacing a differs from a continuum by exp(-2 pi^2 w^2 / a^2) and by the step at the cutoff: 0.2 %.
+    # A lattice of spacing a differs from a continuum by exp(-2 pi^2 w^2 / a^2) and by the step at the cutoff:
+    # 0.2 %.
     np.testing.assert_allclose(fields["velocity"][:, 0], rate * grid.centers()[:, 1], rtol=2e-3)
     variance = 0.1**2 * truncnorm(-3.0, 3.0).var()
     expected = rate**2 * (variance + grid.cell_size[1] ** 2 / 12.0) / 3.0
@@ -157,7 +183,9 @@ def test_velocity_and_temperature_of_uniform_shear():
 
 def test_temperature_and_kinetic_stress_of_a_maxwellian_gas():
     """Velocities N(V, sigma) per component: T = sigma^2, kinetic stress = -rho sigma^2 on the diagonal."""
-    random, count, sigma = np.random.default_rng(2), 40_000, 0.7
+    random = np.random.default_rng(2)
+    count = 40_000
+    sigma = 0.7
     particles = particles_of(
         count, position=random.uniform(0.0, 1.0, (count, 3)), mass=np.full(count, 2.0), fixed=np.zeros(count),
         velocity=random.normal([100.0, 0.0, 0.0], sigma, (count, 3)),
@@ -166,7 +194,9 @@ def test_temperature_and_kinetic_stress_of_a_maxwellian_gas():
         accumulate(particles, None, CoarseGrid((0.3,) * 3, (0.7,) * 3, (2, 2, 2)), GaussianKernel(0.1, 3.0))
     )
     sample_count = count * 0.4**3  # lower bound of the number of particles that contribute to a cell: 2560
-    np.testing.assert_allclose(fields["granular_temperature"], sigma**2, rtol=5.0 * np.sqrt(2.0 / (3.0 * sample_count)))
+    np.testing.assert_allclose(
+        fields["granular_temperature"], sigma**2, rtol=5.0 * np.sqrt(2.0 / (3.0 * sample_count))
+    )
     stress = fields["kinetic_stress"] / fields["density"][:, None]
     np.testing.assert_allclose(stress[:, [0, 4, 8]], -(sigma**2), rtol=5.0 * np.sqrt(2.0 / sample_count))
     np.testing.assert_allclose(stress[:, [1, 2, 5]], 0.0, atol=5.0 * sigma**2 / np.sqrt(sample_count))
@@ -180,9 +210,9 @@ def test_fields_wrap_around_a_periodic_axis():
     first = fields_from(accumulate(particles, contacts, grid, kernel))["density"].reshape(3, 4, 5)
     assert grid.cell_volume * first.sum() == pytest.approx(particles["mass"].sum(), rel=1e-12)
     moved = particles["position"] + [grid.cell_size[0], 0.0, 0.0]
-    second = fields_from(accumulate(particles | {"position": moved}, contacts, grid, kernel))["density"].reshape(
-        3, 4, 5
-    )
+    second = fields_from(accumulate(particles | {"position": moved}, contacts, grid, kernel))[
+        "density"
+    ].reshape(3, 4, 5)
     np.testing.assert_allclose(second, np.roll(first, 1, axis=2), rtol=1e-9)
 
 
@@ -191,15 +221,21 @@ def test_fixed_particles_have_no_mass():
     particles, contacts = cloud()
     fixed = np.arange(300) < 100
     some = fields_from(
-        accumulate(particles | {"fixed": fixed.astype(np.uint8)}, contacts, cube(5), GaussianKernel(0.05, 3.0))
+        accumulate(
+            particles | {"fixed": fixed.astype(np.uint8)}, contacts, cube(5), GaussianKernel(0.05, 3.0)
+        )
     )
-    assert cube(5).cell_volume * some["density"].sum() == pytest.approx(particles["mass"][100:].sum(), rel=1e-12)
+    assert cube(5).cell_volume * some["density"].sum() == pytest.approx(
+        particles["mass"][100:].sum(), rel=1e-12
+    )
 
 
 def test_frames_and_their_mean_contain_the_fields(tmp_path):
-    """Selected stages only; the mean is taken over the sums, so that momentum over density is the velocity."""
+    """Selected stages only; the mean is taken over the sums, so that momentum over density is the
+    velocity."""
     (particles, contacts), (later_particles, _) = cloud(), cloud(seed=1)
-    grid, kernel = cube(4), GaussianKernel(0.1, 3.0)
+    grid = cube(4)
+    kernel = GaussianKernel(0.1, 3.0)
     frames = FieldFrames(tmp_path, "bed", 0.1, grid, kernel, stages=["run"])
     assert frames.wants == {"particles", "contacts"}
     frames.observe(snapshot_of(0.0, stage="fill", particles=particles, contacts=contacts))
@@ -221,20 +257,27 @@ def test_frames_and_their_mean_contain_the_fields(tmp_path):
 
 
 def test_mean_temperature_of_frames_excludes_the_bounce_of_the_bed():
-    """A gas with the temperature 0.09 m2/s2 that moves up at 1 m/s and down at 2 m/s, with half of the mass each.
+    """A gas with the temperature 0.09 m2/s2 that moves up at 1 m/s and down at 2 m/s, with half of the mass
+    each.
 
-    The mean velocity is -0.5 m/s; the mean of both sums adds the square mean of 1.5 m/s to one component. A third frame
-    has twice the mass and half the temperature: the mean is weighted by mass.
+    The mean velocity is -0.5 m/s; the mean of both sums adds the square mean of 1.5 m/s to one component. A
+    third frame has twice the mass and half the temperature: the mean is weighted by mass.
     """
-    random, grid, kernel = np.random.default_rng(4), cube(1), GaussianKernel(0.2, 3.0)
+    random = np.random.default_rng(4)
+    grid = cube(1)
+    kernel = GaussianKernel(0.2, 3.0)
     particles, _ = cloud(4000)
     count = len(particles["mass"])
 
     def sums(speed, temperature, mass):
         velocity = random.normal(0.0, np.sqrt(temperature), (count, 3)) + [0.0, 0.0, speed]
-        return accumulate(particles | {"velocity": velocity, "mass": mass * np.ones(count)}, None, grid, kernel)
+        return accumulate(
+            particles | {"velocity": velocity, "mass": mass * np.ones(count)}, None, grid, kernel
+        )
 
-    up, down, heavy = sums(1.0, 0.09, 1.0), sums(-2.0, 0.09, 1.0), sums(0.0, 0.045, 2.0)
+    up = sums(1.0, 0.09, 1.0)
+    down = sums(-2.0, 0.09, 1.0)
+    heavy = sums(0.0, 0.045, 2.0)
     relative = 5.0 * np.sqrt(2.0 / (3.0 * count))
     fields = fields_from((up + down) / 2)
     assert fields["granular_temperature"][0] == pytest.approx(0.09 + 1.5**2 / 3.0, rel=relative)
@@ -242,11 +285,15 @@ def test_mean_temperature_of_frames_excludes_the_bounce_of_the_bed():
     assert fields_from((up + down + heavy) / 3)["granular_temperature_of_frames"][0] == pytest.approx(
         (0.09 + 0.09 + 2.0 * 0.045) / 4.0, rel=relative
     )
-    assert fields_from(up)["granular_temperature_of_frames"] == pytest.approx(fields_from(up)["granular_temperature"])
+    assert fields_from(up)["granular_temperature_of_frames"] == pytest.approx(
+        fields_from(up)["granular_temperature"]
+    )
 
 
 def test_contacts_are_not_requested_without_contact_fields(tmp_path):
-    frames = FieldFrames(tmp_path, "bed", 0.1, cube(2), GaussianKernel(0.1, 3.0), ["density", "coordination_number"])
+    frames = FieldFrames(
+        tmp_path, "bed", 0.1, cube(2), GaussianKernel(0.1, 3.0), ["density", "coordination_number"]
+    )
     assert frames.wants == {"particles"}
     frames.observe(snapshot_of(particles=cloud()[0]))
     assert set(meshio.read(tmp_path / "fields_bed_0000.vtu").cell_data) == {"density", "coordination_number"}

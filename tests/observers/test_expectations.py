@@ -38,9 +38,17 @@ def expected(quantity, **bound):
             "angle_of_repose.heap is 0.4 rad (22.92 deg), as expected above 0.3 rad.",
             True,
         ),
-        (expected("kinetic_energy", below=1e-8), "kinetic_energy is 1e-09 J, as expected below 1e-08 J.", True),
+        (
+            expected("kinetic_energy", below=1e-8),
+            "kinetic_energy is 1e-09 J, as expected below 1e-08 J.",
+            True,
+        ),
         (expected("particle_count", equals=8000), "particle_count is 8000, as expected equal to 8000.", True),
-        (expected("particle_count", equals=8001), "particle_count is 8000, but should be equal to 8001.", False),
+        (
+            expected("particle_count", equals=8001),
+            "particle_count is 8000, but should be equal to 8001.",
+            False,
+        ),
         (
             expected("particle_count", equals=8001, tolerance=0.001),
             "particle_count is 8000, as expected equal to 8001 within 0.1 %.",

@@ -8,7 +8,8 @@ from granflow.observers.flow_meters import FlowMeter, steady_flow
 
 
 def measured(meter, *samples):
-    """Updates the meter with samples {id: position} at times 0, 1, 2, ...; returns mass (2^id [kg] each) and count.
+    """Updates the meter with samples {id: position} at times 0, 1, 2, ...; returns mass (2^id [kg] each) and
+    count.
 
     Particle i was inserted at -i / 2 [s].
     """
@@ -48,7 +49,9 @@ def test_particle_deleted_outside_the_disc_is_not_counted():
 
 
 def test_particles_first_sampled_beyond_the_plane_are_not_counted():
-    assert measured(down(), {0: (0, 0, 0)}, {0: (0, 0, -1), 3: (0, 0, 0.5)}, {0: (0, 0, -2), 3: (0, 0, 0)}) == (0.0, 0)
+    assert measured(
+        down(), {0: (0, 0, 0)}, {0: (0, 0, -1), 3: (0, 0, 0.5)}, {0: (0, 0, -2), 3: (0, 0, 0)}
+    ) == (0.0, 0)
 
 
 def test_only_crossings_within_the_radius_count_for_any_end_point():
@@ -108,7 +111,9 @@ def test_group_by_material_counts_each_material():
     def meter():
         return FlowMeter((0, 0, 1), (0, 0, -1), group_by="material", parts=("glass", "steel"))
 
-    uninterrupted, first, resumed = meter(), meter(), meter()
+    uninterrupted = meter()
+    first = meter()
+    resumed = meter()
     samples = ((0.0, {0: 2, 1: 2, 2: 2, 3: 2}), (1.0, {0: 0, 1: 2, 2: 0, 3: 0}), (2.0, {1: 0}))
     for sample in samples:
         update(uninterrupted, *sample)
@@ -124,11 +129,15 @@ def test_group_by_material_counts_each_material():
 
 
 def test_residence_time_is_that_of_forward_passages_at_the_middle_of_the_interval():
-    """Particles 0, 2 and 3 pass between 0 and 1 s, at 0.5 s; 1 passes backward, and 4 is deleted between 1 and 2 s."""
+    """Particles 0, 2 and 3 pass between 0 and 1 s, at 0.5 s; 1 passes backward, and 4 is deleted between 1
+    and 2 s."""
     meter = down()
-    above, below = (0, 0, 2), (0, 0, 0)
+    above = (0, 0, 2)
+    below = (0, 0, 0)
     measured(
-        meter, {0: above, 1: below, 2: above, 3: above, 4: above}, {0: below, 1: above, 2: below, 3: below, 4: above}
+        meter,
+        {0: above, 1: below, 2: above, 3: above, 4: above},
+        {0: below, 1: above, 2: below, 3: below, 4: above},
     )
     times = np.array([0.5, 1.5, 2.0])
     assert meter.total.readings()["residence_time"] == pytest.approx(times.mean(), rel=1e-15)
@@ -146,4 +155,6 @@ def test_residence_time_is_that_of_forward_passages_at_the_middle_of_the_interva
 def test_residence_time_without_passages_is_nan():
     meter = down()
     measured(meter, {0: (0, 0, 2)}, {0: (0, 0, 2)})
-    assert np.isnan([meter.total.readings()["residence_time"], meter.total.result()["residence_time_deviation"]]).all()
+    assert np.isnan(
+        [meter.total.readings()["residence_time"], meter.total.result()["residence_time_deviation"]]
+    ).all()

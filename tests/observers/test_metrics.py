@@ -43,7 +43,8 @@ def test_a_segregated_bed_has_a_lacey_index_of_zero():
 
 @pytest.mark.parametrize("fraction", [0.5, 0.1])
 def test_random_mixture_has_a_lacey_index_of_one(fraction):
-    """K cells of n particles: S^2 / SR^2 has the variance 2 / K, so the index scatters by sqrt(2 / K) / (n - 1)."""
+    """K cells of n particles: S^2 / SR^2 has the variance 2 / K, so the index scatters by sqrt(2 / K) / (n -
+    1)."""
     points = random_points(5000)
     of_kind = np.random.default_rng(1).random(5000) < fraction
     assert lacey_index(points, of_kind, CUBE, 10) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 125.0) / 39.0)
@@ -51,7 +52,8 @@ def test_random_mixture_has_a_lacey_index_of_one(fraction):
 
 def test_lacey_index_of_a_half_mixed_bed_follows_from_the_cell_variance():
     """A fraction p = 0.4 is of one kind: half of the particles are drawn at random, half are segregated."""
-    random, count = np.random.default_rng(2), 200_000
+    random = np.random.default_rng(2)
+    count = 200_000
     points = random.uniform(0.0, 1.0, (count, 3))
     left = points[:, 0] < 0.4
     is_random = random.random(count) < 0.5
@@ -75,7 +77,8 @@ def test_lacey_index_ignores_cells_with_few_particles():
 def test_lacey_index_reports_the_component_in_cells_with_few_particles():
     """Eight big particles fill the cell on the right: with at_least 10, the index excludes them."""
     points = np.vstack([random_points(1000) * [0.5, 1.0, 1.0], np.full((8, 3), [0.75, 0.5, 0.5])])
-    of_kind, grid = np.arange(1008) < 1000, CoarseGrid((0.0,) * 3, (1.0,) * 3, (2, 1, 1))
+    of_kind = np.arange(1008) < 1000
+    grid = CoarseGrid((0.0,) * 3, (1.0,) * 3, (2, 1, 1))
     assert dropped_share(points, of_kind, grid, 10) == 1.0
     assert dropped_share(points, of_kind, grid, 8) == 0.0
     assert np.isnan(lacey_index(points, of_kind, grid, 10))
@@ -89,12 +92,14 @@ def test_lacey_index_reports_the_component_in_cells_with_few_particles():
 
 
 def test_segregation_intensity_in_closed_form():
-    """Two cells with the volumes 4 and 2: c = 1/2, c_k = 1/4 and 1; I = (4 (1/4)^2 + 2 (1/2)^2) / (6 / 4) = 1/2.
+    """Two cells with the volumes 4 and 2: c = 1/2, c_k = 1/4 and 1; I = (4 (1/4)^2 + 2 (1/2)^2) / (6 / 4) =
+    1/2.
 
     Six particles: one of volume 1 of the first kind and one of volume 3 of the other kind, then four of 1/2.
     """
     points = np.array([[0.2, 0.5, 0.5]] * 2 + [[0.8, 0.5, 0.5]] * 4)
-    volume, is_first = np.array([1.0, 3.0, 0.5, 0.5, 0.5, 0.5]), np.array([1, 0, 1, 1, 1, 1], bool)
+    volume = np.array([1.0, 3.0, 0.5, 0.5, 0.5, 0.5])
+    is_first = np.array([1, 0, 1, 1, 1, 1], bool)
     grid = CoarseGrid((0.0,) * 3, (1.0,) * 3, (2, 1, 1))
     assert segregation_intensity(points, volume, is_first, grid) == pytest.approx(0.5)
     # v_a = (1 + 4/4) / 3 = 2/3 and v_b = 3: I_R = 2 (3/2 + 1/3) / 6.
@@ -105,13 +110,15 @@ def test_segregation_intensity_in_closed_form():
 
 def test_segregation_intensity_of_separate_and_of_random_mixtures_of_two_sizes():
     """Size ratio 2, so volumes 8 and 1; 200 random mixtures scatter about I_R, to first order in 1 / n."""
-    random, count = np.random.default_rng(3), 5000
+    random = np.random.default_rng(3)
+    count = 5000
     volume = np.where(np.arange(count) % 5 == 0, 8.0, 1.0)
     separate = np.where(volume[:, None] > 1.0, [0.1, 0.5, 0.5], [0.9, 0.5, 0.5])
     assert segregation_intensity(separate, volume, volume > 1.0, CUBE) == pytest.approx(1.0)
     points = [random.uniform(0.0, 1.0, (count, 3)) for _ in range(200)]
     ratios = [
-        segregation_intensity(each, volume, volume > 1.0, CUBE) / random_intensity(each, volume, volume > 1.0, CUBE)
+        segregation_intensity(each, volume, volume > 1.0, CUBE)
+        / random_intensity(each, volume, volume > 1.0, CUBE)
         for each in points
     ]
     error = np.std(ratios) / np.sqrt(len(ratios))
@@ -120,7 +127,8 @@ def test_segregation_intensity_of_separate_and_of_random_mixtures_of_two_sizes()
 
 
 def bed(angle, shape, length=0.1, spacing=0.0026):
-    """Particles of 2 mm to 3 mm at displaced lattice points, below a cone about (0.3, -0.2) or a wedge rising in x."""
+    """Particles of 2 mm to 3 mm at displaced lattice points, below a cone about (0.3, -0.2) or a wedge rising
+    in x."""
     random = np.random.default_rng(0)
     sides = [np.arange(-length, length, spacing)] * 2 + [np.arange(0.0, length * np.tan(angle), spacing)]
     points = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 3)
@@ -167,12 +175,15 @@ def test_slope_without_a_heap_is_nan():
 
 @pytest.mark.parametrize(("columns", "share"), [(4, 0.05), (10, 0.016), (100, 4e-4)])
 def test_rough_level_surface_is_not_a_slope(columns, share):
-    """Tops of a block with independent heights: the share that is taken for a slope, within four standard deviations.
+    """Tops of a block with independent heights: the share that is taken for a slope, within four standard
+    deviations.
 
-    Four points: 5 % (F-test). Ten: the gradient is 4 standard errors with the chance (1 + 16 / 7)^-3.5 = 0.016; 100:
+    Four points: 5 % (F-test). Ten: the gradient is 4 standard errors with the chance (1 + 16 / 7)^-3.5 =
+    0.016; 100:
     (1 + 16 / 97)^-48.5 = 6e-4, if the standard errors were the same in all directions.
     """
-    random, found = np.random.default_rng(columns), []
+    random = np.random.default_rng(columns)
+    found = []
     for _ in range(1000):
         x = np.arange(columns) // 2
         points = np.column_stack([x, np.arange(columns) % 2, 10.0 + random.normal(0.0, 0.3, columns)])
@@ -189,10 +200,11 @@ def test_rough_level_surface_is_not_a_slope(columns, share):
     [(0, 0.0025, "reach as much by chance"), (3, 0.2, "standard error of 25% of it, above 25%")],
 )
 def test_slope_needs_a_significant_gradient_with_a_small_relative_error(added, limit, reason):
-    """Limits of 1 - R^2 for heights x / 2 and scatter, at the corners of a square and up to three points between.
+    """Limits of 1 - R^2 for heights x / 2 and scatter, at the corners of a square and up to three points
+    between.
 
-    Four points have the chance sqrt(1 - R^2) < 0.05. With seven, the error sqrt(S / 4 / 4) is 1/4 of 1/2 for the
-    residual S = 1/4, that is 1 - R^2 = S / (1 + S) = 0.2; the chance of it is 0.2^2 = 0.04.
+    Four points have the chance sqrt(1 - R^2) < 0.05. With seven, the error sqrt(S / 4 / 4) is 1/4 of 1/2 for
+    the residual S = 1/4, that is 1 - R^2 = S / (1 + S) = 0.2; the chance of it is 0.2^2 = 0.04.
     """
     x = np.array([-1.0, 1.0, -1.0, 1.0, 0.0, 0.0, 0.0])[: 4 + added]
     y = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 0.0])[: 4 + added]
@@ -211,9 +223,12 @@ def contacts_along(directions):
 
 
 def test_fabric_of_known_directions():
-    """Parallel contacts: n n, anisotropy 1. Isotropic contacts: 1/3 on the diagonal, with scatter. Walls excluded."""
+    """Parallel contacts: n n, anisotropy 1. Isotropic contacts: 1/3 on the diagonal, with scatter. Walls
+    excluded."""
     random = np.random.default_rng(0).normal(size=(20_000, 3))
-    np.testing.assert_allclose(fabric_tensor(contacts_along(random)), np.eye(3) / 3.0, atol=4.0 * 0.3 / np.sqrt(20_000))
+    np.testing.assert_allclose(
+        fabric_tensor(contacts_along(random)), np.eye(3) / 3.0, atol=4.0 * 0.3 / np.sqrt(20_000)
+    )
     upright = contacts_along(np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -0.1], [1.0, 0.0, 0.0]]))
     upright["wall"] = np.array([-1, -1, 0])
     np.testing.assert_array_equal(fabric_tensor(upright), np.diag([0.0, 0.0, 1.0]))
@@ -258,12 +273,16 @@ def test_sliding_share_of_particles_and_of_walls():
 
 
 def scene_with(**metrics):
-    groups = {"red": particle_group([[0.0, 0.0, 0.1]], 0.01), "blue": particle_group([[0.0, 0.0, 0.2]], 0.02, "steel")}
+    groups = {
+        "red": particle_group([[0.0, 0.0, 0.1]], 0.01),
+        "blue": particle_group([[0.0, 0.0, 0.2]], 0.02, "steel"),
+    }
     return build_scene(groups, gravity=[0.0, -9.81, 0.0], output={"interval": 1.0, "metrics": metrics})
 
 
 def test_scene_metrics_are_reported_by_name():
-    """Each metric returns its documented numbers; here, group, material and size select the same particles."""
+    """Each metric returns its documented numbers; here, group, material and size select the same
+    particles."""
     region = {"min": [0.0] * 3, "max": [1.0] * 3}
     selections = {"groups": ["red"], "materials": ["glass"], "smaller_than": 0.015}
     scene = scene_with(
@@ -307,14 +326,20 @@ def test_upward_direction_is_opposite_to_gravity():
     scene = scene_with(heap={"kind": "repose", "surface": "plane"})
     count = int(selected.sum())
     particles = particles_of(
-        count, position=turned, radius=radius[selected], fixed=np.zeros(count), coordination_number=np.full(count, 4)
+        count,
+        position=turned,
+        radius=radius[selected],
+        fixed=np.zeros(count),
+        coordination_number=np.full(count, 4),
     )
     meter = metric_meters(plan_for(scene))["heap"]
     meter.update(snapshot_of(particles=particles))
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
     assert meter.remark == ""
     meter.update(snapshot_of(1.0, particles=particles | {"coordination_number": np.zeros(count)}))
-    assert meter.remark == ("the angle of repose is NaN: there are no particles with enough contacts in the region")
+    assert meter.remark == (
+        "the angle of repose is NaN: there are no particles with enough contacts in the region"
+    )
 
 
 def test_mean_covers_the_last_stage_and_skips_nan():

@@ -66,7 +66,8 @@ print(times, counts, bounds, sep=chr(10))
 
 
 def write_series(path):
-    """Writes an empty frame and three frames of 200 particles; returns the bounds of the particles in the last."""
+    """Writes an empty frame and three frames of 200 particles; returns the bounds of the particles in the
+    last."""
     particles = ParticleFrames(path, INTERVAL, reach=1.0)
     walls = WallFrames(path, INTERVAL, {"floor": FLOOR, "gate": FLOOR})
     for k in range(FRAME_COUNT):
@@ -90,7 +91,9 @@ def read_by(command, script, path):
 
 
 def printed_lists(text):
-    return [line.replace("np.float64(", "").replace(")", "") for line in text.splitlines() if line.startswith("[")]
+    return [
+        line.replace("np.float64(", "").replace(")", "") for line in text.splitlines() if line.startswith("[")
+    ]
 
 
 def assert_shown(path, times, counts, bounds, expected):
@@ -108,7 +111,9 @@ def test_pyvista_renders_the_series(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not shutil.which("pvbatch") or not shutil.which("xvfb-run"), reason="needs ParaView and xvfb")
+@pytest.mark.skipif(
+    not shutil.which("pvbatch") or not shutil.which("xvfb-run"), reason="needs ParaView and xvfb"
+)
 def test_paraview_renders_the_series(tmp_path):
     expected = write_series(tmp_path)
     assert_shown(tmp_path, *read_by(["xvfb-run", "-a", "pvbatch"], PARAVIEW, tmp_path), expected)

@@ -55,7 +55,16 @@ def test_table_shows_the_timings():
     angles = {"heap": {"angle_of_repose": 0.4, "angle_of_repose_error": float("nan")}}
     console.print(closing_table(replace(RESULT, metrics=angles)))
     text = console.export_text()
-    for piece in ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000", "rad (22.92 deg)"):
+    for piece in (
+        "1 234 567",
+        "75%",
+        "4.00 s",
+        "mass flow, outlet",
+        "kg/s",
+        "0.153",
+        "8 000",
+        "rad (22.92 deg)",
+    ):
         assert piece in text
 
 

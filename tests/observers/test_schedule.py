@@ -53,7 +53,9 @@ def test_interval_must_be_positive_and_finite(interval):
 
 def test_observer_of_a_function_calls_it_once_per_time():
     observed_times = []
-    observer = on_interval(0.5, lambda snapshot: observed_times.append(snapshot.time), wants=("totals", "contacts"))
+    observer = on_interval(
+        0.5, lambda snapshot: observed_times.append(snapshot.time), wants=("totals", "contacts")
+    )
     assert observer.wants == {"totals", "contacts"}
     for time in (0.0, 0.5, 0.5, 1.0):
         observer.observe(snapshot_of(time=time))

@@ -51,7 +51,12 @@ def test_flow_meters_have_columns(tmp_path):
         series.observe(snapshot_of(time=time, particles=particles, totals={}))
     series.finish()
     header, first, last = rows_of(series.path)
-    names = ["flow_mass.outlet [kg]", "flow_count.outlet", "mass_flow.outlet [kg/s]", "residence_time.outlet [s]"]
+    names = [
+        "flow_mass.outlet [kg]",
+        "flow_count.outlet",
+        "mass_flow.outlet [kg/s]",
+        "residence_time.outlet [s]",
+    ]
     assert header[2:] == names
     assert first[2:] == ["0.0", "0", "0.0", "nan"]
     assert last[2:] == ["3.0", "1", "6.0", "0.125"]
@@ -59,7 +64,8 @@ def test_flow_meters_have_columns(tmp_path):
 
 
 def test_tables_are_read_back_exactly_and_without_an_incomplete_row(tmp_path):
-    path, numbers = tmp_path / "new" / "a.csv", np.random.default_rng(1).normal(size=7)
+    path = tmp_path / "new" / "a.csv"
+    numbers = np.random.default_rng(1).normal(size=7)
     write_table(path, ["time [s]", "stage"], ([number, 'fill, "slow"'] for number in numbers.tolist()))
     path.write_text(path.read_text() + "\n# note\n1.5\n")
     table = read_table(path)
@@ -85,7 +91,8 @@ def measured_series(folder):
 
 
 def pushed(time, stage="run"):
-    """One particle of 0.2 kg passes every 0.1 s, from 0.05 s; a force of 8 N, and an impact of 1 N s at 0.3000001 s."""
+    """One particle of 0.2 kg passes every 0.1 s, from 0.05 s; a force of 8 N, and an impact of 1 N s at
+    0.3000001 s."""
     number = np.arange(30)
     position = np.stack([0 * number, 0 * number, 0.05 + 0.1 * number - time], axis=1)
     particles = {"id": number, "position": position, "mass": np.full(30, 0.2), "insertion_time": np.zeros(30)}
@@ -102,7 +109,8 @@ def test_a_short_last_row_replaces_the_row_before_it(tmp_path):
 
     The mean of the metric is that of the rows 0, 0.1, 0.2 and of the last one.
     """
-    series, end = measured_series(tmp_path), 0.300001
+    series = measured_series(tmp_path)
+    end = 0.300001
     for time in (*TIMES, end):
         series.observe(pushed(time))
     results = series.results_by_kind()
@@ -112,7 +120,9 @@ def test_a_short_last_row_replaces_the_row_before_it(tmp_path):
     assert results["wall_forces"]["lid"]["wall_pressure_last"] == pytest.approx(0.5 * force, rel=1e-9)
     assert results["wall_forces"]["lid"]["wall_force_largest"] == pytest.approx(force, rel=1e-9)
     assert results["wall_forces"]["lid"]["wall_force_z"] == pytest.approx((8.0 * end + 1.0) / end, rel=1e-9)
-    assert results["metrics"]["bed"]["coordination_number_mean"] == pytest.approx((0.1 + 0.2 + end) / 4, rel=1e-12)
+    assert results["metrics"]["bed"]["coordination_number_mean"] == pytest.approx(
+        (0.1 + 0.2 + end) / 4, rel=1e-12
+    )
     assert results["flow_meters"]["out"]["flow_count"] == 3
     header, *rows = rows_of(series.path)
     assert [float(row[0]) for row in rows] == [0.0, 0.1, 0.2, end]
@@ -132,8 +142,10 @@ def test_a_last_row_of_half_an_interval_or_of_another_stage_is_added(tmp_path, l
 
 
 def test_a_resumed_series_restores_the_row_that_the_last_one_has_replaced(tmp_path):
-    """A checkpoint is written before the last row; the row at 0.3 s, which is not in the file any more, is in it."""
-    whole, stopped = measured_series(tmp_path / "whole"), measured_series(tmp_path / "stopped")
+    """A checkpoint is written before the last row; the row at 0.3 s, which is not in the file any more, is in
+    it."""
+    whole = measured_series(tmp_path / "whole")
+    stopped = measured_series(tmp_path / "stopped")
     for time in TIMES:
         whole.observe(pushed(time))
         stopped.observe(pushed(time))

@@ -87,12 +87,18 @@ def test_meshio_writes_what_paraview_reads_with_units_and_any_name(tmp_path, com
     raw = (tmp_path / "2.vtu").read_bytes()
     assert b"created by meshio" in raw and (b"vtkZLibDataCompressor" in raw) == (compression == "zlib")
     files = [str(tmp_path / f"{count}.vtu") for count in (2, 0)]
-    done = subprocess.run([sys.executable, "-c", READ_BY_PYVISTA, *files], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", READ_BY_PYVISTA, *files], capture_output=True, text=True, check=True
+    )
     assert [ast.literal_eval(line) for line in done.stdout.splitlines()] == expected
 
 
-@pytest.mark.parametrize(("reach", "radius", "file_type"), [(1, 1e-3, "f4"), (1, 1e-4, "f8"), (1e3, 1e-1, "f8")])
-def test_positions_use_f64_only_if_f32_does_not_resolve_the_smallest_particle(tmp_path, reach, radius, file_type):
+@pytest.mark.parametrize(
+    ("reach", "radius", "file_type"), [(1, 1e-3, "f4"), (1, 1e-4, "f8"), (1e3, 1e-1, "f8")]
+)
+def test_positions_use_f64_only_if_f32_does_not_resolve_the_smallest_particle(
+    tmp_path, reach, radius, file_type
+):
     snapshot = snapshot_of(particles=particles_of(9, radius=np.full(9, radius)))
     ParticleFrames(tmp_path, 0.1, reach=reach).observe(snapshot)
     assert meshio.read(tmp_path / "particles_0000.vtu").points.dtype == file_type
@@ -159,7 +165,8 @@ POINT = VtuMesh.of_points(np.zeros((1, 3)), {})
 def bytes_written_per_frame(directory, monkeypatch, frame_count):
     """Bytes written to the PVD file per frame, and the series; the frames themselves are not written."""
     monkeypatch.setattr("granflow.io.frames.write_vtu", lambda path, *_: path.touch())
-    written, series = [], FrameSeries(directory, "particles")
+    written = []
+    series = FrameSeries(directory, "particles")
 
     class Counted(FileIO):
         def write(self, data):
@@ -183,12 +190,14 @@ def test_frame_adds_one_write_of_constant_size_to_the_pvd_file(tmp_path, monkeyp
 
 
 def test_truncated_and_continued_pvd_file_equals_that_of_an_uninterrupted_run(tmp_path):
-    uninterrupted, interrupted = FrameSeries(tmp_path / "whole", "walls"), FrameSeries(tmp_path / "stopped", "walls")
+    uninterrupted = FrameSeries(tmp_path / "whole", "walls")
+    interrupted = FrameSeries(tmp_path / "stopped", "walls")
     for series, times in ((uninterrupted, range(6)), (interrupted, range(5))):
         for time in times:
             series.write(POINT, time / 3)
     resumed = FrameSeries(tmp_path / "stopped", "walls")
-    resumed.frames, resumed.frame_count = interrupted.frames[:3], 3
+    resumed.frames = interrupted.frames[:3]
+    resumed.frame_count = 3
     resumed.truncate()
     assert listed(resumed.listing) == interrupted.frames[:3]
     for time in range(3, 6):
@@ -196,7 +205,9 @@ def test_truncated_and_continued_pvd_file_equals_that_of_an_uninterrupted_run(tm
     assert resumed.listing.read_bytes() == uninterrupted.listing.read_bytes()
 
 
-@pytest.mark.parametrize("damage", [lambda pvd: pvd.unlink(), lambda pvd: pvd.write_text("edited"), lambda pvd: None])
+@pytest.mark.parametrize(
+    "damage", [lambda pvd: pvd.unlink(), lambda pvd: pvd.write_text("edited"), lambda pvd: None]
+)
 def test_modified_pvd_file_is_rewritten(tmp_path, damage):
     series = FrameSeries(tmp_path, "particles")
     for time in range(4):
@@ -208,7 +219,8 @@ def test_modified_pvd_file_is_rewritten(tmp_path, damage):
 
 @pytest.mark.parametrize("free_bytes", [0, 1, 40, 80])
 def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, free_bytes):
-    """The disk accepts `free_bytes` bytes of an entry and its closing tags; before the next frame, space is freed."""
+    """The disk accepts `free_bytes` bytes of an entry and its closing tags; before the next frame, space is
+    freed."""
     series = FrameSeries(tmp_path, "particles")
     series.write(POINT, 0.0)
     before = series.listing.read_bytes()
@@ -238,12 +250,16 @@ def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, free_bytes):
         (lambda path: ParticleFrames(path, 0.1), snapshot_of(particles=particles_of(0))),
         (lambda path: ContactFrames(path, 0.1), snapshot_of(contacts=contacts_of(0))),
         (lambda path: ContactFrames(path, 0.1), snapshot_of(contacts=None)),
-        (lambda path: WallFrames(path, 0.1, {"lid": SQUARE}), snapshot_of(walls={"lid": turned(0, present=False)})),
+        (
+            lambda path: WallFrames(path, 0.1, {"lid": SQUARE}),
+            snapshot_of(walls={"lid": turned(0, present=False)}),
+        ),
     ],
     ids=["particles", "contacts", "no contacts", "walls"],
 )
 def test_empty_frame_is_a_valid_file_without_points(tmp_path, make, snapshot):
-    """meshio cannot read a VTU file without cells: the file has a polygon without corners, which granflow ignores."""
+    """meshio cannot read a VTU file without cells: the file has a polygon without corners, which granflow
+    ignores."""
     make(tmp_path).observe(snapshot)
     (path,) = tmp_path.glob("*.vtu")
     mesh = meshio.read(path)
@@ -257,4 +273,6 @@ def test_infinite_plane_moves_along_its_normal_only(tmp_path):
     """A conveyor belt: the part that is written remains in the domain."""
     walls = {"belt": turned(0, offset=(5.0, -3.0, 0.25))}
     WallFrames(tmp_path, 0.1, {"belt": SQUARE}, unbounded=["belt"]).observe(snapshot_of(walls=walls))
-    np.testing.assert_allclose(meshio.read(tmp_path / "walls_0000.vtu").points, SQUARE[0] + [0, 0, 0.25], atol=1e-12)
+    np.testing.assert_allclose(
+        meshio.read(tmp_path / "walls_0000.vtu").points, SQUARE[0] + [0, 0, 0.25], atol=1e-12
+    )

@@ -20,7 +20,8 @@ def scene_with(groups, seed=1):
             "gravity": [0, 0, -9.81],
             "materials": {"other": material, "glass": material},
             "pairs": {
-                key: {"restitution": 0.5, "friction": 0} for key in ("glass-glass", "glass-other", "other-other")
+                key: {"restitution": 0.5, "friction": 0}
+                for key in ("glass-glass", "glass-other", "other-other")
             },
             "contact": {"normal": "zhou", "tangential": "none", "rolling": "none"},
             "particles": {name: {"material": "glass"} | group for name, group in groups.items()},

@@ -33,7 +33,10 @@ def insert_all(rain, batch_count_max=2000):
 
     Checks each batch for overlaps.
     """
-    inserted_at, origin, radius, batches = np.empty(0), np.empty((0, 3)), np.empty(0), []
+    inserted_at = np.empty(0)
+    origin = np.empty((0, 3))
+    radius = np.empty(0)
+    batches = []
     while rain.remaining and len(batches) < batch_count_max:
         now = rain.next_time
         position = origin.copy()
@@ -63,7 +66,11 @@ def test_all_particles_are_inserted_on_time_without_overlap():
     assert batches[0][0] == 0.1
     assert batches[-1][0] == pytest.approx(0.1 + 1999 / 4000, abs=5 * rain.batch / 4000)
     assert (
-        min(clearance(REGION, particles.position, particles.radius) for _, particles in batches if len(particles))
+        min(
+            clearance(REGION, particles.position, particles.radius)
+            for _, particles in batches
+            if len(particles)
+        )
         >= -1e-12
     )
     inserted_radius = np.sort(np.concatenate([particles.radius for _, particles in batches]))
@@ -80,7 +87,8 @@ def test_insertion_is_reproducible_and_depends_on_the_seed():
 
 
 def test_due_particles_are_queued_while_the_region_is_full():
-    """While a particle fills the region, nothing is inserted; after its removal all queued particles are inserted."""
+    """While a particle fills the region, nothing is inserted; after its removal all queued particles are
+    inserted."""
     rain = rain_of(count=50, rate=1000.0, diameter=0.004)
     plug = np.array([[0, 0, 0.43]]), np.array([0.2])
     for now in (0.0, 0.005, 0.01):
@@ -96,10 +104,12 @@ def test_due_particles_are_queued_while_the_region_is_full():
 def test_insertion_stops_in_a_full_region():
     """Inserted particles stay in place: random insertion fills the region, then inserts no more particles."""
     rain = rain_of(count=4000, rate=1e5, diameter=0.008)
-    position, radius = np.empty((0, 3)), np.empty(0)
+    position = np.empty((0, 3))
+    radius = np.empty(0)
     for _ in range(100):
         particles = rain.insert_due(rain.next_time, position, radius)
-        position, radius = np.concatenate([position, particles.position]), np.concatenate([radius, particles.radius])
+        position = np.concatenate([position, particles.position])
+        radius = np.concatenate([radius, particles.radius])
     assert smallest_gap(position, radius) >= -1e-12
     assert rain.remaining == 4000 - len(radius) > 0
 
@@ -135,7 +145,8 @@ def test_each_group_has_an_inserter_with_independent_positions():
 def test_insertion_of_8000_particles_is_fast():
     rain = rain_of()
     settled = np.random.default_rng(1).uniform(-0.08, 0.08, (8000, 3))
-    spent, batch_count = 0.0, 0
+    spent = 0.0
+    batch_count = 0
     while rain.remaining:
         begin = time.perf_counter()
         rain.insert_due(rain.next_time, settled, np.full(8000, 0.002))
@@ -169,9 +180,9 @@ def test_mass_flow_is_exact_within_one_particle():
 def test_size_classes_keep_their_fractions_during_insertion():
     """Masses 1 : 1 : 2 in diameters of 2, 3 and 4 mm, so the numbers are 1/8 : 1/27 : 2/64.
 
-    Particle j of the n particles of a class is inserted at the fraction (j + 1/2) / n of the N insertions. Each of the
-    three classes deviates by at most 1/2 particle at a given fraction, the fraction deviates by at most 3/2 insertions,
-    and the count of a class by at most 1/2 + 3/2 n/N.
+    Particle j of the n particles of a class is inserted at the fraction (j + 1/2) / n of the N insertions.
+    Each of the three classes deviates by at most 1/2 particle at a given fraction, the fraction deviates by
+    at most 3/2 insertions, and the count of a class by at most 1/2 + 3/2 n/N.
     """
     number = np.arange(1, 1001)
     parts = {0.002: 1 / 8, 0.003: 1 / 27, 0.004: 2 / 64}
@@ -187,21 +198,34 @@ def test_size_classes_keep_their_fractions_during_insertion():
 @pytest.mark.parametrize(
     ("face", "normal", "center"),
     [
-        ({"disc": {"center": [0.1, 0, 0.2], "normal": [3, 0, -4], "radius": 0.03}}, [0.6, 0, -0.8], [0.1, 0, 0.2]),
-        ({"rectangle": {"corner": [0, 0, 0.2], "sides": [[0, 0.06, 0], [0.05, 0, 0]]}}, [0, 0, -1], [0.025, 0.03, 0.2]),
+        (
+            {"disc": {"center": [0.1, 0, 0.2], "normal": [3, 0, -4], "radius": 0.03}},
+            [0.6, 0, -0.8],
+            [0.1, 0, 0.2],
+        ),
+        (
+            {"rectangle": {"corner": [0, 0, 0.2], "sides": [[0, 0.06, 0], [0.05, 0, 0]]}},
+            [0, 0, -1],
+            [0.025, 0.03, 0.2],
+        ),
     ],
 )
 def test_inlet_inserts_whole_particles_behind_its_face(face, normal, center):
-    """The depth is at most the distance at 1 m/s between two batches: 1000 at 5000 /s in 500 batches of 0.4 ms."""
+    """The depth is at most the distance at 1 m/s between two batches: 1000 at 5000 /s in 500 batches of 0.4
+    ms."""
     insertion = {"kind": "inlet", "face": face, "rate": 5000.0}
     inserter = inserter_with(insertion, count=1000, velocity=normal)
-    position, radius, batches = np.empty((0, 3)), np.empty(0), []
+    position = np.empty((0, 3))
+    radius = np.empty(0)
+    batches = []
     now = 0.0
     while inserter.remaining:
         step = inserter.next_time - now
-        now, position = inserter.next_time, position + step * np.array(normal)
+        now = inserter.next_time
+        position = position + step * np.array(normal)
         particles = inserter.insert_due(now, position, radius)
-        position, radius = np.concatenate([position, particles.position]), np.concatenate([radius, particles.radius])
+        position = np.concatenate([position, particles.position])
+        radius = np.concatenate([radius, particles.radius])
         batches.append(particles)
         assert smallest_gap(position, radius) >= -1e-12
     assert now < 0.25, "hardly any particle is queued"

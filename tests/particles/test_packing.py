@@ -50,13 +50,17 @@ def test_packing_has_the_exact_count_inside_the_region_without_overlap(name):
     assert smallest_gap(particles.position, particles.radius) >= TOUCHING
     assert clearance(case["insert"]["region"], particles.position, particles.radius) >= TOUCHING
     assert (
-        particles.position.shape == particles.velocity.shape == particles.angular_velocity.shape == (case["count"], 3)
+        particles.position.shape
+        == particles.velocity.shape
+        == particles.angular_velocity.shape
+        == (case["count"], 3)
     )
 
 
 def test_packing_is_reproducible_and_depends_on_the_seed():
     scene = scene_with({"beads": CASES["pack"], "more": group("lattice", 20, 0.003, TUBE, jitter=1.0)})
-    first, again = initial_particles(scene), initial_particles(scene)
+    first = initial_particles(scene)
+    again = initial_particles(scene)
     for name in first.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     other = initial_particles(scene_with({"beads": CASES["pack"]}, seed=2))
@@ -65,7 +69,9 @@ def test_packing_is_reproducible_and_depends_on_the_seed():
 
 def test_sizes_of_a_group_do_not_depend_on_other_groups():
     one_group = initial_particles(scene_with({"beads": group("pack", 100, UNIFORM)}))
-    two_groups = initial_particles(scene_with({"beads": group("pack", 100, UNIFORM), "more": group("lattice", 5)}))
+    two_groups = initial_particles(
+        scene_with({"beads": group("pack", 100, UNIFORM), "more": group("lattice", 5)})
+    )
     np.testing.assert_array_equal(one_group.radius, two_groups.radius[:100])
 
 
@@ -123,7 +129,9 @@ def test_scene_with_rain_only_has_no_initial_particles():
     ],
 )
 def test_message_about_too_many_particles_states_how_many_fit(case, fit):
-    with pytest.raises(SceneError, match=rf"particles\.beads\.count is {case['count']}, but {fit} in its region\. "):
+    with pytest.raises(
+        SceneError, match=rf"particles\.beads\.count is {case['count']}, but {fit} in its region\. "
+    ):
         initial_particles(scene_with({"beads": case}))
 
 
@@ -140,7 +148,8 @@ def test_lattice_spreads_over_the_region():
 
 
 def test_pack_is_homogeneous():
-    """Each tenth of the height contains a tenth of the particles, within five binomial standard deviations."""
+    """Each tenth of the height contains a tenth of the particles, within five binomial standard
+    deviations."""
     particles = initial_particles(scene_with({"beads": group("pack", 4000, 0.004, TUBE)}))
     axis = np.array([0.6, 0, 0.8])
     along = (particles.position - np.array([0, 0, 0.1])) @ axis
@@ -162,9 +171,11 @@ def test_near_pairs_equal_brute_force():
 
 def test_packing_ends_early_if_a_sphere_cannot_leave_an_obstacle(monkeypatch):
     """An obstacle that fills the box confines the sphere to a corner, where the overlap does not decrease."""
-    sweeps, separation = [], packing.separation
+    sweeps = []
+    separation = packing.separation
     monkeypatch.setattr(packing, "separation", lambda *given: sweeps.append(1) or separation(*given))
-    box, obstacle = BoxSampler(np.zeros(3), np.ones(3)), Spheres(np.full((1, 3), 0.5), np.array([0.8]))
+    box = BoxSampler(np.zeros(3), np.ones(3))
+    obstacle = Spheres(np.full((1, 3), 0.5), np.array([0.8]))
     with pytest.raises(packing.RegionFullError, match="none fits"):
         packing.pack_at_random(box, np.array([0.1]), obstacle, np.random.default_rng(1))
     assert len(sweeps) < packing.MAX_SWEEPS / 4

@@ -15,7 +15,12 @@ RMS = 0.3
 def particles_with(thermal, seed=1, **more):
     """Initial particles of one group of 3000."""
     sizes = {"distribution": "uniform", "min": 1e-3, "max": 3e-3}
-    group = {"count": 3000, "diameter": sizes, "insert": {"kind": "pack", "region": BOX}, "thermal": thermal} | more
+    group = {
+        "count": 3000,
+        "diameter": sizes,
+        "insert": {"kind": "pack", "region": BOX},
+        "thermal": thermal,
+    } | more
     return initial_particles(scene_with({"gas": group}, seed))
 
 
@@ -31,7 +36,9 @@ def test_speeds_have_the_maxwell_distribution_and_the_given_root_mean_square():
 
 def test_granular_temperature_is_a_third_of_the_mean_square():
     by_temperature = particles_with({"granular_temperature": RMS**2 / 3.0})
-    np.testing.assert_allclose(by_temperature.velocity, particles_with({"velocity_rms": RMS}).velocity, rtol=1e-12)
+    np.testing.assert_allclose(
+        by_temperature.velocity, particles_with({"velocity_rms": RMS}).velocity, rtol=1e-12
+    )
 
 
 def test_momentum_is_zero_or_that_of_independent_velocities():
@@ -54,7 +61,8 @@ def test_velocities_follow_from_the_seed_and_leave_positions_unchanged():
 
 
 def test_plan_expects_the_fastest_particle():
-    """With 30 seeds no particle is faster than expected, and the expectation is at most 1.6 times the fastest."""
+    """With 30 seeds no particle is faster than expected, and the expectation is at most 1.6 times the
+    fastest."""
     group = {
         "count": 300,
         "diameter": 2e-3,
@@ -73,7 +81,10 @@ def test_plan_expects_the_fastest_particle():
     ("change", "words"),
     [
         ({"fixed": True}, "thermal cannot be combined with fixed: true"),
-        ({"count": 1}, "thermal cannot have zero momentum: one particle has momentum; write zero_momentum: false"),
+        (
+            {"count": 1},
+            "thermal cannot have zero momentum: one particle has momentum; write zero_momentum: false",
+        ),
         (
             {"insert": {"kind": "rain", "region": BOX, "rate": 100}},
             "thermal cannot be combined with it: insert.kind is rain; random velocities require lattice, pack",

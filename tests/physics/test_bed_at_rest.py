@@ -1,8 +1,8 @@
 """A bed at rest stays at rest: energy budget, rolling dissipation and rotation with every rolling model.
 
-Equal particles in face-centered cubic layers with twelve neighbors each settle under gravity in a box, from random
-angular velocities. No external work is done on the bed, so its energy can only decrease, the dissipation equals the
-decrease, and rolling dissipates at most that energy.
+Equal particles in face-centered cubic layers with twelve neighbors each settle under gravity in a box, from
+random angular velocities. No external work is done on the bed, so its energy can only decrease, the
+dissipation equals the decrease, and rolling dissipates at most that energy.
 """
 
 import numpy as np
@@ -19,7 +19,8 @@ STORED = tuple(f"{name}_energy" for name in ("kinetic", "rotational", "gravitati
 
 
 def layers(count=8):
-    """Centers [m] of square layers, alternately 7 x 7 and 6 x 6, each placed in the hollows of the layer below."""
+    """Centers [m] of square layers, alternately 7 x 7 and 6 x 6, each placed in the hollows of the layer
+    below."""
     positions = []
     for layer in range(count):
         inset = layer % 2
@@ -84,7 +85,10 @@ BEDS = [
 def test_bed_at_rest_closes_its_energy_budget_and_stops_rotating(taichi_f64, rolling, normal, chunk_size):
     """With chunk size 1, contacts are evaluated one at a time instead of in batches."""
     start, early, late, next_step = run_bed(rolling, normal, chunk_size)
-    (stored, dissipated, residual), (stored_late, dissipated_late, residual_late) = budget(early), budget(late)
+    (stored, dissipated, residual), (stored_late, dissipated_late, residual_late) = (
+        budget(early),
+        budget(late),
+    )
     loss = stored - stored_late
     # the residual vibration is far below the elastic energy that carries the weight of the bed
     assert 0.0 < loss < 0.25 * late.totals["elastic_energy"]
@@ -93,6 +97,8 @@ def test_bed_at_rest_closes_its_energy_budget_and_stops_rotating(taichi_f64, rol
     assert abs(residual_late - residual) < 0.02 * (dissipated_late - dissipated)
     assert abs(residual_late) < 1e-3 * dissipated_late
     assert rms_angular_velocity(late) < rms_angular_velocity(early) < 0.05 * rms_angular_velocity(start)
-    torque, torque_next = late.particles["torque"], next_step.particles["torque"]
-    # vibration periods are at least 20 steps: torques that alternate from step to step are an artifact of the time step
+    torque = late.particles["torque"]
+    torque_next = next_step.particles["torque"]
+    # vibration periods are at least 20 steps: torques that alternate from step to step are an artifact of the
+    # time step
     assert np.sum(torque * torque_next) > 0.5 * np.sum(torque * torque)

@@ -24,7 +24,8 @@ ROLLING = 2 / 7 * SPEED / (FRICTION * GRAVITY)
 
 MODULUS = STIFF["young_modulus"] / (4 * (1 + STIFF["poisson_ratio"]) * (2 - STIFF["poisson_ratio"]))
 OMEGA = np.sqrt(3.5 * 8 * MODULUS * np.sqrt(RADIUS * (RADIUS - HEIGHT)) / MASS)
-"""Angular frequency [rad/s] of a sphere that sticks, w^2 = (7/2) Kt/m with Kt = 8 G sqrt(R d) (Mindlin, undamped)."""
+"""Angular frequency [rad/s] of a sphere that sticks, w^2 = (7/2) Kt/m with Kt = 8 G sqrt(R d) (Mindlin,
+undamped)."""
 
 RINGING = FRICTION * GRAVITY / OMEGA
 """Amplitude mu g / w [m/s] of the velocity of a sphere that begins to stick with a fully loaded spring."""
@@ -85,16 +86,19 @@ def walls(tmp_path, monkeypatch):
 def test_spheres_on_belts_slip_and_then_roll(walls, kind, taichi_f64):
     """Until ROLLING they accelerate at mu g and spin at (5/2) mu g / R; then u = (2/7) U and w R = -(5/7) U.
 
-    The belt exerts mu m g, and its work is the transferred momentum times U, (2/7) m U^2. The mesh of 3 mm triangles is
-    crossed along their edges.
+    The belt exerts mu m g, and its work is the transferred momentum times U, (2/7) m U^2. The mesh of 3 mm
+    triangles is crossed along their edges.
     """
     belts, places = walls[kind]
     snapshots = run_and_sample(scene_of(belts, [(0.0, y, HEIGHT) for y in places]), 0.5 * ROLLING)
-    slipping, rolling = snapshots[1], snapshots[-1]
+    slipping = snapshots[1]
+    rolling = snapshots[-1]
     count = len(belts)
     for name in belts:
         force = slipping.impulses[name][:3] / slipping.time
-        np.testing.assert_allclose(force, [-FRICTION * MASS * GRAVITY, 0.0, -MASS * GRAVITY], rtol=0.01, atol=1e-9)
+        np.testing.assert_allclose(
+            force, [-FRICTION * MASS * GRAVITY, 0.0, -MASS * GRAVITY], rtol=0.01, atol=1e-9
+        )
         if kind != "translation":
             np.testing.assert_array_equal(rolling.walls[name].offset, 0.0)
     velocity, angular_velocity = (rolling.particles[name] for name in ("velocity", "angular_velocity"))
@@ -109,7 +113,8 @@ def test_spheres_on_belts_slip_and_then_roll(walls, kind, taichi_f64):
 def test_a_sphere_rolls_on_a_belt_that_starts_slowly(taichi_f64):
     """A belt with the acceleration a = U/T below (7/2) mu g moves a sphere at u = (2/7) a t without slip.
 
-    The spring is loaded by the jumps of the acceleration, two in the ramp: u oscillates with (2/7) a / w after each.
+    The spring is loaded by the jumps of the acceleration, two in the ramp: u oscillates with (2/7) a / w
+    after each.
     """
     ramp = 0.1
     scene = scene_on(rectangle(belt(ramp_duration=ramp)), run={"duration": 1.5 * ramp, "velocity_max": 0.3})
@@ -121,8 +126,14 @@ def test_a_sphere_rolls_on_a_belt_that_starts_slowly(taichi_f64):
 
 
 def test_the_surface_velocity_turns_with_the_wall(taichi_f64):
-    """A turntable with a belt from its axis outward: the force on a slipping sphere turns with it by a right angle."""
-    turning = {"kind": "rotation", "point": [0, 0, 0], "axis": [0, 0, 1], "angular_velocity": np.pi / 2 / 0.01}
+    """A turntable with a belt from its axis outward: the force on a slipping sphere turns with it by a right
+    angle."""
+    turning = {
+        "kind": "rotation",
+        "point": [0, 0, 0],
+        "axis": [0, 0, 1],
+        "angular_velocity": np.pi / 2 / 0.01,
+    }
     wall = plane([0, 0, 0], [0, 0, 1], motion=[turning, belt((1000.0, 0.0, 0.0))])
     snapshots = run_and_sample(scene_on(wall, run={"duration": 0.0101, "velocity_max": 1.0}), 1e-4)
     impulses = np.array([each.impulses["belt"][:2] for each in snapshots])
@@ -132,11 +143,17 @@ def test_the_surface_velocity_turns_with_the_wall(taichi_f64):
 
 
 def test_the_edge_of_a_belt_does_no_work_without_friction(taichi_f64):
-    """At the edge the normal is inclined; the surface velocity is in the plane of the contact, across the normal."""
+    """At the edge the normal is inclined; the surface velocity is in the plane of the contact, across the
+    normal."""
     wall = rectangle(belt(), sides=((0.02, 0.0, 0.0), (0.0, 0.04, 0.0)))
     frictionless = {"friction": 0.0, "restitution": 1.0}
     snapshots = run_and_sample(
-        scene_on(wall, position=(0.003, 0.0, HEIGHT), pair=frictionless, run={"duration": 0.05, "velocity_max": 1.0}),
+        scene_on(
+            wall,
+            position=(0.003, 0.0, HEIGHT),
+            pair=frictionless,
+            run={"duration": 0.05, "velocity_max": 1.0},
+        ),
         0.05,
     )
     assert snapshots[-1].particles["velocity"][0, 0] > 0.1, "the sphere has slid off the edge"
@@ -146,12 +163,14 @@ def test_the_edge_of_a_belt_does_no_work_without_friction(taichi_f64):
 
 
 def test_a_stage_stops_the_belt(taichi_f64):
-    """The belt is at rest after its stage: friction decelerates a slipping sphere, to 5/7 of its speed at last."""
+    """The belt is at rest after its stage: friction decelerates a slipping sphere, to 5/7 of its speed at
+    last."""
     stages = [{"name": "run", "duration": 0.5 * ROLLING}, {"name": "stop", "duration": ROLLING}]
     motion = belt(stages=["run"])
     scene = scene_on(rectangle(motion), run={"velocity_max": 0.3}, stages=stages)
     snapshots = run_and_sample(scene, 0.5 * ROLLING)
-    speed, spin = FRICTION * GRAVITY * 0.5 * ROLLING, -2.5 * FRICTION * GRAVITY * 0.5 * ROLLING
+    speed = FRICTION * GRAVITY * 0.5 * ROLLING
+    spin = -2.5 * FRICTION * GRAVITY * 0.5 * ROLLING
     assert snapshots[1].particles["velocity"][0, 0] == pytest.approx(speed, rel=5e-3)
     # 7 u = 5 u0 + 2 R w0 conserves the angular momentum about the contact.
     expected = (5 * speed + 2 * spin) / 7

@@ -58,15 +58,19 @@ def test_elastic_collisions_reach_the_overlap_force_and_duration(taichi_f64, nam
     scene, overlap_max, force_max, duration = CASES[name]
     snapshots = run_and_sample(scene, duration / 1000.0, until=1.2 * duration)
     force = np.linalg.norm(column(snapshots, "force")[:, 0], axis=1)
-    position, radius = column(snapshots, "position"), snapshots[0].particles["radius"]
+    position = column(snapshots, "position")
+    radius = snapshots[0].particles["radius"]
     if position.shape[1] == 2:
         overlap = radius.sum() - np.linalg.norm(position[:, 0] - position[:, 1], axis=1)
     else:
         overlap = radius[0] - position[:, 0, 2]
     assert overlap.max() == pytest.approx(overlap_max, rel=HALF_DIGIT)
     assert force.max() == pytest.approx(force_max, rel=HALF_DIGIT)
-    time, last = times(snapshots), np.flatnonzero(overlap > 0.0)[-1]
-    separation_time = time[last] + overlap[last] / (overlap[last] - overlap[last + 1]) * (time[last + 1] - time[last])
+    time = times(snapshots)
+    last = np.flatnonzero(overlap > 0.0)[-1]
+    separation_time = time[last] + overlap[last] / (overlap[last] - overlap[last + 1]) * (
+        time[last + 1] - time[last]
+    )
     assert separation_time == pytest.approx(duration, rel=HALF_DIGIT)
 
 
@@ -83,7 +87,10 @@ def test_rebound_has_the_requested_restitution(taichi_f64, law, material):
         },
         walls={"floor": plane([0, 0, 0], [0, 0, 1], "rigid")},
         materials=dict.fromkeys(names, material) | {"rigid": RIGID},
-        pairs={f"{name}-rigid": {"restitution": e, "friction": 0} for name, e in zip(names, requested, strict=True)},
+        pairs={
+            f"{name}-rigid": {"restitution": e, "friction": 0}
+            for name, e in zip(names, requested, strict=True)
+        },
         normal=law,
         run={"duration": 2e-5, "velocity_max": 3.9},
         numerics={"time_step_fraction": 0.004},
@@ -95,13 +102,18 @@ def test_rebound_has_the_requested_restitution(taichi_f64, law, material):
 def oblique(diameter, material, restitution, friction, normal_velocity, tangential_velocity, spin):
     """Particles that hit a rigid floor with tangential velocities along x and angular velocities about y."""
     count = len(tangential_velocity)
-    positions = np.stack([np.arange(count) * 2.0 * diameter, np.zeros(count), np.full(count, 0.5 * diameter)], axis=1)
+    positions = np.stack(
+        [np.arange(count) * 2.0 * diameter, np.zeros(count), np.full(count, 0.5 * diameter)], axis=1
+    )
     velocity = np.stack([tangential_velocity, np.zeros(count), np.full(count, -normal_velocity)], axis=1)
     angular_velocity = np.stack([np.zeros(count), spin, np.zeros(count)], axis=1)
     return build_scene(
         {
             "balls": particle_group(
-                positions - [count * diameter, 0, 0], diameter, velocity=velocity, angular_velocity=angular_velocity
+                positions - [count * diameter, 0, 0],
+                diameter,
+                velocity=velocity,
+                angular_velocity=angular_velocity,
             )
         },
         walls={"floor": plane([0, 0, 0], [0, 0, 1], "rigid")},
@@ -116,11 +128,13 @@ def oblique(diameter, material, restitution, friction, normal_velocity, tangenti
 def test_sliding_impact_of_a_small_ball_follows_the_closed_form(taichi_f64):
     """Test 5: if the contact slides throughout, Vs'/(mu Vn') = Vs/(mu Vn) - 7 and r w'/(mu Vn) = -5 (e = 1).
 
-    These values hold for a lever arm r. Here the lever arm is r minus half of the overlap, whose mean over the impulse
-    of a Hertz contact is int F d dt / int F dt = dmax int_0^1 sqrt(1 - u^2.5) du = dmax eta1 / 1.8: 0.5 % of r at
-    this speed.
+    These values hold for a lever arm r. Here the lever arm is r minus half of the overlap, whose mean over
+    the impulse of a Hertz contact is int F d dt / int F dt = dmax int_0^1 sqrt(1 - u^2.5) du = dmax eta1 /
+    1.8: 0.5 % of r at this speed.
     """
-    friction, speed, radius = 0.3, 5.0, 1e-5
+    friction = 0.3
+    speed = 5.0
+    radius = 1e-5
     ratio = np.array([8.0, 10.0, 14.0, 20.0])
     scene = oblique(2.0 * radius, STEEL, 1.0, friction, speed, ratio * friction * speed, np.zeros(4))
     last = run_and_sample(scene, 1.0, until=4.5e-8)[-1].particles
@@ -129,16 +143,24 @@ def test_sliding_impact_of_a_small_ball_follows_the_closed_form(taichi_f64):
     arm = 1.0 - 0.5 * theory.LOADING_DURATION / 1.8 * overlap_max / radius
     slip = last["velocity"][:, 0] - radius * last["angular_velocity"][:, 1]
     np.testing.assert_allclose(last["velocity"][:, 2], speed, rtol=1e-4)
-    np.testing.assert_allclose(radius * last["angular_velocity"][:, 1] / (friction * speed), 5.0 * arm, rtol=1e-3)
+    np.testing.assert_allclose(
+        radius * last["angular_velocity"][:, 1] / (friction * speed), 5.0 * arm, rtol=1e-3
+    )
     np.testing.assert_allclose(slip / (friction * speed), ratio - 2.0 - 5.0 * arm, rtol=0.0, atol=1e-3 * 7.0)
 
 
 def test_sliding_impact_with_initial_rotation_follows_the_closed_form(taichi_f64):
-    """Test 6: without tangential velocity and with an initial rotation, the slip becomes Vs - 3.5 mu (1 + e) Vn."""
-    friction, restitution, normal_velocity, radius = 0.4, 0.5, 0.2, 0.1
+    """Test 6: without tangential velocity and with an initial rotation, the slip becomes Vs - 3.5 mu (1 + e)
+    Vn."""
+    friction = 0.4
+    restitution = 0.5
+    normal_velocity = 0.2
+    radius = 0.1
     loss = 3.5 * friction * (1.0 + restitution) * normal_velocity
     before = loss * np.array([1.2, 1.6, 2.4])
-    scene = oblique(2.0 * radius, ALLOY_OBLIQUE, restitution, friction, normal_velocity, np.zeros(3), before / radius)
+    scene = oblique(
+        2.0 * radius, ALLOY_OBLIQUE, restitution, friction, normal_velocity, np.zeros(3), before / radius
+    )
     last = run_and_sample(scene, 1.0, until=1.2e-3)[-1].particles
     assert np.allclose(last["velocity"][:, 2], restitution * normal_velocity, rtol=1e-3)
     slip = radius * last["angular_velocity"][:, 1] - last["velocity"][:, 0]
@@ -146,7 +168,8 @@ def test_sliding_impact_with_initial_rotation_follows_the_closed_form(taichi_f64
 
 
 def test_collision_of_equal_balls_with_opposite_rotations_has_no_friction(taichi_f64):
-    """Test 7: the surfaces do not slip, so no tangential velocity results and the angular velocity keeps its bits."""
+    """Test 7: the surfaces do not slip, so no tangential velocity results and the angular velocity keeps its
+    bits."""
     directions = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     spin = np.array([[0.0, 0.0, 5.0], [0.0, 0.0, -5.0]])
     scene = build_scene(

@@ -56,14 +56,17 @@ def rotor_error(step, duration=0.06):
 
 
 def test_torque_free_rotor_converges_to_the_jacobi_functions_with_order_two(taichi_f64):
-    coarse, fine = rotor_error(1e-4), rotor_error(5e-5)
+    coarse = rotor_error(1e-4)
+    fine = rotor_error(5e-5)
     assert fine < 1e-5
     assert coarse / fine == pytest.approx(4.0, rel=0.02)
 
 
 def test_angular_momentum_of_a_torque_free_rotor_is_exact(taichi_f64):
     group = clump_group([[0.0, 0.0, 0.0]], ASYMMETRIC, angular_velocity=[30.0, -50.0, 70.0])
-    simulation = Simulation(build_scene({"rotor": group}, run={"duration": 1.0, "time_step": 5e-5}), threads=1)
+    simulation = Simulation(
+        build_scene({"rotor": group}, run={"duration": 1.0, "time_step": 5e-5}), threads=1
+    )
     before = simulation.snapshot()
     simulation.step(5000)
     after = simulation.snapshot()
@@ -77,11 +80,14 @@ FRICTIONLESS = {"friction": 0.0}
 
 
 def rod_impact(angle, speed, restitution):
-    """Velocity and angular velocity of a rod after its lower end hits a plate; the expected ones; turn in contact."""
+    """Velocity and angular velocity of a rod after its lower end hits a plate; the expected ones; turn in
+    contact."""
     shape = shape_of(ROD)
     end = np.abs(np.array(ROD)[:, 0]).max()
     height = end * np.sin(np.deg2rad(angle)) + 0.002 + 1e-6
-    group = clump_group([[0.0, 0.0, height]], orientation=about([0, 1, 0], angle), velocity=[0.0, 0.0, -speed])
+    group = clump_group(
+        [[0.0, 0.0, height]], orientation=about([0, 1, 0], angle), velocity=[0.0, 0.0, -speed]
+    )
     stiff = {"glass": {"young_modulus": 1e10, "poisson_ratio": 0.25, "density": DENSITY}}
     scene = build_scene(
         {"rod": group}, {"plate": plane([0, 0, 0], [0, 0, 1])}, FRICTIONLESS | {"restitution": restitution},
@@ -94,7 +100,8 @@ def rod_impact(angle, speed, restitution):
     turn = abs(last["angular_velocity"][0, 1]) * (in_contact[-1].time - in_contact[0].time)
     # The rod turns about y by `angle`: its positive end, at x = end cos(angle), is the lower one.
     arm = end * np.cos(np.deg2rad(angle))
-    mass, inertia = DENSITY * shape.volume, DENSITY * shape.moments[1]
+    mass = DENSITY * shape.volume
+    inertia = DENSITY * shape.moments[1]
     impulse = (1.0 + restitution) * speed / (1.0 / mass + arm**2 / inertia)
     expected = -speed + impulse / mass, -arm * impulse / inertia
     found = last["clump_velocity"][0, 2], last["angular_velocity"][0, 1]
@@ -107,7 +114,8 @@ def rod_impact(angle, speed, restitution):
 def test_rod_that_hits_a_plate_has_the_velocities_of_the_impulse(angle, restitution, taichi_f64):
     """The closed form is that of an instantaneous impulse; the rod turns during the contact.
 
-    That changes the lever arm by tan(angle) times the turn, relative to the arm, and the impulse by about as much.
+    That changes the lever arm by tan(angle) times the turn, relative to the arm, and the impulse by about as
+    much.
     """
     found, expected, turn = rod_impact(angle, 0.01, restitution)
     allowed = turn * np.tan(np.deg2rad(angle))

@@ -13,7 +13,8 @@ DISSIPATED = tuple(f"{name}_dissipation" for name in ("plastic", "friction", "ro
 
 
 def free_particle(damping, duration, **parts):
-    """One particle that rotates and may fall; a second one far away gives it friction and thereby rotation."""
+    """One particle that rotates and may fall; a second one far away gives it friction and thereby
+    rotation."""
     particles = particle_group(
         [[0.0] * 3, [0.0, 0.3, 0.0]], DIAMETER, velocity=[0.6, -0.3, 0.2], angular_velocity=[4.0, 0.0, -8.0]
     )
@@ -37,24 +38,31 @@ def test_drag_decays_velocities_exponentially(taichi_f64):
 
 
 def test_terminal_velocity_of_drag_is_exact(taichi_f64):
-    """v = g / rate for any time step, after 40 decay times; the energies are of second order in h = rate dt / 2."""
+    """v = g / rate for any time step, after 40 decay times; the energies are of second order in h = rate dt /
+    2."""
     scene = free_particle({"drag": 2000.0}, 0.02, gravity=[0.0, 0.0, -9.81])
     last = run_and_sample(scene, 0.02)[-1]
-    np.testing.assert_allclose(last.particles["velocity"], [[0.0, 0.0, -9.81 / 2000.0]] * 2, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        last.particles["velocity"], [[0.0, 0.0, -9.81 / 2000.0]] * 2, rtol=1e-12, atol=1e-15
+    )
     assert abs(last.totals["energy_error"]) < 2.0 * (0.5 * 2000.0 * 1e-5) ** 2
 
 
 def test_cundall_damping_reduces_the_amplitude_of_an_oscillator_in_each_half_period(taichi_f64):
     """A particle on a linear spring, displaced from rest by A below the equilibrium.
 
-    On the way to the equilibrium the force is (1 - a) k x, afterwards (1 + a) k x, because the damping force opposes
-    the velocity. The energy at the equilibrium gives A' / A = sqrt((1 - a) / (1 + a)) for a half period, which takes
-    T = pi / 2 sqrt(m / k) (1 / sqrt(1 - a) + 1 / sqrt(1 + a)).
+    On the way to the equilibrium the force is (1 - a) k x, afterwards (1 + a) k x, because the damping force
+    opposes the velocity. The energy at the equilibrium gives A' / A = sqrt((1 - a) / (1 + a)) for a half
+    period, which takes T = pi / 2 sqrt(m / k) (1 / sqrt(1 - a) + 1 / sqrt(1 + a)).
     """
-    ratio, stiffness, gravity = 0.2, 1e3, 9.81
+    ratio = 0.2
+    stiffness = 1e3
+    gravity = 9.81
     sag = MASS * gravity / stiffness
     amplitude = 0.5 * sag
-    half_period = 0.5 * math.pi * math.sqrt(MASS / stiffness) * sum((1.0 + s * ratio) ** -0.5 for s in (-1.0, 1.0))
+    half_period = (
+        0.5 * math.pi * math.sqrt(MASS / stiffness) * sum((1.0 + s * ratio) ** -0.5 for s in (-1.0, 1.0))
+    )
     scene = build_scene(
         {"ball": particle_group([[0.0, 0.0, 0.5 * DIAMETER - sag - amplitude]], DIAMETER)},
         walls={"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])},
@@ -78,10 +86,14 @@ def test_cundall_damping_slows_free_fall(taichi_f64):
     """A particle that falls from rest accelerates with (1 - a) g."""
     particle = particle_group([[0.0] * 3], DIAMETER)
     run = {"duration": 0.05, "velocity_max": 1.0, "time_step": 1e-5}
-    scene = build_scene({"ball": particle}, damping={"cundall": 0.3}, gravity=[0.0, 0.0, -9.81], run=run, output=OUTPUT)
+    scene = build_scene(
+        {"ball": particle}, damping={"cundall": 0.3}, gravity=[0.0, 0.0, -9.81], run=run, output=OUTPUT
+    )
     last = run_and_sample(scene, 0.05)[-1]
     assert last.particles["velocity"][0, 2] == pytest.approx(-0.7 * 9.81 * last.time, rel=1e-3)
-    assert last.totals["damping_dissipation"] == pytest.approx(0.3 * MASS * 9.81 * 0.35 * 9.81 * last.time**2, rel=1e-3)
+    assert last.totals["damping_dissipation"] == pytest.approx(
+        0.3 * MASS * 9.81 * 0.35 * 9.81 * last.time**2, rel=1e-3
+    )
 
 
 def settling_bed(damping, **parts):

@@ -58,7 +58,8 @@ def cubic_domain(half):
 
 @pytest.mark.parametrize("law", ["zhou", "hertz"])
 def test_bouncing_ball_reaches_the_rebound_heights_of_a_hard_sphere(taichi_f64, law):
-    """A stiff material approaches the hard sphere: each bounce may change the height by the maximum overlap."""
+    """A stiff material approaches the hard sphere: each bounce may change the height by the maximum
+    overlap."""
     stiff = {"young_modulus": 1e12, "poisson_ratio": 0.3, "density": 2600.0}
     scene = build_scene(
         {"ball": particle_group([[0.0, 0.0, 0.5]], 0.2)}, walls={"floor": FLOOR}, materials={"glass": stiff},
@@ -66,7 +67,8 @@ def test_bouncing_ball_reaches_the_rebound_heights_of_a_hard_sphere(taichi_f64, 
         run={"duration": 2.4, "velocity_max": 2.9}, domain=cubic_domain(1.0), numerics={"time_step_fraction": 0.02},
     )  # fmt: skip
     snapshots = run_and_sample(scene, 0.01)
-    z, speed = column(snapshots, "position")[:, 0, 2], column(snapshots, "velocity")[:, 0, 2]
+    z = column(snapshots, "position")[:, 0, 2]
+    speed = column(snapshots, "velocity")[:, 0, 2]
     in_flight = z > 0.1
     apex = (z + speed**2 / (2.0 * GRAVITY))[in_flight]
     bounces = np.cumsum(np.diff(apex, prepend=apex[0]) < -0.01)
@@ -81,15 +83,21 @@ def test_bouncing_ball_reaches_the_rebound_heights_of_a_hard_sphere(taichi_f64, 
 
 
 def test_two_stacked_spheres_between_walls_follow_their_equations_of_motion(taichi_f64):
-    """A light particle on a heavy one, compressed between walls at a distance of 1.8 mm: two coupled equations."""
-    radius, modulus, restitution = 5e-4, 1e6, 0.8
+    """A light particle on a heavy one, compressed between walls at a distance of 1.8 mm: two coupled
+    equations."""
+    radius = 5e-4
+    modulus = 1e6
+    restitution = 0.8
     soft = {"young_modulus": modulus, "poisson_ratio": 0.3}
     scene = build_scene(
         {
             "below": particle_group([[0, 0, 4.5e-4]], 1e-3, "heavy"),
             "above": particle_group([[0, 0, 1.35e-3]], 1e-3, "light"),
         },
-        walls={"floor": plane([0, 0, 0], [0, 0, 1], "light"), "lid": plane([0, 0, 1.8e-3], [0, 0, -1], "light")},
+        walls={
+            "floor": plane([0, 0, 0], [0, 0, 1], "light"),
+            "lid": plane([0, 0, 1.8e-3], [0, 0, -1], "light"),
+        },
         materials={"heavy": soft | {"density": 2e4}, "light": soft | {"density": 1e4}},
         pair={"restitution": restitution},
         normal="hertz",
@@ -100,12 +108,14 @@ def test_two_stacked_spheres_between_walls_follow_their_equations_of_motion(taic
     )
     snapshots = run_and_sample(scene, 1e-4)
     volume = 4.0 / 3.0 * np.pi * radius**3
-    m1, m2 = volume * 2e4, volume * 1e4
+    m1 = volume * 2e4
+    m2 = volume * 1e4
     modulus_eff = modulus / (2.0 * (1.0 - 0.3**2))
     zeta = theory.damping_ratio_for(restitution)
 
     def force(overlap, rate, radius_eff, mass_eff):
-        k, d = 4.0 / 3.0 * modulus_eff * np.sqrt(radius_eff), max(overlap, 0.0)
+        k = 4.0 / 3.0 * modulus_eff * np.sqrt(radius_eff)
+        d = max(overlap, 0.0)
         return max(k * d**1.5 + np.sqrt(5.0) * zeta * np.sqrt(mass_eff * k) * d**0.25 * rate, 0.0)
 
     def motion(t, s):
@@ -126,9 +136,12 @@ def test_two_stacked_spheres_between_walls_follow_their_equations_of_motion(taic
 
 
 def test_residence_time_of_an_inlet_is_the_time_to_the_flow_meter(taichi_f64, tmp_path):
-    """Without gravity, particles of 4 mm start within two diameters behind the face with 0.5 m/s; the meter is 0.2 m
-    from it. A passage is known to half the interval of the rows."""
-    speed, distance, diameter, interval = 0.5, 0.2, 0.004, 0.01
+    """Without gravity, particles of 4 mm start within two diameters behind the face with 0.5 m/s; the meter
+    is 0.2 m from it. A passage is known to half the interval of the rows."""
+    speed = 0.5
+    distance = 0.2
+    diameter = 0.004
+    interval = 0.01
     face = {"disc": {"center": [0, 0, 0], "normal": [0, 0, -1], "radius": 0.03}}
     feed = {
         "material": "glass", "diameter": diameter, "count": 40, "velocity": [0, 0, -speed],

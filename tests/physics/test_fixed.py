@@ -1,4 +1,5 @@
-"""Fixed particles: zero velocity, contacts like those with a wall of their shape, energy budget and time step."""
+"""Fixed particles: zero velocity, contacts like those with a wall of their shape, energy budget and time
+step."""
 
 from math import pi, sqrt
 
@@ -22,7 +23,8 @@ def head_on(**parts):
 
 
 def test_fixed_particle_acts_as_an_infinite_mass(taichi_f64):
-    """Elastic impact: m v^2 / 2 = 2/5 k d^2.5 with the mass m of the mobile particle and 1/R = 1/R1 + 1/R2."""
+    """Elastic impact: m v^2 / 2 = 2/5 k d^2.5 with the mass m of the mobile particle and 1/R = 1/R1 +
+    1/R2."""
     k = HERTZ * sqrt(RADIUS * FIXED_RADIUS / (RADIUS + FIXED_RADIUS))
     overlap_max = (5.0 * MASS * SPEED**2 / (4.0 * k)) ** 0.4
     scene = head_on(
@@ -30,7 +32,8 @@ def test_fixed_particle_acts_as_an_infinite_mass(taichi_f64):
         output={"interval": 1.0, "energy_budget": True},
     )  # fmt: skip
     snapshots = run_and_sample(scene, 1e-6)
-    position, velocity = column(snapshots, "position"), column(snapshots, "velocity")
+    position = column(snapshots, "position")
+    velocity = column(snapshots, "velocity")
     overlap = RADIUS + FIXED_RADIUS - position[:, 0, 0]
     assert overlap.max() == pytest.approx(overlap_max, rel=1e-4)
     assert velocity[-1, 0, 0] == pytest.approx(SPEED, rel=1e-6)
@@ -42,14 +45,17 @@ def test_fixed_particle_acts_as_an_infinite_mass(taichi_f64):
 
 
 def test_pair_cases_of_fixed_particles_use_the_mobile_mass():
-    """The time step uses the mass of the mobile particle and both radii; fixed particles form no pair case."""
+    """The time step uses the mass of the mobile particle and both radii; fixed particles form no pair
+    case."""
     scene = head_on()
     pair_cases = {pair.name: pair for pair in plan_for(scene).pair_cases}
     assert list(pair_cases) == ["mobile-mobile", "mobile-rough"]
     found = pair_cases["mobile-rough"]
     assert found.mass_eff == pytest.approx(MASS)
     assert found.radius_eff == pytest.approx(RADIUS * FIXED_RADIUS / (RADIUS + FIXED_RADIUS))
-    reversed_order = build_scene({name: head_on().particles[name].model_dump() for name in ("rough", "mobile")})
+    reversed_order = build_scene(
+        {name: head_on().particles[name].model_dump() for name in ("rough", "mobile")}
+    )
     assert {pair.mass_eff for pair in plan_for(reversed_order).pair_cases} == {
         each.mass_eff for each in pair_cases.values()
     }
@@ -57,11 +63,14 @@ def test_pair_cases_of_fixed_particles_use_the_mobile_mass():
 
 
 def rough_floor(**parts):
-    """Rotating particles fall onto a floor of overlapping fixed particles that extends through the walls of a box."""
+    """Rotating particles fall onto a floor of overlapping fixed particles that extends through the walls of a
+    box."""
     rng = np.random.default_rng(2)
     positions = 0.0065 * (np.argwhere(np.ones((6, 6, 3))) + [0.75, 0.75, 1.5])
     rain = particle_group(
-        positions, rng.uniform(0.004, 0.006, len(positions)), angular_velocity=rng.normal(0.0, 50.0, positions.shape)
+        positions,
+        rng.uniform(0.004, 0.006, len(positions)),
+        angular_velocity=rng.normal(0.0, 50.0, positions.shape),
     )
     floor = 0.004 * np.argwhere(np.ones((12, 12, 1))) + [-0.001, -0.001, 0.0]
     pair = {"friction": 0.5, "rolling_friction": 0.1, "restitution": 0.6}
@@ -70,7 +79,9 @@ def rough_floor(**parts):
         "gravity": [0.0, 0.0, -9.81], "run": {"duration": 0.1, "velocity_max": 1.0, "time_step": 5e-6},
         "output": {"interval": 1.0, "energy_budget": True}, "numerics": {"chunk_size": 64},
     }  # fmt: skip
-    return build_scene({"rain": rain, "floor": particle_group(floor, 0.006) | {"fixed": True}}, **(given | parts))
+    return build_scene(
+        {"rain": rain, "floor": particle_group(floor, 0.006) | {"fixed": True}}, **(given | parts)
+    )
 
 
 def test_rough_floor_carries_particles_and_the_energy_budget_closes(taichi_f64):
@@ -89,4 +100,6 @@ def test_rough_floor_carries_particles_and_the_energy_budget_closes(taichi_f64):
     mean = last.particles["coordination_number"][~rough].mean()
     assert last.totals["coordination_number"] == pytest.approx(mean)
     unchunked, _ = run_to_end(rough_floor(numerics={"chunk_size": 1}), 0.02)
-    np.testing.assert_allclose(unchunked.particles["position"], early.particles["position"], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        unchunked.particles["position"], early.particles["position"], rtol=0.0, atol=1e-9
+    )

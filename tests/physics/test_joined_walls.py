@@ -1,7 +1,8 @@
-"""Walls that touch or overlap act as one surface: each contact counts once, and its history follows the contact point.
+"""Walls that touch or overlap act as one surface: each contact counts once, and its history follows the
+contact point.
 
-Spheres with friction and rolling friction cross seams during a collision. The expected motion is that on one plane,
-because all surfaces lie in the plane z = 0.
+Spheres with friction and rolling friction cross seams during a collision. The expected motion is that on one
+plane, because all surfaces lie in the plane z = 0.
 """
 
 import numpy as np
@@ -34,7 +35,12 @@ def mesh_wall(file, **more):
 
 
 def rectangle(corner, *sides):
-    return {"shape": "rectangle", "corner": list(corner), "sides": [list(side) for side in sides], "material": "glass"}
+    return {
+        "shape": "rectangle",
+        "corner": list(corner),
+        "sides": [list(side) for side in sides],
+        "material": "glass",
+    }
 
 
 def disc(center, radius, hole_radius=0.0):
@@ -73,7 +79,8 @@ def on_seam(x, y, shares=(-0.4, 0.0, 0.4)):
 
 def seams(folder):
     """Walls at z = 0 with seams, and positions of spheres that cross them."""
-    walls, positions = {}, []
+    walls = {}
+    positions = []
     # Two closed bodies in one file, whose triangles share no vertex; the second one is deeper and narrower.
     write(folder / "blocks.stl", *together(brick([-0.08, -0.08, -0.02], [-0.06, -0.05, 0]),
                                            brick([-0.06, -0.075, -0.03], [-0.045, -0.053, 0])))  # fmt: skip
@@ -87,7 +94,10 @@ def seams(folder):
     positions += on_seam(-0.0101, -0.072)
     # A T-junction of two files: the edges of one plate end within the edge of the other.
     write(folder / "wide.stl", *flat([0.02, -0.08], [0.04, -0.04]))
-    write(folder / "narrow.stl", *together(flat([0.04, -0.08], [0.06, -0.069]), flat([0.04, -0.069], [0.06, -0.04])))
+    write(
+        folder / "narrow.stl",
+        *together(flat([0.04, -0.08], [0.06, -0.069]), flat([0.04, -0.069], [0.06, -0.04])),
+    )
     walls |= {"wide": mesh_wall("wide.stl"), "narrow": mesh_wall("narrow.stl")}
     positions += on_seam(0.04, -0.075)
     # Rectangles side by side, and overlapping.
@@ -97,7 +107,8 @@ def seams(folder):
     walls["below"] = rectangle([-0.03, -0.03, 0], [0.02, 0, 0], [0, 0.03, 0])
     walls["above"] = rectangle([-0.012, 0, 0], [0.03, 0, 0], [0, -0.03, 0])
     positions += on_seam(-0.0118, -0.024)
-    # A plug in a floor with a hole; a disc beside a mesh and on a flange of a tube with the same outer radius.
+    # A plug in a floor with a hole; a disc beside a mesh and on a flange of a tube with the same outer
+    # radius.
     walls["floor"] = disc([0.05, -0.01, 0], 0.02, 0.01)
     walls["plug"] = disc([0.05, -0.01, 0], 0.01)
     positions += on_seam(0.06, -0.016)
@@ -119,7 +130,9 @@ def seams(folder):
 
 def collisions(walls, positions, **parts):
     """A scene in a box that is periodic along x."""
-    group = particle_group(positions, 2 * RADIUS, velocity=VELOCITY.tolist(), angular_velocity=[20.0, 50.0, 30.0])
+    group = particle_group(
+        positions, 2 * RADIUS, velocity=VELOCITY.tolist(), angular_velocity=[20.0, 50.0, 30.0]
+    )
     domain = {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 0.1], "periodic": ["x"], "on_exit": "error"}
     output = {"interval": 4e-3, "energy_budget": True}
     return build_scene(
@@ -130,7 +143,8 @@ def collisions(walls, positions, **parts):
 
 
 def test_seams_of_walls_have_no_effect(taichi_f64, folder):
-    """Trajectories, contacts and energies are those on one plane, for all owners and across a periodic boundary."""
+    """Trajectories, contacts and energies are those on one plane, for all owners and across a periodic
+    boundary."""
     walls, positions = seams(folder)
     ground = {"ground": plane([0, 0, 0], [0, 0, 1])}
     found, expected = (run_and_sample(collisions(each, positions), 5e-5, 2e-3) for each in (walls, ground))
@@ -138,10 +152,14 @@ def test_seams_of_walls_have_no_effect(taichi_f64, folder):
     counts = np.sum([each.particles["wall_contact_count"] for each in found], axis=0)
     assert np.all(counts >= 8), "all particles are in contact for at least eight samples"
     for snapshot, exact in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(snapshot.particles["wall_contact_count"], exact.particles["wall_contact_count"])
+        np.testing.assert_array_equal(
+            snapshot.particles["wall_contact_count"], exact.particles["wall_contact_count"]
+        )
         for name in ("position", "velocity", "angular_velocity"):
             size = np.abs(exact.particles[name]).max()
-            np.testing.assert_allclose(snapshot.particles[name], exact.particles[name], rtol=0.0, atol=1e-8 * size)
+            np.testing.assert_allclose(
+                snapshot.particles[name], exact.particles[name], rtol=0.0, atol=1e-8 * size
+            )
         assert snapshot.totals["energy_error"] == pytest.approx(exact.totals["energy_error"], abs=1e-8)
     np.testing.assert_allclose(found[-1].particles["velocity"][:, 2], 0.15, rtol=1e-3)
 
@@ -149,8 +167,8 @@ def test_seams_of_walls_have_no_effect(taichi_f64, folder):
 def test_different_contacts_stay_different(taichi_f64, folder):
     """Corners and grooves give a contact with each side, also where the walls touch; edges and tips give one.
 
-    A sphere that falls on the middle of a right-angled groove rebounds with the restitution of one wall: along each
-    normal, its mass and velocity are those of a collision with that wall alone. On an edge
+    A sphere that falls on the middle of a right-angled groove rebounds with the restitution of one wall:
+    along each normal, its mass and velocity are those of a collision with that wall alone. On an edge
     that two walls share, the sphere has one contact along the line from the edge.
     """
     a = np.cos(np.pi / 4)
@@ -187,7 +205,8 @@ def test_different_contacts_stay_different(taichi_f64, folder):
 
 
 def test_coincident_walls_are_reported(folder):
-    """Walls with the same surface: planes through different points, rectangles from different corners, equal meshes."""
+    """Walls with the same surface: planes through different points, rectangles from different corners, equal
+    meshes."""
     write(folder / "plate.stl", *flat([0, 0], [0.01, 0.01]))
     walls = {
         "a": plane([0, 0, 0], [0, 0, 1]),
@@ -199,17 +218,29 @@ def test_coincident_walls_are_reported(folder):
         "e": mesh_wall("plate.stl", translate=[0, 0, 0.1]),
         "f": mesh_wall("plate.stl", translate=[0, 0, 0.1]),
     }
-    found = [each.warning for each in plan_for(build_scene({"b": particle_group([0, 0, 0.3])}, walls=walls)).forecasts]
-    same = [(text.split()[0], text.split(":")[0].split()[-1]) for text in found if text and "same surface" in text]
+    found = [
+        each.warning
+        for each in plan_for(build_scene({"b": particle_group([0, 0, 0.3])}, walls=walls)).forecasts
+    ]
+    same = [
+        (text.split()[0], text.split(":")[0].split()[-1]) for text in found if text and "same surface" in text
+    ]
     assert same == [("walls.b", "walls.a"), ("walls.d", "walls.c"), ("walls.f", "walls.e")]
 
 
 def test_particles_that_are_inserted_into_a_mesh_are_reported_as_such(taichi_f64, folder):
-    """Rain does not consider walls: the message names the insertion and the wall, not velocity and modulus."""
+    """Rain does not consider walls: the message names the insertion and the wall, not velocity and
+    modulus."""
     write(folder / "plate.stl", *flat([-0.1, -0.1], [0.1, 0.1]))
     region = {"box": {"min": [-0.05, -0.05, -2e-3], "max": [0.05, 0.05, 4e-3]}}
     rain = {"kind": "rain", "rate": 1e5, "start": 1e-4, "region": region}
-    group = {"material": "glass", "count": 20, "diameter": 2 * RADIUS, "insert": rain, "velocity": [0, 0, -0.1]}
+    group = {
+        "material": "glass",
+        "count": 20,
+        "diameter": 2 * RADIUS,
+        "insert": rain,
+        "velocity": [0, 0, -0.1],
+    }
     scene = build_scene({"drops": group}, walls={"bowl": mesh_wall("plate.stl")}, run={"duration": 0.01})
     with pytest.raises(RunError, match=r"was inserted there.*does not intersect wall bowl"):
         Simulation(scene).run()

@@ -12,8 +12,8 @@ RADIUS, OVERLAP = 1e-3, 2e-5
 def hertz_arm(radius, partner_radius, overlap):
     """Mean distance of the contact surface from a center, weighted with the pressure, for equal moduli [m].
 
-    Both surfaces are displaced by u = (d - r^2/(2 R)) / 2 where the pressure is p ~ sqrt(1 - r^2/a^2), a^2 = R d, so
-    that the contact surface is at the distance R_1 - r^2/(2 R_1) - u.
+    Both surfaces are displaced by u = (d - r^2/(2 R)) / 2 where the pressure is p ~ sqrt(1 - r^2/a^2), a^2 =
+    R d, so that the contact surface is at the distance R_1 - r^2/(2 R_1) - u.
     """
     curvature = 1.0 / radius + 1.0 / partner_radius
     square = np.linspace(0.0, overlap / curvature, 100_001)
@@ -23,7 +23,8 @@ def hertz_arm(radius, partner_radius, overlap):
 
 
 def measured_arms(partner_radius):
-    """Torque over tangential force of a sphere and its partner, none for a wall (infinite radius); overlap [m]."""
+    """Torque over tangential force of a sphere and its partner, none for a wall (infinite radius); overlap
+    [m]."""
     is_wall = np.isinf(partner_radius)
     groups = {"sphere": particle_group([0, 0, RADIUS - OVERLAP], 2 * RADIUS, velocity=[0.1, 0, 0])}
     if not is_wall:

@@ -1,11 +1,20 @@
-"""Liquid films and bridges: shares at formation and rupture, work of rupture, exact conservation, spread of films."""
+"""Liquid films and bridges: shares at formation and rupture, work of rupture, exact conservation, spread of
+films."""
 
 import math
 
 import numpy as np
 import pytest
 from geometry.meshes import sheet, write
-from scene_builders import build_scene, column, particle_group, plane, run_and_sample, run_to_end, vibrating_box
+from scene_builders import (
+    build_scene,
+    column,
+    particle_group,
+    plane,
+    run_and_sample,
+    run_to_end,
+    vibrating_box,
+)
 from scipy.integrate import quad
 
 from granflow.errors import GranflowError, RunError
@@ -40,7 +49,9 @@ def approaching(diameters, contents, speed=0.2):
     """Two particles 0.02 mm before; the second approaches along z."""
     distance = 0.5 * sum(diameters) + 2e-5
     first = particle_group([[0.0, 0.0, 0.0]], diameters[0], liquid_content=contents[0])
-    second = particle_group([[0.0, 0.0, distance]], diameters[1], velocity=[[0, 0, -speed]], liquid_content=contents[1])
+    second = particle_group(
+        [[0.0, 0.0, distance]], diameters[1], velocity=[[0, 0, -speed]], liquid_content=contents[1]
+    )
     return {"first": first, "second": second}
 
 
@@ -51,7 +62,8 @@ def liquid(last):
 
 @pytest.mark.parametrize("chunk_size", [1, 8])
 def test_bridge_takes_the_shares_of_both_films_and_returns_halves(taichi_f64, chunk_size):
-    diameters, contents = (0.004, 0.006), (0.002, 0.005)
+    diameters = (0.004, 0.006)
+    contents = (0.002, 0.005)
     scene = wet_scene(approaching(diameters, contents), numerics={"chunk_size": chunk_size})
     films = np.array([c * math.pi / 6.0 * d**3 for d, c in zip(diameters, contents, strict=True)])
     taken = films * [share(*diameters), share(*diameters[::-1])]
@@ -68,15 +80,20 @@ def test_bridge_takes_the_shares_of_both_films_and_returns_halves(taichi_f64, ch
 
 
 def test_largest_bridge_volume_limits_both_shares_alike(taichi_f64):
-    contents, limit = (0.002, 0.006), 3e-12
+    contents = (0.002, 0.006)
+    limit = 3e-12
     films = SPHERE * np.array(contents)
     assert films.sum() * share(1.0, 1.0) > limit
     scene = wet_scene(approaching((DIAMETER, DIAMETER), contents), max_bridge_volume=limit)
     touching, _ = run_to_end(scene, 0.0002)
     assert touching.totals["liquid_bridge_volume"] == pytest.approx(limit, rel=1e-12)
     assert touching.totals["liquid_bridge_volume"] <= limit
-    np.testing.assert_allclose(touching.particles["liquid_film"], films - limit * films / films.sum(), rtol=1e-12)
-    assert plan_for(scene).laws.range == pytest.approx(1.001 * (1.0 + 0.5 * ANGLE) * limit ** (1.0 / 3.0), rel=1e-12)
+    np.testing.assert_allclose(
+        touching.particles["liquid_film"], films - limit * films / films.sum(), rtol=1e-12
+    )
+    assert plan_for(scene).laws.range == pytest.approx(
+        1.001 * (1.0 + 0.5 * ANGLE) * limit ** (1.0 / 3.0), rel=1e-12
+    )
 
 
 def test_wall_takes_the_share_of_an_equal_sphere_and_returns_all(taichi_f64):
@@ -95,7 +112,8 @@ def test_wall_takes_the_share_of_an_equal_sphere_and_returns_all(taichi_f64):
 
 
 def test_wet_particle_shares_geometrically_with_dry_ones_that_touch_it_in_turn(taichi_f64):
-    """Dry particles hit a fixed wet one: L (1 - f)^n with f half of the share of the film, the rest to each in turn."""
+    """Dry particles hit a fixed wet one: L (1 - f)^n with f half of the share of the film, the rest to each
+    in turn."""
     directions = np.concatenate([np.eye(3), -np.eye(3)])
     gaps = 1e-4 + 1e-3 * np.arange(6)
     dry = particle_group(
@@ -104,7 +122,8 @@ def test_wet_particle_shares_geometrically_with_dry_ones_that_touch_it_in_turn(t
     wet = particle_group([[0, 0, 0]], DIAMETER, liquid_content=CONTENT) | {"fixed": True}
     last, _ = run_to_end(wet_scene({"wet": wet, "dry": dry}, tension=1e-3, numerics={"chunk_size": 4}))
     assert last.totals["liquid_bridge_volume"] == 0.0
-    film, part = CONTENT * SPHERE, 0.5 * share(1.0, 1.0)
+    film = CONTENT * SPHERE
+    part = 0.5 * share(1.0, 1.0)
     order = np.argsort(last.particles["id"])
     expected = [film * (1.0 - part) ** 6, *(film * (1.0 - part) ** n * part for n in range(6))]
     np.testing.assert_allclose(last.particles["liquid_film"][order], expected, rtol=1e-12)
@@ -142,7 +161,9 @@ def test_impact_loses_the_work_of_rupture_of_the_volume_that_formed(taichi_f64, 
     else:
         assert last.totals["liquid_bridge_volume"] == 0.0
         rebound_squared = speed**2 - 2.0 * lost / (0.5 * MASS)
-        assert (velocity[1] - velocity[0]) ** 2 == pytest.approx(rebound_squared, rel=0.0, abs=1e-3 * speed**2)
+        assert (velocity[1] - velocity[0]) ** 2 == pytest.approx(
+            rebound_squared, rel=0.0, abs=1e-3 * speed**2
+        )
 
 
 def shaken_box(duration=0.4, **parts):
@@ -190,7 +211,12 @@ def bridged_pairs(snapshot):
 def test_bits_do_not_depend_on_chunk_size_and_skin(taichi_f64):
     one, *others = (
         by_id(run_to_end(shaken_box(0.05, numerics=numerics))[0])
-        for numerics in ({"chunk_size": 32}, {"chunk_size": 1}, {"chunk_size": 7}, {"chunk_size": 32, "skin": 3e-4})
+        for numerics in (
+            {"chunk_size": 32},
+            {"chunk_size": 1},
+            {"chunk_size": 7},
+            {"chunk_size": 32, "skin": 3e-4},
+        )
     )
     assert one["bridges"] > 0.0
     for other in others:
@@ -208,7 +234,9 @@ def by_id(last):
 def test_liquid_is_conserved_exactly_across_periodic_faces_with_wide_sizes_and_fixed_particles(taichi_f64):
     rng = np.random.default_rng(5)
     positions = 0.005 * (np.argwhere(np.ones((7, 7, 5))) + 0.5)
-    small = particle_group(positions, 0.003, velocity=rng.normal(0.0, 0.5, positions.shape), liquid_content=0.02)
+    small = particle_group(
+        positions, 0.003, velocity=rng.normal(0.0, 0.5, positions.shape), liquid_content=0.02
+    )
     large = particle_group([[0.018, 0.018, 0.036]], 0.015, velocity=[[0.0, 0.0, -1.0]], liquid_content=0.001)
     row = particle_group([[0.004 * k + 0.002, 0.018, 0.05] for k in range(9)], 0.0039, liquid_content=0.0)
     scene = wet_scene(
@@ -241,7 +269,13 @@ def test_dry_rain_in_the_place_of_deleted_particles_brings_no_liquid(taichi_f64,
     )
     region = {"box": {"min": [0.002, 0.002, 0.03], "max": [0.017, 0.017, 0.037]}}
     insertion = {"kind": "rain", "region": region, "rate": 4000.0, "start": 0.012}
-    rain = {"material": "glass", "count": 40, "diameter": DIAMETER, "liquid_content": 0.0, "insert": insertion}
+    rain = {
+        "material": "glass",
+        "count": 40,
+        "diameter": DIAMETER,
+        "liquid_content": 0.0,
+        "insert": insertion,
+    }
     walls = {name: wall for name, wall in vibrating_box(0.019).items() if name != "high_z"}
     scene = wet_scene(
         {"leaving": leaving, "bed": bed, "rain": rain}, walls, max_bridge_volume=2e-11, tension=0.01,
@@ -250,7 +284,9 @@ def test_dry_rain_in_the_place_of_deleted_particles_brings_no_liquid(taichi_f64,
         run={"duration": 0.05, "time_step": 4e-6, "velocity_max": 3.0},
     )  # fmt: skip
     snapshots = run_and_sample(scene, 0.001)
-    assert snapshots[-1].totals["deleted_count"] == up.sum() and snapshots[-1].totals["inserted_count"] > 96 + 10
+    assert (
+        snapshots[-1].totals["deleted_count"] == up.sum() and snapshots[-1].totals["inserted_count"] > 96 + 10
+    )
     after = [liquid(snapshot) for snapshot in snapshots if snapshot.totals["deleted_count"] == up.sum()]
     assert len(after) > 30 and set(after) == {after[0]}
     assert after[0] < 96 * CONTENT * SPHERE
@@ -262,7 +298,8 @@ def test_frames_and_time_series_contain_films_and_bridges(taichi_f64, tmp_path):
         run={"duration": 0.0002, "time_step": 2e-6, "velocity_max": 1.0},
     )  # fmt: skip
     run_to_end(scene, out=tmp_path / "out")
-    run, taken = read_run(tmp_path / "out"), CONTENT * SPHERE * share(1.0, 1.0)
+    run = read_run(tmp_path / "out")
+    taken = CONTENT * SPHERE * share(1.0, 1.0)
     frame = run.frames[-1]
     assert frame.particles["liquid_film"].dtype == np.float64
     np.testing.assert_allclose(frame.particles["liquid_film"], [CONTENT * SPHERE - taken, 0.0], rtol=1e-12)
@@ -302,17 +339,22 @@ def test_bridge_moves_with_the_contact_to_the_next_triangle_of_a_mesh(taichi_f64
 
 
 def test_bridges_that_take_more_than_the_film_stop_the_run(taichi_f64):
-    """Sixteen fixed particles, which overlap each other, touch one particle in the same step: 16 / 15 of its film."""
+    """Sixteen fixed particles, which overlap each other, touch one particle in the same step: 16 / 15 of its
+    film."""
     angles = 2.0 * np.pi * np.arange(16) / 16
     ring = (DIAMETER - 1e-6) * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], 1)
     fixed = particle_group(ring, DIAMETER, liquid_content=0.0) | {"fixed": True}
     ball = particle_group([[0, 0, 0]], DIAMETER, liquid_content=CONTENT)
     assert 16 * share(1.0, 1.0) > 1.0
-    with pytest.raises(RunError, match="the bridges that form in one step on particle 16 .* take more liquid"):
+    with pytest.raises(
+        RunError, match="the bridges that form in one step on particle 16 .* take more liquid"
+    ):
         run_to_end(wet_scene({"ring": fixed, "ball": ball}, numerics={"chunk_size": 4}))
 
 
 def test_lower_precision_is_refused():
     scene = wet_scene(approaching((DIAMETER, DIAMETER), (0.0, 0.0)))
-    with pytest.raises(GranflowError, match="contact.cohesion: capillary_transfer conserves liquid in f64 only"):
+    with pytest.raises(
+        GranflowError, match="contact.cohesion: capillary_transfer conserves liquid in f64 only"
+    ):
         plan_for(scene.with_precision("mixed"))

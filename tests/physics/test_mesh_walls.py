@@ -36,13 +36,16 @@ def wall(file, **more):
 
 
 def on_floor():
-    """Positions, velocities and angular velocities of oblique impacts on z = 0, some on vertices and shared edges.
+    """Positions, velocities and angular velocities of oblique impacts on z = 0, some on vertices and shared
+    edges.
 
     The spacing of the mesh is 6.25 mm.
     """
     rng = np.random.default_rng(0)
     lattice = 0.019 * np.array([[x, y] for x in range(-2, 3) for y in range(-2, 3)])
-    positions = np.concatenate([lattice + rng.uniform(-0.003, 0.003, (25, 2)), np.full((25, 1), 0.0051)], axis=1)
+    positions = np.concatenate(
+        [lattice + rng.uniform(-0.003, 0.003, (25, 2)), np.full((25, 1), 0.0051)], axis=1
+    )
     positions[0, :2], positions[7, :2], positions[12, :2] = -0.0375, [-0.01875, 0.0], 0.0
     velocity = rng.normal(0.0, 2.0, (25, 3))
     velocity[:, 2], velocity[12, :2] = -1.0, 0.0
@@ -69,7 +72,9 @@ def on_other_walls():
         0.6,
     ]
     at_cube = nearest + 0.0051 * from_cube, -from_cube
-    positions, velocities = (np.concatenate(each) for each in zip(in_tube, in_corner, at_plate, at_cube, strict=True))
+    positions, velocities = (
+        np.concatenate(each) for each in zip(in_tube, in_corner, at_plate, at_cube, strict=True)
+    )
     return positions, velocities, np.zeros_like(positions)
 
 
@@ -110,11 +115,14 @@ def meshes():
 
 
 def test_meshes_act_as_the_primitive_walls_that_they_replace(taichi_f64, folder):
-    """Bit for bit on a flat mesh, including contact history across shared edges; within rounding on other meshes."""
+    """Bit for bit on a flat mesh, including contact history across shared edges; within rounding on other
+    meshes."""
     exact, _ = run_to_end(impacts(PRIMITIVES))
     found, simulation = run_to_end(impacts(meshes()), out=folder / "out")
     assert np.all(exact.particles["velocity"][:25, 2] > 0.5), "all particles have rebounded from the floor"
-    slip = np.abs(found.particles["position"] - np.concatenate([on_floor()[0], on_other_walls()[0]]))[:25, :2].max()
+    slip = np.abs(found.particles["position"] - np.concatenate([on_floor()[0], on_other_walls()[0]]))[
+        :25, :2
+    ].max()
     assert slip > 0.00442, "particles slide farther than the height of a triangle, across shared edges"
     for name in ("position", "velocity", "angular_velocity"):
         np.testing.assert_array_equal(found.particles[name][:25], exact.particles[name][:25])
@@ -137,7 +145,10 @@ def test_flat_mesh_is_bit_identical_to_a_plane(taichi_f64, folder, law):
     """A half space, a mesh of two triangles and a mesh of 2048 triangles."""
     normal = {"law": "linear", "stiffness": {"reference_velocity": 1.0}} if law == "linear" else law
     floors = {"plane": plane([0, 0, 0], [0, 0, 1]), "two": wall("two.stl"), "many": wall("many.obj")}
-    ends = {name: run_to_end(impacts({"floor": each}, [on_floor], normal=normal))[0] for name, each in floors.items()}
+    ends = {
+        name: run_to_end(impacts({"floor": each}, [on_floor], normal=normal))[0]
+        for name, each in floors.items()
+    }
     for name in ("two", "many"):
         for quantity in ("position", "velocity", "angular_velocity"):
             np.testing.assert_array_equal(ends[name].particles[quantity], ends["plane"].particles[quantity])
@@ -146,9 +157,11 @@ def test_flat_mesh_is_bit_identical_to_a_plane(taichi_f64, folder, law):
 
 @pytest.mark.slow
 def test_energy_is_conserved_in_a_faceted_tube(taichi_f64, folder):
-    """Without friction and dissipation the particle bounces along the facets and has its initial energy in free flight.
+    """Without friction and dissipation the particle bounces along the facets and has its initial energy in
+    free flight.
 
-    The facets deviate from the round tube by at most R (1/cos(pi/n) - 1) = 1.4e-4 m, 0.2 % of the height of fall.
+    The facets deviate from the round tube by at most R (1/cos(pi/n) - 1) = 1.4e-4 m, 0.2 % of the height of
+    fall.
     """
     write(folder / "fine.ply", *tube(60, 0.1, 0.4))
     group = particle_group([[0.0949, 0.0, 0.2]], 0.01)
@@ -166,7 +179,10 @@ def test_energy_is_conserved_in_a_faceted_tube(taichi_f64, folder):
     free = np.array([each.totals["contact_count"] == 0 for each in snapshots])
     assert free.sum() > 50
     assert np.abs(energy[free]).max() < 1e-3 * 9.81 * 0.095
-    assert np.abs(np.hypot(*np.array([each.particles["position"][0, :2] for each in snapshots]).T)).max() < 0.0953
+    assert (
+        np.abs(np.hypot(*np.array([each.particles["position"][0, :2] for each in snapshots]).T)).max()
+        < 0.0953
+    )
 
 
 def test_wall_frames_contain_pressure_and_traction_of_each_triangle(taichi_f64, folder):
@@ -183,7 +199,10 @@ def test_wall_frames_contain_pressure_and_traction_of_each_triangle(taichi_f64, 
     }  # fmt: skip
     output = {"interval": 1.0, "wall_forces": True, "contacts": True}
     scene = build_scene(
-        {"balls": particle_group(positions)}, walls=walls, output=output, run={"duration": 1e-4, "velocity_max": 0.1}
+        {"balls": particle_group(positions)},
+        walls=walls,
+        output=output,
+        run={"duration": 1e-4, "velocity_max": 0.1},
     )
     run_to_end(scene, out=folder / "out")
     forces = 4.0 / 3.0 * 1e8 / (2.0 * (1.0 - 0.25**2)) * np.sqrt(0.005) * overlaps**1.5
@@ -192,7 +211,9 @@ def test_wall_frames_contain_pressure_and_traction_of_each_triangle(taichi_f64, 
     pressure, traction, of_wall = (frame.cell_data[name][0] for name in ("pressure", "traction", "wall"))
     below_diagonal = centroids[:2, 1] < centroids[:2, 0]
     assert below_diagonal.sum() == 1
-    np.testing.assert_allclose(pressure[:2], np.where(below_diagonal, *forces[:2]) / (0.4 * 0.4 / 2.0), rtol=1e-5)
+    np.testing.assert_allclose(
+        pressure[:2], np.where(below_diagonal, *forces[:2]) / (0.4 * 0.4 / 2.0), rtol=1e-5
+    )
     np.testing.assert_allclose(pressure[of_wall == 1], forces[2] / (0.1 * 0.1), rtol=1e-5)
     assert np.isnan(pressure[of_wall == 2]).all(), "a half space has no area"
     bounded = of_wall < 2

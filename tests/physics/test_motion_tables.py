@@ -14,7 +14,8 @@ from granflow.simulation import Simulation
 
 GRAVITY, RADIUS = 9.81, 0.005
 OVERLAP = 1e-5
-"""Upper bound of the overlap with the floor [m]: 1.9e-6 at rest (Hertz), 3.9e-6 at the load 2 m (g + 5 m/s2)."""
+"""Upper bound of the overlap with the floor [m]: 1.9e-6 at rest (Hertz), 3.9e-6 at the load 2 m (g + 5
+m/s2)."""
 
 
 def scene_on(motion, **parts):
@@ -32,7 +33,8 @@ def test_a_sphere_follows_a_lifted_floor(taichi_f64):
 
     The work is m g h, and the sphere is at rest again at the end. A table of zeros moves nothing.
     """
-    height, duration = 2e-3, 0.04
+    height = 2e-3
+    duration = 0.04
     motion = {"direction": [0, 0, 1], "times": [0, duration], "velocities": [0, 0]}
     lift = {"direction": [0, 0, 2], "times": [0, 0.02, 0.04], "velocities": [0, 0.1, 0]}
     snapshots = run_and_sample(scene_on(lift), 0.01)
@@ -56,7 +58,9 @@ def saved_scene(folder, text=FILE, **motion):
     (folder / "lift.csv").write_text(text)
     scene = scene_on({"direction": [0, 0, 1], "times": [0, 1], "displacements": [0, 0]})
     given = scene.to_dict()
-    given["walls"]["floor"]["motion"] = [{"kind": "table", "file": "lift.csv"} | (motion or {"direction": [0, 0, 1]})]
+    given["walls"]["floor"]["motion"] = [
+        {"kind": "table", "file": "lift.csv"} | (motion or {"direction": [0, 0, 1]})
+    ]
     from granflow.scene.blocks.scene import to_yaml
 
     path = folder / "scene.yaml"
@@ -81,11 +85,23 @@ def test_a_csv_file_is_read_with_its_units(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (None, r"scene.yaml:\d+:\d+: walls.floor.motion.file is lift.csv, which cannot be used: there is no such file"),
+        (
+            None,
+            r"scene.yaml:\d+:\d+: walls.floor.motion.file is lift.csv, which cannot be used: there is no such file",
+        ),
         ("", "lift.csv: the table has no rows"),
-        ("time, displacment\n0, 1\n1, 2\n", "lift.csv:1: the columns are .*mean displacement instead of displacment"),
-        ("time, velocity, angle\n0, 1, 2\n", "lift.csv:1: the columns are time, velocity, angle, but time and exactly"),
-        ("time [m], velocity\n0, 1\n", r"lift.csv:1: the unit of time \[m\] is invalid: m is a unit of length"),
+        (
+            "time, displacment\n0, 1\n1, 2\n",
+            "lift.csv:1: the columns are .*mean displacement instead of displacment",
+        ),
+        (
+            "time, velocity, angle\n0, 1, 2\n",
+            "lift.csv:1: the columns are time, velocity, angle, but time and exactly",
+        ),
+        (
+            "time [m], velocity\n0, 1\n",
+            r"lift.csv:1: the unit of time \[m\] is invalid: m is a unit of length",
+        ),
         ("time, velocity\n0, 1\n\n2\n", "lift.csv:4: the row must have 2 values"),
         ("time, velocity\n0, 1\n1, x\n", "lift.csv:3: a finite number is expected"),
         ("time, velocity\n0, 1\n2, 1\n2, 3\n", "lift.csv:4: times must ascend"),
@@ -103,12 +119,15 @@ def test_invalid_files_are_refused_with_their_line(tmp_path, text, problem):
 
 def test_rows_closer_than_the_time_step_are_refused():
     motion = {"direction": [0, 0, 1], "times": [0, 1e-7, 1e-3], "velocities": [0, 1e-3, 0]}
-    with pytest.raises(SceneError, match=r"walls.floor.motion.0 has rows that are 1e-07 s apart, less than the time"):
+    with pytest.raises(
+        SceneError, match=r"walls.floor.motion.0 has rows that are 1e-07 s apart, less than the time"
+    ):
         plan_for(scene_on(motion))
 
 
 def test_restart_within_a_table_is_bit_identical_without_the_file(tmp_path, taichi_f64):
-    """The checkpoint contains the rows: the run continues after the file was changed in the folder of the scene."""
+    """The checkpoint contains the rows: the run continues after the file was changed in the folder of the
+    scene."""
     source = tmp_path / "source"
     source.mkdir()
     path = saved_scene(source)

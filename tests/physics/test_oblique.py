@@ -1,6 +1,8 @@
-"""Oblique impacts against closed forms for sliding contacts, an ordinary differential equation, and measurements.
+"""Oblique impacts against closed forms for sliding contacts, an ordinary differential equation, and
+measurements.
 
-Chung & Ooi 2011, Granular Matter 13:643, tests 4, 5, 6 and 8; Kharaz, Gorham & Salman 2001, Powder Technol. 120:281.
+Chung & Ooi 2011, Granular Matter 13:643, tests 4, 5, 6 and 8; Kharaz, Gorham & Salman 2001, Powder Technol.
+120:281.
 """
 
 import numpy as np
@@ -19,7 +21,8 @@ def run(taichi_f64):
 
 
 def mean_overlap(setup, speed):
-    """Impulse-weighted mean overlap, int F d dt / int F dt, of Zhou's model; by quadrature in units of dmax and v."""
+    """Impulse-weighted mean overlap, int F d dt / int F dt, of Zhou's model; by quadrature in units of dmax
+    and v."""
     e, (k, mass) = setup.restitution, setup.reduced
     overlap_max = (1.25 * mass * speed**2 / k) ** 0.4
     y = brentq(lambda y: y - 0.8 * e**2 - 0.2 * e**3 * y**2.5, 0.0, 1.0 + 1e-9, xtol=1e-15)
@@ -32,17 +35,25 @@ def mean_overlap(setup, speed):
     # F dt = F dd / rate, with F = (5/4) u^1.5 and (5/4) (Lambda s + e^3 s^1.5) in units of M v^2 / dmax
     loading = quad(lambda u: 1.25 * u**2.5 / np.sqrt(1.0 - u**2.5), 0.0, 1.0)[0]
     unloading = quad(
-        lambda s: 1.25 * (slope * s + e**3 * s**1.5) * (s + 1.0 - y) / np.sqrt(energy(s)) if energy(s) else 0.0, 0.0, y
+        lambda s: (
+            1.25 * (slope * s + e**3 * s**1.5) * (s + 1.0 - y) / np.sqrt(energy(s)) if energy(s) else 0.0
+        ),
+        0.0,
+        y,
     )[0]
     return overlap_max * (loading + unloading) / (1.0 + e)
 
 
 @pytest.mark.parametrize("name", ["glass_zhou", "test4_zhou", "test5_zhou", "test6_zhou", "test8_zhou"])
 def test_sliding_contacts_follow_coulombs_law(run, name):
-    """v_n' = e v_n, v_t' = v_t - mu (1 + e) v_n, R w' = R w + 2.5 mu (1 + e) v_n (1 - overlap/(2 R)), within 0.1 %."""
+    """v_n' = e v_n, v_t' = v_t - mu (1 + e) v_n, R w' = R w + 2.5 mu (1 + e) v_n (1 - overlap/(2 R)), within
+    0.1 %."""
     sweep = run[name]
-    setup, before, after = sweep.setup, sweep.before, sweep.after
-    speed, slip = -before.normal, before.along - setup.radius * before.spin
+    setup = sweep.setup
+    before = sweep.before
+    after = sweep.after
+    speed = -before.normal
+    slip = before.along - setup.radius * before.spin
     impulse = setup.friction * (1.0 + setup.restitution) * speed
     sliding = slip > 1.05 * 3.5 * impulse
     assert sliding.sum() >= 3
@@ -56,16 +67,22 @@ def test_sliding_contacts_follow_coulombs_law(run, name):
 
 
 def no_slip_spring(setup, ratio, damping=0.0, steps=20000):
-    """Slip velocity after the impact over mu v_n, for the ratio `ratio` before it; one contact in small time steps.
+    """Slip velocity after the impact over mu v_n, for the ratio `ratio` before it; one contact in small time
+    steps.
 
     Normal force: Hertz with Tsuji's damping. Tangential force: Mindlin's spring dF_t = k_t ds with
-    k_t / (k sqrt(d)) = 6 G*/E*, reduced in proportion to the contact radius during unloading and limited to mu F.
-    The slip velocity changes by 3.5 F_t / M. Units: M, k and the normal impact velocity are 1.
+    k_t / (k sqrt(d)) = 6 G*/E*, reduced in proportion to the contact radius during unloading and limited to
+    mu F. The slip velocity changes by 3.5 F_t / M. Units: M, k and the normal impact velocity are 1.
     """
-    nu, friction = setup.sphere["poisson_ratio"], setup.friction
+    nu = setup.sphere["poisson_ratio"]
+    friction = setup.friction
     stiffness = 6.0 * (1.0 - nu**2) / (2.0 * (1.0 + nu) * (2.0 - nu))
     step = 2.9433 * 1.25**0.4 / steps
-    overlap, rate, slip, tangential, before = 0.0, 1.0, ratio * friction, 0.0, 0.0
+    overlap = 0.0
+    rate = 1.0
+    slip = ratio * friction
+    tangential = 0.0
+    before = 0.0
     while True:
         overlap += rate * step
         if overlap <= 0.0:
@@ -91,7 +108,8 @@ def test_contacts_with_stick_and_slip_follow_mindlins_spring(run):
 
 def test_sticking_contacts_with_damping_follow_mindlins_spring(run):
     """Test 6 with the hertz model: damping sqrt(5) zeta after Antypov & Elliott 2011 for e = 0.5."""
-    sweep, e = run["test6_hertz"], oblique.TEST_6.restitution
+    sweep = run["test6_hertz"]
+    e = oblique.TEST_6.restitution
 
     def rebound(zeta):
         """Schwager & Poeschel 2007: the contact ends when the force of spring and dashpot is zero."""
@@ -107,19 +125,26 @@ def test_sticking_contacts_with_damping_follow_mindlins_spring(run):
 def published_convention(ratio, dashpot=1.0, tension=True, elastic_limit=True, steps=4000):
     """Slip after over slip before the impact of test 6, for the abscissas `ratio` (n,) of the published plot.
 
-    Normal force: Hertz with the dashpot c d^(1/4) v, c = sqrt(5) zeta for a contact that ends at zero overlap.
-    Tangential force: Mindlin's displacement and sqrt(4 G*/E*) of the dashpot. Limit: mu times the elastic normal force.
-    The three options replace these by no tangential dashpot, no tension, and the whole normal force.
+    Normal force: Hertz with the dashpot c d^(1/4) v, c = sqrt(5) zeta for a contact that ends at zero
+    overlap. Tangential force: Mindlin's displacement and sqrt(4 G*/E*) of the dashpot. Limit: mu times the
+    elastic normal force. The three options replace these by no tangential dashpot, no tension, and the whole
+    normal force.
     """
     setup = oblique.TEST_6
-    nu, friction, log = setup.sphere["poisson_ratio"], setup.friction, np.log(setup.restitution)
+    nu = setup.sphere["poisson_ratio"]
+    friction = setup.friction
+    log = np.log(setup.restitution)
     shear = (1.0 - nu**2) / (2.0 * (1.0 + nu) * (2.0 - nu))
     damping = -np.sqrt(5.0) * log / np.hypot(np.pi, log)
     before = 3.5 * friction * (1.0 + setup.restitution) / ratio
-    slip, displacement = before.copy(), np.zeros_like(ratio)
-    step, overlap, rate = 2.9433 * 1.25**0.4 / steps, 0.0, 1.0
+    slip = before.copy()
+    displacement = np.zeros_like(ratio)
+    step = 2.9433 * 1.25**0.4 / steps
+    overlap = 0.0
+    rate = 1.0
     while (overlap := overlap + rate * step) > 0.0:
-        elastic, viscous = overlap**1.5, damping * overlap**0.25 * rate
+        elastic = overlap**1.5
+        viscous = damping * overlap**0.25 * rate
         if elastic + viscous <= 0.0 and not tension:
             break
         rate -= (elastic + viscous) * step
@@ -151,7 +176,8 @@ def test_published_curves_of_sticking_contacts_follow_another_convention(test):
     ("quantity", "tolerance"), [("tangential_restitution", 0.025), ("spin", 50.0), ("rebound_angle", 2.0)]
 )
 def test_rebounds_agree_with_measurements(run, law, quantity, tolerance):
-    """Above 10 degrees; at smaller angles Hertz-Mindlin contacts are known to return too much tangential velocity."""
+    """Above 10 degrees; at smaller angles Hertz-Mindlin contacts are known to return too much tangential
+    velocity."""
     sweep = run[f"glass_{law}"]
     angle, measured = oblique.published("kharaz_2001")[quantity].T
     found = np.interp(angle, sweep.x, oblique.plotted_quantities(sweep, "test4")[quantity])
@@ -184,7 +210,9 @@ def test_no_impact_increases_the_energy(run):
 
 def test_large_heavy_sphere_acts_as_a_rigid_plate(run):
     """Test 8 reproduces the curve of test 6."""
-    plate, sphere = (oblique.plotted_quantities(run[name], "test6")["slip"] for name in ("test6_zhou", "test8_zhou"))
+    plate, sphere = (
+        oblique.plotted_quantities(run[name], "test6")["slip"] for name in ("test6_zhou", "test8_zhou")
+    )
     np.testing.assert_allclose(plate, sphere, atol=3e-3)
 
 
@@ -195,5 +223,9 @@ def test_deviations_of_the_figure_are_within_their_targets(run, tmp_path):
     pytest.importorskip("matplotlib")
     from granflow.studies.page import draw_to
 
-    draw_to(tmp_path / "figure.png", lambda figure: figure_data.draw(figure, figure_data.columns), figure_data.height)
+    draw_to(
+        tmp_path / "figure.png",
+        lambda figure: figure_data.draw(figure, figure_data.columns),
+        figure_data.height,
+    )
     assert (tmp_path / "figure.png").stat().st_size > 10000

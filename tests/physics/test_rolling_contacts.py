@@ -1,4 +1,5 @@
-"""Particles that roll over curved, turning and moving surfaces, against independent integrations of their equations."""
+"""Particles that roll over curved, turning and moving surfaces, against independent integrations of their
+equations."""
 
 from typing import Any
 
@@ -17,7 +18,8 @@ POISSON_RATIO = 0.25
 NORMAL, TANGENTIAL, TORSION = 20.0, 15.0, 2e-9
 """Stiffnesses [N/m], [N/m] and [N m/rad]; the torsion spring is so weak that particles keep their spin."""
 ROLLING = 2.0 * (1.0 - POISSON_RATIO) / (2.0 - POISSON_RATIO) * NORMAL
-"""Rolling stiffness over the square of the effective radius [N/m]: Mindlin's ratio times the normal stiffness."""
+"""Rolling stiffness over the square of the effective radius [N/m]: Mindlin's ratio times the normal
+stiffness."""
 DURATION = 0.008
 COARSE, DRUM_RADIUS, DRUM_CENTER = 4e-3, 8e-3, np.array([0.03, 0.0, 0.0])
 DRUM_RATE, PLATE_RATE = np.array([20.0, 0.0, 0.0]), np.array([0.0, -6.0, 0.0])
@@ -58,7 +60,8 @@ SURFACES: dict[str, Any] = {
     "plate": (on_plate, RADIUS, PLATE_RATE, PIVOT),
     "edge": (over_edge, RADIUS, np.zeros(3), EDGE),
 }
-"""Distance and normal, effective radius of contacts [m], angular velocity [rad/s] and pivot [m] of each surface."""
+"""Distance and normal, effective radius of contacts [m], angular velocity [rad/s] and pivot [m] of each
+surface."""
 OVERLAP = MASS * 30.0 / NORMAL
 STARTS = {
     "sphere": ((COARSE + RADIUS - OVERLAP) * ASLANT, 0.15 * ACROSS + [0.05, 0.0, 0.0], [10.0, -20.0, 400.0]),
@@ -79,12 +82,15 @@ def derivatives(surface, springs, t, state):
     distance_and_normal, radius_eff, turning, pivot = surface
     x, v, w, s, a, b = np.split(state, [3, 6, 9, 12, 15])
     distance, n = distance_and_normal(t, x)
-    arm, step = 0.5 * (RADIUS + distance), 1e-6  # RADIUS - overlap / 2
+    arm = 0.5 * (RADIUS + distance)
+    step = 1e-6  # RADIUS - overlap / 2
     after, before = (distance_and_normal(t + sign * step, x + sign * step * v)[1] for sign in (1.0, -1.0))
     turn = (after - before) / (2.0 * step)
-    relative, rate = v - np.cross(turning, x - arm * n - pivot), w - turning
+    relative = v - np.cross(turning, x - arm * n - pivot)
+    rate = w - turning
     slip = relative - relative @ n * n - arm * np.cross(w, n)
-    friction, load = springs[0] * TANGENTIAL * s, NORMAL * (RADIUS - distance)
+    friction = springs[0] * TANGENTIAL * s
+    load = NORMAL * (RADIUS - distance)
     torque = arm * np.cross(n, friction) - springs[1] * ROLLING * radius_eff**2 * a - TORSION * b * n
     changes = slip - s @ turn * n, rate - rate @ n * n - a @ turn * n, [rate @ n]
     return np.concatenate([v, GRAVITY + (load * n - friction) / MASS, torque / INERTIA, *changes]), load
@@ -92,23 +98,38 @@ def derivatives(surface, springs, t, state):
 
 def integrated(name, springs):
     """Position and angular velocity (6,) at the end, with the method of Dormand and Prince of order 8."""
-    surface, times = SURFACES[name], np.linspace(0.0, DURATION, 200)
+    surface = SURFACES[name]
+    times = np.linspace(0.0, DURATION, 200)
     start = np.concatenate([*STARTS[name], np.zeros(7)])
     found = solve_ivp(
         lambda t, state: derivatives(surface, springs, t, state)[0], times[[0, -1]], start, "DOP853", times,
         rtol=1e-10, atol=1e-14,
     ).y  # fmt: skip
-    assert min(derivatives(surface, springs, t, state)[1] for t, state in zip(times, found.T, strict=True)) > 0.0
+    assert (
+        min(derivatives(surface, springs, t, state)[1] for t, state in zip(times, found.T, strict=True)) > 0.0
+    )
     return np.concatenate([found[0:3, -1], RADIUS * found[6:9, -1]])
 
 
 def simulated(steps, springs):
     """The same (particles, 6) of all particles in one scene."""
     friction, rolling_friction = 1e3 * np.array(springs)
-    position, velocity, angular_velocity = (np.array([start[k] for start in STARTS.values()]) for k in range(3))
+    position, velocity, angular_velocity = (
+        np.array([start[k] for start in STARTS.values()]) for k in range(3)
+    )
     fine = particle_group(position, 2 * RADIUS, velocity=velocity, angular_velocity=angular_velocity)
-    turning = {"kind": "rotation", "point": DRUM_CENTER.tolist(), "axis": [1, 0, 0], "angular_velocity": DRUM_RATE[0]}
-    rising = {"kind": "rotation", "point": PIVOT.tolist(), "axis": [0, 1, 0], "angular_velocity": PLATE_RATE[1]}
+    turning = {
+        "kind": "rotation",
+        "point": DRUM_CENTER.tolist(),
+        "axis": [1, 0, 0],
+        "angular_velocity": DRUM_RATE[0],
+    }
+    rising = {
+        "kind": "rotation",
+        "point": PIVOT.tolist(),
+        "axis": [0, 1, 0],
+        "angular_velocity": PLATE_RATE[1],
+    }
     ends = [(DRUM_CENTER + [side * 6e-3, 0.0, 0.0]).tolist() for side in (-1, 1)]
     scene = build_scene(
         {"fine": fine, "coarse": particle_group([[0.0, 0.0, 0.0]], 2 * COARSE) | {"fixed": True}},
@@ -137,10 +158,11 @@ def simulated(steps, springs):
 
 @pytest.mark.parametrize("springs", [(1, 0), (0, 1)], ids=["friction", "rolling"])
 def test_trajectories_with_spin_converge_with_second_order(taichi_f64, tmp_path, monkeypatch, springs):
-    """On a sphere, in a rotating drum, on a turning plate and over the edge of a mesh, springs below their limits.
+    """On a sphere, in a rotating drum, on a turning plate and over the edge of a mesh, springs below their
+    limits.
 
-    Slip, rolling and twist are those at the half step. With the normal of the full step, those of a particle that
-    spins about the normal have an error of first order.
+    Slip, rolling and twist are those at the half step. With the normal of the full step, those of a particle
+    that spins about the normal have an error of first order.
     """
     monkeypatch.chdir(tmp_path)
     ridge = EDGE + np.array([[-0.01, 0, 0], [0.01, 0, 0], [-0.01, 0.01, -0.01], [0.01, 0.01, -0.01],
@@ -148,7 +170,9 @@ def test_trajectories_with_spin_converge_with_second_order(taichi_f64, tmp_path,
     write(tmp_path / "ridge.stl", ridge, np.array([[0, 1, 3], [0, 3, 2], [0, 4, 5], [0, 5, 1]]))
     exact = np.array([integrated(name, springs) for name in STARTS])
     scale = np.array([1e-3] * 3 + [1e-1] * 3)  # displacement [m] and surface velocity [m/s]
-    errors = np.array([np.linalg.norm((simulated(n, springs) - exact) / scale, axis=1) for n in (500, 1000, 2000)])
+    errors = np.array(
+        [np.linalg.norm((simulated(n, springs) - exact) / scale, axis=1) for n in (500, 1000, 2000)]
+    )
     orders = np.log2(errors[:-1] / errors[1:])
     assert np.all(np.abs(orders - 2.0) < 0.2), dict(zip(STARTS, orders.T.round(2).tolist(), strict=True))
     assert errors[-1].max() < 0.01
@@ -169,11 +193,13 @@ def falling_past(positions, normal, friction, duration, modulus, diameter=5e-4):
 def test_a_particle_that_rolls_over_a_saddle_falls_off(taichi_f64):
     """From 40 degrees beside the top of two spheres that touch, and released at rest.
 
-    It rolls in a circle about their axis, slides, and loses contact at 88.8 degrees: friction cannot hold it below 90
-    degrees. An integration with the normal of the half step gives 151.5 degrees and 2.13 times the distance from the
-    axis after 64 ms, for any time step; with the normal of the full step the particle wedges and hangs below.
+    It rolls in a circle about their axis, slides, and loses contact at 88.8 degrees: friction cannot hold it
+    below 90 degrees. An integration with the normal of the half step gives 151.5 degrees and 2.13 times the
+    distance from the axis after 64 ms, for any time step; with the normal of the full step the particle
+    wedges and hangs below.
     """
-    fine, distance = [5e-3, 1.0289629e-3, 1.2262703e-3], np.sqrt(2 * 5e-3 * 2.5e-4 + 2.5e-4**2)
+    fine = [5e-3, 1.0289629e-3, 1.2262703e-3]
+    distance = np.sqrt(2 * 5e-3 * 2.5e-4 + 2.5e-4**2)
     simulation = falling_past(([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]], fine), "hertz", 0.8, 0.064, 5e8)
     simulation.run()
     _, y, z = simulation.snapshot().particles["position"][2]

@@ -8,13 +8,19 @@ from granflow import Simulation
 
 RADIUS, OVERLAP, PERIOD = 5e-3, 2e-5, 2e-3
 MOTIONS = {
-    "vibration": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": OVERLAP, "frequency": 1.0 / PERIOD},
+    "vibration": {
+        "kind": "vibration",
+        "direction": [0, 0, 1],
+        "amplitude": OVERLAP,
+        "frequency": 1.0 / PERIOD,
+    },
     "rotation": {"kind": "rotation", "point": [0.05, 0, 0.01], "axis": [0, 1, 0], "angular_velocity": 0.2},
 }
 
 
 def residuals(motion, steps, periods):
-    """Error of the energy budget (times,) of a particle between two planes, of which the upper one moves, and its peak.
+    """Error of the energy budget (times,) of a particle between two planes, of which the upper one moves, and
+    its peak.
 
     K + E_elastic - W - E_inserted [J]        16 times in each period, of `steps` steps
     """
@@ -25,7 +31,9 @@ def residuals(motion, steps, periods):
         pair={"restitution": 1.0}, run={"duration": 1.0, "time_step": PERIOD / steps, "velocity_max": 0.5},
         output={"interval": 1.0, "energy_budget": True},
     )  # fmt: skip
-    simulation, peak, found = Simulation(scene), 0.0, []
+    simulation = Simulation(scene)
+    peak = 0.0
+    found = []
     for _ in range(round(16 * periods)):
         simulation.step(steps // 16)
         totals = simulation.snapshot(contacts=True).totals

@@ -10,17 +10,28 @@ GRAVITY = 9.81
 HARD = {"glass": SOFT | {"young_modulus": 1e10}}
 """Overlaps below the limit: paths over walls (test_drop_paths.py) are computed for those above."""
 FLOOR = {"floor": plane([0, 0, 0.1], [0, 0, 1])}
-RECTANGLE = {"shape": "rectangle", "corner": [0, 0, -0.2], "sides": [[0.1, 0, 0], [0, 0.1, 0]], "material": "glass"}
+RECTANGLE = {
+    "shape": "rectangle",
+    "corner": [0, 0, -0.2],
+    "sides": [[0.1, 0, 0], [0, 0.1, 0]],
+    "material": "glass",
+}
 BOX = {"box": {"min": [0.0, 0.0, 0.2], "max": [0.1, 0.1, 0.4]}}
 TUBE = {"cylinder": {"from": [0, 0, 0.3], "to": [0.1, 0, 0.3], "radius": 0.05}}
 SHAKING = {"motion": {"kind": "vibration", "direction": [0, 0, 1], "gamma": 3, "frequency": 20.0}}
 
 
 def scene(walls, insert=None, velocity=(0.0, 0.0, 0.0), gravity=(0.0, 0.0, -GRAVITY), **parts):
-    """Two particles, the upper one at 0.3 m, or a group inserted in a region; the domain is from -1 m to 1 m."""
+    """Two particles, the upper one at 0.3 m, or a group inserted in a region; the domain is from -1 m to 1
+    m."""
     group = particle_group([[0.0, 0.0, 0.3], [0.0, 0.0, 0.2]], 0.01, velocity=list(velocity))
     if insert is not None:
-        group = {"material": "glass", "count": 10, "diameter": 0.01, "insert": {"kind": "pack", "region": insert}}
+        group = {
+            "material": "glass",
+            "count": 10,
+            "diameter": 0.01,
+            "insert": {"kind": "pack", "region": insert},
+        }
     return build_scene({"balls": group}, walls=walls, gravity=list(gravity), materials=HARD, **parts)
 
 
@@ -35,7 +46,10 @@ CASES = {
     "end of the domain": (scene({}), fall(1.3)),
     "box": (scene(FLOOR, BOX), fall(0.3)),
     "cylinder": (scene(FLOOR, TUBE), fall(0.25)),
-    "floor that vanishes": (scene({"floor": FLOOR["floor"] | {"vanishes_at": 0.1}, "plate": RECTANGLE}), fall(1.3)),
+    "floor that vanishes": (
+        scene({"floor": FLOOR["floor"] | {"vanishes_at": 0.1}, "plate": RECTANGLE}),
+        fall(1.3),
+    ),
 }
 
 
@@ -45,7 +59,9 @@ def test_impact_forecast_falls_from_the_insertion_to_the_lowest_wall(name):
     plan = plan_for(given)
     forecast = next(each for each in plan.forecasts if each.cause == "impact")
     assert f"at {expected:.3g} m/s, estimated from a fall of particles.balls by" in forecast.remark
-    assert plan.impact_velocity.value == pytest.approx(np.sqrt(2.0 * GRAVITY * 2.0)), "the time step keeps the domain"
+    assert plan.impact_velocity.value == pytest.approx(np.sqrt(2.0 * GRAVITY * 2.0)), (
+        "the time step keeps the domain"
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Impact velocity of the forecasts along the paths of particles over chutes, belts, tables and hoppers.
 
-The expected velocities follow from the heights of the walls in the scenes. `plan.impact_velocity` stays that of a fall
-through the domain.
+The expected velocities follow from the heights of the walls in the scenes. `plan.impact_velocity` stays that
+of a fall through the domain.
 """
 
 import json
@@ -41,7 +41,13 @@ def scene(walls, insert=None, velocity=(0.0, 0.0, 0.0), **parts):
     """One particle at 0.6 m above the origin, or a group in a region, above a floor at -0.9 m."""
     group = particle_group([[0.0, 0.0, TOP]], 0.01, velocity=list(velocity))
     if insert is not None:
-        group = {"material": "glass", "count": 10, "diameter": 0.01, "insert": insert, "velocity": list(velocity)}
+        group = {
+            "material": "glass",
+            "count": 10,
+            "diameter": 0.01,
+            "insert": insert,
+            "velocity": list(velocity),
+        }
     usual = {"gravity": [0.0, 0.0, -G], "materials": SOFT, "normal": "hertz"}
     return build_scene({"balls": group}, walls=FLOORS | walls, **usual | parts)
 
@@ -80,18 +86,22 @@ def test_impact_velocity_follows_from_the_heights_of_the_walls_on_the_path(name)
 def test_path_over_a_cone_keeps_the_velocity_along_it_and_ends_below_its_orifice():
     """The cone has a slope of 45 degrees (facets: up to 0.2 % more) and an orifice at 0.2 m.
 
-    A particle at the distance r from the axis falls onto it at the height 0.15 m + r; all start at the height TOP.
+    A particle at the distance r from the axis falls onto it at the height 0.15 m + r; all start at the height
+    TOP.
     """
     given, _ = CASES["hopper"]
     found = path_velocity(given, plan_for(given))
-    low, high = (0.5 * (TOP - 0.15 - r) + (0.15 + r - 0.2) + (0.2 - FLOOR) for r in (0.1, np.hypot(0.2, 0.05)))
+    low, high = (
+        0.5 * (TOP - 0.15 - r) + (0.15 + r - 0.2) + (0.2 - FLOOR) for r in (0.1, np.hypot(0.2, 0.05))
+    )
     assert fall(low) < found.value < 1.005 * fall(high) < forecast_velocity(given, plan_for(given)).value
     assert "particles.balls over walls.hopper to walls.floor" in found.source
 
 
 @pytest.mark.parametrize("speed", [0.5, 3.0])
 def test_belt_adds_its_speed_and_throws_particles(speed):
-    """A particle falls from the belt with its speed u, and the fastest impact is against another point of a belt."""
+    """A particle falls from the belt with its speed u, and the fastest impact is against another point of a
+    belt."""
     given = scene({"belt": belt(speed)})
     expected = fall(max(0.2 - FLOOR, 0.0), speed) + speed
     assert path_velocity(given, plan_for(given)).value == pytest.approx(expected, rel=1e-6)
@@ -101,7 +111,9 @@ def test_belt_adds_its_speed_and_throws_particles(speed):
 
 
 def test_mesh_stops_a_fall_as_the_rectangle_of_its_triangles(tmp_path):
-    (tmp_path / "chute.obj").write_text("v -200 -100 500\nv 100 -100 200\nv 100 100 200\nv -200 100 500\nf 1 2 3 4\n")
+    (tmp_path / "chute.obj").write_text(
+        "v -200 -100 500\nv 100 -100 200\nv 100 100 200\nv -200 100 500\nf 1 2 3 4\n"
+    )
     wall = {"shape": "mesh", "file": "chute.obj", "scale": 1e-3, "material": "glass"}
     given = scene({"chute": CHUTE}).to_dict() | {"walls": FLOORS | {"chute": wall}}
     (tmp_path / "scene.yaml").write_text(json.dumps(given))
@@ -133,8 +145,11 @@ def stiff_for(height):
 
 
 def test_walls_between_insertion_and_floor_remove_false_warnings_only():
-    enough, elastic = stiff_for(TOP - 0.2), {"pair": {"restitution": 1.0}}
+    enough = stiff_for(TOP - 0.2)
+    elastic = {"pair": {"restitution": 1.0}}
     assert not warned(scene({"table": TABLE} | SIDES, materials=enough, **elastic))
     assert warned(scene({}, materials=enough, **elastic))
-    assert warned(scene({"table": TABLE}, materials=enough, **elastic)), "particles fall over the edges of the table"
+    assert warned(scene({"table": TABLE}, materials=enough, **elastic)), (
+        "particles fall over the edges of the table"
+    )
     assert warned(scene({"table": TABLE} | SIDES, materials=stiff_for(0.8 * (TOP - 0.2)), **elastic))

@@ -15,7 +15,9 @@ from granflow.plan.features import Features
 
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory):
-    return plan_for(scene_of(tmp_path_factory.mktemp("explain"), "numerics.skin=0.5 mm", "run.time_step=4.5e-5"))
+    return plan_for(
+        scene_of(tmp_path_factory.mktemp("explain"), "numerics.skin=0.5 mm", "run.time_step=4.5e-5")
+    )
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +41,9 @@ def test_each_feature_is_listed(rows, feature):
 def test_each_derived_number_is_listed(plan, rows):
     step = plan.step
     assert f"{step.value:.4g} s" in rows["time step"] and "given in the scene" in rows["time step"]
-    assert f"{step.stable_below:.4g} s" in rows["stability limit"] and "beads-beads" in rows["stability limit"]
+    assert (
+        f"{step.stable_below:.4g} s" in rows["stability limit"] and "beads-beads" in rows["stability limit"]
+    )
     assert "0.0001705 s" in rows["Rayleigh time"]
     assert "1 m/s" in rows["impact velocity"] and "run.velocity_max" in rows["impact velocity"]
     assert f"{step.least_restitution:.3g}" in rows["smallest restitution"]
@@ -63,7 +67,10 @@ def test_unreachable_restitution_causes_a_warning(plan, rows):
 
 def test_settings_show_default_and_given_values_with_their_source(rows):
     assert rows["numerics.chunk_size"].split()[1:] == ["auto", "default"]
-    assert "preset stainless_316" in rows["materials.steel.density"] and "8030 kg/m3" in rows["materials.steel.density"]
+    assert (
+        "preset stainless_316" in rows["materials.steel.density"]
+        and "8030 kg/m3" in rows["materials.steel.density"]
+    )
     assert "the restitution of every pair is a number" in rows["contact.normal.restitution_at"]
     assert "default: output.interval" in rows["output.timeseries_interval"]
     assert "given (--set numerics.skin" in rows["numerics.skin"]
@@ -73,7 +80,9 @@ def test_settings_show_default_and_given_values_with_their_source(rows):
 def test_given_setting_shows_file_and_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = TEXT.replace("title: Ten beads fall", "title: Ten beads fall\nseed: 7")
-    (line,) = (each for each in explain(plan_for(scene_of(Path(), text=text))).splitlines() if "  seed  " in each)
+    (line,) = (
+        each for each in explain(plan_for(scene_of(Path(), text=text))).splitlines() if "  seed  " in each
+    )
     assert line.split() == ["seed", "7", "given", "(beads.yaml:2)"]
 
 
@@ -93,7 +102,11 @@ def allocated(directory, overrides, precision):
 
     plan = plan_for(scene_of(Path(directory), *overrides))
     state = State(plan, backend.start("cpu", precision, 1))
-    fields = [field for group in (state.particles, state.neighbors, state.cell_sort) for field in vars(group).values()]
+    fields = [
+        field
+        for group in (state.particles, state.neighbors, state.cell_sort)
+        for field in vars(group).values()
+    ]
     fields += [*state.neighbors.history.values(), *state.neighbors.saved.values()]
     fields += [getattr(state.control, array.name) for array in sum_arrays(plan)]
     arrays = [np.asarray(field.to_numpy()) for field in fields if hasattr(field, "to_numpy")]
@@ -105,7 +118,8 @@ FRICTION = ("pairs.glass-glass.friction=0.4",)
 
 
 @pytest.mark.parametrize(
-    ("overrides", "precision"), [(MANY, "f64"), (MANY + FRICTION, "mixed"), ((*MANY, "contact.normal=hertz"), "f32")]
+    ("overrides", "precision"),
+    [(MANY, "f64"), (MANY + FRICTION, "mixed"), ((*MANY, "contact.normal=hertz"), "f32")],
 )
 def test_memory_estimate_equals_the_allocated_memory(tmp_path, overrides, precision):
     allocated_bytes, estimate = in_subprocess(allocated, str(tmp_path), overrides, precision)
@@ -113,7 +127,8 @@ def test_memory_estimate_equals_the_allocated_memory(tmp_path, overrides, precis
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(0.2, "1 s"), (59, "59 s"), (600, "10 minutes"), (7.3e3, "2 hours"), (1e6, "12 days")]
+    ("seconds", "text"),
+    [(0.2, "1 s"), (59, "59 s"), (600, "10 minutes"), (7.3e3, "2 hours"), (1e6, "12 days")],
 )
 def test_duration_is_rounded_to_a_readable_unit(seconds, text):
     assert duration(seconds) == text

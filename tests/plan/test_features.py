@@ -19,9 +19,9 @@ def reasons(scene):
 def test_only_required_features_are_enabled(tmp_path):
     text = TEXT.replace("walls:\n" + FLOOR, "")
     features = plan_for(scene_of(tmp_path, text=text)).features
-    assert [item.name for item in fields(Features) if getattr(features, item.name) not in (False, "none")] == [
-        "one_material"
-    ]
+    assert [
+        item.name for item in fields(Features) if getattr(features, item.name) not in (False, "none")
+    ] == ["one_material"]
 
 
 def test_each_feature_has_a_reason(tmp_path):
@@ -46,7 +46,13 @@ def test_each_feature_has_a_reason(tmp_path):
             "normal",
         ),
         ((), "cohesion", "off", "contact.cohesion is none", None),
-        (("friction: 0,", "friction: 0.4,"), "friction", "on", "pairs.glass-glass.friction is 0.4", "glass-glass"),
+        (
+            ("friction: 0,", "friction: 0.4,"),
+            "friction",
+            "on",
+            "pairs.glass-glass.friction is 0.4",
+            "glass-glass",
+        ),
         (
             ("friction: 0,", "friction: 0.4,"),
             "rotation",
@@ -71,7 +77,13 @@ def test_each_feature_has_a_reason(tmp_path):
             "wall_forces",
         ),
         ((FLOOR, MOVING_FLOOR), "moving_walls", "on", "motion of floor", "floor"),
-        (("normal: zhou", "normal: hertz"), "rate_dependent", "on", "the hertz contact model obtains", "normal"),
+        (
+            ("normal: zhou", "normal: hertz"),
+            "rate_dependent",
+            "on",
+            "the hertz contact model obtains",
+            "normal",
+        ),
         (
             ("normal: zhou", "normal: {law: zhou, damping_ratio: 0.1}"),
             *("rate_dependent", "on", "contact.normal.damping_ratio is 0.1", "normal"),
@@ -89,7 +101,9 @@ def test_reason_states_setting_cause_and_line(tmp_path, change, feature, setting
 
 
 def test_rolling_friction_of_any_pair_enables_the_rolling_model(tmp_path):
-    text = TEXT.replace("rolling: none", "rolling: cdt").replace("rolling_friction: 0}", "rolling_friction: 0.01}", 1)
+    text = TEXT.replace("rolling: none", "rolling: cdt").replace(
+        "rolling_friction: 0}", "rolling_friction: 0.01}", 1
+    )
     found = reasons(scene_of(tmp_path, text=text))
     assert found["rolling"][0] == "cdt"
     assert found["rolling"][1].endswith(f"beads.yaml:{line_of('glass-glass')})")

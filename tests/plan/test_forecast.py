@@ -1,4 +1,5 @@
-"""Forecasts: overlaps of impacts and static pressures, walls and regions at wrong places, servos that reach nothing."""
+"""Forecasts: overlaps of impacts and static pressures, walls and regions at wrong places, servos that reach
+nothing."""
 
 import re
 from math import log, pi, sqrt
@@ -38,7 +39,9 @@ def test_shipped_scenes_cause_no_warning(path):
 def rubber_ball(velocity=2.5, **parts):
     ball = particle_group([[0.0, 0.0, 0.1]], material="rubber")
     usual = {"run": {"duration": 0.1, "velocity_max": velocity}, "normal": "hertz", "materials": RUBBER}
-    return build_scene({"ball": ball}, walls={"floor": FLOOR}, **usual | {"pair": {"restitution": 1.0}} | parts)
+    return build_scene(
+        {"ball": ball}, walls={"floor": FLOOR}, **usual | {"pair": {"restitution": 1.0}} | parts
+    )
 
 
 def test_overlap_of_an_impact_follows_from_its_energy():
@@ -71,13 +74,15 @@ def test_viscous_forces_lower_the_forecast_overlap(law):
     """With the same modulus, a contact of restitution 0.3 is compressed less than an elastic one."""
     normal = {"hertz": "hertz", "linear": {"law": "linear", "stiffness": "onset"}}[law]
     overlaps = [
-        forecast(rubber_ball(normal=normal, pair={"restitution": e}), "overlap of impacts").overlap for e in (1.0, 0.3)
+        forecast(rubber_ball(normal=normal, pair={"restitution": e}), "overlap of impacts").overlap
+        for e in (1.0, 0.3)
     ]
     assert overlaps[1] < 0.9 * overlaps[0]
 
 
 def test_stiffness_given_as_a_number_is_named_instead_of_a_modulus():
-    """The overlap of an elastic spring is v sqrt(m / K) = 2.5 sqrt(5.76e-4 / 1e3) = 1.9 mm, 0.38 of the radius."""
+    """The overlap of an elastic spring is v sqrt(m / K) = 2.5 sqrt(5.76e-4 / 1e3) = 1.9 mm, 0.38 of the
+    radius."""
     normal = {"law": "linear", "stiffness": {"value": 1e3}}
     (warning,) = warnings_of(rubber_ball(normal=normal))
     assert "overlaps by 0.379 of the radius" in warning and "Raise the stiffness of contact.normal" in warning
@@ -104,7 +109,12 @@ def bed(modulus, **more):
     """300 particles of 4 mm above a floor of 24 mm x 24 mm in a domain of 26 mm x 26 mm."""
     glass = {"glass": {"young_modulus": modulus, "poisson_ratio": 0.25, "density": 2500.0}}
     region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.024, 0.024, 0.095]}}
-    group = {"material": "glass", "count": 300, "diameter": 0.004, "insert": {"kind": "pack", "region": region}}
+    group = {
+        "material": "glass",
+        "count": 300,
+        "diameter": 0.004,
+        "insert": {"kind": "pack", "region": region},
+    }
     domain = {"min": [-0.001] * 3, "max": [0.025, 0.025, 0.11], "on_exit": "delete"}
     parts = {
         "gravity": [0.0, 0.0, -9.81],
@@ -131,15 +141,24 @@ def test_static_overlap_of_the_weight():
 
 def test_static_overlap_does_not_depend_on_the_restitution():
     """An inelastic contact carries any load up to the loading curve."""
-    found = [forecast(bed(1e5, normal="zhou", pair={"restitution": e}), "overlap under the weight") for e in (0.0, 0.5)]
+    found = [
+        forecast(bed(1e5, normal="zhou", pair={"restitution": e}), "overlap under the weight")
+        for e in (0.0, 0.5)
+    ]
     assert found[0].overlap == pytest.approx(found[1].overlap, rel=1e-9)
 
 
 def large_on_small(modulus, ratio=20.0, count=1500, normal="zhou"):
-    """A particle of `ratio` mm that falls by 7 mm onto a layer of particles of 1 mm on a floor of 24 mm x 24 mm."""
+    """A particle of `ratio` mm that falls by 7 mm onto a layer of particles of 1 mm on a floor of 24 mm x 24
+    mm."""
     glass = {"glass": {"young_modulus": modulus, "poisson_ratio": 0.25, "density": 2500.0}}
     region = {"box": {"min": [-0.012, -0.012, 0.0], "max": [0.012, 0.012, 0.006]}}
-    small = {"material": "glass", "count": count, "diameter": 0.001, "insert": {"kind": "pack", "region": region}}
+    small = {
+        "material": "glass",
+        "count": count,
+        "diameter": 0.001,
+        "insert": {"kind": "pack", "region": region},
+    }
     large = particle_group([[0.0, 0.0, 0.0005 * ratio + 0.007]], 0.001 * ratio)
     return build_scene(
         {"small": small, "large": large}, walls={"floor": plane([0, 0, 0], [0, 0, 1])}, materials=glass,
@@ -150,12 +169,15 @@ def large_on_small(modulus, ratio=20.0, count=1500, normal="zhou"):
 
 @pytest.mark.parametrize("normal", ["zhou", "hertz"])
 def test_large_particle_compresses_supported_small_ones(normal):
-    """The energy M v^2 / 2 is stored in 2 N contacts, (2/5) k d^2.5 each, N = 0.8 2 R d / r^2 at the limit d = 0.1 r.
+    """The energy M v^2 / 2 is stored in 2 N contacts, (2/5) k d^2.5 each, N = 0.8 2 R d / r^2 at the limit d
+    = 0.1 r.
 
-    In runs of such a scene the largest overlap is 0.46 of the radius at 10 MPa, 0.24 at 60 MPa: 0.6 GPa is enough.
+    In runs of such a scene the largest overlap is 0.46 of the radius at 10 MPa, 0.24 at 60 MPa: 0.6 GPa is
+    enough.
     """
     found = forecast(large_on_small(1e7, normal=normal), "overlap of impacts")
-    mass, count = 2500.0 * 4.0 / 3.0 * pi * 0.01**3, 0.8 * 2.0 * 0.01 * 0.1 / 0.0005
+    mass = 2500.0 * 4.0 / 3.0 * pi * 0.01**3
+    count = 0.8 * 2.0 * 0.01 * 0.1 / 0.0005
     stiffness = 4.0 / 3.0 * 1e7 / (2.0 * (1.0 - 0.25**2)) * sqrt(0.01 * 0.0005 / 0.0105)
     overlap = (1.25 * mass / (2.0 * count) * 0.37**2 / stiffness) ** 0.4 / 0.0005
     assert found.overlap == pytest.approx(overlap, rel=0.01 if normal == "zhou" else 0.25)
@@ -170,7 +192,11 @@ def test_small_particles_that_are_not_supported_are_hit_in_binary_collisions():
 
     In a run with the ratio 5, the largest overlap is 0.06 of the radius.
     """
-    for scene in (large_on_small(1e7, ratio=5.0), large_on_small(1e7, count=5000), large_on_small(1e7, count=3)):
+    for scene in (
+        large_on_small(1e7, ratio=5.0),
+        large_on_small(1e7, count=5000),
+        large_on_small(1e7, count=3),
+    ):
         assert warnings_of(scene) == []
 
 
@@ -178,21 +204,31 @@ def lid(height=0.1, pressure=1e4, **more):
     motion = {"kind": "servo", "direction": [0, 0, -1], "pressure": pressure, "velocity_max": 0.5} | more
     sides = [[0.024, 0, 0], [0, 0.024, 0]]
     return {
-        "lid": {"shape": "rectangle", "corner": [0, 0, height], "sides": sides, "material": "glass", "motion": motion}
+        "lid": {
+            "shape": "rectangle",
+            "corner": [0, 0, height],
+            "sides": sides,
+            "material": "glass",
+            "motion": motion,
+        }
     }
 
 
 def test_pressing_wall_is_named_with_its_pressure():
     run = {"duration": 0.2, "velocity_max": 0.15}
-    (warning,) = [each for each in warnings_of(bed(1e6, walls=lid(pressure=2e5), run=run)) if "static" not in each]
+    (warning,) = [
+        each for each in warnings_of(bed(1e6, walls=lid(pressure=2e5), run=run)) if "static" not in each
+    ]
     assert "walls.lid" in warning and "200 kPa" in warning and "materials.glass.young_modulus" in warning
     assert warnings_of(bed(1e9, walls=lid(pressure=2e5), run=run)) == []
 
 
 def test_overlap_by_cohesion_alone():
-    """SJKR balances Hertz where 2 pi w R* d = 4/3 E* sqrt(R*) d^1.5: d = R* (3 pi w / (2 E*))^2, R* = R or R/2.
+    """SJKR balances Hertz where 2 pi w R* d = 4/3 E* sqrt(R*) d^1.5: d = R* (3 pi w / (2 E*))^2, R* = R or
+    R/2.
 
-    At a wall the overlap over the radius is 2 times that between particles: (3 pi w / (2 E*))^2 = 0.195 for w = 5e4.
+    At a wall the overlap over the radius is 2 times that between particles: (3 pi w / (2 E*))^2 = 0.195 for w
+    = 5e4.
     """
     contact = {"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": "sjkr"}
     pair = {"restitution": 0.5, "cohesion_energy_density": 5e4}
@@ -205,13 +241,17 @@ def test_overlap_by_cohesion_alone():
 
 
 BED_DISTANCE = 0.1 - 300 * pi / 6 * 0.004**3 / (0.55 * 0.024**2) - 0.004
-"""Distance [m] of a lid at 100 mm from 300 spheres of 4 mm: 31.7 mm high at the solid fraction 0.55, and a layer."""
+"""Distance [m] of a lid at 100 mm from 300 spheres of 4 mm: 31.7 mm high at the solid fraction 0.55, and a
+layer."""
 
 
 def test_servo_that_moves_too_slowly_is_reported_with_a_sufficient_velocity():
     """The lid at 100 mm moves 10 mm in 0.1 s."""
     (warning,) = warnings_of(bed(1e9, walls=lid(pressure=1e5, velocity_max=0.1)))
-    assert f"the bed is about {BED_DISTANCE:.3g} m away" in warning and "(0.1 m/s, velocity_max, for 0.1 s)" in warning
+    assert (
+        f"the bed is about {BED_DISTANCE:.3g} m away" in warning
+        and "(0.1 m/s, velocity_max, for 0.1 s)" in warning
+    )
     assert "translation" not in warning and "target (" not in warning
     advised = float(warning.split("Set velocity_max to ")[1].split(" m/s")[0])
     assert warnings_of(bed(1e9, walls=lid(pressure=1e5, velocity_max=advised))) == []
@@ -245,8 +285,8 @@ def test_wall_that_moves_away_is_reported_unless_the_scene_ends_its_motion(tmp_p
 
 
 def test_region_that_a_wall_cuts_is_reported_with_the_share_of_positions(tmp_path):
-    """Centers of spheres of 4 mm are between z = 2 and 8 mm; with a plate at z = 5 mm, those between 3.2 and 6.8 mm
-    overlap it by more than 0.1 R: 60 % of the positions.
+    """Centers of spheres of 4 mm are between z = 2 and 8 mm; with a plate at z = 5 mm, those between 3.2 and
+    6.8 mm overlap it by more than 0.1 R: 60 % of the positions.
     """
     plate = "{shape: rectangle, corner: [0, 0, 5 mm], sides: [[2 cm, 0, 0], [0, 2 cm, 0]], material: glass}"
     (warning,) = warnings_of(scene_of(tmp_path, f"walls.plate={plate}"))
@@ -267,7 +307,8 @@ def test_initial_particles_inside_walls_are_reported():
 
 @pytest.mark.parametrize(("distance", "expected"), [(0.00399, 0), (0.0035, 1)])
 def test_file_of_a_settled_bed_causes_no_warning(tmp_path, distance, expected):
-    """Two particles of radius 2 mm that overlap by 0.5 % of the radius touch; 25 % is more than the weight explains."""
+    """Two particles of radius 2 mm that overlap by 0.5 % of the radius touch; 25 % is more than the weight
+    explains."""
     rows = f"x,y,z,r\n0.005,0.005,0.002,0.002\n0.005,{0.005 + distance},0.002,0.002\n"
     (tmp_path / "start.csv").write_text(rows)
     text = TEXT.replace("    count: 10\n    diameter: 4 mm\n", "").replace(
@@ -276,7 +317,9 @@ def test_file_of_a_settled_bed_causes_no_warning(tmp_path, distance, expected):
     start, end = text.index("    insert: {kind: lattice"), text.index("domain:")
     text = f"{text[:start]}    insert: {{kind: file, file: start.csv}}\n{text[end:]}"
     found = [
-        each for each in warnings_of(scene_of(tmp_path, "run.velocity_max=0.01", text=text)) if "start.csv" in each
+        each
+        for each in warnings_of(scene_of(tmp_path, "run.velocity_max=0.01", text=text))
+        if "start.csv" in each
     ]
     assert len(found) == expected
     assert all("overlap by up to 0.25 of the smaller radius (lines 2 and 3)" in each for each in found)
@@ -300,9 +343,7 @@ def test_initial_particles_that_overlap_each_other_are_refused(positions, distan
     scene = build_scene({"balls": particle_group(positions)}, domain=domain, numerics=numerics)
     if distance is None:
         return refuse_initial_overlaps(scene, initial_particles(scene))
-    sentence = (
-        f"overlap by {overlap:g} of the smaller radius .* numerics.max_overlap {limit:g} .*Move them {distance:g} m"
-    )
+    sentence = f"overlap by {overlap:g} of the smaller radius .* numerics.max_overlap {limit:g} .*Move them {distance:g} m"
     with pytest.raises(SceneError, match=sentence):
         refuse_initial_overlaps(scene, initial_particles(scene))
 
@@ -311,13 +352,18 @@ def test_an_overlap_in_a_file_names_both_particles(tmp_path):
     (tmp_path / "start.csv").write_text("x,y,z,r\n0.005,0.005,0.002,0.002\n0.005,0.0085,0.002,0.002\n")
     text = TEXT.replace("    count: 10\n    diameter: 4 mm\n", "")
     start, end = text.index("    insert: {kind: lattice"), text.index("domain:")
-    scene = scene_of(tmp_path, text=f"{text[:start]}    insert: {{kind: file, file: start.csv}}\n{text[end:]}")
-    with pytest.raises(SceneError, match=r"beads\[0\] at .* and particles beads\[1\] at .* overlap by 0.25 of"):
+    scene = scene_of(
+        tmp_path, text=f"{text[:start]}    insert: {{kind: file, file: start.csv}}\n{text[end:]}"
+    )
+    with pytest.raises(
+        SceneError, match=r"beads\[0\] at .* and particles beads\[1\] at .* overlap by 0.25 of"
+    ):
         refuse_initial_overlaps(scene, initial_particles(scene))
 
 
 def test_largest_overlap_is_that_of_small_particles_with_large_ones():
-    small, large = particle_group([[0, 0, 0.1]], 0.002), particle_group([[0, 0, 0.2]], 0.02)
+    small = particle_group([[0, 0, 0.1]], 0.002)
+    large = particle_group([[0, 0, 0.2]], 0.02)
     scene = build_scene({"small": small, "large": large}, run={"duration": 0.1, "velocity_max": 1.0})
     plan = plan_for(scene)
     overlaps = {pair.name: impact_overlap(plan.laws, pair, 1.0) for pair in touching_pairs(plan)}
@@ -326,9 +372,11 @@ def test_largest_overlap_is_that_of_small_particles_with_large_ones():
 
 @pytest.mark.parametrize("normal", ["hertz", "zhou", {"law": "linear", "stiffness": {"value": 2e3}}])
 def test_impact_velocity_follows_from_the_elastic_energy_of_the_model(normal):
-    """At half of the largest overlap of an elastic impact at 0.1 m/s, with the approach velocity that remains there.
+    """At half of the largest overlap of an elastic impact at 0.1 m/s, with the approach velocity that remains
+    there.
 
-    A linear spring stores k d^2 / 2 (1/4 of the energy at d/2), a Hertz contact 8/15 E* sqrt(R) d^2.5 (2^-2.5).
+    A linear spring stores k d^2 / 2 (1/4 of the energy at d/2), a Hertz contact 8/15 E* sqrt(R) d^2.5
+    (2^-2.5).
     """
     balls = particle_group([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]])
     plan = plan_for(build_scene({"balls": balls}, normal=normal, pair={"restitution": 1.0}))
@@ -388,7 +436,9 @@ def test_servos_across_gravity_or_after_another_motion_have_no_forecast(directio
 
 
 def test_servos_of_different_stages_do_not_add_their_speeds():
-    slow, fast = ({"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": v} for v in (0.1, 0.3))
+    slow, fast = (
+        {"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": v} for v in (0.1, 0.3)
+    )
     walls = lid()
     stages = {"stages": [{"name": name, "duration": 0.1} for name in ("seat", "press")]}
     walls["lid"]["motion"] = [slow | {"stages": ["seat"]}, fast | {"stages": ["press"]}]
@@ -426,12 +476,18 @@ def test_each_particle_material_harder_than_diamond_is_reported(tmp_path):
     """Diamond has 1.2 TPa; a softer material beside the hard one changes nothing, and a wall can be rigid."""
 
     def reported(*materials, wall="rubber"):
-        groups = {name: particle_group([[0.1 * k, 0.0, 0.0]], material=name) for k, name in enumerate(materials)}
+        groups = {
+            name: particle_group([[0.1 * k, 0.0, 0.0]], material=name) for k, name in enumerate(materials)
+        }
         soft = {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}
         moduli = {"diamond": 1.2e12, "ten": 1.2e13, "hundred": 1.2e14}
-        given = {name: soft | {"young_modulus": modulus} for name, modulus in moduli.items()} | {"rubber": soft}
+        given = {name: soft | {"young_modulus": modulus} for name, modulus in moduli.items()} | {
+            "rubber": soft
+        }
         walls = {"floor": plane([0, 0, -0.5], [0, 0, 1], wall)}
-        found = warnings_of(build_scene(groups, walls, materials=given, run={"duration": 1.0, "velocity_max": 0.01}))
+        found = warnings_of(
+            build_scene(groups, walls, materials=given, run={"duration": 1.0, "velocity_max": 0.01})
+        )
         return [each.split(".")[1] for each in found if "more than that of diamond" in each]
 
     assert reported("rubber", "ten", "diamond", "hundred") == ["ten", "hundred"]

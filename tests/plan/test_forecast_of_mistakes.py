@@ -1,4 +1,5 @@
-"""Forecasts of probable mistakes: wrong units, output intervals that hide a vibration, inlets and regions of rain."""
+"""Forecasts of probable mistakes: wrong units, output intervals that hide a vibration, inlets and regions of
+rain."""
 
 import numpy as np
 import pytest
@@ -19,7 +20,11 @@ def warnings_of(scene):
     [
         ("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius: 22", "radius", 22.0),
         ("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 22], radius: 22 mm", "to", 22.0),
-        ("cone, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius_from: 2 mm, radius_to: 9", "radius_to", 9.0),
+        (
+            "cone, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius_from: 2 mm, radius_to: 9",
+            "radius_to",
+            9.0,
+        ),
         ("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25", "radius", 25.0),
         ("rectangle, corner: [0, 0, 0], sides: [[20, 0, 0], [0, 2 cm, 0]]", "sides", 20.0),
         ("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25 cm", None, 0.25),
@@ -29,7 +34,11 @@ def warnings_of(scene):
 def test_wall_that_is_much_larger_than_the_domain_is_reported(tmp_path, shape, key, length):
     """The longest side of the domain is 40 mm; a floor of 25 cm is no mistake."""
     text = TEXT.replace("particles:\n", f"  part: {{shape: {shape}, material: glass}}\nparticles:\n")
-    found = [each for each in warnings_of(scene_of(tmp_path, text=text)) if "walls.part" in each and "Check" in each]
+    found = [
+        each
+        for each in warnings_of(scene_of(tmp_path, text=text))
+        if "walls.part" in each and "Check" in each
+    ]
     line = next(number for number, each in enumerate(text.splitlines(), 1) if "  part:" in each)
     if key is None:
         assert found == []
@@ -53,7 +62,9 @@ def test_wrong_unit_of_a_diameter_is_reported_before_the_errors_that_follow_from
     first = error.value.problems[0]
     assert "particles.jet.diameter is 4 m, larger than the face of the inlet, which is 0.01 m wide" in first
     assert "4 mm is 0.004 m" in first and len(error.value.problems) > 1
-    assert not [each for each in warnings_of(scene_of(tmp_path, "particles.jet=" + jet % "4 mm")) if "unit" in each]
+    assert not [
+        each for each in warnings_of(scene_of(tmp_path, "particles.jet=" + jet % "4 mm")) if "unit" in each
+    ]
 
 
 VIBRATION = "{kind: vibration, direction: [0, 0, 1], amplitude: 0.1 mm, frequency: 25 Hz}"
@@ -74,7 +85,9 @@ def test_interval_of_half_a_period_is_reported(tmp_path, key, interval, halves):
     else:
         (warning,) = found
         assert f"output.{key} (" in warning and "of walls.floor.motion (" in warning
-        assert f"{0.5 * halves:g} times the period 0.04 s" in warning and "0.005 s or less, 8 times" in warning
+        assert (
+            f"{0.5 * halves:g} times the period 0.04 s" in warning and "0.005 s or less, 8 times" in warning
+        )
 
 
 def test_half_a_period_is_no_mistake_without_vibration(tmp_path):
@@ -83,7 +96,8 @@ def test_half_a_period_is_no_mistake_without_vibration(tmp_path):
 
 @pytest.mark.parametrize(("velocity", "count"), [("2 mm/s", 1), ("0.05 m/s", 1), ("0.09 m/s", 0)])
 def test_planned_velocity_far_below_that_of_a_fall_is_reported(tmp_path, velocity, count):
-    """Particles of a lattice fall up to 30 mm onto the floor: sqrt(2 g h) = 0.77 m/s, a tenth of it is the limit."""
+    """Particles of a lattice fall up to 30 mm onto the floor: sqrt(2 g h) = 0.77 m/s, a tenth of it is the
+    limit."""
     region = "{box: {min: [0, 0, 10 mm], max: [2 cm, 2 cm, 30 mm]}}"
     overrides = [f"particles.beads.insert.region={region}", f"run.velocity_max={velocity}"]
     found = [each for each in warnings_of(scene_of(tmp_path, *overrides)) if "run.velocity_max (" in each]
@@ -113,17 +127,20 @@ DISC = "{cylinder: {from: [1 cm, 1 cm, 2 cm], to: [1 cm, 1 cm, 1 cm], radius: %s
 def rate_through(scene):
     """Particles per second that the inserter of a scene inserts if they fall freely."""
     inserter = Inserter(groups_of(scene)["jet"])
-    start, entered = np.zeros((0, 3)), np.zeros(0)
+    start = np.zeros((0, 3))
+    entered = np.zeros(0)
     while (time := inserter.next_time) < 0.25:
         fallen = 0.3 * (time - entered) + 0.5 * 9.81 * (time - entered) ** 2
         present = start - fallen[:, None] * [0.0, 0.0, 1.0]
         new = inserter.insert_due(time, present, np.full(len(present), 0.002)).position
-        start, entered = np.concatenate([start, new]), np.concatenate([entered, np.full(len(new), time)])
+        start = np.concatenate([start, new])
+        entered = np.concatenate([entered, np.full(len(new), time)])
     return len(start) / 0.25
 
 
 def assert_limits_the_rate(scene, is_too_small, largest_ratio, tolerance):
-    """Assert that a limit below the required 1200 particles per second is reported if, and only if, it is one.
+    """Assert that a limit below the required 1200 particles per second is reported if, and only if, it is
+    one.
 
     largest_ratio:  of the reported limit to the rate of the inserter
     tolerance:      relative, of the rate of the inserter without a limit
@@ -155,7 +172,13 @@ def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_t
 
 @pytest.mark.parametrize(
     ("region", "is_too_small"),
-    [(BOX % (6, 6), True), (BOX % (10, 10), True), (BOX % (20, 20), False), (DISC % 4, True), (DISC % 10, False)],
+    [
+        (BOX % (6, 6), True),
+        (BOX % (10, 10), True),
+        (BOX % (20, 20), False),
+        (DISC % 4, True),
+        (DISC % 10, False),
+    ],
 )
 def test_region_of_rain_that_is_too_small_for_its_rate_is_reported(tmp_path, region, is_too_small):
     """The forecast is an upper bound of the rate of the inserter, at most four times as large."""
@@ -165,7 +188,9 @@ def test_region_of_rain_that_is_too_small_for_its_rate_is_reported(tmp_path, reg
         assert "Enlarge the region, raise particles.jet.velocity, or lower the rate." in warning
 
 
-@pytest.mark.parametrize(("count", "gravity", "is_reported"), [(60, 0, True), (20, 0, False), (60, "-9.81", False)])
+@pytest.mark.parametrize(
+    ("count", "gravity", "is_reported"), [(60, 0, True), (20, 0, False), (60, "-9.81", False)]
+)
 def test_rain_without_motion_is_limited_by_its_region(tmp_path, count, gravity, is_reported):
     """4 cm3 hold at most 0.45 * 4 cm3 / 33.5 mm3 = 54 particles; 60 per second is a low rate with gravity."""
     rain = f"{{kind: rain, rate: 60 1/s, region: {BOX % (20, 20)}}}"
@@ -205,7 +230,8 @@ DISC_ACROSS = "{disc: {center: [0, 1 cm, 1 cm], normal: [1, 0, 0], radius: 8 mm}
 def test_inlet_that_particles_leave_backward_or_not_at_all_is_reported(
     tmp_path, face, velocity, gravity, fault, proposed
 ):
-    """The velocity decides, and gravity for a velocity parallel to the face; the proposed velocity has no warning."""
+    """The velocity decides, and gravity for a velocity parallel to the face; the proposed velocity has no
+    warning."""
 
     def direction_warnings(velocity):
         insertion = f"{{kind: inlet, rate: 100 1/s, face: {face}}}"
@@ -227,7 +253,10 @@ def test_inlet_that_particles_leave_backward_or_not_at_all_is_reported(
 @pytest.mark.parametrize(
     ("last", "fault"),
     [
-        ("{position: [2 mm, 1e-13, 0], radius: 2 mm}", "the same sphere as spheres.1: its contacts count twice"),
+        (
+            "{position: [2 mm, 1e-13, 0], radius: 2 mm}",
+            "the same sphere as spheres.1: its contacts count twice",
+        ),
         ("{position: [6.5 mm, 0, 0], radius: 2 mm}", "0.0005 m away from the surface of spheres.1"),
         ("{position: [2 mm, 0, 0], radius: 1.9 mm}", None),
         ("{position: [6 mm, 0, 0], radius: 2 mm}", None),
@@ -251,7 +280,8 @@ def test_clumps_with_a_sphere_twice_or_a_gap_are_reported(tmp_path, last, fault)
     (warning,) = found
     line = TEXT[: TEXT.index("    diameter: 4 mm\n")].count("\n") + 5
     assert (
-        warning.startswith("particles.beads.clump.spheres.2.position (") and f"beads.yaml:{line}) is [0.00" in warning
+        warning.startswith("particles.beads.clump.spheres.2.position (")
+        and f"beads.yaml:{line}) is [0.00" in warning
     )
     assert fault in warning
     valid = warning.split("such as ")[1].split(" m")[0]

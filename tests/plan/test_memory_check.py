@@ -24,7 +24,8 @@ GIB = 2**30
 @pytest.fixture
 def machine(tmp_path, monkeypatch):
     """A synthetic machine: builds its available memory [bytes] and the files of its control groups."""
-    proc, groups = tmp_path / "proc", tmp_path / "sys" / "fs" / "cgroup"
+    proc = tmp_path / "proc"
+    groups = tmp_path / "sys" / "fs" / "cgroup"
     monkeypatch.setattr("granflow.io.machine.ROOT", tmp_path)
 
     def build(available, membership="0::/", **files):
@@ -40,7 +41,9 @@ def machine(tmp_path, monkeypatch):
 
 
 def test_free_memory_without_group_limits_is_that_of_the_machine(machine):
-    machine(3 * GIB, "0::/me", me__memory_of_max="max", me__memory_of_current=GIB, me__memory_of_stat="file 0")
+    machine(
+        3 * GIB, "0::/me", me__memory_of_max="max", me__memory_of_current=GIB, me__memory_of_stat="file 0"
+    )
     assert memory_check.available_memory() == 3 * GIB
 
 
@@ -112,7 +115,10 @@ def test_free_memory_of_cuda_is_that_of_the_first_visible_gpu(tmp_path, monkeypa
 
 
 def test_free_memory_of_vulkan_is_that_of_the_gpu(monkeypatch):
-    devices = [VulkanDevice("llvmpipe", "Mesa", on_cpu=True, free=5), VulkanDevice("A100", "NVIDIA", False, free=7)]
+    devices = [
+        VulkanDevice("llvmpipe", "Mesa", on_cpu=True, free=5),
+        VulkanDevice("A100", "NVIDIA", False, free=7),
+    ]
     monkeypatch.setattr(device_memory, "vulkan_devices", lambda: devices)
     assert free_device_memory("vulkan") == 7
     monkeypatch.setattr(device_memory, "vulkan_devices", lambda: [])
@@ -120,7 +126,9 @@ def test_free_memory_of_vulkan_is_that_of_the_gpu(monkeypatch):
 
 
 def fitting_count(error):
-    return int(re.search(r"lower the count to about (\d+) or set run.precision to mixed\.$", str(error.value))[1])
+    return int(
+        re.search(r"lower the count to about (\d+) or set run.precision to mixed\.$", str(error.value))[1]
+    )
 
 
 def test_run_on_a_gpu_that_does_not_fit_is_rejected_with_a_count_that_fits(tmp_path):
@@ -137,7 +145,9 @@ def test_run_on_a_gpu_that_does_not_fit_is_rejected_with_a_count_that_fits(tmp_p
 def test_array_above_the_largest_buffer_is_rejected_with_a_count_that_fits(tmp_path):
     plan = plan_for(load(lattice(tmp_path, 30_000_000)), on_gpu=True)
     assert memory_check.estimate_memory(plan, "f64").total > 3 * 2**32, "in several buffers"
-    with pytest.raises(SceneError, match=r"in one buffer, but this GPU allows at most 4\.29 GB: lower") as error:
+    with pytest.raises(
+        SceneError, match=r"in one buffer, but this GPU allows at most 4\.29 GB: lower"
+    ) as error:
         memory_check.refuse_without_device_memory(plan, None, 2**32)
     fitting = plan_for(load(lattice(tmp_path, fitting_count(error))), on_gpu=True)
     memory_check.refuse_without_device_memory(fitting, None, 2**32)
@@ -151,7 +161,9 @@ def test_neighbor_lists_that_no_longer_fit_into_a_gpu_are_rejected(tmp_path):
     assert needed > memory_check.estimate_memory(plan, "f64").total
     memory_check.refuse_growth(plan, grown, needed, None)
     for available, largest in ((needed - 1, None), (None, needed // 10)):
-        with pytest.raises(SceneError, match=r"no longer fit into the memory of the GPU, because all fields need"):
+        with pytest.raises(
+            SceneError, match=r"no longer fit into the memory of the GPU, because all fields need"
+        ):
             memory_check.refuse_growth(plan, grown, available, largest)
 
 
@@ -164,13 +176,16 @@ def test_counts_above_the_id_limit_are_rejected_on_any_machine(tmp_path, capsys)
 
 
 def peak_memory():
-    """Peak memory of this process [bytes]; getrusage would include the memory of its parent before the fork."""
+    """Peak memory of this process [bytes]; getrusage would include the memory of its parent before the
+    fork."""
     return 1024 * int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1])
 
 
 def growth_of_a_run(folder):
     """Estimated memory of a run of 60 000 particles, and growth of the peak memory of its process [bytes]."""
-    text = TEXT.replace("count: 10\n", "count: 60000\n").replace("[2 cm, 2 cm, 1 cm]", "[20 cm, 20 cm, 16 cm]")
+    text = TEXT.replace("count: 10\n", "count: 60000\n").replace(
+        "[2 cm, 2 cm, 1 cm]", "[20 cm, 20 cm, 16 cm]"
+    )
     text = text.replace("max: [3 cm, 3 cm, 3 cm]", "max: [21 cm, 21 cm, 17 cm]").replace("50 ms", "20 us")
     path = Path(folder) / "many.yaml"
     path.write_text(text)

@@ -95,7 +95,10 @@ def test_invalid_mesh_files_are_rejected(tmp_path):
         "declares 4294967295 triangles, but its size allows 12: it is truncated or damaged."
     )
     (tmp_path / "short.stl").write_bytes(b"\0" * 50)
-    assert problem(tmp_path, "short.stl") == "is truncated: it has 50 bytes, fewer than the header of an STL file."
+    assert (
+        problem(tmp_path, "short.stl")
+        == "is truncated: it has 50 bytes, fewer than the header of an STL file."
+    )
     binary_stl(tmp_path / "nan.stl", np.where(triangles == 1.0, np.nan, triangles))
     assert problem(tmp_path, "nan.stl") == "has 12 triangles with coordinates that are not finite."
     binary_stl(tmp_path / "flat.stl", triangles * [1, 0, 0])
@@ -119,7 +122,8 @@ def test_invalid_mesh_files_are_rejected(tmp_path):
 
 
 def test_mesh_files_outside_the_scene_folder_are_read(tmp_path):
-    folder, outside = tmp_path / "scenes", tmp_path / "cube.stl"
+    folder = tmp_path / "scenes"
+    outside = tmp_path / "cube.stl"
     (folder / "parts").mkdir(parents=True)
     binary_stl(outside, cube()[0][cube()[1]])
     (folder / "link.stl").symlink_to(outside)

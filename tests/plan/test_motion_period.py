@@ -27,5 +27,7 @@ def test_ten_steps_per_period_are_accepted(tmp_path, motion):
 
 @pytest.mark.parametrize("motion", [VIBRATION.format(10_001), ROTATION.format(-2 * math.pi * 10_001)])
 def test_fewer_steps_per_period_are_rejected_with_the_required_step(tmp_path, motion):
-    with pytest.raises(SceneError, match=r"walls.floor.motion.0 has a period of 0.0001 s, .* to 1e-05 s or less"):
+    with pytest.raises(
+        SceneError, match=r"walls.floor.motion.0 has a period of 0.0001 s, .* to 1e-05 s or less"
+    ):
         plan_of(tmp_path, motion)

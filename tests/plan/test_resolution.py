@@ -10,7 +10,8 @@ from granflow.plan.limits import coordinate_limit, spacing_at
 
 RADIUS = 0.005
 EDGE = 2.0**13
-"""In f32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 m and 2^(13 - 23) = 0.98 mm beyond; the limit is 0.5 mm."""
+"""In f32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 m and 2^(13 - 23) = 0.98 mm beyond; the limit is 0.5
+mm."""
 
 
 def scene_with_height(edge, precision, on_exit="error"):
@@ -26,7 +27,10 @@ def test_f32_spacing_above_a_tenth_of_the_smallest_radius_is_rejected(on_exit):
     with pytest.raises(SceneError) as refused:
         plan_for(scene_with_height(1.001 * EDGE, "f32", on_exit))
     message = str(refused.value)
-    assert "run.precision is f32, but it resolves positions only to 0.000977 m at 8.2e+03 m from the origin" in message
+    assert (
+        "run.precision is f32, but it resolves positions only to 0.000977 m at 8.2e+03 m from the origin"
+        in message
+    )
     assert "0.1 of the smallest radius 0.005 m. Use --precision mixed" in message
 
 
@@ -45,9 +49,16 @@ def test_f64_positions_have_a_larger_limit(precision):
         plan_for(scene_with_height(1.001 * 2.0**42, precision))
 
 
-@pytest.mark.parametrize(("precision", "dtype"), [("f32", np.float32), ("mixed", np.float64), ("f64", np.float64)])
+@pytest.mark.parametrize(
+    ("precision", "dtype"), [("f32", np.float32), ("mixed", np.float64), ("f64", np.float64)]
+)
 def test_spacing_is_that_of_the_number_type(precision, dtype):
     limit = coordinate_limit(precision, RADIUS)
-    below, above = np.nextafter(dtype(limit), dtype(0)), dtype(limit)
-    assert float(np.nextafter(below, dtype(np.inf)) - below) <= 0.1 * RADIUS < 2 * spacing_at(precision, float(below))
+    below = np.nextafter(dtype(limit), dtype(0))
+    above = dtype(limit)
+    assert (
+        float(np.nextafter(below, dtype(np.inf)) - below)
+        <= 0.1 * RADIUS
+        < 2 * spacing_at(precision, float(below))
+    )
     assert spacing_at(precision, float(above)) > 0.1 * RADIUS

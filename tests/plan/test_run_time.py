@@ -1,4 +1,5 @@
-"""Runs shorter than a step, too long, or with a step that does not advance the time are rejected before the start."""
+"""Runs shorter than a step, too long, or with a step that does not advance the time are rejected before the
+start."""
 
 import pytest
 from scene_builders import build_scene, particle_group
@@ -41,7 +42,8 @@ def test_stage_below_one_step_is_rejected():
 
 
 def test_step_above_the_duration_for_a_large_density_is_rejected():
-    """Contacts would allow a step of 1e4 s; the displacement limit of 0.2 of the 5 mm radius at 1 m/s allows 1 ms."""
+    """Contacts would allow a step of 1e4 s; the displacement limit of 0.2 of the 5 mm radius at 1 m/s allows
+    1 ms."""
     heavy = {"glass": {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 1e30}}
     run = {"time_step": "auto", "duration": 5e-4}
     assert "shorter than one time step of 0.001 s (0.2 of the smallest radius" in rejection(
@@ -106,5 +108,7 @@ def test_unloading_angle_above_0_9_is_rejected():
 
 def test_skin_above_twenty_radii_is_rejected():
     plan_for(scene(numerics={"skin": 0.0999}))
-    with pytest.raises(SceneError, match="numerics.skin is 0.101 m, more than 20 times the smallest radius 0.005 m"):
+    with pytest.raises(
+        SceneError, match="numerics.skin is 0.101 m, more than 20 times the smallest radius 0.005 m"
+    ):
         plan_for(scene(numerics={"skin": 0.101}))

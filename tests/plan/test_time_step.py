@@ -47,7 +47,8 @@ def test_step_is_a_fraction_of_the_shortest_loading_or_unloading_time(step):
 
 
 def test_stable_step_holds_for_the_densest_packing(step):
-    """The fastest mode without friction has w^2 = 8 K/m = 4 K/M (X point of a face-centered cubic crystal)."""
+    """The fastest mode without friction has w^2 = 8 K/m = 4 K/M (X point of a face-centered cubic
+    crystal)."""
 
     def bound(radius_eff, mass_eff):
         tangent = 1.5 * hertz(radius_eff) * math.sqrt(largest_overlap(radius_eff, mass_eff))
@@ -60,9 +61,9 @@ def test_stable_step_holds_for_the_densest_packing(step):
 def fastest_mode(directions, ratio):
     """Largest w^2 over K/M of equal particles on a lattice with contacts in these directions, Kt = ratio K.
 
-    The plane wave has displacements u and rotations t, in units of the radius; mass 1 and moment of inertia 2/5. At
-    the contact with a neighbor along n, a particle moves by u + t x n and the neighbor by u - t x n, times the phase
-    of the wave.
+    The plane wave has displacements u and rotations t, in units of the radius; mass 1 and moment of inertia
+    2/5. At the contact with a neighbor along n, a particle moves by u + t x n and the neighbor by u - t x n,
+    times the phase of the wave.
     """
     unit = np.array(directions, float) / np.linalg.norm(directions[0])
     root = np.diag([1.0] * 3 + [math.sqrt(2.5)] * 3)
@@ -72,7 +73,8 @@ def fastest_mode(directions, ratio):
         total = np.zeros((6, 6), complex)
         for n in unit:
             cross = np.cross(np.eye(3), n).T
-            own, partner = np.hstack([np.eye(3), cross]), np.hstack([np.eye(3), -cross])
+            own = np.hstack([np.eye(3), cross])
+            partner = np.hstack([np.eye(3), -cross])
             relative_motion = own - np.exp(1j * np.dot(wave, n)) * partner
             spring = np.outer(n, n) + ratio * (np.eye(3) - np.outer(n, n))
             total += 0.5 * relative_motion.conj().T @ spring @ relative_motion
@@ -100,13 +102,16 @@ def test_friction_reduces_the_stable_step_by_the_rotational_modes(tmp_path, pois
 @pytest.mark.parametrize(("contacts", "modes"), [(1, 1.0), (2, 2.0), (12, 4.0), (500, 4.0)])
 @pytest.mark.parametrize("restitution", [0.9, 0.3, 0.01])
 def test_stable_step_of_a_damped_spring_is_the_leapfrog_stability_limit(contacts, modes, restitution):
-    """Eigenvalues of one step: the velocity lags by half a step; the viscous force uses it and the last kick."""
+    """Eigenvalues of one step: the velocity lags by half a step; the viscous force uses it and the last
+    kick."""
     zeta = damping_ratio_for(restitution)
     stiffness = 1e4
     law = Linear(Spring(stiffness, None, 0.0))
     pair = PairMaterial(1e9, 1e9, restitution, 0.0)
     solid = Solid(1e9, 0.25, 2500.0, None)
-    allowed = stable_step(PairCase("pair", pair, 1e-3, MASS, 1e-3, 1e-3, solid, contacts), law, VELOCITY) / 0.99
+    allowed = (
+        stable_step(PairCase("pair", pair, 1e-3, MASS, 1e-3, 1e-3, solid, contacts), law, VELOCITY) / 0.99
+    )
 
     def growth(step):
         spring = modes * stiffness * step**2 / MASS
@@ -191,7 +196,8 @@ def test_small_restitution_causes_one_warning_per_material_pair(tmp_path):
 
 
 def test_velocity_dependent_restitution_0_causes_a_warning(tmp_path):
-    """At the limit velocity e(v) is 0; the contact rebounds with the smallest restitution of the time step."""
+    """At the limit velocity e(v) is 0; the contact rebounds with the smallest restitution of the time
+    step."""
     fit = "{sigma: 1.2, psi: 0.54, limit_velocity: 0.5 m/s}"
     step = plan_for(scene_of(tmp_path, *(f"pairs.{pair}.restitution={fit}" for pair in PAIRS))).step
     (warning,) = step.warnings
@@ -201,8 +207,12 @@ def test_velocity_dependent_restitution_0_causes_a_warning(tmp_path):
 
 
 def test_restitution_0_requires_neither_a_warning_nor_a_shorter_step(tmp_path):
-    """The contact stops in one step; unloading, which takes longer than loading at restitution 1, is not resolved."""
-    steps = [plan_for(scene_of(tmp_path, *(f"pairs.{pair}.restitution={e}" for pair in PAIRS))).step for e in (0, 1)]
+    """The contact stops in one step; unloading, which takes longer than loading at restitution 1, is not
+    resolved."""
+    steps = [
+        plan_for(scene_of(tmp_path, *(f"pairs.{pair}.restitution={e}" for pair in PAIRS))).step
+        for e in (0, 1)
+    ]
     assert not steps[0].warnings
     assert steps[0].least_restitution == 0.0
     assert steps[0].value == pytest.approx(steps[1].value, rel=1e-6)
@@ -211,7 +221,9 @@ def test_restitution_0_requires_neither_a_warning_nor_a_shorter_step(tmp_path):
 def test_restitution_warning_names_the_contact_with_the_largest_deviation(tmp_path):
     """At the same velocity, a smaller particle has a shorter contact, which a given step resolves less."""
     text = groups_like_the_beads(3).replace("diameter: 4 mm", "diameter: 3 mm").replace("3 mm", "4 mm", 1)
-    (warning,) = plan_for(scene_of(tmp_path, *UNRESOLVED, "particles.group_2.diameter=2 mm", text=text)).step.warnings
+    (warning,) = plan_for(
+        scene_of(tmp_path, *UNRESOLVED, "particles.group_2.diameter=2 mm", text=text)
+    ).step.warnings
     assert "(group_2-group_2)" in warning
 
 
@@ -234,8 +246,16 @@ def test_contacts_that_cannot_occur_cause_no_warning(tmp_path, overrides, pairs)
     ("overrides", "value", "source"),
     [
         ((), 1.0, "run.velocity_max ("),
-        (("run.velocity_max=null",), math.sqrt(2 * 9.81 * 0.04), "estimated from free fall through the domain"),
-        (("run.velocity_max=null", "particles.beads.velocity=[3, 4, 0]"), 10.0, "estimated from the fastest particle"),
+        (
+            ("run.velocity_max=null",),
+            math.sqrt(2 * 9.81 * 0.04),
+            "estimated from free fall through the domain",
+        ),
+        (
+            ("run.velocity_max=null", "particles.beads.velocity=[3, 4, 0]"),
+            10.0,
+            "estimated from the fastest particle",
+        ),
         (("run.velocity_max=null", "gravity=[0, 0, 0]"), 1.0, "assumed"),
         (
             ("run.velocity_max=null", "gravity=[0, 0, 0]")
@@ -253,7 +273,11 @@ def test_max_impact_velocity_has_a_value_and_a_source(tmp_path, overrides, value
 
 @pytest.mark.parametrize(
     ("overrides", "range_over_radius"),
-    [((), (0.05, 0.3)), (("numerics.skin=0.5 mm",), (0.25, 0.25)), (("run.velocity_max=0.01",), (0.05, 0.05))],
+    [
+        ((), (0.05, 0.3)),
+        (("numerics.skin=0.5 mm",), (0.25, 0.25)),
+        (("run.velocity_max=0.01",), (0.05, 0.05)),
+    ],
 )
 def test_skin_over_the_smallest_radius_is_in_its_range(tmp_path, overrides, range_over_radius):
     plan = plan_for(scene_of(tmp_path, *overrides))
@@ -265,7 +289,8 @@ TANGENTIAL = "contact.tangential={law: linear_history, stiffness: %s}"
 
 
 def test_stiffness_of_a_linear_tangential_spring_bounds_the_step(tmp_path):
-    """All rotate and slip: w^2 = 20 kt / M, dt < 0.99 * 2 / w, for a spring that is stiffer than the normal contact."""
+    """All rotate and slip: w^2 = 20 kt / M, dt < 0.99 * 2 / w, for a spring that is stiffer than the normal
+    contact."""
     stiffness = 1e6
     friction = ["pairs.glass-glass.friction=0.5"]
     step = plan_for(scene_of(tmp_path, TANGENTIAL % f"{stiffness:g} N/m", *friction)).step
@@ -277,7 +302,8 @@ def test_stiffness_of_a_linear_tangential_spring_bounds_the_step(tmp_path):
 def test_tangential_dashpot_requires_that_of_the_normal_model(tmp_path):
     given = ["contact.tangential={law: mindlin, damping: 0.5}", "pairs.glass-glass.friction=0.5"]
     with pytest.raises(
-        SceneError, match=r"contact.tangential.damping is 0.5, .* zhou has no such dashpot; write 0, or choose hertz"
+        SceneError,
+        match=r"contact.tangential.damping is 0.5, .* zhou has no such dashpot; write 0, or choose hertz",
     ):
         plan_for(scene_of(tmp_path, *given))
     assert plan_for(scene_of(tmp_path, "contact.normal=hertz", *given)).laws.damped_slots == ("tangential",)

@@ -1,6 +1,7 @@
 """Runs the command line of granflow in a process that is killed at its n-th write, or whose clock jumps.
 
-    python fault_injection.py kill N VERB ...      SIGKILL before write number N, a row of the time series half written
+    python fault_injection.py kill N VERB ...      SIGKILL before write number N, a row of the time series
+                                                   half written
     python fault_injection.py count - VERB ...     print the number of writes to stderr
     python fault_injection.py clock - VERB ...     the system time jumps by hours at every query
 

@@ -1,4 +1,5 @@
-"""A small run with frequent output for fault injection, and helpers to start, wait for and compare such runs."""
+"""A small run with frequent output for fault injection, and helpers to start, wait for and compare such
+runs."""
 
 import json
 import os
@@ -47,13 +48,17 @@ run: {velocity_max: 1 m/s}
 def granflow(home, *arguments, fault=("count", "-"), **options):
     """Runs the command line to its end in a separate process."""
     command = [sys.executable, FAULT_INJECTION, *fault, *arguments]
-    return subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=START_TIMEOUT * 2, **options)
+    return subprocess.run(
+        command, cwd=home, capture_output=True, text=True, timeout=START_TIMEOUT * 2, **options
+    )
 
 
 def started(home, *arguments, **options):
     """Starts the command line in a separate process and returns the running process."""
     command = [sys.executable, "-m", "granflow", *arguments]
-    return subprocess.Popen(command, cwd=home, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **options)
+    return subprocess.Popen(
+        command, cwd=home, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **options
+    )
 
 
 def wait_for(path, running):

@@ -1,4 +1,5 @@
-"""A scene with all state that a checkpoint must restore, and digests of files and states to compare two runs."""
+"""A scene with all state that a checkpoint must restore, and digests of files and states to compare two
+runs."""
 
 import hashlib
 import json
@@ -14,10 +15,10 @@ MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequ
 def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, counts_collisions=True, **parts):
     """Rain into a vibrated box above a falling lattice; two materials, three stages, chunks of 32 particles.
 
-    Friction, rolling springs, the energy budget, collision energies, a flow meter, fields and metrics are enabled. A
-    row of fixed particles lies in the gate, which is removed after the first stage; an inlet inserts particles through
-    a face. The floor and one side wall are removed after the second stage; particles are deleted at `domain.max` before
-    they reach that wall.
+    Friction, rolling springs, the energy budget, collision energies, a flow meter, fields and metrics are
+    enabled. A row of fixed particles lies in the gate, which is removed after the first stage; an inlet
+    inserts particles through a face. The floor and one side wall are removed after the second stage;
+    particles are deleted at `domain.max` before they reach that wall.
 
     of_groups:          further keys of all groups
     counts_collisions:  whether collisions are counted by energy, for which contacts need a history
@@ -51,7 +52,11 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, coun
         },
     }  # fmt: skip
     stage_duration = duration / 3.0
-    middle = {"kinetic_energy_below": 1e-9, "max_duration": stage_duration} if rest else {"duration": stage_duration}
+    middle = (
+        {"kinetic_energy_below": 1e-9, "max_duration": stage_duration}
+        if rest
+        else {"duration": stage_duration}
+    )
     defaults = {
         "walls": walls, "rolling": "epsd", "normal": normal,
         "pair": {"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
@@ -76,11 +81,14 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, coun
     if counts_collisions:
         defaults["output"]["collision_energies"] = {"min": 1e-9, "max": 1e-2, "classes": 14}
     groups = {"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}
-    return build_scene({name: group | (of_groups or {}) for name, group in groups.items()}, **(defaults | parts))
+    return build_scene(
+        {name: group | (of_groups or {}) for name, group in groups.items()}, **(defaults | parts)
+    )
 
 
 def files_of(out):
-    """Digest of each result file by name, except files with wall-clock times; of result.json the physical results."""
+    """Digest of each result file by name, except files with wall-clock times; of result.json the physical
+    results."""
     found = {}
     for path in out.iterdir():
         if path.suffix in (".vtu", ".pvd", ".csv"):
@@ -93,7 +101,8 @@ def files_of(out):
 
 
 def state_of(path):
-    """Content of a checkpoint without wall-clock times and counters that depend on them; arrays as digests."""
+    """Content of a checkpoint without wall-clock times and counters that depend on them; arrays as
+    digests."""
     saved = read_checkpoint(path).saved
     del saved["wall_clock"]
     for name in ("neighbor_list", "advance", "sampled_forces", "sampled_integration", "particle_steps"):

@@ -19,7 +19,8 @@ LIMITS = 0.004, 0.3
 
 
 def scene(max_overlap, **parts):
-    """Two balls that fall on a floor with friction from 1 mm and 10 mm: at 0.14 and at 0.44 m/s, after 14 and 45 ms."""
+    """Two balls that fall on a floor with friction from 1 mm and 10 mm: at 0.14 and at 0.44 m/s, after 14 and
+    45 ms."""
     balls = particle_group([[0, 0, 0.006], [0.03, 0, 0.015]], velocity=[[0.1, 0, 0], [0.1, 0, 0]])
     return build_scene(
         {"balls": balls}, {"floor": plane([0, 0, 0], [0, 0, 1])}, pair={"friction": 0.3, "restitution": 0.5},
@@ -30,7 +31,10 @@ def scene(max_overlap, **parts):
 
 def aborted(out, max_overlap, **parts):
     """The message of a run that exceeds the limit."""
-    with pytest.raises(gf.RunError) as stopped, gf.Simulation(scene(max_overlap, **parts), out=out) as simulation:
+    with (
+        pytest.raises(gf.RunError) as stopped,
+        gf.Simulation(scene(max_overlap, **parts), out=out) as simulation,
+    ):
         simulation.run()
     return str(stopped.value)
 
@@ -54,7 +58,9 @@ def test_command_of_an_abort_continues_with_the_bits_of_a_run_without_limit(
         request.getfixturevalue("frequent_copies")
     low, high = LIMITS
     message = aborted(tmp_path / "run", low)
-    (command,) = re.findall(r"(granflow resume \S+ --set numerics.max_overlap=\S+) continues from the last", message)
+    (command,) = re.findall(
+        r"(granflow resume \S+ --set numerics.max_overlap=\S+) continues from the last", message
+    )
     checkpoint, _ = newest_checkpoint(tmp_path / "run")
     assert (checkpoint.time > 0.0) == (copies == "frequent")
     accepted = float(command.rpartition("=")[2])
@@ -70,7 +76,9 @@ def test_command_of_an_abort_continues_with_the_bits_of_a_run_without_limit(
     assert files_of(tmp_path / "run") == files_of(tmp_path / "whole")
 
 
-def test_without_a_change_the_run_aborts_again_with_the_same_message(taichi_f64, tmp_path, frequent_copies, capsys):
+def test_without_a_change_the_run_aborts_again_with_the_same_message(
+    taichi_f64, tmp_path, frequent_copies, capsys
+):
     message = aborted(tmp_path / "run", LIMITS[0])
     assert main(["resume", str(tmp_path / "run"), "--threads", "2"]) == gf.RunError.exit_code
     assert message in capsys.readouterr().err
@@ -116,7 +124,8 @@ def test_abort_before_the_first_step_offers_the_command_that_runs_the_scene_with
 
 def test_resumed_run_lists_a_warning_once(taichi_f64, tmp_path, capsys):
     """The warning names the position of the limit, in the scene and then in `scene_as_run.yaml`."""
-    path, out = scene(0.02).save(tmp_path / "balls.yaml"), tmp_path / "run"
+    path = scene(0.02).save(tmp_path / "balls.yaml")
+    out = tmp_path / "run"
     assert main(["run", str(path), "--out", str(out), "--until", "1ms", "--threads", "2"]) == 0
     assert main(["resume", str(out), "--until", "2ms", "--threads", "2"]) == 0
     capsys.readouterr()

@@ -16,7 +16,8 @@ from granflow.simulation import Simulation
 
 
 def run_to_end(scene, out, threads=2):
-    """Runs the scene to its end and returns the paths of its checkpoints, at least eleven, in order of time."""
+    """Runs the scene to its end and returns the paths of its checkpoints, at least eleven, in order of
+    time."""
     simulation = Simulation(scene, out=out, threads=threads)
     simulation.run()
     simulation.free()
@@ -42,7 +43,10 @@ def test_restart_during_insertion_and_deletion_is_bit_identical(tmp_path, taichi
     checkpoints = run_to_end(scene, tmp_path / "whole")
     assert len(checkpoints) >= 11
     early, late = (read_checkpoint(checkpoints[k]) for k in (1, 7))
-    assert early.saved["stage_progress"]["stage"] == "fill" and 0 < early.saved["insertion"]["rain"]["due_count"] < 60
+    assert (
+        early.saved["stage_progress"]["stage"] == "fill"
+        and 0 < early.saved["insertion"]["rain"]["due_count"] < 60
+    )
     assert late.saved["stage_progress"]["stage"] == "out"
     for name, checkpoint in (("early", early), ("late", late)):
         assert len(checkpoint.saved["engine"]["contacts"]["partner"]) > 20
@@ -80,7 +84,8 @@ def test_restart_with_lees_edwards_box_is_bit_identical(tmp_path, taichi_f64):
 
 
 @pytest.mark.parametrize(
-    "models", [pytest.param(DASHPOTS, id="dashpots"), pytest.param(SPRINGS, id="springs", marks=pytest.mark.slow)]
+    "models",
+    [pytest.param(DASHPOTS, id="dashpots"), pytest.param(SPRINGS, id="springs", marks=pytest.mark.slow)],
 )
 def test_restart_is_bit_identical_for_tangential_rolling_and_twisting_models(tmp_path, taichi_f64, models):
     scene = complex_scene(0.006, **models)
@@ -119,20 +124,25 @@ def is_restart_identical(folder, threads, in_parallel, precision, law, friction)
     if in_parallel:  # a scene of this size uses one thread by default
         workers.SINGLE_WORKER_PARTICLES = 0
     pair = {"friction": friction, "restitution": None if law == "thornton" else 0.7}
-    rolling = {"rolling": "epsd", "pair": pair | {"rolling_friction": 0.1}} if friction else {"rolling": "none"}
+    rolling = (
+        {"rolling": "epsd", "pair": pair | {"rolling_friction": 0.1}} if friction else {"rolling": "none"}
+    )
     materials = {name: SOFT | {"yield_strength": 3e6} for name in ("glass", "steel")}
     run = {"velocity_max": 2.0, "time_step": 2e-6, "precision": precision}
     parts = {"pair": pair, "materials": materials, "run": run} | rolling
     has_history = friction > 0.0 or law not in ("hertz", "kuwabara_kono")
     scene = complex_scene(0.009, normal=LAWS[law], counts_collisions=has_history, **parts)
-    whole, resumed = Path(folder) / "whole", Path(folder) / "again"
+    whole = Path(folder) / "whole"
+    resumed = Path(folder) / "again"
     resume_copy(scene, whole, resumed, run_to_end(scene, whole, threads)[4], threads)
     return files_of(whole) == files_of(resumed) and states_of(whole) == states_of(resumed)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-@pytest.mark.parametrize(("threads", "precision"), [(1, "f64"), (2, "f64"), (1, "mixed"), (2, "mixed"), (2, "f32")])
+@pytest.mark.parametrize(
+    ("threads", "precision"), [(1, "f64"), (2, "f64"), (1, "mixed"), (2, "mixed"), (2, "f32")]
+)
 def test_restart_is_bit_identical_for_threads_and_precisions(tmp_path, threads, precision):
     assert in_subprocess(
         is_restart_identical, str(tmp_path), threads, threads > 1, precision, "zhou", 0.4, seconds=1200

@@ -1,4 +1,5 @@
-"""Changes of a scene that resume accepts or rejects, and runs that start from the last state of another run."""
+"""Changes of a scene that resume accepts or rejects, and runs that start from the last state of another
+run."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -21,7 +22,8 @@ from granflow.simulation import Simulation
 
 
 def changed(**overrides):
-    """The scene of `complex_scene` as read from text, unchanged and with overrides; `__` in a key stands for a dot."""
+    """The scene of `complex_scene` as read from text, unchanged and with overrides; `__` in a key stands for
+    a dot."""
     original = scene_of(complex_scene().to_yaml(), "before")
     return original, scene_of(
         complex_scene().to_yaml(), "now", [f"{k.replace('__', '.')}={v}" for k, v in overrides.items()]
@@ -125,7 +127,9 @@ def test_gate_removed_on_resume_lets_particles_fall(checkpoint, restored_particl
 
 
 def test_displaced_wall_is_rejected_with_a_remedy(checkpoint):
-    with pytest.raises(GranflowError, match=r"walls.lid.motion would displace the wall by 0.0015 m.*\(start:\)"):
+    with pytest.raises(
+        GranflowError, match=r"walls.lid.motion would displace the wall by 0.0015 m.*\(start:\)"
+    ):
         Simulation(falling_particles(lid_speed=0.2), resume=checkpoint)
 
 
@@ -139,7 +143,8 @@ def test_changed_domain_is_rejected_without_allow_changes(checkpoint):
         "Run the scene from the start, or continue despite the change with --allow-changes."
     )
     assert [
-        each.key for each in accepted_change(checkpoint, other, plan_for(other), allow_changes=True).differences
+        each.key
+        for each in accepted_change(checkpoint, other, plan_for(other), allow_changes=True).differences
     ] == ["domain.max"]
 
 
@@ -168,7 +173,9 @@ def test_disabled_friction_is_rejected(checkpoint):
 def test_duration_that_has_passed_is_rejected(checkpoint, allow_changes):
     """The checkpoint is at 15 ms of the first stage."""
     stages = [{"name": "hold", "duration": 0.01}, {"name": "fall", "duration": 0.02}]
-    message = r"stages.0.duration is 0.01 s, but at .* stage hold has already lasted 0.015\d* s: give at least this"
+    message = (
+        r"stages.0.duration is 0.01 s, but at .* stage hold has already lasted 0.015\d* s: give at least this"
+    )
     with pytest.raises(GranflowError, match=message):
         Simulation(falling_particles(stages=stages), resume=checkpoint, allow_changes=allow_changes)
 
@@ -201,11 +208,15 @@ def complete_run(out, **parts):
 def test_complete_run_is_extended_as_the_message_states(taichi_f64, tmp_path, capsys):
     simulation, files = complete_run(tmp_path, run={"duration": 1e-3})
     assert main(["resume", str(tmp_path), "--until", "3 ms"]) == 2
-    message = f"granflow: --until is 0.003 s, but the run is complete at {simulation.time:.6g} s: extend it with "
+    message = (
+        f"granflow: --until is 0.003 s, but the run is complete at {simulation.time:.6g} s: extend it with "
+    )
     assert capsys.readouterr().err == f"{message}--set run.duration=0.003s.\n"
     assert files_in(tmp_path) == files
     assert main(["resume", str(tmp_path)]) == 0
-    assert "The run is complete, so no step is taken. To continue it, extend it with" in capsys.readouterr().out
+    assert (
+        "The run is complete, so no step is taken. To continue it, extend it with" in capsys.readouterr().out
+    )
     assert main(["resume", str(tmp_path), "--until", "4 ms", "--set", "run.duration=0.003s"]) == 0
     assert ", before --until 0.004 s." in capsys.readouterr().out
     assert newest_checkpoint(tmp_path)[0].time == pytest.approx(3e-3, abs=simulation.time_step)
@@ -220,8 +231,12 @@ def test_complete_run_whose_last_stage_has_a_condition_needs_another_stage(taich
 
 
 def test_start_from_copies_the_last_state_of_another_run(checkpoint, restored_particles):
-    """Positions, velocities at the same time and radii are copied; a new group is inserted without overlap."""
-    groups = {"fresh": particle_group([[0.0, 0.0, 0.3]], 0.02), "balls": particle_group([[0.0, 0.0, 0.1]] * 4)}
+    """Positions, velocities at the same time and radii are copied; a new group is inserted without
+    overlap."""
+    groups = {
+        "fresh": particle_group([[0.0, 0.0, 0.3]], 0.02),
+        "balls": particle_group([[0.0, 0.0, 0.1]] * 4),
+    }
     scene = falling_particles(start_from=str(checkpoint.path.parent), particles=groups)
     start = initial_particles(scene, particles_from_run(scene))
     assert list(start.group) == [0, 1, 1, 1, 1]
@@ -235,7 +250,9 @@ def test_mismatch_with_start_from_is_reported(checkpoint, tmp_path):
         Simulation(falling_particles(start_from=str(tmp_path)))
     with pytest.raises(SceneError, match="does not exist; give the directory"):
         Simulation(falling_particles(start_from=str(tmp_path / "none")))
-    small = build_scene({"balls": particle_group([[0, 0, 0.1]], 0.008)}, start_from=str(checkpoint.path.parent))
+    small = build_scene(
+        {"balls": particle_group([[0, 0, 0.1]], 0.008)}, start_from=str(checkpoint.path.parent)
+    )
     with pytest.raises(SceneError) as error:
         Simulation(small)
     count, size = error.value.problems
@@ -248,5 +265,7 @@ def test_start_from_a_run_whose_particles_are_deleted_is_rejected(tmp_path):
     domain = {"min": [-0.01] * 3, "max": [0.01] * 3, "on_exit": "delete"}
     group = {"ball": particle_group([0.0, 0.0, 0.0], 0.002, velocity=[1.0, 0.0, 0.0])}
     Simulation(build_scene(group, domain=domain, run={"duration": 0.04}), out=tmp_path / "empty").run()
-    with pytest.raises(SceneError, match=r"at 0.0400\d+ s it has no particles of ball; give a run that ends before"):
+    with pytest.raises(
+        SceneError, match=r"at 0.0400\d+ s it has no particles of ball; give a run that ends before"
+    ):
         Simulation(build_scene(group, start_from=str(tmp_path / "empty")))

@@ -108,7 +108,8 @@ def test_only_the_newest_checkpoints_are_kept(tmp_path):
 
 
 def test_file_is_synced_before_it_is_renamed(tmp_path, monkeypatch):
-    calls, real = [], os.replace
+    calls = []
+    real = os.replace
     monkeypatch.setattr("os.fsync", lambda _: calls.append("fsync"))
     monkeypatch.setattr("os.replace", lambda *names: (calls.append("replace"), real(*names)))
     with replacing(tmp_path / "a", durable=True) as temporary:
@@ -119,7 +120,9 @@ def test_file_is_synced_before_it_is_renamed(tmp_path, monkeypatch):
 def test_lock_is_exclusive_and_ends_with_its_process(tmp_path):
     holder = "import sys, time; from pathlib import Path; from granflow.io.files import locked\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(600)"
-    process = subprocess.Popen([sys.executable, "-c", holder, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", holder, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
     try:
         assert process.stdout.readline() == "held\n"
         with pytest.raises(GranflowError, match="Another run is writing into"), locked(tmp_path):
@@ -174,7 +177,8 @@ def test_digest_of_sources_depends_on_names_and_contents_of_python_files(tmp_pat
 
 
 def test_checkpoint_of_another_engine_is_named(taichi_f64, tmp_path, monkeypatch, capsys):
-    """A state that does not fit is not called damaged; one that fits continues only on request, with a warning."""
+    """A state that does not fit is not called damaged; one that fits continues only on request, with a
+    warning."""
     scene = build_scene({"ball": particle_group([[0, 0, 0]])}, run={"duration": 2e-4, "velocity_max": 1.0})
     monkeypatch.setattr(format_of, "engine_digest", lambda: "0123456789ab")
     with gf.Simulation(scene, threads=2, out=tmp_path) as simulation:

@@ -62,7 +62,9 @@ def test_run_beyond_a_file_size_limit_can_be_resumed(home, reference, fraction):
     """The checkpoint is the largest file, followed by frames of contacts and the log."""
     size = max(path.stat().st_size for path in reference.glob("checkpoint_*.npz"))
     out = home / f"quota{fraction}"
-    failed = granflow(home, "run", "beads.yaml", "--out", out.name, preexec_fn=file_size_limit(int(fraction * size)))
+    failed = granflow(
+        home, "run", "beads.yaml", "--out", out.name, preexec_fn=file_size_limit(int(fraction * size))
+    )
     assert failed.returncode == 4, failed.stderr
     assert any("File too large" in message for message in messages(failed))
     resumed(home, out, *[] if any(out.glob("checkpoint_*.npz")) else ["--from-start"])
@@ -88,7 +90,8 @@ def test_run_on_a_full_disk_can_be_resumed(home, reference, free_space):
 
 
 def test_unwritable_output_directory_is_rejected(home):
-    """The run is rejected before any computation, in one sentence. For root this requires a read-only disk."""
+    """The run is rejected before any computation, in one sentence. For root this requires a read-only
+    disk."""
     read_only = home / "closed"
     read_only.mkdir()
     read_only.chmod(0o555)
@@ -101,12 +104,15 @@ def test_unwritable_output_directory_is_rejected(home):
         if root:
             subprocess.run(["umount", str(read_only)], check=True)
     assert process.returncode == 2, process.stderr
-    assert messages(process) == [f"granflow: closed/run: {'Read-only file system' if root else 'Permission denied'}."]
+    assert messages(process) == [
+        f"granflow: closed/run: {'Read-only file system' if root else 'Permission denied'}."
+    ]
 
 
 def test_run_in_a_renamed_directory_can_be_resumed(home, reference):
     """The message names the present path of the directory, in which no row and no frame is missing."""
-    out, moved = home / "vanishing", home / "moved"
+    out = home / "vanishing"
+    moved = home / "moved"
     running = started(home, "run", "beads.yaml", "--out", out.name)
     wait_for(out / "particles_0006.vtu", running)
     os.rename(out, moved)
@@ -149,7 +155,9 @@ def test_failed_overwrite_keeps_the_previous_run(home, reference):
     out = home / "replaced"
     shutil.copytree(reference, out)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    failed = granflow(home, "run", "beads.yaml", "--out", out.name, "--overwrite", preexec_fn=file_size_limit(100))
+    failed = granflow(
+        home, "run", "beads.yaml", "--out", out.name, "--overwrite", preexec_fn=file_size_limit(100)
+    )
     assert failed.returncode == 4, failed.stderr
     assert any("File too large" in message for message in messages(failed))
     assert before == {path.name: path.read_bytes() for path in out.iterdir()}

@@ -24,7 +24,8 @@ ROWS = "x,y,z,r\n" + "".join(
 
 
 def scene_with_inputs(folder):
-    """A scene with three meshes of equal name, a table and particles, of which only a link is in its own folder."""
+    """A scene with three meshes of equal name, a table and particles, of which only a link is in its own
+    folder."""
     for name in ("scenes", "parts", "tables", "other", "filled"):
         (folder / name).mkdir(parents=True)
     for k, name in enumerate(("parts/box.stl", "parts/linked.stl", "other/box.stl")):
@@ -42,7 +43,8 @@ def scene_with_inputs(folder):
 
 def test_run_continues_from_copies_of_input_files_outside_the_scene_folder(tmp_path):
     scene = scene_with_inputs(tmp_path / "here")
-    whole, out = tmp_path / "whole", tmp_path / "here" / "out"
+    whole = tmp_path / "whole"
+    out = tmp_path / "here" / "out"
     assert main(["run", str(scene), "--out", str(whole)]) == 0
     assert main(["run", str(scene), "--out", str(out), "--until", "2 ms"]) == 0
     meshes = {path.name: path.read_bytes() for path in (tmp_path / "here").glob("*/*.stl")}

@@ -19,13 +19,17 @@ def reference(home):
     process = granflow(home, "run", "beads.yaml", "--out", "reference")
     assert process.returncode == 0, process.stderr
     writes = int(re.search(r"writes: (\d+)", process.stderr)[1])
-    first, last = ((home / "reference" / name).stat().st_mtime for name in ("scene_as_run.yaml", "result.json"))
+    first, last = (
+        (home / "reference" / name).stat().st_mtime for name in ("scene_as_run.yaml", "result.json")
+    )
     return home / "reference", writes, last - first
 
 
 def kill_repeatedly(home, out, times, seconds, seed):
-    """Starts or resumes a run repeatedly, kills it at a random time after it writes its log; returns the kill count."""
-    rng, killed = random.Random(seed), 0
+    """Starts or resumes a run repeatedly, kills it at a random time after it writes its log; returns the kill
+    count."""
+    rng = random.Random(seed)
+    killed = 0
     for _ in range(times):
         has_begun = (out / "scene_as_run.yaml").exists()
         flags = [] if any(out.glob("checkpoint_*.npz")) else ["--from-start"]

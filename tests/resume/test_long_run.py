@@ -18,9 +18,15 @@ def vibrated_bed():
     """100 particles in a square box that vibrates at 3 g; 1e6 steps are about 160 cycles."""
     import numpy as np
 
-    side, step = 0.03, 5e-6
+    side = 0.03
+    step = 5e-6
     omega = 2.0 * np.pi * 30.0
-    vibration = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 3.0 * 9.81 / omega**2, "frequency": 30.0}
+    vibration = {
+        "kind": "vibration",
+        "direction": [0, 0, 1],
+        "amplitude": 3.0 * 9.81 / omega**2,
+        "frequency": 30.0,
+    }
     walls = {"floor": plane([0, 0, 0], [0, 0, 1], motion=[vibration])}
     for axis, name in enumerate("xy"):
         unit = np.eye(3)[axis]
@@ -43,7 +49,8 @@ def vibrated_bed():
 
 
 def run_and_sample(folder):
-    """Time, mass, energy error, resident memory [kB], open files and particle count of each sample; step count."""
+    """Time, mass, energy error, resident memory [kB], open files and particle count of each sample; step
+    count."""
     from granflow.observers.observer import on_interval
     from granflow.simulation import Simulation
 

@@ -1,4 +1,5 @@
-"""Files of a running run that another program moves, deletes or replaces: an error, a checkpoint, no foreign write."""
+"""Files of a running run that another program moves, deletes or replaces: an error, a checkpoint, no foreign
+write."""
 
 import os
 import shutil
@@ -112,7 +113,13 @@ def link_to_device(path):
     path.symlink_to(os.devnull)
 
 
-MOVED = {rename: "old", rename_and_run_another: "old", copy_series: "out", delete_lock: "out", edit_series: "out"}
+MOVED = {
+    rename: "old",
+    rename_and_run_another: "old",
+    copy_series: "out",
+    delete_lock: "out",
+    edit_series: "out",
+}
 """Losses after which no row and no frame is missing, and the directory that is resumed then."""
 
 
@@ -165,7 +172,9 @@ def test_loss_in_the_first_checkpoint_interval_leaves_the_state_at_the_start(tai
 
 @pytest.mark.parametrize("name", ["timeseries.csv", "collision_energies.csv", "run.log"])
 @pytest.mark.parametrize("make", [make_pipe, os.mkdir, link_to_device], ids=["pipe", "directory", "device"])
-def test_resume_refuses_to_append_to_what_is_not_a_regular_file(taichi_f64, tmp_path, whole, capsys, name, make):
+def test_resume_refuses_to_append_to_what_is_not_a_regular_file(
+    taichi_f64, tmp_path, whole, capsys, name, make
+):
     """The opening of a pipe without a reader would block."""
     out = tmp_path / "out"
     shutil.copytree(whole, out)

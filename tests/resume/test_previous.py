@@ -22,7 +22,12 @@ from granflow.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("taichi_f64")  # runs in this process
 
-OLD = {"particles_0000.vtu": "old", "particles_0001.vtu": "old", "run.log": "old", "pictures/picture_0001.png": "old"}
+OLD = {
+    "particles_0000.vtu": "old",
+    "particles_0001.vtu": "old",
+    "run.log": "old",
+    "pictures/picture_0001.png": "old",
+}
 NEW = {"particles_0000.vtu": "new", "contacts_0000.vtu": "new", "run.log": "new"}
 
 
@@ -50,7 +55,9 @@ def out(tmp_path):
 OTHER_FILES = {"notes.txt": b"other"}
 
 
-@pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt(), GranflowError("no such device")])
+@pytest.mark.parametrize(
+    "error", [OSError("disk full"), KeyboardInterrupt(), GranflowError("no such device")]
+)
 def test_failed_start_restores_the_previous_run(out, error):
     with pytest.raises(type(error)), replaced_run(out):
         write(out, NEW)
@@ -105,8 +112,11 @@ def replace_until_killed(out, fatal_operation, event):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.parametrize("event", ["begun", "restored"])
 def test_kill_at_any_file_operation_keeps_one_complete_run(tmp_path, event):
-    """After each kill, the directory can be restored to one of the two complete runs; other files are unchanged."""
-    found, code, number = set(), 9, 0
+    """After each kill, the directory can be restored to one of the two complete runs; other files are
+    unchanged."""
+    found = set()
+    code = 9
+    number = 0
     while code:
         number += 1
         out = tmp_path / f"{event}{number}"
@@ -131,10 +141,14 @@ def test_kill_at_any_file_operation_keeps_one_complete_run(tmp_path, event):
 
 
 def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
-    scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, run={"duration": 1e-4}, output={"interval": 5e-5})
+    scene = build_scene(
+        {"ball": particle_group([0.0, 0.0, 0.0])}, run={"duration": 1e-4}, output={"interval": 5e-5}
+    )
 
     def raise_disk_full(path, mesh, _):
-        assert contents(out / "previous_run") == as_bytes(OLD), "the previous run is deleted only after the first frame"
+        assert contents(out / "previous_run") == as_bytes(OLD), (
+            "the previous run is deleted only after the first frame"
+        )
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     failing = Simulation(scene, out=out, overwrite=True)
@@ -152,7 +166,9 @@ def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
 
 
 def test_abort_at_the_start_keeps_the_previous_run_and_says_so(out):
-    with Simulation(build_scene({"balls": particle_group([[0.0] * 3] * 2)}), out=out, overwrite=True) as simulation:
+    with Simulation(
+        build_scene({"balls": particle_group([[0.0] * 3] * 2)}), out=out, overwrite=True
+    ) as simulation:
         with pytest.raises(RunError, match=f"Nothing is written; {out} keeps the earlier run.$"):
             simulation.run()
     assert contents(out) == as_bytes(OLD) | OTHER_FILES
@@ -207,7 +223,10 @@ def test_unreadable_checkpoint_is_rejected(stopped, monkeypatch, capsys, code):
     monkeypatch.setattr(checkpoint_file, "_checksum", unreadable)
     message = resume_error(stopped, capsys)
     reason = os.strerror(code)
-    assert f"checkpoint_000000000008.npz cannot be read: {reason}. Make it readable, then try again.\n" in message
+    assert (
+        f"checkpoint_000000000008.npz cannot be read: {reason}. Make it readable, then try again.\n"
+        in message
+    )
 
 
 def test_restart_over_results_requires_from_start(stopped, capsys):
@@ -237,7 +256,9 @@ def test_from_start_ignores_checkpoints(stopped, monkeypatch):
 
 
 def test_resume_restores_the_run_of_a_killed_replacement(out, capsys):
-    write(out / "previous_run", {"checkpoint_000000000007.npz": "nonsense", "scene_as_run.yaml": "title: Old"})
+    write(
+        out / "previous_run", {"checkpoint_000000000007.npz": "nonsense", "scene_as_run.yaml": "title: Old"}
+    )
     assert main(["resume", str(out)]) == 2
     assert "holds the previous run again" in capsys.readouterr().err
     assert (out / "scene_as_run.yaml").read_text() == "title: Old" and not Path(out / "run.log").exists()

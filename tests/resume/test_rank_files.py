@@ -1,4 +1,5 @@
-"""Checkpoints with files of several ranks, written in one process: read without MPI, refused if a file is invalid."""
+"""Checkpoints with files of several ranks, written in one process: read without MPI, refused if a file is
+invalid."""
 
 import re
 
@@ -8,7 +9,13 @@ from scene_builders import build_scene, moving_lattice, vibrating_box
 
 from granflow import Simulation
 from granflow.engine.engine import host_particles
-from granflow.io.checkpoint import CheckpointError, newest_checkpoint, read_checkpoint, remove_after, write_checkpoint
+from granflow.io.checkpoint import (
+    CheckpointError,
+    newest_checkpoint,
+    read_checkpoint,
+    remove_after,
+    write_checkpoint,
+)
 from granflow.io.rank_files import RankFileWriter
 from granflow.parallel.rank_engine import share_of_checkpoint
 from granflow.plan.build import plan_for
@@ -46,7 +53,9 @@ def rows_of(saved, rows):
     """Particles and contacts of the particles with these indices."""
     contacts = saved["contacts"]
     end = np.cumsum(contacts["count"])
-    entries = np.concatenate([np.arange(end[k] - contacts["count"][k], end[k]) for k in rows] + [np.zeros(0, int)])
+    entries = np.concatenate(
+        [np.arange(end[k] - contacts["count"][k], end[k]) for k in rows] + [np.zeros(0, int)]
+    )
     parts = {name: values[entries] for name, values in contacts.items() if name != "count"}
     particles = {name: values[rows] for name, values in saved["particles"].items()}
     return {"particles": particles, "contacts": parts | {"count": contacts["count"][rows]}}
@@ -55,8 +64,11 @@ def rows_of(saved, rows):
 def distributed(checkpoint, directory, step, rank_count=3, change=None):
     """Write the checkpoint as ranks do that have every third particle; return the path of the root's file."""
     saved = read_checkpoint(checkpoint.path).saved
-    engine, writer = saved["engine"], RankFileWriter.of(directory, step)
-    shares = [rows_of(engine, np.arange(rank, engine["particle_count"], rank_count)) for rank in range(rank_count)]
+    engine = saved["engine"]
+    writer = RankFileWriter.of(directory, step)
+    shares = [
+        rows_of(engine, np.arange(rank, engine["particle_count"], rank_count)) for rank in range(rank_count)
+    ]
     if change:
         change(shares)
     entries = [writer.write(k, len(each["particles"]["id"]), each) for k, each in enumerate(shares) if k]
@@ -186,7 +198,8 @@ def test_ranks_check_the_files_that_they_read(half, tmp_path, change, reason):
     checkpoint = read_checkpoint(distributed(half[0], tmp_path, 150, change=change), "root")
     accepted_change(checkpoint, scene(), plan_for(scene()), allow_changes=False)
     with Simulation(scene(), threads=1) as simulation:
-        files, accounting = rank_files_of(checkpoint), checkpoint.saved["engine"]["accounting"]
+        files = rank_files_of(checkpoint)
+        accounting = checkpoint.saved["engine"]["accounting"]
         state = simulation.engine.state
         own = host_particles(state, checkpoint.saved["engine"])
         found, problem = share_of_checkpoint(state, OneRank(), own, files, accounting)

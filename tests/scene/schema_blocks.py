@@ -17,10 +17,12 @@ SCHEMA = json_schema()
 
 
 def draft_7(schema):
-    """The part of a schema in the dialect of hypothesis-jsonschema; references become constants {"$ref": name}.
+    """The part of a schema in the dialect of hypothesis-jsonschema; references become constants {"$ref":
+    name}.
 
-    Strategies of nested definitions are slow; `filled` replaces the constants by values of the definitions. Numbers
-    with a unit come from a list, because most numbers that match the pattern have a white space that is not ASCII.
+    Strategies of nested definitions are slow; `filled` replaces the constants by values of the definitions.
+    Numbers with a unit come from a list, because most numbers that match the pattern have a white space that
+    is not ASCII.
     """
     if isinstance(schema, list):
         return [draft_7(each) for each in schema]
@@ -58,9 +60,12 @@ def block(name):
 
 @st.composite
 def scene_files(draw):
-    """The bytes of a shipped scene in which generated blocks replace or supplement one to three of its blocks."""
+    """The bytes of a shipped scene in which generated blocks replace or supplement one to three of its
+    blocks."""
     scene = copied(draw(st.sampled_from(SCENES)))
-    for name in draw(st.lists(st.sampled_from(sorted(SCHEMA["properties"])), min_size=1, max_size=3, unique=True)):
+    for name in draw(
+        st.lists(st.sampled_from(sorted(SCHEMA["properties"])), min_size=1, max_size=3, unique=True)
+    ):
         value = filled(draw, draw(block(name)))
         is_supplement = isinstance(value, dict) and isinstance(scene.get(name), dict) and draw(st.booleans())
         scene[name] = scene[name] | value if is_supplement else value

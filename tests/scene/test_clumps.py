@@ -23,7 +23,9 @@ def problems(group=None, **parts):
     """The messages about a scene with one group of rods."""
     rods = clump_group([[0.0, 0.0, 0.0]]) | (group or {})
     rods = {key: value for key, value in rods.items() if value is not None}
-    scene = build_scene({"rods": clump_group([[0.0, 0.0, 0.0]])}, {"floor": plane([0, 0, -0.5], [0, 0, 1])}).to_dict()
+    scene = build_scene(
+        {"rods": clump_group([[0.0, 0.0, 0.0]])}, {"floor": plane([0, 0, -0.5], [0, 0, 1])}
+    ).to_dict()
     with pytest.raises(SceneError) as caught:
         Scene.from_dict(scene | {"particles": {"rods": rods}} | parts)
     return list(caught.value.problems)
@@ -35,9 +37,17 @@ GROUPS = {
         "particles.rods.diameter is 0.004, but the spheres of the clump define the sizes",
     ),
     "fixed": ({"fixed": True}, "particles.rods.fixed is true, but clumps cannot be fixed"),
-    "python": ({"insert": {"kind": "python"}}, "particles.rods.insert.kind is python, but clumps are not inserted"),
+    "python": (
+        {"insert": {"kind": "python"}},
+        "particles.rods.insert.kind is python, but clumps are not inserted",
+    ),
     "orientations": (
-        {"clump": {"spheres": clump_group([0, 0, 0])["clump"]["spheres"], "orientation": [about([0, 0, 1], 10)] * 2}},
+        {
+            "clump": {
+                "spheres": clump_group([0, 0, 0])["clump"]["spheres"],
+                "orientation": [about([0, 0, 1], 10)] * 2,
+            }
+        },
         "particles.rods.clump.orientation is a list of length 2, but insert.positions has length 1",
     ),
     "a word": (
@@ -107,7 +117,8 @@ def test_mass_of_a_group_gives_the_number_of_clumps():
 
 
 def test_random_orientations_are_uniform_and_follow_the_seed():
-    """The mean of the axis of many rods is 0 and that of its products 1/3, within four standard deviations."""
+    """The mean of the axis of many rods is 0 and that of its products 1/3, within four standard
+    deviations."""
     group = clump_group(0.02 * np.argwhere(np.ones((20, 20, 5))), orientation="random")
     found = [initial_particles(build_scene({"rods": group}, seed=seed)) for seed in (1, 1, 2)]
     assert np.array_equal(found[0].orientation, found[1].orientation)
@@ -148,7 +159,8 @@ OVERLAPS = {
 
 @pytest.mark.parametrize("name", OVERLAPS)
 def test_clumps_whose_spheres_overlap_at_the_start_are_refused(name):
-    """The ends of a rod are 5 mm from its center; 3.162 mm separate the spheres nearest to the end of a crossed rod."""
+    """The ends of a rod are 5 mm from its center; 3.162 mm separate the spheres nearest to the end of a
+    crossed rod."""
     positions, orientation, *parts = OVERLAPS[name]
     scene = build_scene({"rods": clump_group(positions, orientation=orientation)}, domain=PERIODIC)
     with pytest.raises(SceneError) as caught:
@@ -159,7 +171,9 @@ def test_clumps_whose_spheres_overlap_at_the_start_are_refused(name):
 def test_sphere_that_overlaps_a_sphere_of_a_clump_is_refused():
     ball = particle_group([[6e-3, 0, 0]], 0.004)
     scene = build_scene({"rods": clump_group([[0, 0, 0], [0.05, 0, 0]]), "balls": ball})
-    with pytest.raises(SceneError, match=r"particles rods\[0\] at .* and particles balls\[0\] at .* by 0.5 of"):
+    with pytest.raises(
+        SceneError, match=r"particles rods\[0\] at .* and particles balls\[0\] at .* by 0.5 of"
+    ):
         refuse_initial_overlaps(scene, initial_particles(scene))
 
 
@@ -172,16 +186,20 @@ def floored(group, height):
 
 
 def test_only_rods_whose_spheres_are_inside_a_wall_are_reported():
-    """Rods of radius 2 mm and length 10 mm, 2.5 mm above a floor: lying at a gap of 0.5 mm; a standing one has a sphere
+    """Rods of radius 2 mm and length 10 mm, 2.5 mm above a floor: lying at a gap of 0.5 mm; a standing one
+    has a sphere
 
-    center 0.5 mm below the floor, an overlap of 2.5 mm or 1.25 R; one inclined by 30 degrees has its center at 1 mm,
-    an overlap of 1 mm.
+    center 0.5 mm below the floor, an overlap of 2.5 mm or 1.25 R; one inclined by 30 degrees has its center
+    at 1 mm, an overlap of 1 mm.
     """
     at = [[0.0, 0.0, 2.5e-3]]
     assert floored(clump_group(at), 0.0) == []
     for degrees, overlap in ((90.0, 1.25), (30.0, 0.5)):
         (warning,) = floored(clump_group(at, orientation=about([0, 1, 0], degrees)), 0.0)
-        assert f"1 of 1 particles are inside walls.floor at the start, by up to {overlap:.3g} of the radius" in warning
+        assert (
+            f"1 of 1 particles are inside walls.floor at the start, by up to {overlap:.3g} of the radius"
+            in warning
+        )
     both = clump_group(
         [[0.0, 0.0, 2.5e-3], [0.02, 0.0, 2.5e-3]], orientation=[about([0, 1, 0], a) for a in (0.0, 90.0)]
     )
@@ -192,11 +210,14 @@ def test_only_rods_whose_spheres_are_inside_a_wall_are_reported():
 def test_share_of_positions_inside_a_wall_refers_to_the_spheres_of_clumps(degrees, share):
     """Centers of rods are 5 to 15 mm above the bottom of the region, 2 to 12 mm above the floor.
 
-    Overlaps above 0.1 R start at 1.8 mm: none of the lying rods, and the standing ones up to 3 + 1.8 mm, 28 %.
+    Overlaps above 0.1 R start at 1.8 mm: none of the lying rods, and the standing ones up to 3 + 1.8 mm, 28
+    %.
     """
     group = clump_group([[0.0, 0.0, 0.0]], orientation=about([0, 1, 0], degrees)) | {"count": 3}
     region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.04, 0.04, 0.02]}}
     found = floored(group | {"insert": {"kind": "pack", "region": region}}, 3e-3)
     assert len(found) == (share > 0.0)
     if found:
-        assert float(re.search(r"([0-9.]+) % of the positions", found[0])[1]) == pytest.approx(100.0 * share, abs=3.0)
+        assert float(re.search(r"([0-9.]+) % of the positions", found[0])[1]) == pytest.approx(
+            100.0 * share, abs=3.0
+        )

@@ -34,7 +34,9 @@ def test_problems_name_the_key_path():
 
 @pytest.mark.parametrize("data", [[], None, "scene.yaml", [("title", "A scene")]])
 def test_an_object_that_is_no_mapping_is_refused(data):
-    with pytest.raises(SceneError, match=f"scene: this is a {type(data).__name__}, but a scene is a mapping of keys"):
+    with pytest.raises(
+        SceneError, match=f"scene: this is a {type(data).__name__}, but a scene is a mapping of keys"
+    ):
         Scene.from_dict(data)
 
 
@@ -69,7 +71,8 @@ def test_scene_is_immutable():
 
 
 def test_mappings_inside_of_blocks_are_immutable():
-    """In copies of the blocks: those of the program remain as they are, and so do the names of the given fields."""
+    """In copies of the blocks: those of the program remain as they are, and so do the names of the given
+    fields."""
     given = Output(interval=0.1, flow_meters={"outlet": {"point": [0.0] * 3, "normal": [0.0, 0.0, -1.0]}})
     scene = Scene.from_dict(described(output=given))
     for mapping in (scene.output.flow_meters, scene.output.metrics):

@@ -1,4 +1,5 @@
-"""`granflow check` of arbitrary files: a valid scene or messages with positions, in bounded time and memory."""
+"""`granflow check` of arbitrary files: a valid scene or messages with positions, in bounded time and
+memory."""
 
 import contextlib
 import io
@@ -52,7 +53,8 @@ def peak():
 
 
 def check(path):
-    """Exit code of `granflow check` and its output on stderr; None and the traceback if it raises an exception."""
+    """Exit code of `granflow check` and its output on stderr; None and the traceback if it raises an
+    exception."""
     message = io.StringIO()
     set_alarm(CPU_TIME_MAX, WALL_TIME_MAX)
     try:
@@ -89,8 +91,11 @@ def set_limits():
 
 
 def check_files(folder, files):
-    """Number of valid scenes, increase of the peak memory [bytes], and number, content and description of failures."""
-    path, failures, accepted = Path(folder) / "scene.yaml", [], 0
+    """Number of valid scenes, increase of the peak memory [bytes], and number, content and description of
+    failures."""
+    path = Path(folder) / "scene.yaml"
+    failures = []
+    accepted = 0
     path.write_text(written(SCENES[0], random.Random(0)), encoding="utf-8")
     assert checked(path)[1] is None, "the first check loads modules, which do not count as memory of an input"
     set_limits()
@@ -105,7 +110,9 @@ def check_files(folder, files):
 
 
 def check_mutated_files(folder, first, count):
-    return check_files(folder, (mutated_file(random.Random(number)) for number in range(first, first + count)))
+    return check_files(
+        folder, (mutated_file(random.Random(number)) for number in range(first, first + count))
+    )
 
 
 def check_hypothesis_files(folder, count):
@@ -191,12 +198,15 @@ MALICIOUS = {
     "infinities": "gravity: [.inf, -.inf, .nan]",
     "numbers beyond float64": "gravity: [1e308, 1e400, -1e999]",
     "many materials": "materials:\n" + "".join(f"  m{n}: {{density: 1}}\n" for n in range(REPEAT_COUNT)),
-    "many particle groups": "particles:\n" + "".join(f"  m{n}: {{material: x{n}}}\n" for n in range(REPEAT_COUNT)),
+    "many particle groups": "particles:\n"
+    + "".join(f"  m{n}: {{material: x{n}}}\n" for n in range(REPEAT_COUNT)),
 }
 
 
 def check_malicious_files(folder, kind):
-    return check_files(folder, (text.encode() for text in (MALICIOUS if kind == "small" else large_files()).values()))
+    return check_files(
+        folder, (text.encode() for text in (MALICIOUS if kind == "small" else large_files()).values())
+    )
 
 
 def test_malicious_files_are_rejected(tmp_path):
@@ -207,7 +217,9 @@ def test_malicious_files_are_rejected(tmp_path):
 
 def large_files():
     """Files of 10 MB, and of slightly less than the limit of 4 MiB."""
-    return {f"{name}, {size}": text for size in (10**7, 2**22 - 200) for name, text in files_of_size(size).items()}
+    return {
+        f"{name}, {size}": text for size in (10**7, 2**22 - 200) for name, text in files_of_size(size).items()
+    }
 
 
 def files_of_size(size):
@@ -265,7 +277,8 @@ def unreadable_paths(folder):
 
 
 def check_unreadable_paths(folder):
-    paths, results = unreadable_paths(folder), []
+    paths = unreadable_paths(folder)
+    results = []
     set_limits()
     for name, words in paths.items():
         code, message = check(name)

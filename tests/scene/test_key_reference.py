@@ -15,14 +15,23 @@ def test_every_key_is_found_by_its_path():
     for key in all_keys():
         place = places()[key.part][0]
         found = places_of(f"{place}.{key.name}")
-        assert key.description in [each.key.description for each in found if each.key is not None], (place, key.name)
+        assert key.description in [each.key.description for each in found if each.key is not None], (
+            place,
+            key.name,
+        )
 
 
 @pytest.mark.parametrize(
     ("path", "texts"),
     [
-        ("run.time_step", ["run.time_step\n", "number [s] or word", "above 0; auto, adaptive", "default  auto"]),
-        ("walls.plane.point", ["walls.NAME.point\n", "list of 3: number [m]", "a point on the plane [m]", "required"]),
+        (
+            "run.time_step",
+            ["run.time_step\n", "number [s] or word", "above 0; auto, adaptive", "default  auto"],
+        ),
+        (
+            "walls.plane.point",
+            ["walls.NAME.point\n", "list of 3: number [m]", "a point on the plane [m]", "required"],
+        ),
         ("walls.belt.motion.surface_velocity.velocity", ["velocity [m/s], after the ramp"]),
         ("walls.belt.motion.0.servo.gain", ["default  from stiffness and time step"]),
         ("stages[].until.hold", ["number [s]", "at least 0", "example  hold:"]),
@@ -47,7 +56,9 @@ def test_a_block_lists_its_keys_and_a_union_its_variants():
     block = reference_of("numerics")
     assert all(key.name in block and key.description.split()[0] in block for key in keys("Numerics"))
     union = reference_of("walls")
-    assert all(f"\n  {shape} " in union for shape in ("plane", "rectangle", "cylinder", "cone", "disc", "mesh"))
+    assert all(
+        f"\n  {shape} " in union for shape in ("plane", "rectangle", "cylinder", "cone", "disc", "mesh")
+    )
     assert "\n  corner " not in union
     assert "\n  corner " in reference_of("walls.rectangle")
     first_level = reference_of("")
@@ -63,7 +74,8 @@ def test_every_block_begins_with_its_path():
 
 
 def test_words_that_are_allowed_alone_are_those_that_a_scene_accepts():
-    """The words and the laws in the reference of `contact.normal` are those that the block accepts, and no others."""
+    """The words and the laws in the reference of `contact.normal` are those that the block accepts, and no
+    others."""
     text = " ".join(reference_of("contact.normal").partition("\n\n")[0].split())
     words, laws = re.search(r"allowed (.*); mapping with law: (.*) default ", text).groups()
     rest = {"tangential": "none", "rolling": "none"}
@@ -75,7 +87,9 @@ def test_words_that_are_allowed_alone_are_those_that_a_scene_accepts():
         else:
             assert law in words.split(", ")
     assert set(laws.split(", ")) == set(registry.models("normal"))
-    assert text.startswith(f"contact.normal meaning {words.replace(', ', ' or ')}, or {{law: NAME, ...}} with")
+    assert text.startswith(
+        f"contact.normal meaning {words.replace(', ', ' or ')}, or {{law: NAME, ...}} with"
+    )
 
 
 def test_the_command_prints_the_reference_or_the_json_schema(capsys):

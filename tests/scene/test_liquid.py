@@ -12,7 +12,9 @@ from granflow.plan.explain import explain
 
 def problems(group=None, cohesion=None, **parts):
     """Messages of a scene with one wet group, changed."""
-    scene = build_scene({"wet": particle_group([[0, 0, 0], [0, 0, 0.1]], liquid_content=0.01)}, **LIQUID).to_dict()
+    scene = build_scene(
+        {"wet": particle_group([[0, 0, 0], [0, 0, 0.1]], liquid_content=0.01)}, **LIQUID
+    ).to_dict()
     scene["particles"]["wet"] |= group or {}
     if cohesion:
         scene["contact"]["cohesion"] = cohesion

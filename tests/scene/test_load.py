@@ -74,7 +74,11 @@ def test_pair_does_not_depend_on_the_order_of_materials(scene):
 
 @pytest.mark.parametrize(
     "given",
-    [{"amplitude": 0.001, "frequency": 25}, {"frequency": 25, "gamma": 2.5151}, {"amplitude": 1e-3, "gamma": 2.5151}],
+    [
+        {"amplitude": 0.001, "frequency": 25},
+        {"frequency": 25, "gamma": 2.5151},
+        {"amplitude": 1e-3, "gamma": 2.5151},
+    ],
 )
 def test_two_of_amplitude_frequency_and_gamma_define_a_vibration(given):
     vibration = Vibration(kind="vibration", direction=[0, 0, 1], **given)
@@ -101,7 +105,22 @@ def test_text_of_a_scene_is_read_back_as_an_equal_scene(scene, tmp_path):
 
 @pytest.mark.parametrize(
     "title",
-    ["a: b", "1e-5", "true", "", "'", '"', "{x}", "# no", "ü\n\t\\", "- a", "null", "012", "\U00010000", "\x00\x85"],
+    [
+        "a: b",
+        "1e-5",
+        "true",
+        "",
+        "'",
+        '"',
+        "{x}",
+        "# no",
+        "ü\n\t\\",
+        "- a",
+        "null",
+        "012",
+        "\U00010000",
+        "\x00\x85",
+    ],
 )
 def test_every_title_is_read_back_unchanged(title, scene, tmp_path):
     path = tmp_path / "again.yaml"
@@ -162,7 +181,15 @@ def test_every_key_has_a_description():
 def test_json_schema_contains_required_keys_and_alternatives():
     schema = json_schema()
     definitions = schema["$defs"]
-    assert set(schema["required"]) >= {"title", "gravity", "materials", "pairs", "contact", "particles", "output"}
+    assert set(schema["required"]) >= {
+        "title",
+        "gravity",
+        "materials",
+        "pairs",
+        "contact",
+        "particles",
+        "output",
+    }
     assert schema["additionalProperties"] is False
     assert {"enum": ["zhou", "hertz"]} in definitions["Contact"]["properties"]["normal"]["anyOf"]
     assert {"required": ["preset"]} in definitions["Material"]["anyOf"]

@@ -1,4 +1,5 @@
-"""Reading of changed scene files: the result is a Scene or a SceneError with positions, never another exception."""
+"""Reading of changed scene files: the result is a Scene or a SceneError with positions, never another
+exception."""
 
 from pathlib import Path
 
@@ -12,7 +13,9 @@ from granflow.load import Scene, load
 GOOD = Path(__file__).parent.parent / "messages" / "good.yaml"
 TEXT = GOOD.read_text(encoding="utf-8")
 LINES = TEXT.splitlines(keepends=True)
-TOKENS = TEXT.replace("{", " ").replace("}", " ").replace("[", " ").replace("]", " ").replace(",", " ").split()
+TOKENS = (
+    TEXT.replace("{", " ").replace("}", " ").replace("[", " ").replace("]", " ").replace(",", " ").split()
+)
 ODD = [
     *(
         "",
@@ -124,7 +127,9 @@ def test_random_overrides_give_a_scene_or_messages(tmp_path, keys, value):
     read(tmp_path / "scene.yaml", TEXT, [f"{'.'.join(keys)}={value}"])
 
 
-@pytest.mark.parametrize("raw", [b"\x00", b"\xff", b"\xfe\xff", b"a: \xc3", b"%YAML 9.9\n---\na: 1", b"\x1b[0m"])
+@pytest.mark.parametrize(
+    "raw", [b"\x00", b"\xff", b"\xfe\xff", b"a: \xc3", b"%YAML 9.9\n---\na: 1", b"\x1b[0m"]
+)
 def test_invalid_bytes_raise_scene_error(raw, tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_bytes(raw)

@@ -41,7 +41,9 @@ def test_all_formats_give_the_same_particles(tmp_path, text):
 
 def test_velocity_angular_velocity_and_material_are_read(tmp_path):
     heads = "x,y,z,r,vx[cm/s],vy[cm/s],vz[cm/s],spin_x,spin_y,spin_z,material"
-    table = read_particles(written(tmp_path, f"{heads}\n0,0,0,1,100,0,-50,1,2,3,glass\n3,0,0,1,0,0,0,0,0,0,steel\n"))
+    table = read_particles(
+        written(tmp_path, f"{heads}\n0,0,0,1,100,0,-50,1,2,3,glass\n3,0,0,1,0,0,0,0,0,0,steel\n")
+    )
     np.testing.assert_allclose(table.velocity, [[1, 0, -0.5], [0, 0, 0]])
     np.testing.assert_allclose(table.angular_velocity[0], [1, 2, 3])
     assert table.material.tolist() == ["glass", "steel"] and table.line.tolist() == [2, 3]
@@ -90,7 +92,10 @@ def test_invalid_rows_are_reported_with_their_line(tmp_path, text):
 
 
 def test_unreadable_files_are_rejected(tmp_path, monkeypatch):
-    for path, message in ((tmp_path / "no.csv", "there is no such file."), (tmp_path, "this is not a regular file")):
+    for path, message in (
+        (tmp_path / "no.csv", "there is no such file."),
+        (tmp_path, "this is not a regular file"),
+    ):
         with pytest.raises(SceneError, match=message):
             read_particles(path)
     broken = written(tmp_path, "<VTKFile", "broken.vtu")

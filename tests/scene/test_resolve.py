@@ -60,13 +60,20 @@ def test_count_is_derived_from_mass_or_duration(tmp_path, amount, insertion, cou
 
 
 def test_radius_is_half_the_diameter(tmp_path):
-    by_radius = scene_with(tmp_path, f"    count: 9\n    radius: 2 mm\n    insert: {{kind: pack, {REGION}}}\n")
-    by_diameter = scene_with(tmp_path, f"    count: 9\n    diameter: 4 mm\n    insert: {{kind: pack, {REGION}}}\n")
+    by_radius = scene_with(
+        tmp_path, f"    count: 9\n    radius: 2 mm\n    insert: {{kind: pack, {REGION}}}\n"
+    )
+    by_diameter = scene_with(
+        tmp_path, f"    count: 9\n    diameter: 4 mm\n    insert: {{kind: pack, {REGION}}}\n"
+    )
     beads = by_radius.particles["beads"]
     assert beads.sizes == by_diameter.particles["beads"].sizes == 0.004
     assert scene_of(by_radius.to_yaml(), "as run").particles == by_radius.particles
     rows = "insert: {kind: positions, positions: [[0, 0, 0.01], [0, 0, 0.02]]}\n"
-    assert scene_with(tmp_path, f"    radius: [1 mm, 2 mm]\n    {rows}").particles["beads"].sizes == (0.002, 0.004)
+    assert scene_with(tmp_path, f"    radius: [1 mm, 2 mm]\n    {rows}").particles["beads"].sizes == (
+        0.002,
+        0.004,
+    )
 
 
 @pytest.mark.parametrize(
@@ -117,7 +124,11 @@ def test_file_defines_count_diameters_and_velocities(tmp_path):
     """Two particles of radius 2 mm overlap by 0.5 mm; the largest speed is 5 m/s."""
     scene = scene_with(tmp_path, FILE, "run.velocity_max=null", start=ROWS)
     group = scene.particles["beads"]
-    assert (group.count, group.insert.found.diameter_min, group.insert.found.diameter_max) == (3, 0.002, 0.004)
+    assert (group.count, group.insert.found.diameter_min, group.insert.found.diameter_max) == (
+        3,
+        0.002,
+        0.004,
+    )
     assert group.insert.found.overlap_max == pytest.approx(0.25)
     assert group.insert.found.overlap_rows == "lines 2 and 3"
     assert max_impact_velocity(scene).value == pytest.approx(10.0)
@@ -137,7 +148,9 @@ def test_angular_velocity_of_a_file_above_the_limit_per_step_is_rejected(tmp_pat
         tmp_path, FILE, "run.time_step=1e-6", start=f"x,y,z,r,wx,wy,wz\n0.005,0,0,0.002,0,{1e3 * rate},0\n"
     )
     if rejected:
-        with pytest.raises(SceneError, match=r"particles.beads starts with 2.01e.05 rad/s, which is 0.201 rad per st"):
+        with pytest.raises(
+            SceneError, match=r"particles.beads starts with 2.01e.05 rad/s, which is 0.201 rad per st"
+        ):
             plan_for(scene)
     else:
         plan_for(scene)
@@ -160,7 +173,9 @@ def test_rows_are_assigned_to_the_group_of_their_material(tmp_path):
 CONFLICTS = {
     "    count: 4\n" + FILE: "18:12: particles.beads.count is 4, but start.csv has 3 rows for it.",
     "    velocity: [0, 0, 1]\n" + FILE: "18:15: particles.beads.velocity is in start.csv too; remove it.",
-    FILE.replace("start.csv", "../x"): "18:32: particles.beads.insert.file is ../x, but there is no such file; its "
+    FILE.replace(
+        "start.csv", "../x"
+    ): "18:32: particles.beads.insert.file is ../x, but there is no such file; its "
     "path is relative to the folder of the scene.",
 }
 
@@ -190,8 +205,10 @@ def test_scale_changes_equipment_and_amounts_only(tmp_path):
         "expect=[{quantity: particle_count, equals: 100, tolerance: 0}, "
         "{quantity: kinetic_energy, below: 1, any_scale: true}]",
     ]
-    one, two = scene_with(tmp_path, rain, *extra), scene_with(tmp_path, rain, *extra, "scale=2")
-    beads, wall = two.particles["beads"], two.walls["plate"]
+    one = scene_with(tmp_path, rain, *extra)
+    two = scene_with(tmp_path, rain, *extra, "scale=2")
+    beads = two.particles["beads"]
+    wall = two.walls["plate"]
     assert beads.count == 800 and beads.insert.rate == 400.0
     assert beads.insert.region.box.max == (0.04, 0.04, 0.02)
     assert (two.domain.min[0], two.domain.max[2]) == (-0.02, 0.06)

@@ -1,4 +1,5 @@
-"""Suggestions for names of other codes, and overrides whose path is the same in scenes and resolved scenes."""
+"""Suggestions for names of other codes, and overrides whose path is the same in scenes and resolved
+scenes."""
 
 from pathlib import Path
 
@@ -33,7 +34,10 @@ SCENES = Path(__file__).parents[2] / "scenes"
         ("thermo=100", "Did you mean output?"),
         ("boundary=p", "Did you mean domain?"),
         ("contact.normal=hertz/material", "Did you mean hertz?"),
-        ("contact.tangential=linear_history", "linear_history requires stiffness, such as {law: linear_history, sti"),
+        (
+            "contact.tangential=linear_history",
+            "linear_history requires stiffness, such as {law: linear_history, sti",
+        ),
         ("contact.normal=jkr", "jkr is given as contact.cohesion: jkr"),
         ("pairs.glass-glass={restitution: 0.9, friction: 0,3}", "Numbers have a decimal point, not a comma"),
     ],
@@ -51,7 +55,10 @@ def test_top_level_command_of_another_code_is_recognized(tmp_path):
 
 def test_synonyms_are_in_the_form_in_which_they_are_searched():
     assert all(word.isalnum() and word == word.lower() for word in SYNONYMS)
-    assert nearest("Fix wall/gran", ["walls", "pairs"]) == "walls" and nearest("fix_wall_gran", ["pairs"]) is None
+    assert (
+        nearest("Fix wall/gran", ["walls", "pairs"]) == "walls"
+        and nearest("fix_wall_gran", ["pairs"]) is None
+    )
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,9 @@ def test_every_unit_has_its_si_value(dimension):
 
 
 def test_table_contains_every_unit():
-    assert {name: set(found.units) for name, found in DIMENSIONS.items()} == {n: set(v) for n, v in VALUES.items()}
+    assert {name: set(found.units) for name, found in DIMENSIONS.items()} == {
+        n: set(v) for n, v in VALUES.items()
+    }
 
 
 @pytest.mark.parametrize("dimension", sorted(VALUES))

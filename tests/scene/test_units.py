@@ -35,7 +35,9 @@ def test_text_is_converted_to_si(text, dimension, value):
     assert to_si(text, dimension) == value
 
 
-@pytest.mark.parametrize("text", ["four mm", "4 furlong", "4 Pa", "4 m m", "1e", "4,5 mm", "", "mm", "4 MM", "0x10 m"])
+@pytest.mark.parametrize(
+    "text", ["four mm", "4 furlong", "4 Pa", "4 m m", "1e", "4,5 mm", "", "mm", "4 MM", "0x10 m"]
+)
 def test_invalid_lengths_are_rejected(text):
     with pytest.raises(UnitError):
         to_si(text, "length")

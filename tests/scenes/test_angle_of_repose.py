@@ -1,4 +1,5 @@
-"""A ridge remains after the particles on both sides flow out; its slopes are straight and have the expected angle."""
+"""A ridge remains after the particles on both sides flow out; its slopes are straight and have the expected
+angle."""
 
 import pytest
 from scene_runner import REDUCED_HEAP, run_shipped_scene

@@ -1,4 +1,5 @@
-"""Mixer: the mesh of the stirrer from its script, mixing of two halves, and no particle passes through a wall."""
+"""Mixer: the mesh of the stirrer from its script, mixing of two halves, and no particle passes through a
+wall."""
 
 import importlib.util
 from collections import Counter
@@ -23,7 +24,9 @@ def stirrer():
 
 def test_stirrer_is_closed_with_outward_normals():
     points, triangles = stirrer()
-    vertex_pairs = np.concatenate([triangles, np.roll(triangles, -1, axis=1)], axis=0).reshape(2, -1).T.tolist()
+    vertex_pairs = (
+        np.concatenate([triangles, np.roll(triangles, -1, axis=1)], axis=0).reshape(2, -1).T.tolist()
+    )
     edges = Counter(map(tuple, vertex_pairs))
     assert all(count == 1 and edges[b, a] == 1 for (a, b), count in edges.items())
     a, b, c = (points[triangles[:, i]] for i in range(3))

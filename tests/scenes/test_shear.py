@@ -1,8 +1,9 @@
-"""Steady shear of a layer under gravity and of a Lees-Edwards box: friction and solid fraction of dense flows.
+"""Steady shear of a layer under gravity and of a Lees-Edwards box: friction and solid fraction of dense
+flows.
 
-Friction mu(I) = mu_1 + (mu_2 - mu_1) / (1 + I_0 / I) with mu_1 = tan 20.9, mu_2 = tan 32.76 and I_0 = 0.279 for glass
-beads (Jop, Forterre & Pouliquen, Nature 441 (2006) 727), I = shear rate d / sqrt(P / density); solid fraction
-0.6 - 0.1 I (Pouliquen, Cassar, Jop, Forterre & Nicolas, J. Stat. Mech. (2006) P07020).
+Friction mu(I) = mu_1 + (mu_2 - mu_1) / (1 + I_0 / I) with mu_1 = tan 20.9, mu_2 = tan 32.76 and I_0 = 0.279
+for glass beads (Jop, Forterre & Pouliquen, Nature 441 (2006) 727), I = shear rate d / sqrt(P / density);
+solid fraction 0.6 - 0.1 I (Pouliquen, Cassar, Jop, Forterre & Nicolas, J. Stat. Mech. (2006) P07020).
 """
 
 import csv
@@ -37,8 +38,10 @@ def test_friction_and_solid_fraction_of_the_layer_follow_mu_of_i(tmp_path, taich
     assert run_shipped_scene("sheared_layer", tmp_path)[1] == []
     height, fraction, velocity, stress = profile(tmp_path / "fields_profile_mean.vtu")
     bulk = (height > 14e-3) & (height < 44e-3)
-    normal, shear = -stress[:, 2, 2], stress[:, 0, 2]
-    # In nearly steady flow the mean stress over the depth balances the weight, parallel and normal to the slope.
+    normal = -stress[:, 2, 2]
+    shear = stress[:, 0, 2]
+    # In nearly steady flow the mean stress over the depth balances the weight, parallel and normal to the
+    # slope.
     friction = (shear[bulk] / normal[bulk]).mean()
     assert friction == pytest.approx(np.tan(SLOPE), rel=0.05)
     rate = np.gradient(velocity, height)[bulk]
@@ -56,17 +59,22 @@ def test_reduced_shear_cell_satisfies_its_expectations(tmp_path, taichi_f64):
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_stress_and_velocity_profile_of_the_shear_cell(tmp_path, taichi_f64):
-    frames, unsatisfied = run_shipped_scene("shear_cell", tmp_path, 0.02, ["output.timeseries_interval=20 ms"])
+    frames, unsatisfied = run_shipped_scene(
+        "shear_cell", tmp_path, 0.02, ["output.timeseries_interval=20 ms"]
+    )
     assert unsatisfied == []
     frames = [frame for frame in frames if frame.time > 0.61]
     height = np.concatenate([frame.particles["position"][:, 2] for frame in frames])
     velocity = np.concatenate([frame.particles["velocity"][:, 0] for frame in frames])
     assert velocity_gradient(height, velocity) == pytest.approx(20.0, rel=0.01)
     _, fraction, _, stress = profile(tmp_path / "fields_whole_mean.vtu")
-    shear, normal = stress[0, 0, 2], -stress[0, 2, 2]
+    shear = stress[0, 0, 2]
+    normal = -stress[0, 2, 2]
     with (tmp_path / "timeseries.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["stage"] == "flow"]
-    work, strain = (float(rows[-1][name]) - float(rows[0][name]) for name in ("boundary_work [J]", "shear_strain"))
+    work, strain = (
+        float(rows[-1][name]) - float(rows[0][name]) for name in ("boundary_work [J]", "shear_strain")
+    )
     assert shear == pytest.approx(work / strain / 0.0404**3, rel=0.05)
     inertial_number = 20.0 * 4e-3 / np.sqrt(normal / 2500.0)
     assert shear / normal == pytest.approx(friction_at(inertial_number), rel=0.15)
@@ -76,9 +84,10 @@ def test_stress_and_velocity_profile_of_the_shear_cell(tmp_path, taichi_f64):
 def velocity_gradient(height, velocity):
     """Gradient of the velocity over the height of the periodic box of 40.4 mm, without its two longest waves.
 
-    A wave of the velocity along the height does not change the gradient, but a fit of a straight line contains it. The
-    longest one has an amplitude of 5 mm/s (standard deviation of 900 frames) and decays within 0.2 s, so that such a
-    fit scatters by 0.7 % between parts of 1.2 s; with both waves fitted as well, the gradient scatters by 0.3 %.
+    A wave of the velocity along the height does not change the gradient, but a fit of a straight line
+    contains it. The longest one has an amplitude of 5 mm/s (standard deviation of 900 frames) and decays
+    within 0.2 s, so that such a fit scatters by 0.7 % between parts of 1.2 s; with both waves fitted as well,
+    the gradient scatters by 0.3 %.
     """
     phases = [2.0 * np.pi * wave * height / 0.0404 for wave in (1, 2)]
     waves = [wave(phase) for phase in phases for wave in (np.sin, np.cos)]

@@ -43,17 +43,22 @@ def stage_ends(scene, **options):
 
 
 def time_of_force(force):
-    """Time [s] at which the slowly approaching lid reaches a force F = k (d/2)^1.5 on two equal contacts in series."""
+    """Time [s] at which the slowly approaching lid reaches a force F = k (d/2)^1.5 on two equal contacts in
+    series."""
     return 2.0 * (force / STIFFNESS) ** (2 / 3) / SPEED
 
 
 def test_a_stage_ends_at_a_force(taichi_f64):
-    """At the first row whose mean force since the previous row is above the target: within two rows of the theory.
+    """At the first row whose mean force since the previous row is above the target: within two rows of the
+    theory.
 
-    The sphere oscillates between both contacts; the force then deviates by less than 2 % from that of slow compression.
+    The sphere oscillates between both contacts; the force then deviates by less than 2 % from that of slow
+    compression.
     """
     target = 0.5
-    (start, end), (next_start, _) = stage_ends(press({"quantity": "wall_force_z.lid", "above": target}))[0].values()
+    (start, end), (next_start, _) = stage_ends(press({"quantity": "wall_force_z.lid", "above": target}))[
+        0
+    ].values()
     assert (start, next_start) == (0.0, end)
     assert time_of_force(0.98 * target) <= end <= time_of_force(1.02 * target) + 2 * ROW
 
@@ -76,7 +81,9 @@ def test_a_condition_must_hold_and_wait_for_the_shortest_duration(taichi_f64):
 
 
 def test_a_condition_that_is_not_satisfied_is_reported(taichi_f64, caplog):
-    stages = [{"name": "press", "until": {"quantity": "wall_force_z.lid", "above": 9.0}, "max_duration": 2e-3}]
+    stages = [
+        {"name": "press", "until": {"quantity": "wall_force_z.lid", "above": 9.0}, "max_duration": 2e-3}
+    ]
     with caplog.at_level(logging.WARNING, logger="granflow"):
         times, result = stage_ends(press({}, stages=stages))
     assert times["press"][1] == pytest.approx(2e-3, abs=1e-5)
@@ -86,10 +93,13 @@ def test_a_condition_that_is_not_satisfied_is_reported(taichi_f64, caplog):
 
 
 def test_a_stage_ends_when_particles_have_left(taichi_f64):
-    """Spheres fall through the bottom of the domain at sqrt(2 h / g): the stage ends with the third of four."""
+    """Spheres fall through the bottom of the domain at sqrt(2 h / g): the stage ends with the third of
+    four."""
     heights = np.array([0.02, 0.04, 0.06, 0.2])
     positions = [[0.03 * k, 0.0, height] for k, height in enumerate(heights)]
-    stages = [{"name": "discharge", "until": {"quantity": "deleted_mass", "above": 2.5 * MASS}, "max_duration": 1.0}]
+    stages = [
+        {"name": "discharge", "until": {"quantity": "deleted_mass", "above": 2.5 * MASS}, "max_duration": 1.0}
+    ]
     scene = build_scene(
         {"balls": particle_group(positions)}, gravity=[0, 0, -GRAVITY], stages=stages, run={"velocity_max": 1.0},
         domain={"min": [-0.1, -0.1, 0.0], "max": [0.2, 0.1, 0.3], "on_exit": "delete"},
@@ -102,7 +112,9 @@ def test_a_stage_ends_when_particles_have_left(taichi_f64):
 
 
 def test_a_column_that_the_run_lacks_is_named(taichi_f64):
-    with pytest.raises(GranflowError, match=r"stages.press.until: there is no column queued_count; the columns are"):
+    with pytest.raises(
+        GranflowError, match=r"stages.press.until: there is no column queued_count; the columns are"
+    ):
         stage_ends(press({"quantity": "queued_count", "above": 1}))
 
 

@@ -29,7 +29,8 @@ def end_of(scene):
     """End [s] of the stage, height [m] of the sphere there, and the result."""
     simulation = Simulation(scene)
     result = simulation.run()
-    end, height = simulation._state.progress.stage_times["settle"][1], simulation.particles.position[0, 2]
+    end = simulation._state.progress.stage_times["settle"][1]
+    height = simulation.particles.position[0, 2]
     simulation.free()
     return end, height, result
 
@@ -39,7 +40,10 @@ def test_free_fall_from_rest_is_not_rest(taichi_f64, caplog):
     with caplog.at_level(logging.INFO, logger="granflow"):
         end, height, _ = end_of(settle(HEIGHT, 2.0 * MASS * GRAVITY * HEIGHT))
     assert FALL_TIME < end < LONGEST
-    assert any("stage settle ends at" in each.message and "of their weight" in each.message for each in caplog.records)
+    assert any(
+        "stage settle ends at" in each.message and "of their weight" in each.message
+        for each in caplog.records
+    )
 
 
 def test_a_sphere_that_bounces_ends_the_stage_on_the_floor(taichi_f64):
@@ -51,15 +55,21 @@ def test_a_sphere_that_bounces_ends_the_stage_on_the_floor(taichi_f64):
 
 def test_a_supported_sphere_at_rest_ends_the_stage_after_its_shortest_duration(taichi_f64):
     """At the first check, or after min_duration; checks are LONGEST / REST_CHECKS apart."""
-    interval, energy = LONGEST / REST_CHECKS, 1e-2 * MASS * GRAVITY * RADIUS
+    interval = LONGEST / REST_CHECKS
+    energy = 1e-2 * MASS * GRAVITY * RADIUS
     assert end_of(settle(0.0, energy))[0] < FALL_TIME
     shortest = 20.0 * interval
-    assert end_of(settle(0.0, energy, min_duration=shortest))[0] == pytest.approx(shortest, abs=1.1 * interval)
+    assert end_of(settle(0.0, energy, min_duration=shortest))[0] == pytest.approx(
+        shortest, abs=1.1 * interval
+    )
 
 
 def test_particles_that_do_not_come_to_rest_are_reported(taichi_f64):
     result = end_of(settle(HEIGHT, 1.0, max_duration=0.5 * FALL_TIME))[2]
-    assert len(result.warnings) == 1 and "the net force on the particles is 1 of their weight" in result.warnings[0]
+    assert (
+        len(result.warnings) == 1
+        and "the net force on the particles is 1 of their weight" in result.warnings[0]
+    )
 
 
 def test_without_gravity_the_energy_decides(taichi_f64):

@@ -1,7 +1,9 @@
-"""A layer vibrated at three times gravity has surface waves of twice the vibration period; at twice gravity it is flat.
+"""A layer vibrated at three times gravity has surface waves of twice the vibration period; at twice gravity
+it is flat.
 
-Melo, Umbanhowar & Swinney, Phys. Rev. Lett. 72 (1994) 172 and Physica A 249 (1998) 1: waves of half the frequency above
-2.5 times gravity. Bizon, Shattuck, Swift, McCormick & Swinney, Phys. Rev. Lett. 80 (1998) 57: wavelength.
+Melo, Umbanhowar & Swinney, Phys. Rev. Lett. 72 (1994) 172 and Physica A 249 (1998) 1: waves of half the
+frequency above 2.5 times gravity. Bizon, Shattuck, Swift, McCormick & Swinney, Phys. Rev. Lett. 80 (1998) 57:
+wavelength.
 """
 
 import numpy as np
@@ -53,11 +55,14 @@ def test_no_waves_at_twice_gravity(tmp_path, taichi_f64):
 
 
 def alternating(frames):
-    """Relative amplitude of the mass distribution that alternates between periods, by number of waves in the box."""
+    """Relative amplitude of the mass distribution that alternates between periods, by number of waves in the
+    box."""
     profiles = []
     for frame in frames[-1 - PERIOD_COUNT : -1]:
         x = frame.particles["position"][:, 0]
-        mass, _ = np.histogram((x / WIDTH + 0.5) % 1.0, BIN_COUNT, (0.0, 1.0), weights=frame.particles["mass"])
+        mass, _ = np.histogram(
+            (x / WIDTH + 0.5) % 1.0, BIN_COUNT, (0.0, 1.0), weights=frame.particles["mass"]
+        )
         profiles.append(mass / mass.mean())
     signs = (-1.0) ** np.arange(PERIOD_COUNT)
     return 2 * np.abs(np.fft.rfft(signs @ profiles / PERIOD_COUNT))[: BIN_COUNT // 3] / BIN_COUNT

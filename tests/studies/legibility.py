@@ -7,7 +7,8 @@ SCREEN = 378
 
 
 def smallest_letters(drawing):
-    """Smallest size of the letters of a drawing [pixels], and its number of columns of panels, on a narrow screen."""
+    """Smallest size of the letters of a drawing [pixels], and its number of columns of panels, on a narrow
+    screen."""
     from matplotlib.text import Text
 
     with styled_figure((drawing.width, drawing.height), layout="constrained") as figure:

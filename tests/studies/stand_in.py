@@ -1,9 +1,9 @@
 """Replaces the workers, `granflow run` and `granflow resume` in tests: known results after a short time.
 
-The kinetic energy is restitution + friction, the elastic energy is their product. A friction of 0.4 is aborted. While
-there is a file `wait` in the directory of the sweep, and as many runs have results as it states (0 without a number),
-the run lasts until it is stopped, and then has a checkpoint, from which it is resumed. Each start is a line of
-`starts.txt`.
+The kinetic energy is restitution + friction, the elastic energy is their product. A friction of 0.4 is
+aborted. While there is a file `wait` in the directory of the sweep, and as many runs have results as it
+states (0 without a number), the run lasts until it is stopped, and then has a checkpoint, from which it is
+resumed. Each start is a line of `starts.txt`.
 """
 
 import json

@@ -44,7 +44,8 @@ K, MASS, SPEED = 4e5, 2e-4, 0.7
 
 
 def solved(force, speed, mass):
-    """Restitution, duration, time and value of the maximum overlap of M d'' = -F(d, d') until F = 0, by scipy.
+    """Restitution, duration, time and value of the maximum overlap of M d'' = -F(d, d') until F = 0, by
+    scipy.
 
     Scaled by the maximum overlap of a Hertz contact and the time to traverse it.
     """
@@ -62,10 +63,20 @@ def solved(force, speed, mass):
 
     contact_ends.terminal = True
     course = solve_ivp(
-        slope, (0.0, 9.0), (0.0, 1.0), events=(contact_ends, maximum_overlap_is_reached), rtol=1e-11, atol=1e-13
+        slope,
+        (0.0, 9.0),
+        (0.0, 1.0),
+        events=(contact_ends, maximum_overlap_is_reached),
+        rtol=1e-11,
+        atol=1e-13,
     )
     top = course.y_events[1][0]
-    return -course.y_events[0][0][1], course.t_events[0][0] * time, course.t_events[1][0] * time, top[0] * length
+    return (
+        -course.y_events[0][0][1],
+        course.t_events[0][0] * time,
+        course.t_events[1][0] * time,
+        top[0] * length,
+    )
 
 
 def damping(e):
@@ -89,7 +100,9 @@ def test_hertz_with_damping_matches_scipy(e):
 
     found = EXACT["hertz"](e, K, MASS, SPEED)
     expected = solved(force, SPEED, MASS)
-    assert (found.restitution, found.duration, found.peak_time, found.overlap_max) == pytest.approx(expected, rel=1e-8)
+    assert (found.restitution, found.duration, found.peak_time, found.overlap_max) == pytest.approx(
+        expected, rel=1e-8
+    )
 
 
 @pytest.mark.parametrize("e", [0.2, 0.5, 0.9])
@@ -99,11 +112,14 @@ def test_linear_spring_and_dashpot_match_scipy(e):
     viscosity = 2.0 * zeta * np.sqrt(spring * MASS)
     found = EXACT["linear"](e, K, MASS, SPEED)
     expected = solved(lambda d, rate: spring * d + viscosity * rate, SPEED, MASS)
-    assert (found.restitution, found.duration, found.peak_time, found.overlap_max) == pytest.approx(expected, rel=1e-8)
+    assert (found.restitution, found.duration, found.peak_time, found.overlap_max) == pytest.approx(
+        expected, rel=1e-8
+    )
 
 
 def test_zhou_and_hertz_are_equal_without_dissipation():
-    zhou, hertz = EXACT["zhou"](1.0, K, MASS, SPEED), EXACT["hertz"](1.0, K, MASS, SPEED)
+    zhou = EXACT["zhou"](1.0, K, MASS, SPEED)
+    hertz = EXACT["hertz"](1.0, K, MASS, SPEED)
     assert (zhou.duration, zhou.peak_time, zhou.overlap_max) == pytest.approx(
         (hertz.duration, hertz.peak_time, hertz.overlap_max), rel=1e-12
     )
@@ -130,7 +146,8 @@ def lines(taichi_f64):
 
 
 def test_errors_decrease_with_second_order(lines):
-    """Leapfrog is of second order; the restitution shows only the energy error of the kink at first contact, d^2.5."""
+    """Leapfrog is of second order; the restitution shows only the energy error of the kink at first contact,
+    d^2.5."""
     for line in lines:
         for quantity in ("duration", "overlap_max"):
             order = fitted_order(line.steps, line.error(quantity))
@@ -144,12 +161,18 @@ def test_double_precision_errors_do_not_depend_on_the_velocity(lines):
     """Zhou's collision is independent of the velocity in scaled units."""
     for points in zip(*(kind for kind in lines[0].kinds() if kind[0].restitution == 0.5), strict=True):
         assert len(points) == len(VELOCITIES)
-        assert [p.restitution_error for p in points] == pytest.approx([points[0].restitution_error] * 3, rel=1e-3)
+        assert [p.restitution_error for p in points] == pytest.approx(
+            [points[0].restitution_error] * 3, rel=1e-3
+        )
 
 
 def test_worst_error_is_at_least_the_rms_and_costs_are_ordered(lines):
     for point in (point for line in lines for point in line.points):
-        assert point.restitution_error <= point.restitution_error_worst <= np.sqrt(PHASES) * point.restitution_error
+        assert (
+            point.restitution_error
+            <= point.restitution_error_worst
+            <= np.sqrt(PHASES) * point.restitution_error
+        )
         assert 0.0 < point.seconds_min <= point.seconds_median <= point.seconds_max
 
 
@@ -188,7 +211,8 @@ def test_order_is_fitted_above_the_precision_floor_only():
 
 
 def synthetic_line(law, precision, prefactor, seconds_per_step):
-    """Errors prefactor / steps^2, twice that for a second kind of collision whose shorter phase is half as long."""
+    """Errors prefactor / steps^2, twice that for a second kind of collision whose shorter phase is half as
+    long."""
     points = []
     for steps in (10.0, 20.0, 40.0, 80.0):
         for kind, (e, phase) in enumerate(((0.5, 0.4), (0.2, 0.2))):
@@ -213,16 +237,23 @@ def test_requirement_is_the_fewest_steps_within_the_target():
 def test_the_recommendation_is_the_cheapest_row_of_the_table():
     lines = [synthetic_line("zhou", "f64", 7.0, 2e-7), synthetic_line("zhou", "mixed", 7.0, 1e-7),
              synthetic_line("zhou", "f32", 30.0, 2e-7), synthetic_line("hertz", "f64", 0.1, 1e-9)]  # fmt: skip
-    sentence, rows = recommendation(lines, 0.01), table_rows(lines, 0.01)
+    sentence = recommendation(lines, 0.01)
+    rows = table_rows(lines, 0.01)
     chosen = rows[1]
     assert f"T/{chosen[4]} (time_step_fraction {chosen[5]})" in sentence
     assert "precision mixed" in sentence and f"it costs {chosen[6].split()[0]} s (" in sentence
     assert len(chosen) == len(table_heads(0.01))
     assert rows[2][4:6] == ("80", "0.031")  # 2 * 30 / 80^2 = 0.94 %
     assert "No time step" in recommendation(lines, 1e-9)
-    overlapping = recommendation([*lines, synthetic_line("zhou", "f32", 7.0, 1.2e-7)], 0.01)  # 10 % about each
+    overlapping = recommendation(
+        [*lines, synthetic_line("zhou", "f32", 7.0, 1.2e-7)], 0.01
+    )  # 10 % about each
     assert " use " not in overlapping and "not distinguished" in overlapping
-    assert "precision mixed: 4 s" in overlapping and "precision f32: 4.8 s" in overlapping and "f64" not in overlapping
+    assert (
+        "precision mixed: 4 s" in overlapping
+        and "precision f32: 4.8 s" in overlapping
+        and "f64" not in overlapping
+    )
 
 
 # ---------------------------------------------------------------- files and messages
@@ -255,7 +286,9 @@ def test_page_contains_three_figures(lines, tmp_path):
 @pytest.mark.parametrize("draw", [draw_work, draw_convergence, lambda lines, _: draw_quantities(lines)])
 def test_figures_are_legible_on_a_narrow_screen(draw):
     pytest.importorskip("matplotlib")
-    lines = [synthetic_line(law, precision, 7.0, 2e-7) for law in ("zhou", "hertz") for precision in ("f64", "f32")]
+    lines = [
+        synthetic_line(law, precision, 7.0, 2e-7) for law in ("zhou", "hertz") for precision in ("f64", "f32")
+    ]
     size, columns = smallest_letters(Drawing(draw(lines, 0.01), 5.0))
     assert size > 9.0 and columns == 1
 

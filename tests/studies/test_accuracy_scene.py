@@ -81,7 +81,8 @@ def test_the_share_is_time_step_fraction(drop):
 
 
 def test_center_of_mass_of_free_fall_matches_theory(taichi_f64, drop):
-    """Before the impact the particles have no contacts; the mean height of the center of mass is g T^2 / 6 lower.
+    """Before the impact the particles have no contacts; the mean height of the center of mass is g T^2 / 6
+    lower.
 
     Over n + 1 samples at equal intervals the mean of t^2 is T^2 (2 n + 1) / (6 n).
     """
@@ -98,7 +99,10 @@ def test_center_of_mass_of_free_fall_matches_theory(taichi_f64, drop):
 
 
 def test_an_unstable_step_is_reported(taichi_f64, drop):
-    assert "run.time_step" in run_task(SceneTask(drop, ("output.energy_budget=true", "run.time_step=1"), None)).stopped
+    assert (
+        "run.time_step"
+        in run_task(SceneTask(drop, ("output.energy_budget=true", "run.time_step=1"), None)).stopped
+    )
 
 
 def outcome(energy_budget, height, seconds=2.0):
@@ -109,7 +113,9 @@ def synthetic_study(target=0.01):
     """A fine reference, an error within the noise, a wrong restitution, a wrong bed height, and an abort."""
     reference = _Runs("fixed", "f64", 0.05, 5e-6, 0.001, [outcome(1e-5, h) for h in (1.00, 1.02, 0.98)])
     noisy = _Runs("fixed", "f64", 0.1, 1e-5, 0.008, [outcome(2e-5, h, 1.0) for h in (1.03, 1.00, 0.97)])
-    wrong = _Runs("fixed", "f64", 0.4, 4e-5, 0.009, [outcome(-2e-5, h + 0.5, 0.2) for h in (1.00, 1.02, 0.98)])
+    wrong = _Runs(
+        "fixed", "f64", 0.4, 4e-5, 0.009, [outcome(-2e-5, h + 0.5, 0.2) for h in (1.00, 1.02, 0.98)]
+    )
     bouncy = _Runs("fixed", "f64", 0.2, 2e-5, 0.03, [outcome(2e-5, h, 0.5) for h in (1.00, 1.02, 0.98)])
     stopped = _Runs("fixed", "f64", 0.9, 9e-5, np.inf, [RunOutcome(stopped="not stable")] * 3)
     return _study([stopped, wrong, bouncy, noisy, reference], 0.05, "made up", (0.1, 1e-5), 12, 3, target)
@@ -117,14 +123,15 @@ def synthetic_study(target=0.01):
 
 def test_errors_are_separated_from_noise():
     study = synthetic_study()
-    # differences from the reference: .03, -.02, -.01 (variance 7e-4), and twice a constant, 0 or .5 (variance 0)
+    # differences from the reference: .03, -.02, -.01 (variance 7e-4), and twice a constant, 0 or .5 (variance
+    # 0)
     assert study.noise["center_height"] == pytest.approx(SIGMAS * np.sqrt(7e-4 / 3.0 / 3.0))
     assert study.spread["center_height"] == pytest.approx(0.02)
     stopped, wrong, bouncy, noisy, reference = study.points
     assert wrong.errors["center_height"] == pytest.approx(0.5)
-    assert [study.within_target(point) for point in (stopped, wrong, bouncy, noisy, reference)] == [False] * 3 + [
-        True
-    ] * 2
+    assert [study.within_target(point) for point in (stopped, wrong, bouncy, noisy, reference)] == [
+        False
+    ] * 3 + [True] * 2
     assert study.cheapest == [noisy]
 
 
@@ -141,15 +148,19 @@ def test_costs_that_overlap_give_no_recommendation():
         ]
         return _study(runs, 0.1, "made up", (0.1, 1e-5), 12, 3, 0.01)
 
-    assert "use dt = 1e-05 s (time_step_fraction 0.1), precision f32: it costs 2 s" in scene_recommendation(study(1.1))
+    assert "use dt = 1e-05 s (time_step_fraction 0.1), precision f32: it costs 2 s" in scene_recommendation(
+        study(1.1)
+    )
     sentence = scene_recommendation(study(0.9))
     assert " use " not in sentence and "not distinguished by their costs" in sentence
     assert "precision f32, 2 s (2 to 2); " in sentence and "precision f64, 2.4 s (1.8 to 2.6). " in sentence
 
 
 def test_runs_of_a_study_that_was_stopped_are_kept(drop, tmp_path, monkeypatch):
-    """The study is interrupted in its sixth run; the next one repeats neither the first five runs nor damaged ones."""
-    ran, lines = [], []
+    """The study is interrupted in its sixth run; the next one repeats neither the first five runs nor damaged
+    ones."""
+    ran = []
+    lines = []
 
     def run_task(task):
         ran.append(task)
@@ -159,10 +170,13 @@ def test_runs_of_a_study_that_was_stopped_are_kept(drop, tmp_path, monkeypatch):
 
     monkeypatch.setattr(scene_runs, "run_task", run_task)
     monkeypatch.setattr(scene_runs, "restitution_error", lambda _: 0.001)
-    task, path = SceneTask(drop, (), None), tmp_path / "out" / "accuracy_runs.json"
+    task = SceneTask(drop, (), None)
+    path = tmp_path / "out" / "accuracy_runs.json"
 
     def study():
-        return measure_scene(task, 0.01, report=lines.append, shares=(0.1,), precisions=("f64",), kept=KeptRuns(path))
+        return measure_scene(
+            task, 0.01, report=lines.append, shares=(0.1,), precisions=("f64",), kept=KeptRuns(path)
+        )
 
     with pytest.raises(KeyboardInterrupt):
         study()
@@ -189,7 +203,8 @@ def test_runs_of_a_study_that_was_stopped_are_kept(drop, tmp_path, monkeypatch):
 
 def test_the_recommendation_is_a_row_of_the_table():
     study = synthetic_study()
-    sentence, rows = scene_recommendation(study), scene_rows(study)
+    sentence = scene_recommendation(study)
+    rows = scene_rows(study)
     chosen = rows[3]
     assert f"time_step_fraction {chosen[2]}" in sentence and f"dt = {chosen[3]} s" in sentence
     assert f"it costs {chosen[-2].split()[0]} s (" in sentence  # 1.0 s for 0.5 s
@@ -227,7 +242,8 @@ def test_study_of_a_small_scene_writes_all_files(drop, tmp_path):
 
 @pytest.mark.slow
 def test_the_hopper_scene_is_accurate_to_one_percent(taichi_f64):
-    """Four times its time step is less accurate than one percent or unstable: the time step is not too fine."""
+    """Four times its time step is less accurate than one percent or unstable: the time step is not too
+    fine."""
     task = SceneTask(SCENES / "hopper.yaml", (), None)
     phase, own = phase_of(task.scene())
     assert restitution_error(task) <= 0.01

@@ -21,7 +21,8 @@ FIELDS = {"bed": {"cells": [2, 2, 2], "region": {"min": [0.0] * 3, "max": [0.04]
 
 @pytest.fixture(scope="module")
 def out(taichi_f64, tmp_path_factory):
-    """Directory of a run of two groups with random velocities in a box: contact frames, metrics and fields."""
+    """Directory of a run of two groups with random velocities in a box: contact frames, metrics and
+    fields."""
     path = tmp_path_factory.mktemp("run")
     random = np.random.default_rng(1)
     positions = 0.0098 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
@@ -49,13 +50,16 @@ def rows_of(path):
 def test_analyzed_metrics_equal_those_of_the_run(out, tmp_path):
     """Equal within the seven digits of the frames."""
     assert main(["analyze", str(out), "--out", str(tmp_path)]) == 0
-    measured, series = rows_of(tmp_path / "metrics.csv"), rows_of(out / "timeseries.csv")
+    measured = rows_of(tmp_path / "metrics.csv")
+    series = rows_of(out / "timeseries.csv")
     assert len(measured) == len(series) >= 4
     assert len(measured[0]) == 2 + 1 + 4 + 4 + 2
     for one, other in zip(measured, series, strict=True):
         assert one["stage"] == other["stage"]
         for name in set(one) - {"stage"}:
-            assert float(one[name]) == pytest.approx(float(other[name]), rel=1e-4, abs=1e-6, nan_ok=True), name
+            assert float(one[name]) == pytest.approx(float(other[name]), rel=1e-4, abs=1e-6, nan_ok=True), (
+                name
+            )
     assert 0.0 < float(measured[-1]["fabric_zz.web"]) < 1.0
 
 
@@ -66,7 +70,9 @@ def test_analyzed_fields_equal_those_of_the_run(out, tmp_path):
     for name in ("fields_bed_mean.vtu", names[0]):
         one, other = (meshio.read(folder / name).cell_data for folder in (tmp_path, out))
         for field, (values,) in other.items():
-            np.testing.assert_allclose(one[field][0], values, rtol=1e-4, atol=1e-5 * np.nanmax(np.abs(values)))
+            np.testing.assert_allclose(
+                one[field][0], values, rtol=1e-4, atol=1e-5 * np.nanmax(np.abs(values))
+            )
 
 
 def test_other_metrics_can_be_requested(out, tmp_path, capsys):

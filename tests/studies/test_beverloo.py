@@ -29,22 +29,30 @@ def test_free_exponent_is_fitted():
 
 
 def test_standard_errors_match_repeated_experiments():
-    """The spread of C and k over 300 data sets with 1 % scatter is their mean standard error, within a fifth."""
+    """The spread of C and k over 300 data sets with 1 % scatter is their mean standard error, within a
+    fifth."""
     random = np.random.default_rng(0)
     found = [
         fit_beverloo(Discharge(ORIFICE, flows() * np.exp(random.normal(0.0, 0.01, 6))), PARTICLE, DENSITY)
         for _ in range(300)
     ]
     for name in ("c", "k"):
-        values, errors = (np.array([getattr(each, f"{name}{end}") for each in found]) for end in ("", "_error"))
+        values, errors = (
+            np.array([getattr(each, f"{name}{end}") for each in found]) for end in ("", "_error")
+        )
         # The mean of the root of an estimated variance with 4 degrees of freedom is 0.94 of the root.
         assert values.std() == pytest.approx(np.sqrt((errors**2).mean()), rel=0.2)
-        assert values.mean() == pytest.approx({"c": C, "k": K}[name], abs=3.0 * values.std() / np.sqrt(300) + 0.01)
+        assert values.mean() == pytest.approx(
+            {"c": C, "k": K}[name], abs=3.0 * values.std() / np.sqrt(300) + 0.01
+        )
 
 
 def test_a_table_with_units_is_read_and_shown(tmp_path, capsys):
     path = tmp_path / "flows.csv"
-    rows = [f"{1e3 * orifice!r} mm,{flow!r}" for orifice, flow in zip(ORIFICE.tolist(), flows().tolist(), strict=True)]
+    rows = [
+        f"{1e3 * orifice!r} mm,{flow!r}"
+        for orifice, flow in zip(ORIFICE.tolist(), flows().tolist(), strict=True)
+    ]
     path.write_text("\n".join(["orifice,mass_flow", *rows]) + "\n", encoding="utf-8")
     np.testing.assert_allclose(read_discharges([path]).orifice, ORIFICE)
     assert main(["beverloo", str(path), "--diameter", "4mm", "--bulk-density", "1500"]) == 0

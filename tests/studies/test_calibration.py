@@ -57,8 +57,16 @@ def written(folder, text=CALIBRATION):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("tolerance", "tolerence", "calibration.yaml:6:64: targets.energy.tolerence is not a known key. Did you mean"),
-        ("scene: pair,", "scene: piar,", "calibration.yaml:6:19: targets.energy.scene is piar, but there is no such"),
+        (
+            "tolerance",
+            "tolerence",
+            "calibration.yaml:6:64: targets.energy.tolerence is not a known key. Did you mean",
+        ),
+        (
+            "scene: pair,",
+            "scene: piar,",
+            "calibration.yaml:6:19: targets.energy.scene is piar, but there is no such",
+        ),
         ("value: 1 mJ, ", "", "calibration.yaml:6:3: targets.energy.value is missing"),
         ("from: 0.3", "from: 0.95", "restitution.to is 0.9, but it must be larger than from, 0.95."),
         (
@@ -67,17 +75,41 @@ def written(folder, text=CALIBRATION):
             "calibration.yaml:1:24: scenes.pair.scene is sphere.yaml, but there is no file",
         ),
         ("value: 1 mJ", "curve: a.csv", "calibration.yaml:6:58: curve is a.csv, but "),
-        ("value: 1 mJ", "value: 1 mm", "targets.energy.tolerance is 10 uJ, but mm and uJ are units of different"),
-        ("1 mJ, tolerance: 10 uJ", "1 g, tolerance: 1 mg", "value is 1 g, but g is ambiguous; give the value in SI"),
-        ("1 mJ, tolerance: 10 uJ", "1 mm, tolerance: 1 mm", "value is 1 mm, but kinetic_energy is in J, and mm is no"),
-        ("tolerance: 10 uJ", "tolerance: 0.1", "tolerance is 0.1, but 0.1 has no unit; give all values in mJ"),
-        ("from: 0.3, to: 0.9", "from: 30 deg, to: 10 deg", "to is 10 deg, but it must be larger than from, 30 deg."),
+        (
+            "value: 1 mJ",
+            "value: 1 mm",
+            "targets.energy.tolerance is 10 uJ, but mm and uJ are units of different",
+        ),
+        (
+            "1 mJ, tolerance: 10 uJ",
+            "1 g, tolerance: 1 mg",
+            "value is 1 g, but g is ambiguous; give the value in SI",
+        ),
+        (
+            "1 mJ, tolerance: 10 uJ",
+            "1 mm, tolerance: 1 mm",
+            "value is 1 mm, but kinetic_energy is in J, and mm is no",
+        ),
+        (
+            "tolerance: 10 uJ",
+            "tolerance: 0.1",
+            "tolerance is 0.1, but 0.1 has no unit; give all values in mJ",
+        ),
+        (
+            "from: 0.3, to: 0.9",
+            "from: 30 deg, to: 10 deg",
+            "to is 10 deg, but it must be larger than from, 30 deg.",
+        ),
         (
             "from: 0.3, to: 0.9",
             "from: 0.3 rad, to: 0.9",
             "0.9 has no unit; give all values in rad, or all in SI units.",
         ),
-        ("[pairs.steel-steel.restitution]", "pairs.steel-steel.friction", "which parameters.friction sets too"),
+        (
+            "[pairs.steel-steel.restitution]",
+            "pairs.steel-steel.friction",
+            "which parameters.friction sets too",
+        ),
     ],
 )
 def test_problems_are_reported_with_position(tmp_path, old, new, words):
@@ -95,20 +127,28 @@ def runner(folder, text=CALIBRATION):
 
 
 def test_misspelt_key_is_reported_at_its_parameter(tmp_path):
-    found = runner(tmp_path, CALIBRATION.replace("keys: pairs.steel-steel.friction", "keys: pairs.steel-steel.frction"))
-    with pytest.raises(FileError, match=r"calibration.yaml:3:3: .*frction is not a known key. Did you mean friction?"):
+    found = runner(
+        tmp_path, CALIBRATION.replace("keys: pairs.steel-steel.friction", "keys: pairs.steel-steel.frction")
+    )
+    with pytest.raises(
+        FileError, match=r"calibration.yaml:3:3: .*frction is not a known key. Did you mean friction?"
+    ):
         found.check()
 
 
 def test_unknown_quantity_is_reported_at_its_target(tmp_path):
     found = runner(tmp_path, CALIBRATION.replace("quantity: kinetic_energy", "quantity: kinetik_energy"))
-    with pytest.raises(FileError, match=r"calibration.yaml:6:35: kinetik_energy is not a number .* kinetic_energy\?"):
+    with pytest.raises(
+        FileError, match=r"calibration.yaml:6:35: kinetik_energy is not a number .* kinetic_energy\?"
+    ):
         found.check()
 
 
 def test_journal_of_another_calibration_is_refused(tmp_path):
     runner(tmp_path)
-    with pytest.raises(GranflowError, match="trials of a calibration with other scenes, parameters or targets"):
+    with pytest.raises(
+        GranflowError, match="trials of a calibration with other scenes, parameters or targets"
+    ):
         runner(tmp_path, CALIBRATION.replace("1 mJ", "2 mJ"))
 
 
@@ -177,20 +217,29 @@ def test_a_journal_with_a_damaged_line_is_read_without_it(tmp_path, damage):
 
 def test_a_full_disk_ends_a_calibration_with_one_sentence(tmp_path, monkeypatch):
     pytest.importorskip("optuna")
-    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    monkeypatch.setattr(
+        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
+    )
     study = read_calibration(written(tmp_path))
     monkeypatch.setattr("granflow.studies.calibration.search.os.fsync", full_disk)
-    with pytest.raises(OutputError, match=r"out cannot be written or read: No space left on device. The trials that"):
+    with pytest.raises(
+        OutputError, match=r"out cannot be written or read: No space left on device. The trials that"
+    ):
         run_calibration(study, tmp_path / "out", jobs=1)
     monkeypatch.undo()
-    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    monkeypatch.setattr(
+        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
+    )
     assert run_calibration(study, tmp_path / "out", jobs=1) is not None
 
 
 def test_calibration_ends_when_its_scene_changes(tmp_path, monkeypatch):
     pytest.importorskip("optuna")
-    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
-    study, scene = read_calibration(written(tmp_path)), tmp_path / "spheres.yaml"
+    monkeypatch.setattr(
+        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
+    )
+    study = read_calibration(written(tmp_path))
+    scene = tmp_path / "spheres.yaml"
     lines = []
 
     def edit(line):
@@ -212,7 +261,8 @@ def test_lock_of_a_killed_process_is_released(tmp_path, monkeypatch):
 
 
 def test_trials_of_a_killed_process_are_repeated(tmp_path):
-    """The process of a running trial is gone: its directory is not locked. Its parameters are the next ones."""
+    """The process of a running trial is gone: its directory is not locked. Its parameters are the next
+    ones."""
     search = runner(tmp_path).search
     lost = search.next_trial()
     lost.set_user_attr("worker", "gone-1")
@@ -237,7 +287,8 @@ def test_search_ends_after_its_number_of_trials(tmp_path):
 
 def test_a_refined_point_that_was_stopped_early_is_not_tried_again(tmp_path):
     """The fit does not change by such a trial: the search would repeat the point until it ends."""
-    search, tried = runner(tmp_path).search, set()
+    search = runner(tmp_path).search
+    tried = set()
     for number in range(12):
         trial = search.next_trial()
         x, y = trial.params["friction"] - 0.3, trial.params["restitution"] - 0.6
@@ -267,7 +318,9 @@ def test_trial_that_was_stopped_early_keeps_the_residuals_that_it_has(tmp_path):
 
 
 def test_parameter_sets_its_keys_in_each_scene(tmp_path):
-    text = CALIBRATION.replace("keys: pairs.steel-steel.friction", "keys_in: {pair: [pairs.steel-steel.friction]}")
+    text = CALIBRATION.replace(
+        "keys: pairs.steel-steel.friction", "keys_in: {pair: [pairs.steel-steel.friction]}"
+    )
     content = read_calibration(written(tmp_path, text)).content
     assert settings_of(content, "pair", {"friction": 0.1, "restitution": 0.5}) == {
         "pairs.steel-steel.friction": 0.1, "pairs.steel-steel.restitution": 0.5
@@ -275,7 +328,8 @@ def test_parameter_sets_its_keys_in_each_scene(tmp_path):
 
 
 def test_scaled_parameters_include_both_bounds():
-    """On a logarithmic scale, the middle of 0.01 and 1 is 0.1, and a share of 0.1 there is 0.1 ln(100) 0.1."""
+    """On a logarithmic scale, the middle of 0.01 and 1 is 0.1, and a share of 0.1 there is 0.1 ln(100)
+    0.1."""
     parameter = Parameter.model_validate({"from": 0.01, "to": 1.0, "scale": "log"})
     assert [from_unit(parameter, share) for share in (0.0, 0.5, 1.0)] == pytest.approx([0.01, 0.1, 1.0])
     assert to_unit(parameter, 0.1) == pytest.approx(0.5)
@@ -283,16 +337,21 @@ def test_scaled_parameters_include_both_bounds():
 
 
 def test_two_workers_find_planted_values_and_continue(tmp_path, monkeypatch):
-    """Runs are replaced by e + mu and e mu with e = 0.62 and mu = 0.27; the solution e = 0.27 is out of bounds."""
+    """Runs are replaced by e + mu and e mu with e = 0.62 and mu = 0.27; the solution e = 0.27 is out of
+    bounds."""
     pytest.importorskip("optuna")
-    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    monkeypatch.setattr(
+        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
+    )
     text = CALIBRATION.replace("from: 0.3", "from: 0.45").replace(
         "value: 1 mJ, tolerance: 10 uJ", "value: 0.89, tolerance: 0.01"
     )
     text = text.replace(
-        "search:", "  product: {scene: pair, quantity: elastic_energy, value: 0.1674, tolerance: 0.002}\nsearch:"
+        "search:",
+        "  product: {scene: pair, quantity: elastic_energy, value: 0.1674, tolerance: 0.002}\nsearch:",
     )
-    study, lines = read_calibration(written(tmp_path, text.replace("trials: 12", "trials: 30"))), []
+    study = read_calibration(written(tmp_path, text.replace("trials: 12", "trials: 30")))
+    lines = []
     result = run_calibration(study, tmp_path / "out", jobs=2, report=lines.append)
     assert result.is_met and len(lines) == 30
     assert [each.value for each in result.parameters] == pytest.approx([0.27, 0.62], rel=0.05)
@@ -310,7 +369,9 @@ def test_two_workers_find_planted_values_and_continue(tmp_path, monkeypatch):
 def test_conflicting_targets_are_reported(tmp_path, monkeypatch):
     """The sum cannot be 0.6 and 0.9 at the same time."""
     pytest.importorskip("optuna")
-    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    monkeypatch.setattr(
+        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
+    )
     text = CALIBRATION.replace("value: 1 mJ, tolerance: 10 uJ", "value: 0.6, tolerance: 0.1")
     text = text.replace(
         "search:", "  other: {scene: pair, quantity: kinetic_energy, value: 0.9, tolerance: 0.1}\nsearch:"
@@ -338,14 +399,19 @@ def test_residual_of_a_value_is_the_weighted_deviation_in_tolerances(tmp_path):
 
 def test_curve_is_compared_from_the_beginning_of_its_stage(tmp_path):
     """The run has 10 t from the stage at 1 s on; the curve is 10 t + 1: two tolerances everywhere."""
-    rows = [f"{time},{'fill' if time < 1 else 'out'},{10 * max(time - 1, 0)}" for time in np.linspace(0, 3, 13)]
+    rows = [
+        f"{time},{'fill' if time < 1 else 'out'},{10 * max(time - 1, 0)}" for time in np.linspace(0, 3, 13)
+    ]
     (tmp_path / "timeseries.csv").write_text("\n".join(["time [s],stage,flow_mass.out [kg]", *rows]) + "\n")
     (tmp_path / "flow.csv").write_text("time,value\n0,1\n0.5,6\n1.1,12\n2,21\n")
     measured = target(tmp_path, curve="flow.csv", stage="out")
     found = residuals(measured, tmp_path)
     assert float(found @ found) == pytest.approx(12.0)
-    # After 2.25 s of the run, 1.25 s of the stage, three of four points are known: three quarters of the loss.
-    (tmp_path / "timeseries.csv").write_text("\n".join(["time [s],stage,flow_mass.out [kg]", *rows[:10]]) + "\n")
+    # After 2.25 s of the run, 1.25 s of the stage, three of four points are known: three quarters of the
+    # loss.
+    (tmp_path / "timeseries.csv").write_text(
+        "\n".join(["time [s],stage,flow_mass.out [kg]", *rows[:10]]) + "\n"
+    )
     assert partial_loss(measured, tmp_path) == pytest.approx(9.0)
 
 
@@ -367,7 +433,10 @@ def test_a_curve_is_converted_by_the_units_of_its_columns(tmp_path, head, rows, 
     ("head", "message"),
     [
         ("time [mm],value", "flow.csv:1: time is in s, and mm is no unit of it; give s, ms, us, ns, min, h."),
-        ("time,value [mJ]", "flow.csv:1: flow_mass.out is in kg, and mJ is no unit of it; give kg, g, mg, t."),
+        (
+            "time,value [mJ]",
+            "flow.csv:1: flow_mass.out is in kg, and mJ is no unit of it; give kg, g, mg, t.",
+        ),
         ("time,value,Value", "flow.csv:1: the header has both value and Value; keep one of the columns."),
         ("time [s],value,time [ms]", "flow.csv:1: the header has both time [s] and time [ms]; keep one"),
     ],
@@ -389,7 +458,9 @@ def test_response_recovers_the_optimum_of_linear_residuals():
 
 def test_parameter_is_not_identified_by_fewer_trials_than_a_fit_needs(tmp_path):
     """A line with one parameter needs 1.5 * 2 + 1 = 4 trials."""
-    text = CALIBRATION.replace("  restitution: {keys: [pairs.steel-steel.restitution], from: 0.3, to: 0.9}\n", "")
+    text = CALIBRATION.replace(
+        "  restitution: {keys: [pairs.steel-steel.restitution], from: 0.3, to: 0.9}\n", ""
+    )
     found = runner(tmp_path, text)
     for number in range(4):
         trial = found.search.next_trial()
@@ -423,7 +494,9 @@ def test_standard_error_and_unit_of_a_target(tmp_path):
     measured = angle_target(tmp_path)
     assert standard_errors(measured, tmp_path) == pytest.approx([0.2 / np.radians(3.0)])
     assert given_text(measured, np.radians(27.0), "angle_of_repose.left") == "27 deg"
-    plain = read_target(Target(scene="a", quantity="angle_of_repose.left", value=0.5, tolerance=0.1), tmp_path, "")
+    plain = read_target(
+        Target(scene="a", quantity="angle_of_repose.left", value=0.5, tolerance=0.1), tmp_path, ""
+    )
     assert given_text(plain, 0.5, "angle_of_repose.left") == "0.5 rad"
     assert error_name("angle_of_repose_mean.left") == "angle_of_repose_error_mean.left"
     assert standard_errors(target(tmp_path, value=4.0), tmp_path) == [0.0]
@@ -439,7 +512,10 @@ def test_best_target_reports_a_standard_error_above_the_tolerance(tmp_path):
     }
     best = _best_target("left", measured, SimpleNamespace(user_attrs=attributes))
     assert best.shown == ("27 deg", "26 deg \N{PLUS-MINUS SIGN} 11")
-    assert "the standard error of angle_of_repose.left in the best trial is 3.8 times the tolerance" in best.noise
+    assert (
+        "the standard error of angle_of_repose.left in the best trial is 3.8 times the tolerance"
+        in best.noise
+    )
 
 
 def test_missing_value_of_a_trial_is_explained(tmp_path):
@@ -449,4 +525,6 @@ def test_missing_value_of_a_trial_is_explained(tmp_path):
     sentence = _missing_reason("left", angle_target(tmp_path), tmp_path)
     assert sentence == f"{tmp_path}: target left: angle_of_repose.left is NaN. {reason}"
     angle_run(tmp_path, {})
-    assert _missing_reason("left", angle_target(tmp_path), tmp_path).endswith("angle_of_repose.left is missing.")
+    assert _missing_reason("left", angle_target(tmp_path), tmp_path).endswith(
+        "angle_of_repose.left is missing."
+    )

@@ -70,7 +70,11 @@ search: {{trials: 12}}
 
 def granflow(folder, *arguments):
     done = subprocess.run(
-        [sys.executable, "-m", "granflow", *arguments], cwd=folder, capture_output=True, text=True, timeout=7000
+        [sys.executable, "-m", "granflow", *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=7000,
     )
     assert "Traceback" not in done.stderr, done.stderr
     return done
@@ -82,12 +86,14 @@ def rows(path):
 
 
 def planted(folder, trials):
-    """Write the calibration whose targets are the results of a run with the planted parameters, within 1 %."""
+    """Write the calibration whose targets are the results of a run with the planted parameters, within 1
+    %."""
     (folder / "spheres.yaml").write_text(SPHERES)
     values = [f"--set=pairs.ball-ball.{name}={value}" for name, value in PLANTED.items()]
     assert granflow(folder, "run", "spheres.yaml", *values, "--threads", "1").returncode == 0
     totals = json.loads((folder / "out" / "spheres" / "result.json").read_text())["totals"]
-    sliding, rolling = totals["friction_dissipation"], totals["rolling_dissipation"]
+    sliding = totals["friction_dissipation"]
+    rolling = totals["rolling_dissipation"]
     text = CALIBRATION.format(
         sliding=sliding, sliding_tolerance=0.01 * sliding, rolling=rolling, rolling_tolerance=0.01 * rolling,
         trials=trials,
@@ -123,13 +129,19 @@ def test_killed_calibration_continues(tmp_path):
     granflow(tmp_path, "calibrate", "calibration.yaml", "--jobs", "1")
     trials = rows(tmp_path / "out" / "calibration" / "trials.csv")
     assert sum(row["state"] == "completed" for row in trials) == 6
-    assert all((runs / name / "result.json").stat().st_mtime_ns == time_ns for name, time_ns in before.items())
+    assert all(
+        (runs / name / "result.json").stat().st_mtime_ns == time_ns for name, time_ns in before.items()
+    )
 
 
 def test_restitution_cannot_be_identified_from_an_angle_of_repose(tmp_path):
     pytest.importorskip("optuna")
-    reduced = "\n".join(f"      {key}: {value}" for key, value in (each.split("=", 1) for each in REDUCED_HEAP))
-    reduced = reduced.replace("min: [-40 mm", "min: [-60 mm")  # six points on the shorter slope are too few for a fit
+    reduced = "\n".join(
+        f"      {key}: {value}" for key, value in (each.split("=", 1) for each in REDUCED_HEAP)
+    )
+    reduced = reduced.replace(
+        "min: [-40 mm", "min: [-60 mm"
+    )  # six points on the shorter slope are too few for a fit
     (tmp_path / "calibration.yaml").write_text(ANGLE.format(scene=REPOSE, reduced=reduced))
     done = granflow(tmp_path, "calibrate", "calibration.yaml", "--jobs", "2")
     assert "restitution cannot be identified from the targets" in done.stdout

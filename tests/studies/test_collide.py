@@ -14,10 +14,13 @@ STEEL = {"material": "stainless_316", "diameter": 0.0254, "velocity": 0.5}
 @pytest.mark.slow
 @pytest.mark.parametrize("law", models("normal"))
 def test_collision_matches_the_closed_forms(taichi_f64, law):
-    """At 200 steps: e within 0.1 % (0.2 % if the damping force starts with a jump), other quantities within 0.5 %."""
+    """At 200 steps: e within 0.1 % (0.2 % if the damping force starts with a jump), other quantities within
+    0.5 %."""
     needed = models("normal")[law].restitution != "nothing"
     found = collide(law, restitution=0.7 if needed else None, steps_per_contact=200, **STEEL)
-    assert found["restitution"] == pytest.approx(found["restitution_asked"], rel=2e-3 if law == "linear" else 1e-3)
+    assert found["restitution"] == pytest.approx(
+        found["restitution_asked"], rel=2e-3 if law == "linear" else 1e-3
+    )
     for name in ("duration", "overlap_max", "force_max"):
         assert found[name] == pytest.approx(found[f"{name}_theory"], rel=5e-3), name
 
@@ -31,12 +34,20 @@ def test_dashpot_of_a_collision_that_begins_with_touching_surfaces_acts_from_the
     ("law", "given", "sentence"),
     [
         ("torton", {}, "Unknown contact model torton. Did you mean thornton?"),
-        ("thornton", {"restitution": 0.5}, "derives the restitution from the materials; remove --restitution"),
+        (
+            "thornton",
+            {"restitution": 0.5},
+            "derives the restitution from the materials; remove --restitution",
+        ),
         ("thornton", {"material": "glass"}, "requires a yield strength, which glass lacks"),
         ("hertz", {}, "requires a restitution coefficient"),
         ("luding", {"restitution": 0.0}, "requires a restitution above 0"),
         ("zhou", {"restitution": 1.5}, r"restitution is 1.5, but must be in \[0, 1\]"),
-        ("zhou", {"velocity": 1e30}, "velocity is 1e[+]30 m/s, but the overlap would reach .* m, more than the radius"),
+        (
+            "zhou",
+            {"velocity": 1e30},
+            "velocity is 1e[+]30 m/s, but the overlap would reach .* m, more than the radius",
+        ),
         ("thornton", {"settings": ["yield_ratio=-1"]}, "yield_ratio is -1, but a ratio must be above 0"),
         ("thornton", {"settings": ["yeld_ratio=1"]}, "is not a known key. Did you mean yield_ratio?"),
     ],
@@ -46,9 +57,17 @@ def test_unsupported_input_of_a_contact_model_is_rejected(taichi_f64, law, given
         collide(law, **(STEEL | given))
 
 
-def test_rounding_of_a_dashpot_that_cancels_the_elastic_force_does_not_prolong_a_collision(taichi_f64, monkeypatch):
+def test_rounding_of_a_dashpot_that_cancels_the_elastic_force_does_not_prolong_a_collision(
+    taichi_f64, monkeypatch
+):
     """A GPU in float32 leaves residues of some ulps where a CPU has exactly 0: 2^-24 of the elastic force."""
-    arguments = {"law": "linear", "material": "stainless_316", "diameter": 4e-3, "velocity": 0.5, "restitution": 0.5}
+    arguments = {
+        "law": "linear",
+        "material": "stainless_316",
+        "diameter": 4e-3,
+        "velocity": 0.5,
+        "restitution": 0.5,
+    }
     exact = collide(**arguments)
     run = CollisionBench.run
 

@@ -1,4 +1,5 @@
-"""The bench for binary collisions: pairs and walls in one simulation, repetition, and settings of `collide`."""
+"""The bench for binary collisions: pairs and walls in one simulation, repetition, and settings of
+`collide`."""
 
 from dataclasses import replace
 

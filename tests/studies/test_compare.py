@@ -1,4 +1,5 @@
-"""`granflow compare` on two particles with one aborted run: tables against closed forms, page, error messages."""
+"""`granflow compare` on two particles with one aborted run: tables against closed forms, page, error
+messages."""
 
 import csv
 import re
@@ -46,7 +47,8 @@ def spring(velocity):
 
 
 def head_on():
-    """Two particles that collide elastically; max_overlap lies between that of Eq. 5 and that of the one spring."""
+    """Two particles that collide elastically; max_overlap lies between that of Eq. 5 and that of the one
+    spring."""
     contact_time = duration(REFERENCE)
     reach = 0.5 * (DIAMETER + 4.0 * contact_time * SPEED)
     velocity = [[0.5 * SPEED, 0.0, 0.0], [-0.5 * SPEED, 0.0, 0.0]]
@@ -77,8 +79,12 @@ def table(found):
 
 
 def test_each_law_has_its_own_automatic_step(table):
-    """0.05 of a quarter period pi/2 sqrt(M/alpha), or of half of Hertz's contact time, at the fastest approach."""
-    quarter = {name: 0.5 * np.pi * np.sqrt(MASS_EFF / spring(v)) for name, v in (("onset", SPEED), ("ref", REFERENCE))}
+    """0.05 of a quarter period pi/2 sqrt(M/alpha), or of half of Hertz's contact time, at the fastest
+    approach."""
+    quarter = {
+        name: 0.5 * np.pi * np.sqrt(MASS_EFF / spring(v))
+        for name, v in (("onset", SPEED), ("ref", REFERENCE))
+    }
     assert table["time step", "linear_onset"][0] == pytest.approx(0.05 * quarter["onset"], rel=1e-9)
     assert table["time step", "linear_reference"][0] == pytest.approx(0.05 * quarter["ref"], rel=1e-9)
     assert table["time step", "linear_reference"][1] == pytest.approx(10.0**0.2, rel=1e-9)
@@ -89,15 +95,19 @@ def test_each_law_has_its_own_automatic_step(table):
 
 @pytest.mark.parametrize("law", ["linear_onset", "hertz"])
 def test_overlap_and_contact_duration_match_theory(table, law):
-    """Eq. 19 keeps the largest overlap of Eq. 5; the sampling interval is the resolution of contact durations."""
+    """Eq. 19 keeps the largest overlap of Eq. 5; the sampling interval is the resolution of contact
+    durations."""
     expected = overlap_max(SPEED) / (0.5 * DIAMETER)
     assert table["maximum overlap/radius", law][0] == pytest.approx(expected, rel=0.01)
     contact_duration = duration(SPEED) if law == "hertz" else np.pi * np.sqrt(MASS_EFF / spring(SPEED))
-    assert table["median contact duration", law][0] == pytest.approx(contact_duration, abs=duration(REFERENCE) / 8.0)
+    assert table["median contact duration", law][0] == pytest.approx(
+        contact_duration, abs=duration(REFERENCE) / 8.0
+    )
 
 
 def test_an_aborted_run_is_a_result(found, table):
-    """The one spring overlaps 10^0.2 times as far, beyond the limit, before half of its own contact time is over."""
+    """The one spring overlaps 10^0.2 times as far, beyond the limit, before half of its own contact time is
+    over."""
     comparison, out = found
     stopped = {run.variant.key: run for run in comparison.runs if run.stopped}
     assert list(stopped) == ["linear_reference"]
@@ -133,13 +143,18 @@ def test_ratios_are_named_by_both_contact_models(found):
 
 
 def test_a_spring_below_the_impact_velocity_is_reported(found):
-    """The particles collide at ten times the reference velocity: a spring 10^0.4 times as stiff is required."""
+    """The particles collide at ten times the reference velocity: a spring 10^0.4 times as stiff is
+    required."""
     (sentence,) = (note for note in notes_on(found[0]) if "softer" in note)
     assert sentence.startswith(
         "linear of 0.1 m/s is softer than the impacts of this scene require: the largest overlap"
     )
-    velocity = re.search(r"an impact at (\S+) m/s, for which Eq. 19 gives a spring 2.5 times as stiff", sentence)[1]
-    assert float(velocity) == pytest.approx(SPEED, rel=0.03), "rows of the time series miss the largest overlap"
+    velocity = re.search(
+        r"an impact at (\S+) m/s, for which Eq. 19 gives a spring 2.5 times as stiff", sentence
+    )[1]
+    assert float(velocity) == pytest.approx(SPEED, rel=0.03), (
+        "rows of the time series miss the largest overlap"
+    )
     assert "--reference-velocity" in sentence and "run.velocity_max" in sentence
     assert sentence.partition(":")[0] in (found[1] / "compare.html").read_text(encoding="utf-8")
 
@@ -167,7 +182,12 @@ def test_page_without_figures_is_self_contained_and_gives_the_reason(found):
     for text in ("Side by side", "linear per contact", "linear of 0.1 m/s", ratio, "pip install matplotlib"):
         assert text in html
     assert not re.findall(r'(?:src|href)="(?:http|//)', html)
-    assert {path.name for path in out.glob("*.csv")} == {"compare.csv", "heights.csv", "forces.csv", "durations.csv"}
+    assert {path.name for path in out.glob("*.csv")} == {
+        "compare.csv",
+        "heights.csv",
+        "forces.csv",
+        "durations.csv",
+    }
     for run in comparison.runs:
         assert (out / run.variant.key / "particles.pvd").exists()
 
@@ -184,7 +204,11 @@ def test_paraview_script_accepts_any_title(tmp_path):
     scene = head_on().model_copy(update={"title": 'A "quoted" \\user """'})
     write_script(tmp_path, scene, [run], 1.0)
     text = (tmp_path / "side_by_side.py").read_text(encoding="utf-8")
-    assert compile(text, "side_by_side.py", "exec").co_consts[0].startswith("A 'quoted' \\user ''': zhou, from left")
+    assert (
+        compile(text, "side_by_side.py", "exec")
+        .co_consts[0]
+        .startswith("A 'quoted' \\user ''': zhou, from left")
+    )
 
 
 def test_matplotlib_figures_are_written(found, tmp_path):
@@ -247,11 +271,14 @@ def test_an_earlier_comparison_is_not_overwritten(found, capsys, tmp_path):
 
 
 def test_runs_of_a_stopped_comparison_are_kept(found, tmp_path, monkeypatch):
-    """Hertz is interrupted in a second comparison; the third one has the same table, without another run of linear."""
+    """Hertz is interrupted in a second comparison; the third one has the same table, without another run of
+    linear."""
     out = shutil.copytree(found[1], tmp_path / "out")
     (out / "hertz" / runs.RECORD).unlink()
     shutil.rmtree(out / "hertz")
-    run_variant, lines, ran = runs.run_variant, [], []
+    run_variant = runs.run_variant
+    lines = []
+    ran = []
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr(reporting, "sweeps_of", lambda *_: [])
 
@@ -267,7 +294,9 @@ def test_runs_of_a_stopped_comparison_are_kept(found, tmp_path, monkeypatch):
     assert lines == [
         "run 1 of 3: linear per contact, kept", "run 2 of 3: linear of 0.1 m/s, kept", "run 3 of 3: hertz"
     ]  # fmt: skip
-    monkeypatch.setattr(runs, "run_variant", lambda *arguments: ran.append(arguments[0].key) or run_variant(*arguments))
+    monkeypatch.setattr(
+        runs, "run_variant", lambda *arguments: ran.append(arguments[0].key) or run_variant(*arguments)
+    )
     compare(head_on(), ["linear", "hertz"], out, prepare=refuse)
     assert ran == ["hertz", "hertz"]
 
@@ -293,7 +322,8 @@ def refuse(directory):
 
 
 def fitted(**materials):
-    """A scene whose restitution falls with velocity by Eq. 12, e(0.1 m/s) = exp(-2 (0.1/9.9)^0.5) = 0.8179."""
+    """A scene whose restitution falls with velocity by Eq. 12, e(0.1 m/s) = exp(-2 (0.1/9.9)^0.5) =
+    0.8179."""
     fit = {"sigma": 2.0, "psi": 0.5, "limit_velocity": 10.0}
     floor = plane([0, 0, 0], [0, 0, 1], stages=["fill"])
     return build_scene(
@@ -333,6 +363,7 @@ def run_of(stages, stopped=""):
 
 def test_the_densest_stage_is_common_to_all_complete_runs():
     """A stage that waits for rest may end before its first row; aborted runs do not count."""
-    whole, shorter = run_of({"fill": 5, "settle": 9, "open": 0}), run_of({"fill": 6, "open": 1})
+    whole = run_of({"fill": 5, "settle": 9, "open": 0})
+    shorter = run_of({"fill": 6, "open": 1})
     assert densest_stage([whole, whole]) == "settle"
     assert densest_stage([whole, shorter, run_of({"settle": 3}, "Stopped: x")]) == "fill"

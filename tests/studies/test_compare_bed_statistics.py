@@ -81,7 +81,8 @@ def test_several_contacts_of_one_pair_are_followed_by_their_direction():
 
 
 def test_survival_matches_kaplan_and_meier():
-    """Five contacts: an end at 1 (share 4/5), one censored at 2, an end at 3 (4/5 2/3), an end at 4 (half of it)."""
+    """Five contacts: an end at 1 (share 4/5), one censored at 2, an end at 3 (4/5 2/3), an end at 4 (half of
+    it)."""
     times, share = survival(np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([True, False, True, True, False]))
     np.testing.assert_array_equal(times, [1.0, 3.0, 4.0])
     np.testing.assert_allclose(share, [4 / 5, 8 / 15, 4 / 15])
@@ -92,7 +93,8 @@ def test_survival_matches_kaplan_and_meier():
 def test_median_of_exponential_lifetimes_is_unbiased_by_censoring():
     """Lifetimes of mean 1 have the median ln 2 for any random censoring."""
     random = np.random.default_rng(1)
-    life, cut = random.exponential(1.0, 4000), random.uniform(0.0, 3.0, 4000)
+    life = random.exponential(1.0, 4000)
+    cut = random.uniform(0.0, 3.0, 4000)
     assert median_of(*survival(np.minimum(life, cut), life <= cut)) == pytest.approx(np.log(2.0), rel=0.05)
 
 

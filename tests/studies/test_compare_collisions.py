@@ -35,9 +35,15 @@ def test_exact_columns_match_hertz(columns):
 def test_springs_collide_as_harmonic_oscillators(columns, law):
     """Half a period pi sqrt(M/alpha) and a maximum overlap v sqrt(M/alpha), at least 100 steps each."""
     velocity = of_law(columns, law, "velocity")
-    alpha = spring(np.maximum(velocity, FLOOR)) if law == "linear_onset" else np.full(len(velocity), spring(REFERENCE))
+    alpha = (
+        spring(np.maximum(velocity, FLOOR))
+        if law == "linear_onset"
+        else np.full(len(velocity), spring(REFERENCE))
+    )
     np.testing.assert_allclose(of_law(columns, law, "duration"), np.pi * np.sqrt(MASS_EFF / alpha), rtol=1e-3)
-    np.testing.assert_allclose(of_law(columns, law, "overlap_max"), velocity * np.sqrt(MASS_EFF / alpha), rtol=1e-3)
+    np.testing.assert_allclose(
+        of_law(columns, law, "overlap_max"), velocity * np.sqrt(MASS_EFF / alpha), rtol=1e-3
+    )
     np.testing.assert_allclose(of_law(columns, law, "restitution"), 1.0, atol=1e-3)
 
 
@@ -64,7 +70,10 @@ def synthetic_columns(restitution):
     rows = [{"law": "linear_reference", "step": step, "velocity_over_reference": 10.0, "restitution": reached}
             for step, reached in restitution.items()]  # fmt: skip
     found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    ones = {name: np.ones(len(rows)) for name in ("duration", "duration_exact", "overlap_max", "overlap_max_exact")}
+    ones = {
+        name: np.ones(len(rows))
+        for name in ("duration", "duration_exact", "overlap_max", "overlap_max_exact")
+    }
     return found | ones | {"restitution_exact": np.full(len(rows), 0.8)}
 
 

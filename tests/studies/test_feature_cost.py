@@ -33,11 +33,19 @@ domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], on_exit: error}
 run: {duration: 30 ms, velocity_max: 1 m/s}
 output: {interval: 10 ms, energy_budget: true}
 """
-IN_CONTACT_NEIGHBORS = ("contact.rolling=none", "contact.normal=hertz", "output.energy_budget=false", "walls={}")
-SMOOTH = tuple(
-    f"pairs.{pair}={{restitution: 0.7, friction: 0}}" for pair in ("glass-glass", "glass-steel", "steel-steel")
+IN_CONTACT_NEIGHBORS = (
+    "contact.rolling=none",
+    "contact.normal=hertz",
+    "output.energy_budget=false",
+    "walls={}",
 )
-MIXED = "particles.more={material: steel, diameter: 4 mm, insert: {kind: positions, positions: [[0, 0, 25 mm]]}}"
+SMOOTH = tuple(
+    f"pairs.{pair}={{restitution: 0.7, friction: 0}}"
+    for pair in ("glass-glass", "glass-steel", "steel-steel")
+)
+MIXED = (
+    "particles.more={material: steel, diameter: 4 mm, insert: {kind: positions, positions: [[0, 0, 25 mm]]}}"
+)
 
 
 def plans(directory, *overrides):
@@ -63,13 +71,20 @@ def plans(directory, *overrides):
         (
             "without all of these",
             {"one_material": True},
-            {"friction": False, "rotation": False, "walls": False, "energy_budget": False, "rate_dependent": False},
+            {
+                "friction": False,
+                "rotation": False,
+                "walls": False,
+                "energy_budget": False,
+                "rate_dependent": False,
+            },
         ),
     ],
 )
 def test_a_variant_changes_its_feature_only(tmp_path, name, saved, changed):
     found = plans(tmp_path)
-    baseline, other = found["baseline"].features, found[name].features
+    baseline = found["baseline"].features
+    other = found[name].features
     for feature, value in saved.items():
         assert getattr(other, feature) == getattr(baseline, feature) == value, feature
     for feature, value in changed.items():
@@ -87,7 +102,9 @@ def test_variants_without_history_have_no_history_fields(tmp_path):
 
 def test_variants_add_missing_features(tmp_path):
     found = plans(tmp_path, *IN_CONTACT_NEIGHBORS, *SMOOTH)
-    assert found["with friction"].features.friction and found["with rolling friction"].features.rolling == "epsd"
+    assert (
+        found["with friction"].features.friction and found["with rolling friction"].features.rolling == "epsd"
+    )
     assert found["with energy budget"].features.energy_budget
     assert "without damping" in found and not {"without walls", "without friction"} & set(found)
 
@@ -105,10 +122,13 @@ def test_all_variants_have_equal_time_step_skin_and_capacity(tmp_path):
 
 
 def test_memory_decreases_by_the_omitted_fields(tmp_path):
-    """A vector of 3 float64 is 24 bytes; a neighbor-list entry holds the contact history and a 4-byte flag."""
+    """A vector of 3 float64 is 24 bytes; a neighbor-list entry holds the contact history and a 4-byte
+    flag."""
     found = {name: estimate_memory(plan, "f64") for name, plan in plans(tmp_path).items()}
     whole = found["baseline"]
-    angular_velocity_and_torque, material, rolling_history = 2 * 24, 4, 24
+    angular_velocity_and_torque = 2 * 24
+    material = 4
+    rolling_history = 24
     assert whole.per_particle - found["without rotation"].per_particle == angular_velocity_and_torque
     assert found["with several materials"].per_particle - whole.per_particle == material
     assert whole.per_neighbor - found["without rolling friction"].per_neighbor >= rolling_history
@@ -117,7 +137,9 @@ def test_memory_decreases_by_the_omitted_fields(tmp_path):
 
 def test_particle_size_is_no_feature(tmp_path):
     one = plans(tmp_path)["baseline"]
-    spread = plans(tmp_path, "particles.beads.diameter={distribution: uniform, min: 3 mm, max: 4 mm}")["baseline"]
+    spread = plans(tmp_path, "particles.beads.diameter={distribution: uniform, min: 3 mm, max: 4 mm}")[
+        "baseline"
+    ]
     assert spread.features == one.features
     assert estimate_memory(spread, "f64").per_particle == estimate_memory(one, "f64").per_particle
 
@@ -129,7 +151,8 @@ def measured(directory):
 
     path = Path(directory) / "beads.yaml"
     path.write_text(TEXT)
-    positions, restore = [], measure.restore
+    positions = []
+    restore = measure.restore
 
     def restore_and_sample(simulation, *others):
         restore(simulation, *others)

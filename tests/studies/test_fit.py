@@ -48,7 +48,9 @@ def test_values_and_errors_match_scipy(fitted_limit, absolute):
     )
     names = ("sigma", "psi", "limit_velocity")[: len(values)]
     np.testing.assert_allclose([getattr(found.curve, name) for name in names], values, rtol=1e-5)
-    np.testing.assert_allclose([getattr(found.errors, name) for name in names], np.sqrt(np.diag(covariance)), rtol=1e-4)
+    np.testing.assert_allclose(
+        [getattr(found.errors, name) for name in names], np.sqrt(np.diag(covariance)), rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize(
@@ -56,12 +58,14 @@ def test_values_and_errors_match_scipy(fitted_limit, absolute):
 )
 def test_coverage_of_one_standard_error_matches_student_t(truth, fastest, fitted_limit):
     """About two thirds of the fits: Student's t with (rows - parameters) degrees of freedom."""
-    sample_count, rows = 400, 20
+    sample_count = 400
+    rows = 20
     names = ("sigma", "psi", "limit_velocity")[: 2 + fitted_limit]
     inside = np.zeros(len(names))
     for seed in range(sample_count):
         found = fit(
-            synthetic_measurements(truth, fastest, rows, 0.004, seed), None if fitted_limit else truth.limit_velocity
+            synthetic_measurements(truth, fastest, rows, 0.004, seed),
+            None if fitted_limit else truth.limit_velocity,
         )
         deviations = [abs(getattr(found.curve, name) - getattr(truth, name)) for name in names]
         inside += np.array(deviations) < [getattr(found.errors, name) for name in names]
@@ -103,8 +107,16 @@ def test_limit_velocity_from_materials_is_equation_11():
     [
         (lambda: synthetic_measurements(SOFT, 8.0, count=2), 12.0, "needs at least 3 rows, but there are 2"),
         (lambda: synthetic_measurements(SOFT, 8.0), 5.0, "The limit velocity is 5 m/s, but the restitution"),
-        (lambda: Measurements(np.full(5, 2.0), np.full(5, 0.5), np.ones(5), False), 12.0, "at 1 different velocities"),
-        (lambda: synthetic_measurements(STEEL, 0.5, noise=0.01, seed=1), None, "do not determine the limit velocity"),
+        (
+            lambda: Measurements(np.full(5, 2.0), np.full(5, 0.5), np.ones(5), False),
+            12.0,
+            "at 1 different velocities",
+        ),
+        (
+            lambda: synthetic_measurements(STEEL, 0.5, noise=0.01, seed=1),
+            None,
+            "do not determine the limit velocity",
+        ),
     ],
     ids=["few", "above the limit", "one velocity", "far below"],
 )
@@ -229,7 +241,9 @@ output: {{interval: 1 ms}}
 
 def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
     data = synthetic_measurements(STEEL, 30.0)
-    table = "\n".join(f"{v!r},{e!r}" for v, e in zip(data.velocity.tolist(), data.restitution.tolist(), strict=True))
+    table = "\n".join(
+        f"{v!r},{e!r}" for v, e in zip(data.velocity.tolist(), data.restitution.tolist(), strict=True)
+    )
     path = written(tmp_path, f"velocity,restitution\n{table}\n")
     out = tmp_path / "out"
     assert main(["fit", str(path), "--limit-velocity", "340.3 m/s", "--out", str(out)]) == 0
@@ -238,7 +252,9 @@ def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
     scene = tmp_path / "scene.yaml"
     scene.write_text(SCENE.format(snippet=snippet), encoding="utf-8")
     pasted = load(scene).pairs["steel-steel"].restitution
-    assert (pasted.sigma, pasted.psi, pasted.limit_velocity) == pytest.approx((3.0432, 0.540, 340.3), rel=1e-5)
+    assert (pasted.sigma, pasted.psi, pasted.limit_velocity) == pytest.approx(
+        (3.0432, 0.540, 340.3), rel=1e-5
+    )
     assert (out / "fit.csv").read_text(encoding="utf-8").startswith("velocity,measured,fitted,residual\n")
 
 
@@ -250,7 +266,8 @@ def test_command_rejects_invalid_input(tmp_path, capsys):
     good = written(tmp_path, "v,e\n1,0.8\n2,0.7\n3,0.6\n")
     assert main(["fit", str(good), "--material", "glass"]) == 2
     assert (
-        "glass has no yield strength, which the limit velocity requires (Zhou 2011, Eq. 11)" in capsys.readouterr().err
+        "glass has no yield strength, which the limit velocity requires (Zhou 2011, Eq. 11)"
+        in capsys.readouterr().err
     )
     assert main(["fit", str(good), "--material", "stainles_316"]) == 2
     assert "Did you mean stainless_316?" in capsys.readouterr().err

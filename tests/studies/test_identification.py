@@ -27,14 +27,16 @@ def test_uncertainty_of_exact_linear_residuals():
 
 
 def test_change_is_the_mean_difference_between_the_bounds():
-    """The mean of u v + 3 v^2 over u at v = 1 exceeds that at v = 0 by 1/2 + 3; over v, that of u = 1 by 1/2."""
+    """The mean of u v + 3 v^2 over u at v = 1 exceeds that at v = 0 by 1/2 + 3; over v, that of u = 1 by
+    1/2."""
     u = np.random.default_rng(1).uniform(size=(20, 2))
     found = effects(u, (u[:, 0] * u[:, 1] + 3.0 * u[:, 1] ** 2)[:, None], np.zeros((20, 1)))
     assert found.change == pytest.approx(np.array([[0.5, 3.5]]))
 
 
 def test_effect_has_the_f_statistic_of_a_line():
-    """Of a line, F is the squared ratio of the slope to its standard error, with 1 and n - 2 degrees of freedom."""
+    """Of a line, F is the squared ratio of the slope to its standard error, with 1 and n - 2 degrees of
+    freedom."""
     u = np.linspace(0.0, 1.0, 5)
     residual = 6.0 * u + np.array([0.1, -0.2, 0.3, 0.0, -0.1])
     centered = u - 0.5
@@ -47,7 +49,8 @@ def test_effect_has_the_f_statistic_of_a_line():
 
 
 def test_standard_errors_of_the_runs_limit_what_is_identified():
-    """A residual 7 (u - 0.5) that chance makes exact, with errors of 4 tolerances: the slope has the error 4 / 0.79."""
+    """A residual 7 (u - 0.5) that chance makes exact, with errors of 4 tolerances: the slope has the error 4
+    / 0.79."""
     u = np.linspace(0.0, 1.0, 5)[:, None]
     known = identified(u, 7.0 * (u - 0.5), 4.0)
     assert known.effects.error == pytest.approx(4.0 / np.sqrt(((u - 0.5) ** 2).sum()))
@@ -67,7 +70,8 @@ def test_parameters_of_a_sum_are_identified_only_together():
     u = random.uniform(size=(60, 3))
     known = identified(u, 30.0 * (u[:, :1] + u[:, 1:2] - 1.0) + random.normal(0.0, 0.5, (60, 1)))
     assert not any(known.is_identified(k) for k in range(3))
-    # The sum is known: its direction has a vanishing variance, and each of u and v keeps half of the uniform variance.
+    # The sum is known: its direction has a vanishing variance, and each of u and v keeps half of the uniform
+    # variance.
     assert known.deviation == pytest.approx([np.sqrt(1 / 24), np.sqrt(1 / 24), np.sqrt(1 / 12)], rel=0.05)
     assert known.statement(NAMES, 0, "").endswith("they determine it only together with rolling_friction.")
     assert known.statement(NAMES, 2, "angle changes by 0.1 deg").startswith(
@@ -88,19 +92,21 @@ def test_parameter_with_an_effect_far_from_the_best_values_only():
 def noisy_calibration(seed, trials, size, scatter):
     """Effects of friction and restitution in a synthetic calibration, and its identification.
 
-    The residual is size (1 - exp(-5 u)) / (1 - exp(-5)) of the friction u, 0 at u = 0.1, as that of an angle of repose
-    that friction above about 0.5 does not change; the restitution has no effect. The first ten trials are random, most
-    of the others are near the best ones so far, as those of the search.
+    The residual is size (1 - exp(-5 u)) / (1 - exp(-5)) of the friction u, 0 at u = 0.1, as that of an angle
+    of repose that friction above about 0.5 does not change; the restitution has no effect. The first ten
+    trials are random, most of the others are near the best ones so far, as those of the search.
     """
     random = np.random.default_rng(seed)
-    u, found = np.empty((0, 2)), np.empty(0)
+    u = np.empty((0, 2))
+    found = np.empty(0)
     for number in range(trials):
         point = random.uniform(size=2)
         if number >= 10 and random.uniform() < 0.9:
             near = u[random.choice(np.argsort(found**2)[: max(3, number // 8)])] + random.normal(0.0, 0.12, 2)
             point = 1.0 - np.abs(1.0 - np.abs(near))
         response = size * (np.exp(-0.5) - np.exp(-5.0 * point[0])) / (1.0 - np.exp(-5.0))
-        u, found = np.vstack([u, point]), np.append(found, response + random.normal(0.0, scatter))
+        u = np.vstack([u, point])
+        found = np.append(found, response + random.normal(0.0, scatter))
     return identified(u, found[:, None])
 
 
@@ -125,11 +131,15 @@ def test_a_strong_effect_is_found_and_its_parameter_identified():
 
 
 def test_rate_of_found_effects_is_the_power_of_the_f_test():
-    """Of a linear effect in uniform trials: the noncentral F distribution, parameter n Var(effect) / scatter^2."""
-    trials, count, size = 40, 400, 2.0
+    """Of a linear effect in uniform trials: the noncentral F distribution, parameter n Var(effect) /
+    scatter^2."""
+    trials = 40
+    count = 400
+    size = 2.0
     freedom = trials - 6
     limit = f_distribution.isf(LEVEL, 3, freedom)
-    powers, found = [], 0
+    powers = []
+    found = 0
     for seed in range(count):
         random = np.random.default_rng(seed)
         u = random.uniform(size=(trials, 2))
@@ -144,7 +154,8 @@ def test_rate_of_found_effects_is_the_power_of_the_f_test():
 
 
 def test_trials_that_were_stopped_early_show_effects_on_the_targets_that_they_have():
-    """A trial is stopped if its first residual, 10 (u - 0.1), exceeds 4: the completed ones are those up to u = 0.5."""
+    """A trial is stopped if its first residual, 10 (u - 0.1), exceeds 4: the completed ones are those up to u
+    = 0.5."""
     random = np.random.default_rng(5)
     u = random.uniform(size=(30, 1))
     residuals = np.hstack([10.0 * (u - 0.1) + random.normal(0.0, 1.0, (30, 1)), 5.0 * u])
@@ -161,20 +172,25 @@ def test_trials_that_were_stopped_early_show_effects_on_the_targets_that_they_ha
 
 
 def test_many_residuals_need_a_smaller_probability():
-    """The smallest of 50 probabilities without effect is below LEVEL in 12 % of all cases without the factor 50."""
+    """The smallest of 50 probabilities without effect is below LEVEL in 12 % of all cases without the factor
+    50."""
     random = np.random.default_rng(4)
     count = 0
     for _ in range(60):
-        found: Effects = effects(random.uniform(size=(30, 1)), random.normal(size=(30, 50)), np.zeros((30, 50)))
+        found: Effects = effects(
+            random.uniform(size=(30, 1)), random.normal(size=(30, 50)), np.zeros((30, 50))
+        )
         count += bool(found.significant.any())
     assert count <= binom.isf(1e-3, 60, LEVEL)
 
 
 def test_scatter_above_the_tolerance_hides_no_slope_of_a_curved_response():
-    """A discharge rate over friction, 40 (0.2 - u) / (0.5 + u) with scatter 1.3: the slope at 0.2 is -40 / 0.7.
+    """A discharge rate over friction, 40 (0.2 - u) / (0.5 + u) with scatter 1.3: the slope at 0.2 is -40 /
+    0.7.
 
-    Eight trials of 20 are anywhere, the others near the optimum, where the scatter hides the slope from few trials. The
-    deviation is sqrt(1 + 1.3^2) / (40 / 0.7) = 0.029; the optimum of the fit is within three of these in 99.7 %.
+    Eight trials of 20 are anywhere, the others near the optimum, where the scatter hides the slope from few
+    trials. The deviation is sqrt(1 + 1.3^2) / (40 / 0.7) = 0.029; the optimum of the fit is within three of
+    these in 99.7 %.
     """
     found = []
     for seed in range(100):
@@ -183,5 +199,7 @@ def test_scatter_above_the_tolerance_hides_no_slope_of_a_curved_response():
         u = np.concatenate([random.uniform(size=8), near])[:, None]
         found.append(identified(u, 40.0 * (0.2 - u) / (0.5 + u) + 1.3 * random.standard_normal(u.shape)))
     assert sum(known.is_identified(0) for known in found) >= 97
-    assert np.median([known.deviation[0] for known in found]) == pytest.approx(np.sqrt(2.69) / (40.0 / 0.7), rel=0.15)
+    assert np.median([known.deviation[0] for known in found]) == pytest.approx(
+        np.sqrt(2.69) / (40.0 / 0.7), rel=0.15
+    )
     assert sum(abs(known.optimum[0] - 0.2) < 3.0 * known.deviation[0] for known in found) >= 97

@@ -33,7 +33,8 @@ class BalanceParser(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open, self.text = [], []
+        self.open = []
+        self.text = []
 
     def handle_starttag(self, tag, attributes):
         if tag not in {"meta", "img"}:
@@ -48,7 +49,13 @@ class BalanceParser(HTMLParser):
 
 def page_with(folder, name="a.png", **content):
     (folder / name).write_bytes(TINY)
-    defaults = {"lead": "Lead.", "text": "Text <i>\u202e.", "content": TABLE, "figures": {name: 44.1}, "folder": folder}
+    defaults = {
+        "lead": "Lead.",
+        "text": "Text <i>\u202e.",
+        "content": TABLE,
+        "figures": {name: 44.1},
+        "folder": folder,
+    }
     return page_text(environment().from_string(TEMPLATE), **{"name": name} | defaults | content)
 
 
@@ -112,7 +119,9 @@ def test_rows_of_wide_tables_are_labeled_for_narrow_screens(tmp_path):
 def test_styles_of_narrow_screens_follow_the_styles_that_they_replace():
     style = (files("granflow.studies") / "templates" / "style.css").read_text()
     wide, mark, narrow = style.partition("@media (max-width")
-    assert mark and all(f"{selector} {{" in wide for selector in (".gallery figure", "td.words", "body", "nav", "pre"))
+    assert mark and all(
+        f"{selector} {{" in wide for selector in (".gallery figure", "td.words", "body", "nav", "pre")
+    )
     assert narrow.count("{") == narrow.count("}") and ".gallery figure { width: 100%" in narrow
 
 
@@ -132,7 +141,11 @@ def test_undefined_variables_raise(tmp_path):
 
 def test_all_templates_are_package_data_and_compile():
     names = {path.name for path in files("granflow.studies").joinpath("templates").iterdir()}
-    assert {"page.html", "macros.html", "style.css", "report.html"} <= names == set(environment().list_templates())
+    assert (
+        {"page.html", "macros.html", "style.css", "report.html"}
+        <= names
+        == set(environment().list_templates())
+    )
     for name in names:
         environment().get_template(name)
 
@@ -140,9 +153,17 @@ def test_all_templates_are_package_data_and_compile():
 def test_study_files_are_written_to_a_new_directory(tmp_path):
     pytest.importorskip("matplotlib")
     out = tmp_path / "a" / "b"
-    content = {"headline": "h", "accurate": 0.01, "silent_limit": 0.5, "summary": PageTable((), ()), "families": ()}
+    content = {
+        "headline": "h",
+        "accurate": 0.01,
+        "silent_limit": 0.5,
+        "summary": PageTable((), ()),
+        "families": (),
+    }
     figures = {"stability.png": Drawing(lambda figure: figure.subplots(), 1.0)}
-    assert not write_study(out / "p.html", "stability.html", {"t.csv": {"x": np.array([0.1])}}, figures, **content)
+    assert not write_study(
+        out / "p.html", "stability.html", {"t.csv": {"x": np.array([0.1])}}, figures, **content
+    )
     assert (out / "t.csv").read_text() == "x\n0.1\n"
     html = (out / "p.html").read_text(encoding="utf-8")
     assert (
@@ -154,7 +175,8 @@ def test_study_files_are_written_to_a_new_directory(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("share", "text"), [(0.0, "0 %"), (1e-7, "1e−05 %"), (0.00123, "0.12 %"), (0.0996, "10 %"), (1.5, "150 %")]
+    ("share", "text"),
+    [(0.0, "0 %"), (1e-7, "1e−05 %"), (0.00123, "0.12 %"), (0.0996, "10 %"), (1.5, "150 %")],
 )
 def test_percent_has_two_digits(share, text):
     assert percent(share) == text

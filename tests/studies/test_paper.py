@@ -1,4 +1,5 @@
-"""Figures of the paper in reduced form: simulated collisions against theory solved by scipy without granflow."""
+"""Figures of the paper in reduced form: simulated collisions against theory solved by scipy without
+granflow."""
 
 import numpy as np
 import pytest
@@ -33,7 +34,8 @@ def root_of_equation_8(e):
 
 
 def solved(e, k, mass, speed):
-    """Duration and maximum overlap of M d'' = -F with F of Eq. 4, by scipy; integrated in units of Ts = dmax / v."""
+    """Duration and maximum overlap of M d'' = -F with F of Eq. 4, by scipy; integrated in units of Ts = dmax
+    / v."""
     largest = (1.25 * mass * speed**2 / k) ** 0.4
     y = root_of_equation_8(e)
     slope = (1.0 - e**3 * y**1.5) / y
@@ -60,7 +62,8 @@ def solved(e, k, mass, speed):
 
 def hertz_numbers(case):
     """Hertz stiffness k and effective mass M of two equal spheres, from the material properties."""
-    solid, radius = case.solid, 0.5 * case.diameter
+    solid = case.solid
+    radius = 0.5 * case.diameter
     modulus = solid.young_modulus / (2.0 * (1.0 - solid.poisson_ratio**2))
     mass = solid.density * 4.0 / 3.0 * np.pi * radius**3
     return 4.0 / 3.0 * modulus * np.sqrt(0.5 * radius), 0.5 * mass
@@ -84,7 +87,8 @@ def test_residual_overlap_and_duration_match_figure_1_and_the_table(taichi_f64):
 def test_error_of_the_closed_form_is_within_the_bound_of_figure_2():
     figure_data = residual.error_figure(np.linspace(0.0, 0.999, 300))
     exact = np.array([1.0 - root_of_equation_8(e) for e in figure_data.columns["restitution"]])
-    e, c = figure_data.columns["restitution"], 0.8**2.5
+    e = figure_data.columns["restitution"]
+    c = 0.8**2.5
     closed = 1.0 - 0.8 * e**2 - c / 5.0 * e**8 / (1.0 - (1.0 - c) * e) + e**16 * (1.0 - e)
     assert figure_data.columns["error"] == pytest.approx(closed / exact - 1.0, abs=1e-9)
     assert 0.009 < figure_data.deviations[0].largest < 0.0108
@@ -121,8 +125,8 @@ def test_spring_of_a_small_soft_particle_matches_the_papers_estimate(taichi_f64)
 
 
 def rounding_of_forces(case, diameter):
-    """Half of 2^-45 of the power of two above the largest force: Hertz with the radius of the largest spheres at the
-    overlap limit of these simulations, 0.8 radii."""
+    """Half of 2^-45 of the power of two above the largest force: Hertz with the radius of the largest spheres
+    at the overlap limit of these simulations, 0.8 radii."""
     modulus = case.solid.young_modulus / (2.0 * (1.0 - case.solid.poisson_ratio**2))
     largest = 4.0 / 3.0 * modulus * 0.8**1.5 * (0.5 * diameter) ** 2
     return 0.5 * 2.0 ** (np.ceil(np.log2(largest)) - 45)
@@ -135,12 +139,15 @@ def test_force_overlap_loops_match_equation_4(taichi_f64):
     rounding = rounding_of_forces(loops.CASE, loops.CASE.diameter_lasting(duration, 0.0, loops.VELOCITY))
     for index, e in enumerate(loops.LOOP_RESTITUTIONS):
         of_case = figure_data.columns["restitution"] == e
-        share, force = figure_data.columns["overlap_over_max"][of_case], figure_data.columns["force_over_max"][of_case]
+        share = figure_data.columns["overlap_over_max"][of_case]
+        force = figure_data.columns["force_over_max"][of_case]
         rising = np.arange(len(share)) <= np.argmax(share)
         if e == 0.0:  # the last force stops the pair; it is on the vertical unloading line
             assert 0.0 <= force[-1] <= 1.0 and share[-1] == pytest.approx(1.0, abs=1e-5)
             rising[-1] = False
-        assert force[rising] == pytest.approx(share[rising] ** 1.5, rel=1e-9, abs=rounding / outcomes.force_max[index])
+        assert force[rising] == pytest.approx(
+            share[rising] ** 1.5, rel=1e-9, abs=rounding / outcomes.force_max[index]
+        )
         if e > 0.0:
             y = root_of_equation_8(e)
             above = np.maximum(share[~rising] - 1.0 + y, 0.0)  # the mean over the last step may be negative
@@ -174,8 +181,8 @@ def test_contact_end_is_interpolated_within_a_step(taichi_f64):
 def test_thornton_restitution_follows_from_the_energies(ratio):
     """Hertz up to yield, then linear with the slope at yield; unloading by Hertz on the flattened sphere.
 
-    In units of the yield overlap and force: F = d^1.5, then 1 + 1.5 (d - 1); unloading returns (2/5) F (d - dp)
-    with R_p F = F_hertz(dmax) R, so that its stiffness is sqrt(R_p / R).
+    In units of the yield overlap and force: F = d^1.5, then 1 + 1.5 (d - 1); unloading returns (2/5) F (d -
+    dp) with R_p F = F_hertz(dmax) R, so that its stiffness is sqrt(R_p / R).
     """
     energy = 0.4 * ratio**2  # kinetic energy; the yield energy is 0.4
     largest = brentq(lambda d: 0.4 + (d - 1.0) + 0.75 * (d - 1.0) ** 2 - energy, 1.0, 1e4)
@@ -188,7 +195,8 @@ def test_thornton_restitution_follows_from_the_energies(ratio):
 
 @pytest.mark.slow
 def test_every_contact_model_reaches_the_restitution_of_equation_12(taichi_f64):
-    """At the reference velocity every contact model of the catalog has the restitution of Eq. 12 for both steels."""
+    """At the reference velocity every contact model of the catalog has the restitution of Eq. 12 for both
+    steels."""
     found = comparison.compare(np.array([comparison.REFERENCE_VELOCITY]))
     assert not found.refused
     wanted = [np.exp(-3.0432 / (np.sqrt(0.93e9 / 8030.0) - 1.0) ** 0.54),

@@ -1,4 +1,5 @@
-"""`granflow paper` on the command line: an error message without the plot extra, a self-contained page with it."""
+"""`granflow paper` on the command line: an error message without the plot extra, a self-contained page with
+it."""
 
 import re
 import sys

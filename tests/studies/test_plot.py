@@ -27,7 +27,9 @@ def run(tmp_path):
     """Directory with a time series of three rows in two stages."""
     directory = tmp_path / "dense"
     directory.mkdir()
-    (directory / "timeseries.csv").write_text("\n".join([HEAD, *(",".join(map(str, row)) for row in ROWS)]) + "\n")
+    (directory / "timeseries.csv").write_text(
+        "\n".join([HEAD, *(",".join(map(str, row)) for row in ROWS)]) + "\n"
+    )
     return directory
 
 
@@ -52,7 +54,8 @@ def test_expressions_of_columns(run, text, expected):
 
 
 def test_foreign_columns_are_in_si_by_their_units(tmp_path):
-    """Stage times are converted as well; a unit that granflow does not know, or of two dimensions, remains."""
+    """Stage times are converted as well; a unit that granflow does not know, or of two dimensions,
+    remains."""
     path = tmp_path / "scope.csv"
     path.write_text(
         "time [ms],stage,energy (mJ),share [%],angle [deg],speed [rpm],mass [g],torque [Nmm]\n"
@@ -60,11 +63,16 @@ def test_foreign_columns_are_in_si_by_their_units(tmp_path):
     )
     (panel,) = panels_of([path], "time", ["energy"])
     assert panel.x_title == "time (s)" and panel.y_title == "energy (J)"
-    assert panel.curves[0].x == pytest.approx([0.0, 0.02]) and panel.curves[0].y == pytest.approx([1e-3, 2e-3])
+    assert panel.curves[0].x == pytest.approx([0.0, 0.02]) and panel.curves[0].y == pytest.approx(
+        [1e-3, 2e-3]
+    )
     _, series = series_of(path, "time")
     assert series.stages == ((0.0, "a"), (0.02, "b"))
     columns = {each.name: (each.unit, each.values.tolist()) for each in series.columns}
-    assert columns["share"] == ("", [0.5, 1.0]) and columns["speed"] == ("rad/s", pytest.approx([2 * np.pi, np.pi]))
+    assert columns["share"] == ("", [0.5, 1.0]) and columns["speed"] == (
+        "rad/s",
+        pytest.approx([2 * np.pi, np.pi]),
+    )
     assert columns["angle"] == ("rad", pytest.approx([np.pi / 2, np.pi]))
     assert columns["mass"] == ("g", [2.0, 4.0]) and columns["torque"] == ("Nmm", [3.0, 6.0])
 
@@ -72,7 +80,10 @@ def test_foreign_columns_are_in_si_by_their_units(tmp_path):
 @pytest.mark.parametrize(
     ("head", "message"),
     [
-        ("time [days],a,b", "scope.csv:1: the column time is in s, and days is no unit of it; give s, ms, us"),
+        (
+            "time [days],a,b",
+            "scope.csv:1: the column time is in s, and days is no unit of it; give s, ms, us",
+        ),
         ("time [s],a,A [m]", "the header has both a and A [m]; keep one of the columns"),
     ],
 )
@@ -110,7 +121,9 @@ def test_damaged_headers_and_rows_are_refused_with_their_line(tmp_path, capsys, 
     assert all(part in message for part in parts), message
 
 
-@pytest.mark.parametrize("last", ["", "2", "2.5,ho", "2.5,hold,", "2.5,hold,1.5e-", "2.5,hold,-", "2.5,hold,na"])
+@pytest.mark.parametrize(
+    "last", ["", "2", "2.5,ho", "2.5,hold,", "2.5,hold,1.5e-", "2.5,hold,-", "2.5,hold,na"]
+)
 def test_empty_cells_and_a_last_line_that_is_being_written_are_accepted(tmp_path, last):
     path = tmp_path / "timeseries.csv"
     path.write_text(f"time [s],stage,mass [kg],remark\n0,load,1,a\n1,load,,\n2,hold,nan,b\n{last}")
@@ -174,7 +187,9 @@ def test_a_quantity_that_cannot_be_drawn_is_refused_with_one_sentence(run, capsy
 
 def test_logarithmic_axis_without_positive_values_is_refused(run, capsys):
     assert main(["plot", str(run), "--y", "0 * time - 1", "--log", "y"]) == 2
-    assert "--log y needs positive values, but 0 * time - 1 has none: omit --log y." in capsys.readouterr().err
+    assert (
+        "--log y needs positive values, but 0 * time - 1 has none: omit --log y." in capsys.readouterr().err
+    )
 
 
 def test_quantities_of_one_unit_share_a_panel_and_runs_are_named_by_their_directories(run):
@@ -224,7 +239,9 @@ def test_the_page_contains_the_points_and_titles(run, tmp_path):
         "stress (Pa)",
     ]
     assert main(["plot", str(run), *arguments]) == 0
-    figure = json.loads(re.search(r'<script type="application/json">(.*?)</script>', page.read_text(), re.DOTALL)[1])
+    figure = json.loads(
+        re.search(r'<script type="application/json">(.*?)</script>', page.read_text(), re.DOTALL)[1]
+    )
     assert figure["data"][0]["x"] == [0.0, 0.02, 0.08] and figure["data"][0]["y"] == [0.0, 2e3, 4e3]
     assert figure["layout"]["xaxis"]["title"]["text"] == "wall_displacement.lid / 0.05"
     assert figure["layout"]["xaxis"]["range"] == [0.0, 0.08]

@@ -75,7 +75,8 @@ def test_each_frame_has_its_walls_and_contacts(run):
     expected = particles_of(COUNT, seed=2)
     np.testing.assert_allclose(read_particles(frames[2]).position, expected["position"], rtol=1e-6)
     np.testing.assert_array_equal(read_walls(frames[2]).polygons[0], FLOOR[1])
-    chains, contacts = read_force_chains(frames[2]), contacts_of(7)
+    chains = read_force_chains(frames[2])
+    contacts = contacts_of(7)
     np.testing.assert_allclose(chains.ends[:, 1], contacts["position_j"], rtol=1e-6)
     np.testing.assert_allclose(chains.normal_force, contacts["normal_force"], rtol=1e-6)
 
@@ -109,7 +110,11 @@ def test_selected_walls_have_their_own_polygons_only(run):
 def test_missing_files_are_skipped(run):
     (run / "particles_0001.vtu").unlink()
     (run / "walls_0002.vtu").unlink()
-    assert [(frame.number, frame.walls is None) for frame in frames_of(run)] == [(0, False), (2, True), (3, False)]
+    assert [(frame.number, frame.walls is None) for frame in frames_of(run)] == [
+        (0, False),
+        (2, True),
+        (3, False),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -166,7 +171,10 @@ def test_one_output_file_requires_one_frame(run, capsys):
 @pytest.mark.parametrize(
     "arguments",
     [
-        *(["--size", text] for text in ("1600", "9x9", "100000x100000", "10001x300", "9000x9000", "9" * 5000 + "x9")),
+        *(
+            ["--size", text]
+            for text in ("1600", "9x9", "100000x100000", "10001x300", "9000x9000", "9" * 5000 + "x9")
+        ),
         *([f"--range={text}"] for text in ("2,1", "fast", "0,inf", "-1e308,1e308")),
         *(["--zoom", text] for text in ("0", "1e300", "1e-300", "nan")),
         *(["--fps", text] for text in ("-1", "1e300", "1e-300")),
@@ -192,7 +200,15 @@ def test_frame_number_of_any_length_is_rejected(run):
 
 @pytest.mark.parametrize(
     "name",
-    ["particles_x.vtu", "mine.vtu", "../a/particles_0001.vtu", "/particles_0001.vtu", "walls_0000.vtu", "", "a\\b"],
+    [
+        "particles_x.vtu",
+        "mine.vtu",
+        "../a/particles_0001.vtu",
+        "/particles_0001.vtu",
+        "walls_0000.vtu",
+        "",
+        "a\\b",
+    ],
 )
 @pytest.mark.parametrize("verb", ["report", "render"])
 def test_listed_file_that_is_no_frame_of_the_run_is_rejected(run, name, verb, capsys):
@@ -222,7 +238,10 @@ def test_damaged_list_of_frames_is_rejected(run, before, after, message):
 def test_message_and_help_of_size_state_the_minimum(run, capsys):
     with pytest.raises(SystemExit):
         main(["render", str(run), "--size", "160x120"])
-    assert "160x120 is not a valid size; give width and height in pixels, from 200 to 10000" in capsys.readouterr().err
+    assert (
+        "160x120 is not a valid size; give width and height in pixels, from 200 to 10000"
+        in capsys.readouterr().err
+    )
     with pytest.raises(SystemExit):
         main(["render", "--help"])
     assert "from 200 to 10000" in " ".join(capsys.readouterr().out.split())
@@ -237,7 +256,11 @@ def test_missing_plot_extra_is_reported_with_the_install_command(run, capsys, mo
 def test_vectors_are_colored_by_magnitude_or_component():
     arrays = {"velocity": np.array([[3.0, 4.0, 12.0]]), "radius": np.array([0.5])}
     assert values_of(arrays, "velocity")[0] == 13.0 and values_of(arrays, "velocity.z")[0] == 12.0
-    for color, hint in (("velocty", "Did you mean velocity"), ("radius.x", "no such array"), ("velocity.w", "no such")):
+    for color, hint in (
+        ("velocty", "Did you mean velocity"),
+        ("radius.x", "no such array"),
+        ("velocity.w", "no such"),
+    ):
         with pytest.raises(GranflowError, match=hint):
             values_of(arrays, color)
 
@@ -304,14 +327,18 @@ def test_invalid_views_are_rejected(text):
 
 
 def test_outermost_points_include_the_radius():
-    particles = FrameParticles(np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0]]), np.array([1.0, 0.5, 0.2]), {})
+    particles = FrameParticles(
+        np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0]]), np.array([1.0, 0.5, 0.2]), {}
+    )
     points = outermost_points(particles)
     np.testing.assert_allclose(points.max(axis=0), [2.5, 1, 1])
     np.testing.assert_allclose(points.min(axis=0), [-1, -1, -1])
 
 
 def test_time_label_has_enough_digits_to_distinguish_frames():
-    assert [decimals_of(times) for times in ([0, 0.02, 0.04], [0, 1e-4, 2e-4, 3.1e-4], [5.0], [0.0], [0, 60, 120])] == [
+    assert [
+        decimals_of(times) for times in ([0, 0.02, 0.04], [0, 1e-4, 2e-4, 3.1e-4], [5.0], [0.0], [0, 60, 120])
+    ] == [
         2,
         4,
         0,
@@ -326,7 +353,9 @@ def test_speed_of_a_film_is_stated_as_a_ratio():
     assert speed_of([0.5], 25.0) == ""
 
 
-@pytest.mark.parametrize(("largest", "length"), [(0.011, 0.01), (0.0199, 0.01), (0.02, 0.02), (0.7, 0.5), (1.0, 1.0)])
+@pytest.mark.parametrize(
+    ("largest", "length"), [(0.011, 0.01), (0.0199, 0.01), (0.02, 0.02), (0.7, 0.5), (1.0, 1.0)]
+)
 def test_scale_bar_has_a_round_length(largest, length):
     assert round_length(largest) == pytest.approx(length, rel=1e-12)
 
@@ -364,7 +393,8 @@ for name in ("front", "iso"):
 @pytest.mark.slow
 @needs_plot
 def test_spheres_cover_their_projected_area():
-    """A sphere covers a disc of half angle asin(R / distance) in perspective, of radius R in a parallel projection."""
+    """A sphere covers a disc of half angle asin(R / distance) in perspective, of radius R in a parallel
+    projection."""
     run = subprocess.run([sys.executable, "-c", AREAS], capture_output=True, text=True, timeout=250)
     assert run.returncode == 0, run.stderr[-2000:]
     np.testing.assert_allclose([float(line) for line in run.stdout.split()], 1.0, atol=0.02)
@@ -379,7 +409,18 @@ def test_pictures_are_written(run, arguments):
     from PIL import Image
 
     out = run / "a.png"
-    command = [sys.executable, "-m", "granflow", "render", str(run), "--out", str(out), "--size", "640x480", *arguments]
+    command = [
+        sys.executable,
+        "-m",
+        "granflow",
+        "render",
+        str(run),
+        "--out",
+        str(out),
+        "--size",
+        "640x480",
+        *arguments,
+    ]
     process = subprocess.run(command, capture_output=True, text=True, timeout=250)
     assert process.returncode == 0, process.stderr[-2000:]
     picture = np.asarray(Image.open(out))
@@ -393,7 +434,18 @@ def test_pictures_are_written(run, arguments):
 def test_film_contains_every_frame(run):
     import imageio_ffmpeg
 
-    command = [sys.executable, "-m", "granflow", "render", str(run), "--film", "--size", "640x480", "--fps", "4"]
+    command = [
+        sys.executable,
+        "-m",
+        "granflow",
+        "render",
+        str(run),
+        "--film",
+        "--size",
+        "640x480",
+        "--fps",
+        "4",
+    ]
     process = subprocess.run(command, capture_output=True, text=True, timeout=250)
     assert process.returncode == 0, process.stderr[-2000:]
     film = run / "pictures" / "film_velocity_iso.mp4"

@@ -98,7 +98,12 @@ def test_page_of_a_complete_run_contains_all_results(run):
             "wall force (N)",
             "7.5",
         ),
-        *("not a scene: at all", "This version cannot read the scene", "Always zero: idle", "it burst\nat the seams"),
+        *(
+            "not a scene: at all",
+            "This version cannot read the scene",
+            "Always zero: idle",
+            "it burst\nat the seams",
+        ),
     ):
         assert fragment in text, fragment
 
@@ -118,7 +123,9 @@ def test_page_of_an_interrupted_run_states_reason_and_time(run):
     text = text_of(run)
     assert "The run did not finish (ended by RunError: see the warnings). granflow resume" in text
     assert re.search(r"simulated time\s*0.2\s*s", text)
-    assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), "the last row replaces the result"
+    assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), (
+        "the last row replaces the result"
+    )
 
 
 def test_page_of_a_resumed_run_lists_its_sessions(run):
@@ -163,7 +170,11 @@ def test_page_without_plotly_states_the_missing_package(run, capsys, monkeypatch
 def test_columns_are_read_with_units_and_stages(run):
     series = read_series(run / "timeseries.csv")
     energy = series.columns[1]
-    assert (energy.name, energy.unit, series.stages) == ("kinetic_energy", "J", ((0.0, "fill"), (0.2, "pour")))
+    assert (energy.name, energy.unit, series.stages) == (
+        "kinetic_energy",
+        "J",
+        ((0.0, "fill"), (0.2, "pour")),
+    )
     np.testing.assert_array_equal(energy.values, [2e-6, np.nan, 1e-6])
 
 
@@ -171,8 +182,22 @@ def test_columns_of_one_quantity_and_unit_share_a_plot():
     """Also for column names that the report does not list."""
     found = groups_of(
         columns(
-            *("kinetic_energy J", "elastic_energy J", "wall_work J", "overlap_mean", "overlap_largest", "count"),
-            *("force_z.floor N", "force_z.lid N", "force_x.lid N", "pressure.lid Pa", "mean_count", "temperature K"),
+            *(
+                "kinetic_energy J",
+                "elastic_energy J",
+                "wall_work J",
+                "overlap_mean",
+                "overlap_largest",
+                "count",
+            ),
+            *(
+                "force_z.floor N",
+                "force_z.lid N",
+                "force_x.lid N",
+                "pressure.lid Pa",
+                "mean_count",
+                "temperature K",
+            ),
         )
     )
     assert [(group.title, group.unit, [column.name for column in group.columns]) for group in found] == [
@@ -195,7 +220,8 @@ def test_table_of_many_quantities_has_them_as_rows():
 
 
 def test_energies_without_a_budget_are_quantities_over_time(run):
-    """The run has an energy budget; without its columns, the page shows the kinetic energy without a section."""
+    """The run has an energy budget; without its columns, the page shows the kinetic energy without a
+    section."""
     assert "Energy budget" in [topic.title for topic in report_topics.topics(read_run(run), with_plots=True)]
     rows = [line.split(",")[:4] for line in (run / "timeseries.csv").read_text().splitlines()]
     assert rows[0][3] == "kinetic_energy [J]"
@@ -223,11 +249,14 @@ def test_angles_are_in_rad_and_degrees(run):
     series = TimeSeriesTable(np.arange(2.0), np.array(["", ""]), (), ())
     (group,) = groups_of([SeriesColumn("angle_of_repose.left", "rad", np.array([0.0, np.pi / 4]))])
     figure = plot_of(group, series).figure
-    assert figure["data"][0]["y"] == [0.0, 45.0] and figure["layout"]["yaxis"]["title"]["text"].endswith("(deg)")
+    assert figure["data"][0]["y"] == [0.0, 45.0] and figure["layout"]["yaxis"]["title"]["text"].endswith(
+        "(deg)"
+    )
 
 
 def test_small_components_of_forces_are_folded(run):
-    """A component is in the plot or in the folded table; a row of the table is hidden if it is small for all walls."""
+    """A component is in the plot or in the folded table; a row of the table is hidden if it is small for all
+    walls."""
     names = [f"wall_force_{axis}.{wall}" for wall in ("lid", "floor") for axis in "xyz"]
     values = [5.0, 0.01, 0.0, 0.02, -0.03, -7.0]
     head = "time [s],stage," + ",".join(f"{name} [N]" for name in names)
@@ -262,7 +291,9 @@ def test_expected_quantities_are_first(run):
     assert names == ["kinetic energy"]
     text = text_of(run)
     assert text.index("it is <2>.") < text.index("Energies in J.")
-    assert captions_of(record).count("Energy (J) over time") == 1, "kinetic energy is also in the plot of energies"
+    assert captions_of(record).count("Energy (J) over time") == 1, (
+        "kinetic energy is also in the plot of energies"
+    )
     (run / "timeseries.csv").write_text("time [s],stage,kinetic_energy [J]\n0,a,1\n1,a,2\n")
     assert captions_of(read_run(run)) == []
 
@@ -273,7 +304,8 @@ def captions_of(record):
 
 
 def test_thinned_curve_keeps_peaks_and_ends():
-    time, values = np.arange(1e5), np.zeros(100_000)
+    time = np.arange(1e5)
+    values = np.zeros(100_000)
     values[[0, 777, 5_001, 99_999]] = 1.0, 9.0, -4.0, 2.0
     values[50_000] = np.nan
     x, y = thinned(time, values)
@@ -286,7 +318,9 @@ def test_plot_json_cannot_close_its_script_element():
     group = groups_of([SeriesColumn("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
     plot = plot_of(
         group,
-        TimeSeriesTable(np.array([0.0, 1.0, 2.0]), np.array(["a", "b", "b"]), group.columns, ((0.0, "a"), (0.1, "b"))),
+        TimeSeriesTable(
+            np.array([0.0, 1.0, 2.0]), np.array(["a", "b", "b"]), group.columns, ((0.0, "a"), (0.1, "b"))
+        ),
     )
     assert plot.figure["data"][0]["x"] == [0.0, 2.0]
     assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
@@ -306,7 +340,12 @@ def test_log_yields_sessions_warnings_and_explanations(run):
     (run / "run.log").write_text("a line without time and level\n" + LOG + RESUMED_LOG)
     entries = read_log(run / "run.log")
     first, second = sessions(entries)
-    assert (first.started, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
+    assert (first.started, first.arch, first.precision, first.compiled) == (
+        "2026-01-02 03:04:05",
+        "cpu",
+        "f64",
+        "1.5",
+    )
     assert (second.arch, second.resumed_from) == ("cuda", "resumed from checkpoint_1.npz at 0.1 s")
     assert [(time[-2:], level) for time, level, _ in warnings_and_errors(entries)] == [
         ("06", "warning"),
@@ -331,7 +370,8 @@ def frames_in(directory, count):
 
 
 def test_pictures_of_the_course_are_rendered_besides_others(tmp_path, monkeypatch):
-    """The one picture that exists is not rendered again; a picture with another name follows those of the course."""
+    """The one picture that exists is not rendered again; a picture with another name follows those of the
+    course."""
     frames = frames_in(tmp_path, 9)
     course = course_pictures(tmp_path, frames)
     assert [each.path.name for each in course] == [f"picture_velocity_iso_{k:04d}.png" for k in (2, 4, 6, 8)]
@@ -351,15 +391,25 @@ def test_pictures_of_the_course_are_rendered_besides_others(tmp_path, monkeypatc
     monkeypatch.setattr(pictures_module, "find_spec", lambda name: True)
     shown = [each.path.name for each in pictures_for(tmp_path, tmp_path).shown]
     assert [command[-1] for command in commands] == ["2,6,8"]
-    assert shown == ["film_velocity_iso.mp4", *(each.path.name for each in course), "picture_radius_top_0008.png"]
+    assert shown == [
+        "film_velocity_iso.mp4",
+        *(each.path.name for each in course),
+        "picture_radius_top_0008.png",
+    ]
 
 
 def write_fields(directory, cells):
-    """Fields of a grid of unit cells at 0.5 s: the number of the cell as the solid fraction, a velocity of 2 m/s."""
-    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float)
+    """Fields of a grid of unit cells at 0.5 s: the number of the cell as the solid fraction, a velocity of 2
+    m/s."""
+    corners = np.array(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float
+    )
     points = np.concatenate([corners + index for index in np.ndindex(*cells)])
     count = len(points) // 8
-    values = {"solid_fraction": np.arange(count, dtype=float), "velocity": np.full((count, 3), [2.0, 0.0, 0.0])}
+    values = {
+        "solid_fraction": np.arange(count, dtype=float),
+        "velocity": np.full((count, 3), [2.0, 0.0, 0.0]),
+    }
     mesh = VtuMesh.of_cells("hexahedron", points, np.arange(8 * count).reshape(-1, 8), values)
     write_vtu(directory / "fields_bed_0000.vtu", mesh)
     (directory / "fields_bed.pvd").write_text(

@@ -34,8 +34,12 @@ def write_run(directory, frame_count=3, particle_count=50):
 
 def write_walls(directory, points):
     """Walls of the first frame: the faces of a cube with these corners."""
-    write_vtu(directory / "walls_0000.vtu", VtuMesh.of_cells("quad", points, FACES, {"wall": np.zeros(6, np.int32)}))
-    (directory / "walls.pvd").write_text((directory / "particles.pvd").read_text().replace("particles_", "walls_"))
+    write_vtu(
+        directory / "walls_0000.vtu", VtuMesh.of_cells("quad", points, FACES, {"wall": np.zeros(6, np.int32)})
+    )
+    (directory / "walls.pvd").write_text(
+        (directory / "particles.pvd").read_text().replace("particles_", "walls_")
+    )
 
 
 def array(data, reference, width=1):
@@ -47,19 +51,26 @@ def array(data, reference, width=1):
 
 def test_positions_and_radii_are_within_the_resolution(tmp_path):
     view = interactive_view(write_run(tmp_path))
-    grid, step = view.header["grid"], view.header["radiusStep"]
+    grid = view.header["grid"]
+    step = view.header["radiusStep"]
     for frame, entry in zip(frames_of(tmp_path), view.header["frames"], strict=True):
         particles = read_particles(frame)
         position = grid["low"] + grid["step"] * array(view.data, entry["position"], 3)
         np.testing.assert_allclose(position, particles.position, atol=0.51 * grid["step"], rtol=0)
-        np.testing.assert_allclose(step * array(view.data, entry["radius"]), particles.radius, atol=0.51 * step)
-    assert grid["step"] <= particles.radius.min() / 60 or grid["step"] * 65535 <= 1.01 * np.ptp(particles.position)
+        np.testing.assert_allclose(
+            step * array(view.data, entry["radius"]), particles.radius, atol=0.51 * step
+        )
+    assert grid["step"] <= particles.radius.min() / 60 or grid["step"] * 65535 <= 1.01 * np.ptp(
+        particles.position
+    )
     assert view.statement == "All 3 frames."
 
 
 def test_colors_follow_from_the_labels(tmp_path):
     view = interactive_view(write_run(tmp_path))
-    index = next(k for k, each in enumerate(view.header["quantities"]) if each["title"].startswith("velocity"))
+    index = next(
+        k for k, each in enumerate(view.header["quantities"]) if each["title"].startswith("velocity")
+    )
     labels = [float(each) for each in view.header["quantities"][index]["labels"]]
     speed = np.linalg.norm(read_particles(frames_of(tmp_path)[0]).arrays["velocity"], axis=1)
     levels = array(view.data, view.header["frames"][0]["colors"][index])
@@ -108,14 +119,18 @@ def test_edges_of_a_cube_are_its_twelve_sides():
 
 @pytest.mark.parametrize("corners", [3, 4])
 def test_disc_without_a_hole_has_no_radial_edges(corners):
-    """Facets between the circle and a hole of radius 0: halves of them, or two of their corners, are at the center."""
+    """Facets between the circle and a hole of radius 0: halves of them, or two of their corners, are at the
+    center."""
     angle = 2.0 * np.pi * np.arange(16) / 16
     circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(16)])
-    here, following = np.arange(16), (np.arange(16) + 1) % 16
+    here = np.arange(16)
+    following = (np.arange(16) + 1) % 16
     facets = np.column_stack([here + 16, here, following, following + 16])
     if corners == 3:
         facets = np.concatenate([facets[:, [0, 1, 2]], facets[:, [0, 2, 3]]])
-    found = geometry_of(FrameWalls(np.concatenate([circle, np.zeros((16, 3))]), (facets,), (np.zeros(len(facets)),)))
+    found = geometry_of(
+        FrameWalls(np.concatenate([circle, np.zeros((16, 3))]), (facets,), (np.zeros(len(facets)),))
+    )
     assert len(found.points) == 17 and len(found.edges) == 16
     lengths = np.linalg.norm(np.diff(found.points[found.edges], axis=1), axis=2)
     np.testing.assert_allclose(lengths, 2.0 * np.sin(np.pi / 16), rtol=1e-6)
@@ -137,7 +152,8 @@ def test_unused_points_and_separate_copies_of_points_are_merged():
 
 
 def test_planes_are_cut_around_the_particles():
-    """A large plane is a part of its own, with a box that is unbounded along its normal except for the margin."""
+    """A large plane is a part of its own, with a box that is unbounded along its normal except for the
+    margin."""
     corners = np.array([[-50.0, -50.0, 0.0], [50.0, -50.0, 0.0], [50.0, 50.0, 0.0], [-50.0, 50.0, 0.0]])
     scene = SimpleNamespace(
         walls={"floor": SimpleNamespace(shape="plane"), "box": SimpleNamespace(shape="box")},
@@ -164,8 +180,19 @@ def test_browser_draws_the_particles(tmp_path):
     page = tmp_path / "page.html"
     page.write_text(report_text(record, "", SimpleNamespace(shown=(), statement="")), encoding="utf-8")
     picture = tmp_path / "page.png"
-    command = [CHROMIUM, "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    command += ["--window-size=1200,1400", "--virtual-time-budget=5000", f"--screenshot={picture}", page.as_uri()]
+    command = [
+        CHROMIUM,
+        "--headless",
+        "--no-sandbox",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+    ]
+    command += [
+        "--window-size=1200,1400",
+        "--virtual-time-budget=5000",
+        f"--screenshot={picture}",
+        page.as_uri(),
+    ]
     subprocess.run(command, capture_output=True, timeout=120, check=True)
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
     is_colored = np.ptp(pixels, axis=2) > 60

@@ -69,7 +69,9 @@ def test_small_time_steps_reach_the_given_restitution(taichi_f64):
     rows, _ = measure(two_materials(fraction=0.01))
     velocity = np.array([row.velocity for row in rows])
     fit = np.exp(-FIT["sigma"] * (velocity / (FIT["limit_velocity"] - velocity)) ** FIT["psi"])
-    numbers = np.array([0.6 if "glass-steel" in row.pair or "steel-glass" in row.pair else 0.8 for row in rows])
+    numbers = np.array(
+        [0.6 if "glass-steel" in row.pair or "steel-glass" in row.pair else 0.8 for row in rows]
+    )
     requested = np.where(["steel-steel" in row.pair for row in rows], fit, numbers)
     np.testing.assert_allclose([row.requested for row in rows], requested, rtol=1e-14)
     np.testing.assert_allclose([row.reached for row in rows], requested, rtol=1e-3)
@@ -85,7 +87,9 @@ def test_reached_restitution_equals_that_of_a_run(taichi_f64):
     group = scene.particles["beads"].model_copy(
         update={
             "velocity": (0.0, 0.0, -2.0),
-            "insert": scene.particles["beads"].insert.model_copy(update={"positions": ((0.0, 0.0, 0.005 + step),)}),
+            "insert": scene.particles["beads"].insert.model_copy(
+                update={"positions": ((0.0, 0.0, 0.005 + step),)}
+            ),
         }
     )
     last, simulation = run_to_end(scene.model_copy(update={"particles": {"beads": group}}), until=2e-4)
@@ -139,7 +143,9 @@ def test_each_material_pair_has_at_most_one_warning():
     three_groups = scene.model_copy(update={"particles": {
         name: scene.particles["beads"].model_copy(update={"count": 2}) for name in ("one", "two", "three")
     }})  # fmt: skip
-    fixed = scene.particles["beads"].model_copy(update={"count": 2, "fixed": True, "velocity": (0.0, 0.0, 0.0)})
+    fixed = scene.particles["beads"].model_copy(
+        update={"count": 2, "fixed": True, "velocity": (0.0, 0.0, 0.0)}
+    )
     assert len(warnings_of(three_groups)) == 1
     assert warnings_of(scene.model_copy(update={"particles": {"beads": fixed}})) == []
 
@@ -185,7 +191,8 @@ def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
     ],
 )  # fmt: skip
 def test_restitution_error_of_a_time_step_fraction_is_as_documented(law, restitution, fraction, largest):
-    """accuracy.md: largest deviation [%] of a collision over the phases of first contact, and not far below it."""
+    """accuracy.md: largest deviation [%] of a collision over the phases of first contact, and not far below
+    it."""
     scene = build_scene(
         {"beads": particle_group([[0, 0, 0.1], [0, 0, 0.2]])}, normal=law, pair={"restitution": restitution},
         run={"duration": 1.0, "velocity_max": 1.0}, numerics={"time_step_fraction": fraction, "rayleigh_fraction": 1.0},

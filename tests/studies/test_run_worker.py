@@ -32,7 +32,9 @@ def no_workers_are_left():
 
 @pytest.fixture
 def stand_in(monkeypatch):
-    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    monkeypatch.setattr(
+        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
+    )
 
 
 def request(folder, name, **values):
@@ -62,7 +64,9 @@ def test_runs_of_one_worker_equal_runs_of_separate_processes(tmp_path):
     assert execute(request(tmp_path, "missed", restitution=0.99)).status == MISSED
     assert execute(request(tmp_path, "again", friction=0.2)).status == DONE
     assert pid() == process
-    results = [json.loads((tmp_path / "runs" / name / "result.json").read_text()) for name in ("separate", "again")]
+    results = [
+        json.loads((tmp_path / "runs" / name / "result.json").read_text()) for name in ("separate", "again")
+    ]
     for key in ("totals", "expect", "warnings"):
         assert results[0][key] == results[1][key]
     series = [(tmp_path / "runs" / name / "timeseries.csv").read_bytes() for name in ("separate", "again")]

@@ -18,7 +18,9 @@ def test_all_points_of_a_shipped_sweep_are_valid(path, tmp_path):
     sweep = read_sweep(path)
     assert sweep.content.description
     runs = [
-        run for _, each in checked_points(sweep, RunSettings(tmp_path, 1, "cpu", tmp_path / "stop")) for run in each
+        run
+        for _, each in checked_points(sweep, RunSettings(tmp_path, 1, "cpu", tmp_path / "stop"))
+        for run in each
     ]
     assert not [run for run in runs if not isinstance(run, CheckedRun)]
 
@@ -33,4 +35,6 @@ def test_bounds_of_a_shipped_calibration_are_valid(path, tmp_path):
         for name, scene in study.scenes.items():
             targets = [each for each in study.targets.values() if each.target.scene == name]
             read = {each.target.quantity: each.position for each in targets}
-            assert isinstance(checked_run(scene, settings_of(study.content, name, values), read, common), CheckedRun)
+            assert isinstance(
+                checked_run(scene, settings_of(study.content, name, values), read, common), CheckedRun
+            )

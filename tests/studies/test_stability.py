@@ -71,7 +71,8 @@ def test_a_case_beyond_the_time_limit_is_a_defect():
 
 
 def test_pairs_reach_the_given_or_the_smallest_stable_restitution(taichi_f64):
-    """At theta = 0.5 the step permits e with theta^2 M/dt^2 = k sqrt(dmax) / (0.8 e^2), the tangent of a small e.
+    """At theta = 0.5 the step permits e with theta^2 M/dt^2 = k sqrt(dmax) / (0.8 e^2), the tangent of a
+    small e.
 
     A restitution of 0 needs no tangent: the contact stops the pair in one step.
     """
@@ -104,24 +105,30 @@ def test_time_step_above_the_stable_one_is_rejected(taichi_f64):
 
 
 def test_measured_stability_limit_matches_theory_and_exceeds_the_checked_one(taichi_f64):
-    """Elastic particles without sliding: 2 sqrt(M / (S Kt)), S of a particle rotating between others, Mindlin's Kt / K.
+    """Elastic particles without sliding: 2 sqrt(M / (S Kt)), S of a particle rotating between others,
+    Mindlin's Kt / K.
 
-    Between z anchors: torque z sin^2 Kt R^2, inertia (2/5) m R^2, M = m: S = 2.5 z <sin^2>. All particles of a straight
-    chain rotate in the same direction, which doubles the tangential displacement; M = m/2: S = 5 again.
+    Between z anchors: torque z sin^2 Kt R^2, inertia (2/5) m R^2, M = m: S = 2.5 z <sin^2>. All particles of
+    a straight chain rotate in the same direction, which doubles the tangential displacement; M = m/2: S = 5
+    again.
     """
     ratio = 2.0 * (1.0 - POISSON) / (2.0 - POISSON)
     modes = {"between 2": 5.0, "between 6": 10.0, "between 12": 20.0, "chain of 10": 5.0}
     found = {bound.lattice: bound for bound in real_bounds("hertz, e 1", True)}
     for name, count in modes.items():
-        assert found[name].bound / found[name].scale == pytest.approx(2.0 / math.sqrt(count * ratio), rel=0.03), name
+        assert found[name].bound / found[name].scale == pytest.approx(
+            2.0 / math.sqrt(count * ratio), rel=0.03
+        ), name
     for bound in found.values():
         assert 1.0 / 1.02 < bound.ratio < 2.0 * 1.02, bound
 
 
 def test_light_particle_supports_a_million_times_its_mass(taichi_f64, monkeypatch):
-    """The force deviates by the loss of each contact at its first reversal: the overlap rises by at most F/M dt^2/8.
+    """The force deviates by the loss of each contact at its first reversal: the overlap rises by at most F/M
+    dt^2/8.
 
-    M is the mass of the light particle. At e = 0.5 the unloading tangent is 3.35 times Hertz's 1.5 F/d (model, table).
+    M is the mass of the light particle. At e = 0.5 the unloading tangent is 3.35 times Hertz's 1.5 F/d
+    (model, table).
     """
     monkeypatch.setattr(bed_cases, "REST_STEPS", 2000)
     found = bed_cases.column_at_rest("zhou", (2.5e3, 2.5e9), 1e11)
@@ -166,7 +173,9 @@ def test_missing_matplotlib_omits_only_the_figure(monkeypatch, tmp_path, capsys)
     """The command reports defects, also by its exit code."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     results = [partial(finding, 0.503, 0.003), partial(finding, 0.9, 0.4)]
-    monkeypatch.setattr(report, "all_cases", lambda full: [case_of(work, str(n)) for n, work in enumerate(results)])
+    monkeypatch.setattr(
+        report, "all_cases", lambda full: [case_of(work, str(n)) for n, work in enumerate(results)]
+    )
     monkeypatch.setattr(report, "run_cases", lambda cases, tell: [run_case(case) for case in cases])
     monkeypatch.setitem(report.EXPLANATIONS, "family", "What it is.")
     assert main(["stability", "--out", str(tmp_path)]) == 1

@@ -14,7 +14,10 @@ from granflow.studies.sweep.sweep import checked_points, read_sweep
     ("vary", "words"),
     [
         ("{a: {from: 30 deg, to: 10 deg, count: 2}}", "it must be larger than from, 30 deg."),
-        ("{a: {from: 10 deg, to: 30, count: 2}}", "30 has no unit; give all values in deg, or all in SI units."),
+        (
+            "{a: {from: 10 deg, to: 30, count: 2}}",
+            "30 has no unit; give all values in deg, or all in SI units.",
+        ),
         ("{a: {from: 10 mm, to: 1 s, count: 2}}", "mm and s are units of different dimensions."),
         ("{a: [10 deg, 20]}", "vary.a is [10 deg, 20], but 20 has no unit"),
         ("{a: {values: [10 deg, 1 s]}}", "deg and s are units of different dimensions."),
@@ -39,12 +42,16 @@ def test_range_with_a_unit_has_the_values_of_a_list_with_this_unit():
 def test_unit_of_another_dimension_is_refused_by_the_scene(tmp_path, values):
     """The number 0.01 would be a valid friction."""
     text = f"scene: spheres.yaml\nvary:\n  pairs.steel-steel.friction: {values}\nread: kinetic_energy\n"
-    with pytest.raises(FileError, match=r"sweep.yaml:3:3: pairs.steel-steel.friction is .*a number without a unit is"):
+    with pytest.raises(
+        FileError, match=r"sweep.yaml:3:3: pairs.steel-steel.friction is .*a number without a unit is"
+    ):
         checked_points(read_sweep(write_sweep(tmp_path, text)), settings(tmp_path))
 
 
 def test_bounds_with_a_unit_of_another_dimension_are_refused(tmp_path):
     """The numbers 0.03 and 0.09 would be valid restitutions."""
     found = runner(tmp_path, CALIBRATION.replace("from: 0.3, to: 0.9", "from: 30 mm, to: 90 mm"))
-    with pytest.raises(FileError, match=r"calibration.yaml:4:3: .*restitution is 0.06 m, but a number without a unit"):
+    with pytest.raises(
+        FileError, match=r"calibration.yaml:4:3: .*restitution is 0.06 m, but a number without a unit"
+    ):
         found.check()

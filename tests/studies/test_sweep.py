@@ -1,4 +1,5 @@
-"""Sweeps without runs: messages, points, checks, and the driver with an executor that returns outcomes at once."""
+"""Sweeps without runs: messages, points, checks, and the driver with an executor that returns outcomes at
+once."""
 
 import csv
 import json
@@ -26,7 +27,13 @@ from granflow.studies.run_process import (
     final_outcome,
     write_outcome,
 )
-from granflow.studies.sweep.design import LatinHypercube, SobolSampling, SweepInput, design_points, unit_samples
+from granflow.studies.sweep.design import (
+    LatinHypercube,
+    SobolSampling,
+    SweepInput,
+    design_points,
+    unit_samples,
+)
 from granflow.studies.sweep.sweep import checked_points, read_sweep
 from granflow.studies.sweep.table import table_of, write_tables
 
@@ -80,7 +87,10 @@ def test_invalid_parameters_are_refused(tmp_path, vary, words):
             "vary: {a: {from: 0, to: 1, count: 100000}, b: {from: 0, to: 1, count: 100000}}",
             "vary gives 10000000000 runs",
         ),
-        ("vary: {a: [1, 2]}\nrepeat: {seeds: 1000}\nsampling: {kind: sobol, count: 1024}", "count gives 3072000 runs"),
+        (
+            "vary: {a: [1, 2]}\nrepeat: {seeds: 1000}\nsampling: {kind: sobol, count: 1024}",
+            "count gives 3072000 runs",
+        ),
         (
             "vary: {a: {from: 0, to: 1}}\nsampling: {kind: latin_hypercube, count: 1000000000}",
             "sweep.yaml:3:35: sampling.count gives 1000000000 runs, but a sweep has at most 100000; give fewer values.",
@@ -102,15 +112,17 @@ def test_misspelt_key_of_the_scene_is_reported_at_its_line_of_the_sweep(tmp_path
     sweep = read_sweep(write_sweep(tmp_path, SWEEP.replace("steel.friction", "steel.frction")))
     with pytest.raises(FileError) as caught:
         checked_points(sweep, settings(tmp_path))
-    assert f"{tmp_path}/sweep.yaml:4:3: pairs.steel-steel.frction is not a known key. Did you mean friction?" in str(
-        caught.value
+    assert (
+        f"{tmp_path}/sweep.yaml:4:3: pairs.steel-steel.frction is not a known key. Did you mean friction?"
+        in str(caught.value)
     )
 
 
 def test_unknown_quantity_is_refused_with_the_closest_name(tmp_path):
     sweep = read_sweep(write_sweep(tmp_path, SWEEP.replace("rotational_energy]", "kinetik_energy]")))
     with pytest.raises(
-        FileError, match=r"sweep.yaml:5:24: kinetik_energy is not a number of a run.*Did you mean kinetic_energy\?"
+        FileError,
+        match=r"sweep.yaml:5:24: kinetik_energy is not a number of a run.*Did you mean kinetic_energy\?",
     ):
         checked_points(sweep, settings(tmp_path))
 
@@ -206,21 +218,30 @@ def test_latin_hypercube_has_one_point_in_each_interval():
 def test_sobol_design_gives_the_indices_of_the_ishigami_function():
     """Ishigami & Homma (1990): f = sin x + a sin^2 y + b z^4 sin x on (-pi, pi)^3, with a = 7 and b = 0.1.
 
-    V = a^2/8 + b pi^4/5 + b^2 pi^8/18 + 1/2; V1 = (1 + b pi^4/5)^2 / 2; V2 = a^2/8; V13 = b^2 pi^8 (1/18 - 1/50).
+    V = a^2/8 + b pi^4/5 + b^2 pi^8/18 + 1/2; V1 = (1 + b pi^4/5)^2 / 2; V2 = a^2/8; V13 = b^2 pi^8 (1/18 -
+    1/50).
     """
     sobol = pytest.importorskip("SALib.analyze.sobol")
     x, y, z = (np.pi * (2.0 * unit_samples(SobolSampling(kind="sobol", count=2048, seed=1), 3) - 1.0)).T
     problem = {"num_vars": 3, "names": ["x", "y", "z"]}
     a, b = 7.0, 0.1
-    found = sobol.analyze(problem, np.sin(x) + a * np.sin(y) ** 2 + b * z**4 * np.sin(x), calc_second_order=False)
-    first, second, both = (1 + b * np.pi**4 / 5) ** 2 / 2, a**2 / 8, b**2 * np.pi**8 * (1 / 18 - 1 / 50)
+    found = sobol.analyze(
+        problem, np.sin(x) + a * np.sin(y) ** 2 + b * z**4 * np.sin(x), calc_second_order=False
+    )
+    first = (1 + b * np.pi**4 / 5) ** 2 / 2
+    second = a**2 / 8
+    both = b**2 * np.pi**8 * (1 / 18 - 1 / 50)
     variance = first + second + both
     assert found["S1"] == pytest.approx([first / variance, second / variance, 0.0], abs=0.03)
-    assert found["ST"] == pytest.approx([(first + both) / variance, second / variance, both / variance], abs=0.03)
+    assert found["ST"] == pytest.approx(
+        [(first + both) / variance, second / variance, both / variance], abs=0.03
+    )
 
 
 def test_more_runs_than_cores_are_refused():
-    with pytest.raises(GranflowError, match=r"3 runs of 2 threads need 6 cores, but 4 cores are there: give at most"):
+    with pytest.raises(
+        GranflowError, match=r"3 runs of 2 threads need 6 cores, but 4 cores are there: give at most"
+    ):
         local_jobs(3, 2, 4)
     assert local_jobs(None, 2, 5) == 2
 
@@ -242,10 +263,12 @@ def test_seeds_follow_that_of_the_scene(tmp_path):
 
 
 class Instant:
-    """An executor that answers each request from a list of outcomes by directory name; records the requests."""
+    """An executor that answers each request from a list of outcomes by directory name; records the
+    requests."""
 
     def __init__(self, answers):
-        self.answers, self.requests = {name: list(each) for name, each in answers.items()}, []
+        self.answers = {name: list(each) for name, each in answers.items()}
+        self.requests = []
 
     def submit(self, _, request):
         future = Future()
@@ -259,7 +282,9 @@ class Instant:
 def run(folder, name, kernels="k"):
     directory = folder / name
     directory.mkdir(exist_ok=True)
-    return CheckedRun(RunRequest("scene.yaml", (), str(directory), 1, "cpu", str(folder / ".stop")), 1, kernels)
+    return CheckedRun(
+        RunRequest("scene.yaml", (), str(directory), 1, "cpu", str(folder / ".stop")), 1, kernels
+    )
 
 
 def drive(executor, runs, slots=1):
@@ -288,7 +313,11 @@ def test_lost_runs_are_retried_twice_and_aborted_runs_never(tmp_path):
 
 def test_kernels_of_each_set_are_compiled_before_their_runs(tmp_path):
     executor = Instant({})
-    drive(executor, [run(tmp_path, name, kernels) for name, kernels in zip("abcde", "xxyyz", strict=True)], slots=1)
+    drive(
+        executor,
+        [run(tmp_path, name, kernels) for name, kernels in zip("abcde", "xxyyz", strict=True)],
+        slots=1,
+    )
     order = names(executor)
     assert order.count(".compile_a") == order.count(".compile_c") == 1 and ".compile_e" not in order
     assert order.index(".compile_a") < order.index("a") and order.index(".compile_c") < order.index("c")
@@ -386,7 +415,9 @@ def test_batch_system_that_is_not_installed_is_refused(tmp_path, monkeypatch):
     from granflow.studies.run_pool import BatchProfile, batch_cluster
 
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(GranflowError, match="--slurm requires the command sbatch, which this machine does not have"):
+    with pytest.raises(
+        GranflowError, match="--slurm requires the command sbatch, which this machine does not have"
+    ):
         batch_cluster("slurm", tmp_path / "profile.yaml", BatchProfile(jobs=1, cores=1, memory="1 GB"), 1)
 
 

@@ -55,7 +55,11 @@ def finished(folder, name, value, aborts=False):
 def swept(folder, aborts=(), function=ishigami, **parts):
     """A sweep, by default of three parameters, whose runs have a function of them as their mass flow rate."""
     bounds = {"from": -pi, "to": pi} | ({} if "sampling" in parts else {"count": 3})
-    content = {"scene": "a.yaml", "vary": dict.fromkeys(("a.x", "a.y", "b.z"), bounds), "read": ["mass_flow.out"]}
+    content = {
+        "scene": "a.yaml",
+        "vary": dict.fromkeys(("a.x", "a.y", "b.z"), bounds),
+        "read": ["mass_flow.out"],
+    }
     sweep = SweepInput.model_validate(content | parts)
     points = [
         (point, [finished(folder, f"run{k}", function(*point.values.values()), k in aborts)])
@@ -121,12 +125,16 @@ def test_names_and_values_of_a_sweep_are_no_markup_in_its_plots(tmp_path):
 def test_tables_of_a_sweep_have_the_warnings_of_its_runs(tmp_path):
     sweep, table = swept(tmp_path)
     warned = table.rows[3].runs[0].run.directory / "result.json"
-    warned.write_text(json.dumps(json.loads(warned.read_text()) | {"warnings": ["walls.lid has never touched."]}))
+    warned.write_text(
+        json.dumps(json.loads(warned.read_text()) | {"warnings": ["walls.lid has never touched."]})
+    )
     outcomes = {each.run.request.directory: each.outcome for row in table.rows for each in row.runs}
     points = [(row.point, [each.run for each in row.runs]) for row in table.rows]
     table = table_of(table.parameters, table.quantities, points, outcomes)
     for columns in (table.columns(), table.run_columns()):
-        assert [k for k, text in enumerate(columns["warnings"]) if text == "walls.lid has never touched."] == [3]
+        assert [
+            k for k, text in enumerate(columns["warnings"]) if text == "walls.lid has never touched."
+        ] == [3]
     write_sweep_page(tmp_path, sweep, table)
     page = (tmp_path / "sweep.html").read_text()
     assert ">warnings</th>" in page and "walls.lid has never touched." in page
@@ -144,7 +152,9 @@ def test_page_of_a_sweep_has_degrees_and_the_units_of_the_sweep_file(tmp_path):
     table = table_of(tuple(sweep.vary), sweep.read, [(point, [made])], outcomes)
     write_sweep_page(tmp_path, sweep, table)
     page = (tmp_path / "sweep.html").read_text()
-    assert ">22.918</td>" in page and "a.x [deg] = 20" in page and "angle_of_repose.left [deg] = 22.92" in page
+    assert (
+        ">22.918</td>" in page and "a.x [deg] = 20" in page and "angle_of_repose.left [deg] = 22.92" in page
+    )
     assert "1 of 1 runs, named by a.x [deg]." in page and '"name":"20"' in page
     assert all(f">{head} [deg]</th>" in page for head in ("a.x", "angle_of_repose.left"))
     assert table.columns()["angle_of_repose.left [rad]"] == [0.4]
@@ -200,7 +210,10 @@ def test_missing_numbers_prevent_sobol_indices_with_a_reason(tmp_path):
 
 
 def test_overlay_shows_the_series_of_all_runs(tmp_path):
-    runs = [NamedRun(name, f"x = {name}", finished(tmp_path, name, k + 1.0).directory) for k, name in enumerate("ab")]
+    runs = [
+        NamedRun(name, f"x = {name}", finished(tmp_path, name, k + 1.0).directory)
+        for k, name in enumerate("ab")
+    ]
     plot = series_overlay(runs, ["mass_flow.out"], "x")
     assert [curve["name"] for curve in plot.figure["data"]] == ["a", "b"]
     assert set(plot.figure["data"][1]["y"]) == {2.0}
@@ -225,7 +238,11 @@ def test_overlay_shows_angles_in_degrees(tmp_path):
 def test_browser_draws_each_plot(tmp_path, parameters, plots):
     """Plotly draws an SVG of class main-svg in each plot; a scatter matrix of two columns made it fail."""
     pytest.importorskip("plotly")
-    content = {"scene": "a.yaml", "vary": dict.fromkeys(parameters, [0.1, 0.2, 0.3]), "read": ["mass_flow.out"]}
+    content = {
+        "scene": "a.yaml",
+        "vary": dict.fromkeys(parameters, [0.1, 0.2, 0.3]),
+        "read": ["mass_flow.out"],
+    }
     sweep = SweepInput.model_validate(content)
     points = [
         (point, [finished(tmp_path, f"run{k}", sum(point.values.values()))])
@@ -233,7 +250,13 @@ def test_browser_draws_each_plot(tmp_path, parameters, plots):
     ]
     outcomes = {each.request.directory: final_outcome(each.directory) for _, (each,) in points}
     write_sweep_page(tmp_path, sweep, table_of(tuple(sweep.vary), sweep.read, points, outcomes))
-    command = [CHROMIUM, "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    command = [
+        CHROMIUM,
+        "--headless",
+        "--no-sandbox",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+    ]
     command += ["--virtual-time-budget=9000", "--dump-dom", (tmp_path / "sweep.html").as_uri()]
     page = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
     page = page.partition("<body")[2]
@@ -250,9 +273,20 @@ def test_plots_follow_the_width_of_the_page(tmp_path):
     page = tmp_path / "sweep.html"
     script = "<script>setTimeout(() => { document.body.style.width = '300px'; }, 6000);</script></body>"
     page.write_text(page.read_text().replace("</body>", script))
-    command = [CHROMIUM, "--headless", "--no-sandbox", "--window-size=1000,800", "--virtual-time-budget=12000"]
-    dump = subprocess.run([*command, "--dump-dom", page.as_uri()], capture_output=True, text=True, timeout=120).stdout
-    widths = {int(width) for width in re.findall(r'class="main-svg"[^>]*? width="(\d+)"', dump.partition("<body")[2])}
+    command = [
+        CHROMIUM,
+        "--headless",
+        "--no-sandbox",
+        "--window-size=1000,800",
+        "--virtual-time-budget=12000",
+    ]
+    dump = subprocess.run(
+        [*command, "--dump-dom", page.as_uri()], capture_output=True, text=True, timeout=120
+    ).stdout
+    widths = {
+        int(width)
+        for width in re.findall(r'class="main-svg"[^>]*? width="(\d+)"', dump.partition("<body")[2])
+    }
     assert widths == {300}
 
 
@@ -269,7 +303,8 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
     """The energy responds to the restitution only, so that the friction cannot be identified."""
     pytest.importorskip("plotly")
     found = runner(tmp_path)
-    search, random = found.search, np.random.default_rng(1)
+    search = found.search
+    random = np.random.default_rng(1)
     while (trial := search.next_trial()) is not None:
         residual = 50.0 * (trial.params["restitution"] - 0.62) + random.normal(0.0, 0.1)
         trial.set_user_attr("residuals", {"energy": [residual]})
@@ -279,7 +314,9 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
     result = result_of(search, found.targets)
     friction, restitution = result.parameters
     assert restitution.value == pytest.approx(0.62, abs=0.02) and not restitution.not_identified
-    assert restitution.optimum == pytest.approx(0.62, abs=3.0 * restitution.deviation) and np.isnan(friction.optimum)
+    assert restitution.optimum == pytest.approx(0.62, abs=3.0 * restitution.deviation) and np.isnan(
+        friction.optimum
+    )
     assert friction.not_identified.startswith(
         "friction cannot be identified from the targets: none of them responds to it between its bounds by more than "
         "the scatter between runs; energy changes by "
@@ -295,8 +332,11 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
 def test_heat_map_of_equal_values_is_labeled_with_their_value(tmp_path):
     sweep, table = swept(tmp_path)
     rows = tuple(
-        replace(row, runs=[replace(each, numbers={"mass_flow.out": 2.5}) for each in row.runs]) for row in table.rows
+        replace(row, runs=[replace(each, numbers={"mass_flow.out": 2.5}) for each in row.runs])
+        for row in table.rows
     )
     bars = [plot.figure["data"][0]["colorbar"] for plot in heat_maps(shown(sweep, replace(table, rows=rows)))]
     assert [bar["ticktext"] for bar in bars] == [["2.5"]] * 3
-    assert all("ticktext" not in plot.figure["data"][0]["colorbar"] for plot in heat_maps(shown(sweep, table)))
+    assert all(
+        "ticktext" not in plot.figure["data"][0]["colorbar"] for plot in heat_maps(shown(sweep, table))
+    )

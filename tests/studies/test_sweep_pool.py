@@ -23,7 +23,9 @@ STATUSES = ["done"] * 3 + ["aborted"] + ["expectation missed"] * 3 + ["aborted"]
 
 @pytest.fixture(autouse=True)
 def stand_in(monkeypatch):
-    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    monkeypatch.setattr(
+        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
+    )
 
 
 @pytest.fixture
@@ -40,7 +42,9 @@ def wait_after(out, count):
 
 def rows(out):
     with open(out / "sweep.csv", newline="") as file:
-        return [{name: cell for name, cell in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+        return [
+            {name: cell for name, cell in row.items() if name != "seconds"} for row in csv.DictReader(file)
+        ]
 
 
 def starts(out):
@@ -52,10 +56,14 @@ def starts(out):
 def test_sweep_with_an_abort_and_a_refusal_has_twelve_rows_and_repeats_nothing(sweep, tmp_path):
     out = tmp_path / "out"
     events = []
-    assert not run_sweep(sweep, out, Workers(jobs=2), report=lambda _, event: events.append(event)).is_complete
+    assert not run_sweep(
+        sweep, out, Workers(jobs=2), report=lambda _, event: events.append(event)
+    ).is_complete
     found = rows(out)
     assert [row["status"] for row in found] == STATUSES
-    assert [row["kinetic_energy [J]"] for row in found[:3]] == [repr(0.5 + k) for k in (0.1, 0.2, 0.30000000000000004)]
+    assert [row["kinetic_energy [J]"] for row in found[:3]] == [
+        repr(0.5 + k) for k in (0.1, 0.2, 0.30000000000000004)
+    ]
     assert (
         found[0]["rotational_energy [J]"] == ""
         and found[3]["reason"] == f"Stopped: overlap above the limit. State in runs/{found[3]['runs']}."
@@ -72,7 +80,8 @@ def test_sweep_with_an_abort_and_a_refusal_has_twelve_rows_and_repeats_nothing(s
 
 
 def test_stopped_sweep_resumes_from_checkpoints_to_the_same_table(sweep, tmp_path):
-    out, whole = tmp_path / "out", tmp_path / "whole"
+    out = tmp_path / "out"
+    whole = tmp_path / "whole"
     run_sweep(sweep, whole, Workers(jobs=1))
     stop = threading.Event()
     wait_after(out, 2)
@@ -99,7 +108,8 @@ def test_stopped_sweep_resumes_from_checkpoints_to_the_same_table(sweep, tmp_pat
 
 def test_run_whose_scene_was_edited_after_its_check_is_not_kept(sweep, tmp_path):
     """The scene is edited after the first result: the other runs would have the results of another scene."""
-    out, scene = tmp_path / "out", tmp_path / "spheres.yaml"
+    out = tmp_path / "out"
+    scene = tmp_path / "spheres.yaml"
     original = scene.read_text()
 
     def edit(_, event):
@@ -122,7 +132,8 @@ def test_run_whose_scene_was_edited_after_its_check_is_not_kept(sweep, tmp_path)
 def test_a_run_with_a_damaged_result_is_repeated(sweep, tmp_path, content):
     out = tmp_path / "out"
     run_sweep(sweep, out, Workers(jobs=1))
-    before, count = rows(out), len(starts(out))
+    before = rows(out)
+    count = len(starts(out))
     (out / "runs" / before[0]["runs"] / "result.json").write_text(content)
     (out / "runs" / before[3]["runs"] / "outcome.json").write_text(content)
     run_sweep(sweep, out, Workers(jobs=1))
@@ -238,10 +249,13 @@ def test_stop_signal_leaves_a_table_and_a_checkpoint(sweep, tmp_path, number, co
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_stop_signal_ends_the_check_of_many_points(tmp_path, number, code):
-    """The check of 18000 points takes a minute or more; it states its progress every 5 s, and stops at once."""
+    """The check of 18000 points takes a minute or more; it states its progress every 5 s, and stops at
+    once."""
     write_sweep(tmp_path, SWEEP.replace("count: 4", "count: 6000"))
     command = [sys.executable, "-u", "-c", DRIVER, "sweep", "sweep.yaml", "--out", "out"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         line = process.stdout.readline()
         assert line.endswith(" of 18000 points are checked ...\n"), line
         process.send_signal(number)
@@ -253,15 +267,29 @@ def test_stop_signal_ends_the_check_of_many_points(tmp_path, number, code):
 
 @pytest.mark.slow
 def test_external_scheduler_gives_the_same_table_although_a_worker_is_killed(sweep, tmp_path):
-    """Scheduler and workers are processes of their own; the first worker and its run are killed during the run."""
+    """Scheduler and workers are processes of their own; the first worker and its run are killed during the
+    run."""
     pytest.importorskip("distributed")
     run_sweep(sweep, tmp_path / "local", Workers(jobs=1))
-    out, file, preload = tmp_path / "out", tmp_path / "scheduler.json", tmp_path / "preload.py"
+    out = tmp_path / "out"
+    file = tmp_path / "scheduler.json"
+    preload = tmp_path / "preload.py"
     preload.write_text(
         DRIVER.replace("sys.exit(main(sys.argv[1:]))", "").replace("from granflow.cli.main import main", "")
     )
-    dask, where = [sys.executable, "-m", "dask"], ["--scheduler-file", str(file)]
-    worker = [*dask, "worker", *where, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--preload", str(preload)]
+    dask = [sys.executable, "-m", "dask"]
+    where = ["--scheduler-file", str(file)]
+    worker = [
+        *dask,
+        "worker",
+        *where,
+        "--nthreads",
+        "1",
+        "--no-nanny",
+        "--no-dashboard",
+        "--preload",
+        str(preload),
+    ]
     with ExitStack() as stack:
         scheduler = started(stack, [*dask, "scheduler", *where, "--port", "0", "--no-dashboard"], tmp_path)
         while not file.exists():
@@ -273,7 +301,9 @@ def test_external_scheduler_gives_the_same_table_although_a_worker_is_killed(swe
         wait_after(out, 2)
         process = driver(tmp_path, out, *where)
         before = results_before_waiting(out, process)
-        running = subprocess.run(["pgrep", "-P", str(first.pid)], capture_output=True, text=True).stdout.split()
+        running = subprocess.run(
+            ["pgrep", "-P", str(first.pid)], capture_output=True, text=True
+        ).stdout.split()
         for each in (first.pid, *map(int, running)):
             os.kill(each, signal.SIGKILL)
         (out / "wait").unlink()

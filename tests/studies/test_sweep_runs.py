@@ -1,4 +1,5 @@
-"""Sweeps with runs: complete, killed and continued, on a local pool and on Dask; calibration of planted values."""
+"""Sweeps with runs: complete, killed and continued, on a local pool and on Dask; calibration of planted
+values."""
 
 import csv
 import os
@@ -21,7 +22,8 @@ vary:
   pairs.steel-steel.friction: {values: [0.1, 0.2, 0.3, 0.4], with: {numerics.max_overlap: [0.1, 0.1, 0.1, 1e-6]}}
 read: [kinetic_energy, rotational_energy]
 """
-"""Twelve points: a restitution of 1.2 is refused, and a run with the last friction is aborted by the overlap limit."""
+"""Twelve points: a restitution of 1.2 is refused, and a run with the last friction is aborted by the overlap
+limit."""
 
 
 def granflow(folder, *arguments, check=True):
@@ -34,12 +36,16 @@ def granflow(folder, *arguments, check=True):
 def table(folder, out):
     """Rows of the table without the wall-clock times, which differ from run to run."""
     with open(folder / out / "sweep.csv", newline="") as file:
-        return [{name: cell for name, cell in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+        return [
+            {name: cell for name, cell in row.items() if name != "seconds"} for row in csv.DictReader(file)
+        ]
 
 
 def results(folder, out):
     """Time stamps of the results of the completed runs."""
-    return {path.parent.name: path.stat().st_mtime_ns for path in (folder / out / "runs").glob("*/result.json")}
+    return {
+        path.parent.name: path.stat().st_mtime_ns for path in (folder / out / "runs").glob("*/result.json")
+    }
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +71,8 @@ def test_sweep_has_a_row_for_each_point_and_a_nonzero_exit_code(home):
 
 def test_same_command_repeats_no_run(home):
     folder, _ = home
-    before, rows = results(folder, "local"), table(folder, "local")
+    before = results(folder, "local")
+    rows = table(folder, "local")
     assert granflow(folder, "sweep", "sweep.yaml", "--out", "local").returncode == 1
     assert results(folder, "local") == before and table(folder, "local") == rows
 
@@ -96,7 +103,9 @@ def test_interrupted_sweep_stops_with_a_table_and_continues(home):
     third.mkdir(parents=True)
     command = [sys.executable, "-m", "granflow", "sweep", "sweep.yaml", "--out", "stopped", "--jobs", "1"]
     with locked(third):
-        driver = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        driver = subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
         while len(results(folder, "stopped")) < 2:
             assert driver.poll() is None
             time.sleep(0.1)
@@ -128,13 +137,17 @@ def test_external_scheduler_gives_the_same_table_although_a_worker_is_killed(hom
     worker = [*start, "worker", *where, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     processes = [
-        subprocess.Popen([*start, "scheduler", *where, "--port", "0", "--no-dashboard"], cwd=tmp_path, **quiet),
+        subprocess.Popen(
+            [*start, "scheduler", *where, "--port", "0", "--no-dashboard"], cwd=tmp_path, **quiet
+        ),
         subprocess.Popen(worker, cwd=tmp_path, **quiet),
     ]
     try:
         time.sleep(20.0)
         command = [sys.executable, "-m", "granflow", "sweep", "sweep.yaml", "--out", "external", *where]
-        driver = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        driver = subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         while not results(folder, "external"):
             assert driver.poll() is None, driver.communicate()
             time.sleep(0.1)
@@ -165,7 +178,9 @@ def test_killed_run_resumes_from_its_checkpoint(tmp_path):
     long = SCENE.replace("duration: 2 ms", "duration: 0.1 s").replace(
         "walls: false", "walls: false, checkpoint: {interval: 5 ms}"
     )
-    path = write_sweep(tmp_path, SWEEP.replace("[0.5, 0.9, 1.2]", "[0.5]").replace("count: 4", "count: 2"), long)
+    path = write_sweep(
+        tmp_path, SWEEP.replace("[0.5, 0.9, 1.2]", "[0.5]").replace("count: 4", "count: 2"), long
+    )
     command = [sys.executable, "-m", "granflow", "sweep", path.name, "--out", "killed", "--jobs", "1"]
     driver = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while not any((tmp_path / "killed" / "runs").glob("[0-9a-f]*/checkpoint_*.npz")):
@@ -178,4 +193,6 @@ def test_killed_run_resumes_from_its_checkpoint(tmp_path):
     for out in ("killed", "whole"):
         granflow(tmp_path, "sweep", path.name, "--out", out)
     assert table(tmp_path, "killed") == table(tmp_path, "whole")
-    assert "resumed from" in "".join(each.read_text() for each in (tmp_path / "killed" / "runs").glob("*/run.log"))
+    assert "resumed from" in "".join(
+        each.read_text() for each in (tmp_path / "killed" / "runs").glob("*/run.log")
+    )

@@ -20,7 +20,14 @@ def case(value, **more):
 
 @pytest.mark.parametrize(
     ("value", "status"),
-    [(2.0, "pass"), (2.019, "pass"), (1.981, "pass"), (2.021, "fail"), (1.979, "fail"), (float("nan"), "fail")],
+    [
+        (2.0, "pass"),
+        (2.019, "pass"),
+        (1.981, "pass"),
+        (2.021, "fail"),
+        (1.979, "fail"),
+        (float("nan"), "fail"),
+    ],
 )
 def test_status_depends_on_the_allowed_deviation(value, status):
     assert case(value).status == status
@@ -33,7 +40,8 @@ def test_scale_replaces_the_reference():
 
 @pytest.fixture
 def families(monkeypatch):
-    """The families of `granflow validate`, initially none: a test sets its own cases in place of minutes of runs."""
+    """The families of `granflow validate`, initially none: a test sets its own cases in place of minutes of
+    runs."""
     chosen = {}
     monkeypatch.setattr(report, "FAMILIES", chosen)
     monkeypatch.setattr(report, "CASES", {})
@@ -85,4 +93,6 @@ def test_elastic_collision_stack_and_incline_pass(taichi_f64):
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_no_case_fails(taichi_f64):
-    assert [each.name for family in report.FAMILIES.values() for each in family() if each.status == "fail"] == []
+    assert [
+        each.name for family in report.FAMILIES.values() for each in family() if each.status == "fail"
+    ] == []

@@ -28,7 +28,8 @@ def test_integrated_cooling_of_constant_restitution_is_haffs_law():
 
 
 def test_restitution_of_viscoelastic_spheres_follows_the_series():
-    """e = 1 - 1.15344 g + 0.79826 g^2 with g ~ v^(1/5) (Ramirez et al. 1999); the remainder is below g^(5/2) / 2."""
+    """e = 1 - 1.15344 g + 0.79826 g^2 with g ~ v^(1/5) (Ramirez et al. 1999); the remainder is below g^(5/2)
+    / 2."""
     restitution = gas.viscoelastic_restitution(0.97, 1.0)
     g = (1.15344 - np.sqrt(1.15344**2 - 4.0 * 0.79826 * 0.03)) / (2.0 * 0.79826)
     speed = np.array([0.01, 0.1, 3.0])
@@ -56,7 +57,8 @@ def test_six_directions_dissipate_less_than_a_maxwell_gas():
 
 
 def test_oblique_impacts_of_soft_particles_dissipate_less(taichi_f64):
-    """The correction and the duration are proportional to E^(-2/5), apart from terms of the order of the correction."""
+    """The correction and the duration are proportional to E^(-2/5), apart from terms of the order of the
+    correction."""
     soft, stiff = (cooling.softness(modulus, "zhou", 0.15, constant(0.8)) for modulus in (5e7, 5e9))
     assert 0.96 < soft.oblique < stiff.oblique < 1.0
     assert (1.0 - soft.oblique) / (1.0 - stiff.oblique) == pytest.approx(100**0.4, rel=0.2)
@@ -78,13 +80,19 @@ def test_evaluation_of_the_flights_of_a_vibrated_particle():
 
 
 def column_record(share_of_janssen, levels=4000):
-    """A snapshot of a column of particles whose wall carries the given share of what Janssen's law predicts."""
-    height, friction, ratio = 6.0 * silo.SILO_RADIUS, silo.FRICTION, 0.7
-    area, z = np.pi * silo.SILO_RADIUS**2, (np.arange(levels) + 0.5) * height / levels
+    """A snapshot of a column of particles whose wall carries the given share of what Janssen's law
+    predicts."""
+    height = 6.0 * silo.SILO_RADIUS
+    friction = silo.FRICTION
+    ratio = 0.7
+    area = np.pi * silo.SILO_RADIUS**2
+    z = (np.arange(levels) + 0.5) * height / levels
     mass = np.full(levels, 1500.0 * area * height / levels)
     length = silo.SILO_RADIUS / (2.0 * friction * ratio)
     vertical = 1500.0 * silo.GRAVITY * length * -np.expm1(-(height - z) / length)
-    normal = ratio * vertical * 2.0 * np.pi * silo.SILO_RADIUS * height / levels * share_of_janssen(z / height)
+    normal = (
+        ratio * vertical * 2.0 * np.pi * silo.SILO_RADIUS * height / levels * share_of_janssen(z / height)
+    )
     weight = silo.GRAVITY * mass.sum()
     force = np.zeros((levels + 1, 3))
     force[:, 2] = [weight - friction * normal.sum(), *(friction * normal)]

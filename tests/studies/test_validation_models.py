@@ -26,7 +26,8 @@ def statuses(cases):
      (0.9, 0.290089, 1.2067, 1.14), (1.0, 0.0, 1.4716, 1.0)],
 )  # fmt: skip
 def test_integrated_collision_has_the_figures_of_the_paper(e, residual, unloading, tangent):
-    """Zhou 2011: residual overlap over the maximum one, eta2 of Eq. 15, tangents; eta1 = 1.471637592 (Eq. 14)."""
+    """Zhou 2011: residual overlap over the maximum one, eta2 of Eq. 15, tangents; eta1 = 1.471637592 (Eq.
+    14)."""
     found = theory.zhou_collision(SPHERES, e, 20.0)
     unit = SPHERES.largest_overlap(20.0) / 20.0
     assert found.velocity == pytest.approx(20.0 * e, rel=1e-8)
@@ -38,7 +39,9 @@ def test_integrated_collision_has_the_figures_of_the_paper(e, residual, unloadin
 
 def test_integrated_elastic_collision_has_the_figures_of_chung_and_ooi():
     found = theory.zhou_collision(SPHERES, 1.0, 20.0)
-    assert (found.overlap, found.force, found.duration) == pytest.approx((274.11e-6, 10.697e3, 40.34e-6), rel=6e-4)
+    assert (found.overlap, found.force, found.duration) == pytest.approx(
+        (274.11e-6, 10.697e3, 40.34e-6), rel=6e-4
+    )
 
 
 def test_limit_velocities_and_restitutions_of_both_steels():

@@ -1,4 +1,5 @@
-"""Comparison with LIGGGHTS and LAMMPS: initial states, stored figures, inputs, runs of the programs and evaluation."""
+"""Comparison with LIGGGHTS and LAMMPS: initial states, stored figures, inputs, runs of the programs and
+evaluation."""
 
 import json
 import math
@@ -14,7 +15,17 @@ from granflow.cli import main
 from granflow.contact.theory import damping_ratio_for
 from granflow.errors import GranflowError
 from granflow.studies.validation import report
-from granflow.studies.validation.peers import bed, case, compare, drum, impact, orifice, programs, shaken, silo
+from granflow.studies.validation.peers import (
+    bed,
+    case,
+    compare,
+    drum,
+    impact,
+    orifice,
+    programs,
+    shaken,
+    silo,
+)
 from granflow.studies.validation.peers.state import DENSITY, GRAVITY, LARGEST, Particles
 
 CASES = tuple(compare.CASES.values())
@@ -109,15 +120,19 @@ def flying(times, count=100, velocity=(0.0, 0.0, 0.0), position=(0.0, 0.0, 0.05)
     ones = np.ones((count, 1))
     return {
         round(float(time), 6): Particles(
-            ones * (np.array(position) + np.array(velocity) * time), ones * np.array(velocity), np.full(count, 4e-3)
+            ones * (np.array(position) + np.array(velocity) * time),
+            ones * np.array(velocity),
+            np.full(count, 4e-3),
         )
         for time in times
     }
 
 
 def test_figures_of_the_shaken_box():
-    """A bed that moves with the box takes no power on average; one whose acceleration follows its velocity does."""
-    times, vibration = shaken.times(), 2.0 * math.pi * shaken.FREQUENCY
+    """A bed that moves with the box takes no power on average; one whose acceleration follows its velocity
+    does."""
+    times = shaken.times()
+    vibration = 2.0 * math.pi * shaken.FREQUENCY
     frames = flying(times)
     swing = 0.1
 
@@ -130,7 +145,10 @@ def test_figures_of_the_shaken_box():
     np.testing.assert_allclose(found["power of the walls [W]"], power, rtol=2.5e-3)
     np.testing.assert_allclose(found["granular temperature [m2/s2]"], 0.0, atol=1e-20)
     assert len(found["power of the walls [W]"]) == (shaken.PERIODS - shaken.TRANSIENT) // shaken.INTERVAL
-    in_phase = {t: replace(s, velocity=s.velocity + [0, 0, swing * math.cos(vibration * t)]) for t, s in frames.items()}
+    in_phase = {
+        t: replace(s, velocity=s.velocity + [0, 0, swing * math.cos(vibration * t)])
+        for t, s in frames.items()
+    }
     np.testing.assert_allclose(shaken.figures(in_phase)["power of the walls [W]"], 0.0, atol=1e-3 * power)
 
 
@@ -147,7 +165,9 @@ def test_granular_temperature_is_the_variance_per_component():
 def test_figures_of_the_silo():
     frames = flying((silo.OPENING, *silo.FLOW_TIMES))
     first, last = silo.FLOW_TIMES
-    below = replace(frames[last], position=frames[last].position - [0, 0, 1.0] * (np.arange(100) < 40)[:, None])
+    below = replace(
+        frames[last], position=frames[last].position - [0, 0, 1.0] * (np.arange(100) < 40)[:, None]
+    )
     found = silo.SILO.figures({**frames, last: below})
     mass = DENSITY * math.pi / 6.0 * 4e-3**3
     assert found["mass flow rate [kg/s]"] == pytest.approx(40 * mass / (last - first))
@@ -167,7 +187,8 @@ def test_the_quick_discharge_fails_if_a_fifth_more_particles_flow_out(monkeypatc
 
 
 def test_figures_of_the_impact():
-    """The sphere is 10 mm deep at its lowest point in a bed of 60 mm whose center of mass is at half its height."""
+    """The sphere is 10 mm deep at its lowest point in a bed of 60 mm whose center of mass is at half its
+    height."""
     times = np.round(impact.IMPACT.times, 6)
     lowest = 0.05 + 0.5 * impact.DIAMETER
     frames = {
@@ -185,14 +206,16 @@ def test_figures_of_the_impact():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_figures_of_the_drum(side):
     """The angle does not depend on the sense of rotation."""
-    angle, distance = math.radians(30.0), 0.02
+    angle = math.radians(30.0)
+    distance = 0.02
     position = (side * distance * math.sin(angle), -distance * math.cos(angle), 0.01)
     found = drum.figures(flying(drum.DRUMS[0].times, position=position))
     assert list(found.values()) == pytest.approx([30.0, distance])
 
 
 def test_evaluation_compares_with_each_code():
-    """Three runs of each code with a standard deviation of 0.01: t of Student is 6.62 for four degrees of freedom."""
+    """Three runs of each code with a standard deviation of 0.01: t of Student is 6.62 for four degrees of
+    freedom."""
     stored = {
         name: {
             "column": {
@@ -215,13 +238,18 @@ def test_allowed_difference_covers_the_stated_share_of_equal_distributions():
     random = np.random.default_rng(7)
     beyond = 0
     for _ in range(20000):
-        ours, theirs = random.standard_normal(4), random.standard_normal(6)
+        ours = random.standard_normal(4)
+        theirs = random.standard_normal(6)
         beyond += abs(ours.mean() - theirs.mean()) > compare.allowed_difference(ours, theirs)[0]
     assert 25 < beyond < 85
 
 
 def test_cases_with_equal_laws_are_allowed_scatter_alone():
-    stored = {"one": {silo.SILO.name: {"version": "1", "date": "2026-01-01", "figures": {"flow [kg/s]": [1.0, 1.0]}}}}
+    stored = {
+        "one": {
+            silo.SILO.name: {"version": "1", "date": "2026-01-01", "figures": {"flow [kg/s]": [1.0, 1.0]}}
+        }
+    }
     same, other = (
         compare.compared(silo.SILO, {"flow [kg/s]": values}, stored) for values in ([1.0, 1.0], [1.01, 1.01])
     )
@@ -244,7 +272,9 @@ def test_frames_of_a_dump_are_ordered_by_id(tmp_path):
 def test_hopper_of_triangles_lies_on_cone_and_tube(tmp_path):
     programs.write_stl(tmp_path / "hopper.stl", bed.hopper_triangles()["hopper.stl"])
     text = (tmp_path / "hopper.stl").read_text()
-    vertex = np.array([line.split()[1:] for line in text.splitlines() if line.startswith("vertex")], dtype=float)
+    vertex = np.array(
+        [line.split()[1:] for line in text.splitlines() if line.startswith("vertex")], dtype=float
+    )
     slope = (bed.TUBE - bed.ORIFICE) / bed.CONE_HEIGHT
     expected = np.minimum(bed.TUBE, bed.ORIFICE + slope * vertex[:, 2])
     np.testing.assert_allclose(np.hypot(vertex[:, 0], vertex[:, 1]), expected, atol=1e-9)
@@ -279,13 +309,19 @@ SMALL = replace(
 """A case whose figure is known from the dump of the stand-in."""
 
 
-def test_validate_with_peers_runs_the_installed_code_and_shows_the_stored_figures_of_the_other(tmp_path, monkeypatch):
+def test_validate_with_peers_runs_the_installed_code_and_shows_the_stored_figures_of_the_other(
+    tmp_path, monkeypatch
+):
     dump = (FRAME.format(0) + ROWS).replace("\n", "\\n")
     run = f'echo "$@" > called; printf "{dump}" > frames.txt'
     script = f'if [ "$1" = -h ]; then echo "LIGGGHTS-PUBLIC 9.9.9"; else {run}; fi'
     stand_in(tmp_path, "liggghts", script)
-    monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin" if not (programs.shutil.which("lmp")) else str(tmp_path))
-    monkeypatch.setattr(programs.shutil, "which", lambda name: str(tmp_path / name) if name == "liggghts" else None)
+    monkeypatch.setenv(
+        "PATH", f"{tmp_path}:/bin:/usr/bin" if not (programs.shutil.which("lmp")) else str(tmp_path)
+    )
+    monkeypatch.setattr(
+        programs.shutil, "which", lambda name: str(tmp_path / name) if name == "liggghts" else None
+    )
     monkeypatch.setattr(compare, "CASES", {SMALL.name: SMALL})
     found = compare.run_peers(tmp_path / "out", cases={SMALL.name: SMALL})
     run = found["LIGGGHTS"][SMALL.name]

@@ -1,4 +1,5 @@
-"""tools/banned_words.py: banned words are found in code, comments, scenes and pages; clean files are accepted."""
+"""tools/banned_words.py: banned words are found in code, comments, scenes and pages; clean files are
+accepted."""
 
 import importlib
 import subprocess
@@ -80,7 +81,9 @@ def test_exit_code_is_1_if_a_word_is_found(tmp_path):
 
 
 def test_words_are_unique_and_have_a_replacement(checker):
-    rows = [line.split("\t") for line in checker.WORDS.read_text(encoding="utf-8").splitlines() if line[0] != "#"]
+    rows = [
+        line.split("\t") for line in checker.WORDS.read_text(encoding="utf-8").splitlines() if line[0] != "#"
+    ]
     assert all(len(row) == 3 and row[0] in ("text", "name", "both") and row[2] for row in rows)
     for kind in ("text", "name"):
         words = [word for where, word, _ in rows if where in (kind, "both")]

@@ -28,7 +28,8 @@ def test_tiling_appends_the_mirror_image():
     bed = three_particle_bed()
     two = module("cases").tiled(bed, 6)
     assert two.sides == (0.020, 0.020) and two.count == 6
-    # Mirror image at x = 10 mm: 9.1 mm -> 10.9 mm. The wall overlap of 0.1 mm becomes a particle overlap of 0.2 mm.
+    # Mirror image at x = 10 mm: 9.1 mm -> 10.9 mm. The wall overlap of 0.1 mm becomes a particle overlap of
+    # 0.2 mm.
     np.testing.assert_allclose(two.position[3], [0.0109, 0.005, 0.001], rtol=1e-12)
     gap = np.linalg.norm(two.position[0] - two.position[3]) - 0.5 * (two.diameter[0] + two.diameter[3])
     assert gap == pytest.approx(-2e-4, rel=1e-9)
@@ -45,7 +46,8 @@ def test_each_tile_contains_all_particles():
 
 
 def test_written_data_file_is_read_exactly(tmp_path):
-    cases, bed = module("cases"), three_particle_bed()
+    cases = module("cases")
+    bed = three_particle_bed()
     cases.write_data(bed, tmp_path / "bed3.data")
     read = cases.read_data(tmp_path / "bed3.data")
     np.testing.assert_allclose(read.position, bed.position, rtol=1e-11)
@@ -68,12 +70,15 @@ def test_hopper_mesh_has_the_area_of_cone_and_tube(tmp_path):
 
 
 def test_lammps_damping_gives_the_restitution():
-    """A collision with LAMMPS' model, integrated by scipy: e is about 0.9 at the mean overlap of the damping."""
+    """A collision with LAMMPS' model, integrated by scipy: e is about 0.9 at the mean overlap of the
+    damping."""
     from scipy.integrate import solve_ivp
 
     cases = module("cases")
-    stiffness, damping = cases.hertz_stiffnesses()[0], cases.lammps_damping()
-    radius, mass = 1e-3, 0.5 * 2500 * 4 / 3 * np.pi * 2e-3**3
+    stiffness = cases.hertz_stiffnesses()[0]
+    damping = cases.lammps_damping()
+    radius = 1e-3
+    mass = 0.5 * 2500 * 4 / 3 * np.pi * 2e-3**3
     overlap_max = 2.0 * cases.OVERLAP_MEAN  # the mean over a collision is about half of the maximum
     speed = np.sqrt(0.8 * stiffness * np.sqrt(radius) * overlap_max**2.5 / mass)
 
@@ -115,7 +120,8 @@ Neighbor list builds = 0
 
 
 def hopper_job(threads):
-    cases, codes = module("cases"), module("codes")
+    cases = module("cases")
+    codes = module("codes")
     case = replace(three_particle_bed(), kind="hopper")
     return codes.Job("lammps", "hertz", case, threads, "f64", 5e-4, cases.Steps(100, 200))
 
@@ -151,7 +157,8 @@ def points(**rates):
 
 def test_ratios_are_computed_within_a_round():
     tables = module("tables")
-    # The machine is half as fast in round 2, and LAMMPS has no round 3: only rounds of both codes are compared.
+    # The machine is half as fast in round 2, and LAMMPS has no round 3: only rounds of both codes are
+    # compared.
     result = {"points": points(granflow_hertz=[40e6, 20e6, 30e6], lammps_hertz=[20e6, 10e6]), "notes": []}
     lammps = next(group for group in tables.groups(result) if group.code == "lammps")
     ratio = tables.ratio(result, lammps)
@@ -161,7 +168,9 @@ def test_ratios_are_computed_within_a_round():
 
 def test_bytes_of_integration_equal_those_of_its_fields():
     counts = module("counts")
-    fields = dict.fromkeys(("position", "velocity", "angular_velocity", "force", "torque", "position_at_rebuild"), 24)
+    fields = dict.fromkeys(
+        ("position", "velocity", "angular_velocity", "force", "torque", "position_at_rebuild"), 24
+    )
     load = counts.BytesMoved(10, 0, 0, fields | {"mass": 8, "radius": 8}, 0, 0, "hertz", True)
     # Read: x, v, w, F, M, x at the last rebuild and two scalars; written: x, v, w.
     assert counts.bytes_of(load)["motion"] == 10 * (6 * 24 + 2 * 8 + 3 * 24)
@@ -187,7 +196,8 @@ def test_missing_peer_is_reported_with_its_package(monkeypatch):
 
 
 def test_page_contains_the_measurements(tmp_path, monkeypatch):
-    page, machine = module("page"), module("machine")
+    page = module("page")
+    machine = module("machine")
     monkeypatch.setattr(page, "PAGE", tmp_path / "README.md")
     monkeypatch.setattr(page, "FIGURE", tmp_path / "scaling.svg")
     result = {"kind": "peers", "machine": machine.machine(), "notes": ["yade is skipped."]}
@@ -204,7 +214,11 @@ def test_page_is_that_of_the_newest_results_in_double_precision(tmp_path):
     page = module("page")
     runs = {"b.json": ("10:00", "f64"), "a.json": ("11:00", "f64"), "a-mixed.json": ("12:00", "mixed")}
     for name, (time, precision) in runs.items():
-        result = {"kind": "peers", "machine": {"date": f"2026-01-02 {time} UTC"}, "points": [{"precision": precision}]}
+        result = {
+            "kind": "peers",
+            "machine": {"date": f"2026-01-02 {time} UTC"},
+            "points": [{"precision": precision}],
+        }
         (tmp_path / name).write_text(json.dumps(result))
     assert page.newest(tmp_path, "peers", "").name == "a.json"
     assert page.newest(tmp_path, "peers", "a-mixed").name == "a-mixed.json"
@@ -218,14 +232,17 @@ def test_default_names_differ_by_precision():
 
 
 def test_table_of_the_guide_contains_the_measurements_on_ranks(tmp_path):
-    ranks_page, machine = module("ranks_page"), module("machine")
+    ranks_page = module("ranks_page")
+    machine = module("machine")
     guide = tmp_path / "parallel.md"
     guide.write_text(f"# Ranks\n\n{ranks_page.BEGIN}old\n{ranks_page.END}\nLimits\n")
     assert ranks_page.write(tmp_path, guide) is None
     result = {"kind": "ranks", "machine": machine.machine(), "notes": []}
     result["points"] = points(granflow_hertz=[40e6, 42e6], liggghts_hertz=[20e6])
     measured = {"rebuilds": 9.5, "exchange": 0.041, "waiting": 0.022, "memory": 3e8}
-    result["points"].append(points(granflow_hertz=[36e6])[0] | measured | {"code": "granflow --mpi", "threads": 2})
+    result["points"].append(
+        points(granflow_hertz=[36e6])[0] | measured | {"code": "granflow --mpi", "threads": 2}
+    )
     (tmp_path / "ranks.json").write_text(json.dumps(result))
     text = ranks_page.write(tmp_path, guide).read_text()
     assert text.startswith("# Ranks\n") and text.endswith("Limits\n") and "old" not in text
@@ -236,7 +253,8 @@ def test_table_of_the_guide_contains_the_measurements_on_ranks(tmp_path):
 
 def test_the_guide_contains_the_newest_measurements_on_ranks(tmp_path):
     """If this fails, run `python tools/bench.py --page`."""
-    ranks_page, bench = module("ranks_page"), Path(module("ranks_page").__file__).parent
+    ranks_page = module("ranks_page")
+    bench = Path(module("ranks_page").__file__).parent
     guide = tmp_path / "parallel.md"
     guide.write_text(ranks_page.GUIDE.read_text(encoding="utf-8"), encoding="utf-8")
     written = ranks_page.write(bench / "results", guide)

@@ -1,4 +1,5 @@
-"""tools/dosta_tables.py: scenes of Dosta et al. from synthetic tables, and from the published ones if available."""
+"""tools/dosta_tables.py: scenes of Dosta et al. from synthetic tables, and from the published ones if
+available."""
 
 import importlib
 import os
@@ -11,7 +12,9 @@ from granflow import load_scene
 from granflow.particles.insertion import initial_particles
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
-REFERENCE = Path(os.environ.get("GRANFLOW_REFERENCE", TOOLS.parent.parent / "shared" / "reference")) / "dosta2024"
+REFERENCE = (
+    Path(os.environ.get("GRANFLOW_REFERENCE", TOOLS.parent.parent / "shared" / "reference")) / "dosta2024"
+)
 HEAD = "Radius[m] PosX[m] PosY[m] PosZ[m]\n"
 
 
@@ -29,7 +32,9 @@ def written_scenes(tables, folder, out, monkeypatch):
 def test_particles_have_the_positions_of_the_tables(tables, tmp_path, monkeypatch):
     drum = "0.002 0.01 -0.02 -0.08\n 0.001 0.03 0 -0.02\n0.002 -0.01 0.02 -0.08\n"
     (tmp_path / "Drum_PartCoordinates.txt").write_text(HEAD + drum)
-    ball = " 5 0.01 0.01 0 0 0.06\n\n"  # last line of the published file: speed, radius and position of the ball
+    ball = (
+        " 5 0.01 0.01 0 0 0.06\n\n"  # last line of the published file: speed, radius and position of the ball
+    )
     (tmp_path / "Penetration_25KParticles.txt").write_text(HEAD + "0.001 0 0.01 -0.08\n" + ball)
     scenes = written_scenes(tables, tmp_path, tmp_path, monkeypatch)
     particles = {name: initial_particles(scene) for name, scene in scenes.items()}
@@ -41,15 +46,20 @@ def test_particles_have_the_positions_of_the_tables(tables, tmp_path, monkeypatc
     assert shell.radius == pytest.approx(0.1) and shell.to[1] - shell.from_[1] == pytest.approx(0.06)
 
 
-@pytest.mark.skipif(not REFERENCE.exists(), reason="requires the published tables (GRANFLOW_REFERENCE: their folder)")
+@pytest.mark.skipif(
+    not REFERENCE.exists(), reason="requires the published tables (GRANFLOW_REFERENCE: their folder)"
+)
 def test_published_particles_lie_inside_the_walls(tables, tmp_path, monkeypatch):
     scenes = written_scenes(tables, REFERENCE, tmp_path, monkeypatch)
-    assert {name: group.count for name, group in scenes["drum"].particles.items()} == {"large": 8000, "small": 30000}
+    assert {name: group.count for name, group in scenes["drum"].particles.items()} == {
+        "large": 8000,
+        "small": 30000,
+    }
     drum = initial_particles(scenes["drum"])
     outer_radius = np.hypot(drum.position[:, 0], drum.position[:, 2]) + drum.radius
-    assert outer_radius.max() < 0.1 * (1 + 1e-3) and (np.abs(drum.position[:, 1]) + drum.radius).max() < 0.03 * (
-        1 + 1e-3
-    )
+    assert outer_radius.max() < 0.1 * (1 + 1e-3) and (
+        np.abs(drum.position[:, 1]) + drum.radius
+    ).max() < 0.03 * (1 + 1e-3)
     # At rest on the floor: overlaps are at most 1 % of the radius.
     bed = initial_particles(scenes["penetration"])
     floor = scenes["penetration"].walls["floor"].corner[2]

@@ -43,7 +43,12 @@ def trajectory(path, offset):
     """File with the state of ten particles of radius 1; `offset` is added to all values."""
     rng = np.random.default_rng(1)
     position, velocity = rng.normal(size=(2, 10, 3))
-    scalars = {"steps": 1000, "kinetic_energy": 1.0 + offset, "overlap_largest": 0.01 + offset, "contact_count": 20}
+    scalars = {
+        "steps": 1000,
+        "kinetic_energy": 1.0 + offset,
+        "overlap_largest": 0.01 + offset,
+        "contact_count": 20,
+    }
     np.savez(path, position=position + offset, velocity=velocity + offset, radius=np.ones(10), **scalars)
     return path
 
@@ -51,7 +56,8 @@ def trajectory(path, offset):
 @pytest.mark.parametrize(("offset", "passed"), [(0.9e-5, True), (1.1e-5, False)])
 def test_agreement_limit_follows_from_a_displaced_start(tmp_path, offset, passed):
     """The reference with displaced start deviates by 1e-6, so that the limit with a margin of 10 is 1e-5."""
-    reference, disturbed = trajectory(tmp_path / "reference.npz", 0.0), trajectory(tmp_path / "disturbed.npz", 1e-6)
+    reference = trajectory(tmp_path / "reference.npz", 0.0)
+    disturbed = trajectory(tmp_path / "disturbed.npz", 1e-6)
     records = module("gpu_checks.checks").agreement(
         trajectory(tmp_path / "here.npz", offset), reference, disturbed, 10.0
     )
@@ -63,7 +69,14 @@ def test_agreement_limit_follows_from_a_displaced_start(tmp_path, offset, passed
 def run_of(tmp_path, answers, **requested):
     """A Run whose jobs return the entries of `answers`, or raise them if they are exceptions."""
     check = module("gpu_check")
-    defaults = {"arch": "cpu", "part": "all", "precisions": ["f64"], "sizes": [1000], "seconds": 1.0, "quick": True}
+    defaults = {
+        "arch": "cpu",
+        "part": "all",
+        "precisions": ["f64"],
+        "sizes": [1000],
+        "seconds": 1.0,
+        "quick": True,
+    }
     options = argparse.Namespace(**defaults | {"out": tmp_path / "found.json"} | requested)
     result = {"checks": [], "points": [], "profiles": [], "left_out": []}
     result["device"] = {"name": "host", "driver": None, "memory_free": 10**9, "largest_buffer": 10**8}
@@ -86,11 +99,16 @@ POINT = {
 
 
 def test_failed_job_counts_as_failed_check(tmp_path, monkeypatch, capsys):
-    check, good = module("gpu_check"), module("gpu_checks.checks").record("good", 0.0, 1.0)
+    check = module("gpu_check")
+    good = module("gpu_checks.checks").record("good", 0.0, 1.0)
     monkeypatch.setattr(check.checks, "displacement", lambda *_: 1e-9)
     monkeypatch.setattr(check.checks, "agreement", lambda *_: [good])
     vibrated_box = {"digest": "a", "checks": [good]}
-    answers = {"collisions": check.Failed("it ended with code 1"), "momentum": [good], "vibrated box": vibrated_box}
+    answers = {
+        "collisions": check.Failed("it ended with code 1"),
+        "momentum": [good],
+        "vibrated box": vibrated_box,
+    }
     answers |= {"scenes": [good], "trajectory": None}
     run = run_of(tmp_path, answers, part="correctness")
     assert check.carry_out(run) == 1
@@ -124,7 +142,9 @@ def measured_in_subprocess(tools, path):
 
     os.environ[phases.PROFILER] = "1"
     found = speed.measure("cpu", "mixed", path, 4, 0.05)
-    return found | {"gpu_kernels": device._gpu_bandwidth(1 << 16)}  # kernels for the GPU must compile on the CPU
+    return found | {
+        "gpu_kernels": device._gpu_bandwidth(1 << 16)
+    }  # kernels for the GPU must compile on the CPU
 
 
 @pytest.mark.parametrize("language", ["taichi", "quadrants"])
@@ -139,7 +159,9 @@ def test_speed_measurement_of_four_particles(tmp_path, monkeypatch, language):
     found = in_subprocess(measured_in_subprocess, str(TOOLS), str(tmp_path / "bed.npz"))
     assert found["count"] == 4 and found["steps"] % 64 == 0
     assert min(found["gpu_kernels"].values()) > 0.0
-    assert any(name.startswith("step_on_cpu") and seconds > 0.0 for name, seconds in found["kernels"]["step"].items())
+    assert any(
+        name.startswith("step_on_cpu") and seconds > 0.0 for name, seconds in found["kernels"]["step"].items()
+    )
     assert any(name.startswith("rebuild_on_cpu") for name in found["kernels"]["search"])
     # particle-steps per second, and the resulting share of the bandwidth
     assert found["rate"] == pytest.approx(4 * found["steps"] / found["seconds"])

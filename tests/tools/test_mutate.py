@@ -21,12 +21,15 @@ def test_mutations_apply_to_the_source_and_name_existing_tests(mutate):
         assert each.old != each.new
         for test in each.tests:
             file, _, name = test.partition("::")
-            assert f"def {name.partition('[')[0]}(" in (ROOT / file).read_text(encoding="utf-8") or not name, test
+            assert (
+                f"def {name.partition('[')[0]}(" in (ROOT / file).read_text(encoding="utf-8") or not name
+            ), test
 
 
 def test_mutation_without_matching_text_is_reported(mutate, monkeypatch, capsys):
     first = mutate.MUTATIONS[0]
-    stale, without_file = replace(first, old="no such text"), replace(first, file="granflow/none.py")
+    stale = replace(first, old="no such text")
+    without_file = replace(first, file="granflow/none.py")
     (message,) = mutate.problems([stale])
     assert message == (
         f"{first.name}: {first.file} contains the text 'no such text' 0 times instead of once; "

@@ -23,12 +23,15 @@ def test_distant_particles_do_not_change_the_edge():
     random = np.random.default_rng(1)
     bed = np.column_stack([random.uniform(-0.02, 0.02, (4000, 2)), np.zeros(4000)])
     distant = np.array([[0.07, 0.0, 0.0], [0.0, 0.08, 0.0]])
-    numbers, radius = module("scene_numbers"), np.full(4002, 1e-3)
+    numbers = module("scene_numbers")
+    radius = np.full(4002, 1e-3)
     assert numbers.edge_of(np.vstack([bed, distant]), radius) == numbers.edge_of(bed, radius[:-2]) < 0.03
 
 
 def test_quadrants_are_counted_in_the_plane_of_rotation():
-    position = np.array([[-1, 5, 1], [1, -5, 1], [1, 0, 2], [-1, 0, -1], [-2, 0, -1], [-3, 0, -1], [1, 0, -1.0]])
+    position = np.array(
+        [[-1, 5, 1], [1, -5, 1], [1, 0, 2], [-1, 0, -1], [-2, 0, -1], [-3, 0, -1], [1, 0, -1.0]]
+    )
     assert module("scene_numbers").quadrants(position).tolist() == [1, 2, 3, 1]
 
 
@@ -44,7 +47,9 @@ def test_tables_match_the_stored_numbers():
 
 def test_each_expectation_of_a_shipped_scene_has_a_row():
     table = module("scene_table")
-    rows = [line.split(" | ") for line in table.PAGE.read_text(encoding="utf-8").splitlines() if " | " in line]
+    rows = [
+        line.split(" | ") for line in table.PAGE.read_text(encoding="utf-8").splitlines() if " | " in line
+    ]
     for name in table.names():
         for expectation in table.load(table.SCENES / f"{name}.yaml").expect:
             matching_rows = [
@@ -58,10 +63,14 @@ def test_each_expectation_of_a_shipped_scene_has_a_row():
 def test_changed_number_changes_the_page(monkeypatch, tmp_path):
     table = module("scene_table")
     results = tmp_path / "results.json"
-    results.write_text('{"mixer": {"date": "2030-01-01", "commit": "abc", "numbers": {"energy_error": 0.00123}}}')
+    results.write_text(
+        '{"mixer": {"date": "2030-01-01", "commit": "abc", "numbers": {"energy_error": 0.00123}}}'
+    )
     monkeypatch.setattr(table, "RESULTS", results)
     page = table.PAGE.read_text(encoding="utf-8")
-    (row,) = [line for line in table.written(page).splitlines() if line.startswith("| `mixer` | `energy_error`")]
+    (row,) = [
+        line for line in table.written(page).splitlines() if line.startswith("| `mixer` | `energy_error`")
+    ]
     assert row.endswith("| 0.00123 | 2030-01-01, abc |")
 
 

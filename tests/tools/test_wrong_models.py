@@ -37,7 +37,9 @@ def test_every_contact_model_has_a_wrong_one(tool):
 
 
 def test_stored_table_has_the_errors_of_the_review_and_all_are_detected(tool):
-    stored = json.loads((ROOT / "docs" / "validation_results.json").read_text(encoding="utf-8"))["wrong_models"]
+    stored = json.loads((ROOT / "docs" / "validation_results.json").read_text(encoding="utf-8"))[
+        "wrong_models"
+    ]
     assert [each["name"] for each in stored if not each["small"]] == [each.name for each in tool.REVIEW]
     assert {each["name"] for each in stored} <= {each.name for each in tool.WRONG_MODELS}
     assert [each["name"] for each in stored if not each["failing"]] == []

@@ -1,4 +1,5 @@
-"""Crafted checkpoints with a valid checksum are rejected with one sentence before data is copied to the device."""
+"""Crafted checkpoints with a valid checksum are rejected with one sentence before data is copied to the
+device."""
 
 import hashlib
 import json
@@ -11,14 +12,21 @@ from scene_builders import build_scene, particle_group, plane
 
 from granflow import Simulation
 from granflow.io.archive import CHECKSUM_PLACEHOLDER
-from granflow.io.checkpoint import FORMAT, CheckpointError, newest_checkpoint, read_checkpoint, write_checkpoint
+from granflow.io.checkpoint import (
+    FORMAT,
+    CheckpointError,
+    newest_checkpoint,
+    read_checkpoint,
+    write_checkpoint,
+)
 from granflow.plan.arrays import particle_arrays, saved_arrays
 from granflow.plan.build import plan_for
 from granflow.runs.resume import accepted_change
 
 
 def scene():
-    """Eight frictional particles on a floor, in chunks of four; each is in contact with the next and with the floor."""
+    """Eight frictional particles on a floor, in chunks of four; each is in contact with the next and with the
+    floor."""
     positions = [[0.0049 * k + 0.01, 0.02, 0.00249] for k in range(8)]
     return build_scene(
         {"row": particle_group(positions, 0.005)},
@@ -42,7 +50,8 @@ def original(tmp_path_factory, taichi_f64):
 
 
 def crafted(original, directory, change):
-    """Write the checkpoint with a changed state and a valid checksum, then read it and check it against the plan."""
+    """Write the checkpoint with a changed state and a valid checksum, then read it and check it against the
+    plan."""
     saved = read_checkpoint(original.path).saved
     change(saved)
     path = write_checkpoint(directory, original.scene, original.time, 20, saved)
@@ -81,13 +90,19 @@ CHANGES = {
     "text as count": (put("engine", "particle_count", value="8"), "particle_count is '8'"),
     "number of contacts": (put(*CONTACTS, "count", entry=0, value=0), "count adds up to"),
     "negative number of contacts": (put(*CONTACTS, "count", entry=0, value=-5), "count holds -5"),
-    "rebuild in the future": (put("engine", "clock_at_rebuild", "step_count", value=10**9), "step_count is 1000000000"),
+    "rebuild in the future": (
+        put("engine", "clock_at_rebuild", "step_count", value=10**9),
+        "step_count is 1000000000",
+    ),
     "no rebuild": (put("engine", "clock_at_rebuild", value=None), "must be a mapping"),
     "infinite displacement": (put(*CONTACTS, "tangential", entry=0, value=np.inf), "tangential holds inf"),
     "duplicate id": (put(*PARTICLES, "id", entry=0, value=1), "id holds a number twice"),
     "id above the largest id": (put(*PARTICLES, "id", entry=0, value=99), "id holds 99"),
     "nan position": (put(*PARTICLES, "position", entry=0, value=np.nan), "position holds nan"),
-    "position far outside the domain": (put(*PARTICLES, "position", entry=0, value=1e30), "position is farther"),
+    "position far outside the domain": (
+        put(*PARTICLES, "position", entry=0, value=1e30),
+        "position is farther",
+    ),
     "radius": (put(*PARTICLES, "radius", entry=0, value=1.0), "radius holds 1"),
     "mass": (put(*PARTICLES, "mass", entry=0, value=1.0), "mass differs from density"),
     "reals as ids": (put(*PARTICLES, "id", value=np.zeros(8)), "must be an array .8,. of whole numbers"),
@@ -101,7 +116,10 @@ CHANGES = {
     "time step": (put("engine", "clock", "time_step", value=0.0), "time_step is 0.0"),
     "time": (put("engine", "clock", "since_time", value=1e9), "gives the time"),
     "walls": (put("engine", "walls_present", value=[True] * 50), "must be a list of 1"),
-    "energy_budget": (put("engine", "energy_budget", "losses", value=np.zeros((10**6, 5))), "losses is an array"),
+    "energy_budget": (
+        put("engine", "energy_budget", "losses", value=np.zeros((10**6, 5))),
+        "losses is an array",
+    ),
     "stage": (put("stage_progress", "stage", value="\x1b[2J"), "stage is "),
     "conditions": (put("stage_progress", "conditions", "met", value=5), "met is "),
     "stage times": (put("stage_progress", "stage_times", value={}), "stage_times has other stages"),
@@ -124,7 +142,8 @@ def test_crafted_state_is_rejected_with_its_key(original, tmp_path, name):
 
 
 def replaced_partner(saved, replacement):
-    """Replaces the partner of one contact between two particles by the result of a function (owner, its partners)."""
+    """Replaces the partner of one contact between two particles by the result of a function (owner, its
+    partners)."""
     contacts = saved["engine"]["contacts"]
     owner = np.repeat(np.arange(8), contacts["count"])
     partner = contacts["partner"].copy()
@@ -192,7 +211,10 @@ ARCHIVES = {
         "does not match its shape",
     ),
     "negative shape": ([("header.json", json.dumps(HEADER)), ("x.npy", npy("(-1,)"))], "unexpected type"),
-    "objects": ([("header.json", json.dumps(HEADER)), ("x.npy", npy("(1,)", "|O", b"12345678"))], "unexpected type"),
+    "objects": (
+        [("header.json", json.dumps(HEADER)), ("x.npy", npy("(1,)", "|O", b"12345678"))],
+        "unexpected type",
+    ),
     "nested header": ([("header.json", "[" * 100_000)], "nested too deeply"),
     "list as header": ([("header.json", "[]")], "not a mapping"),
     "no header": ([("x.npy", npy("()"))], "header.json"),
@@ -220,8 +242,10 @@ def test_crafted_archive_is_rejected(tmp_path, name):
 @pytest.mark.slow
 def test_random_bytes_in_a_checkpoint_raise_only_granflow_errors(original, tmp_path):
     """60 files with one to three random bytes and a valid checksum."""
-    whole, random = original.path.read_bytes(), np.random.default_rng(3)
-    path, rejected = tmp_path / original.path.name, 0
+    whole = original.path.read_bytes()
+    random = np.random.default_rng(3)
+    path = tmp_path / original.path.name
+    rejected = 0
     for _ in range(60):
         data = bytearray(whole)
         for offset in random.integers(0, len(whole) - len(CHECKSUM_PLACEHOLDER), random.integers(1, 4)):

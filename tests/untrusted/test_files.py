@@ -31,9 +31,7 @@ def array(name, kind, data, components=1, blocks=None, block_size=None):
     sizes = [len(each) for each in packed]
     head = struct.pack(f"<{3 + len(packed)}I", len(packed), block_size or len(data), 0, *sizes)
     text = (base64.b64encode(head) + base64.b64encode(b"".join(packed))).decode()
-    return (
-        f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" format="binary">{text}</DataArray>'
-    )
+    return f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" format="binary">{text}</DataArray>'
 
 
 def vtu(point_count=4, points=None, radius="", before=""):
@@ -77,8 +75,8 @@ for count, mode, packed in itertools.product((0, 1, 7), modes, compressors):
 
 
 def test_files_of_vtk_are_read_in_every_mode(tmp_path):
-    """ParaView's default is raw appended data, in which meshio confuses arrays of small files; and it fails for files
-    without cells, compressed arrays without values, and drops all pieces but the last."""
+    """ParaView's default is raw appended data, in which meshio confuses arrays of small files; and it fails
+    for files without cells, compressed arrays without values, and drops all pieces but the last."""
     pytest.importorskip("vtk")
     subprocess.run([sys.executable, "-c", WRITTEN_BY_VTK, str(tmp_path)], check=True)
     files = sorted(tmp_path.glob("*.vtu"))
@@ -104,7 +102,8 @@ def test_pieces_are_merged(tmp_path):
 
 def bomb(size):
     """Compressed bytes that expand to `size` zeros."""
-    packer, piece = zlib.compressobj(9), bytes(2**20)
+    packer = zlib.compressobj(9)
+    piece = bytes(2**20)
     return b"".join(packer.compress(piece) for _ in range(size // len(piece))) + packer.flush()
 
 
@@ -281,11 +280,19 @@ print("done")
 @pytest.mark.slow
 def test_random_bytes_in_files_never_give_a_traceback(tmp_path):
     mesh = meshio.Mesh(POINTS, [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))])
-    for name, options in (("stl", {"binary": True}), ("ply", {"binary": True}), ("vtk", {}), ("vtu", {}), ("obj", {})):
+    for name, options in (
+        ("stl", {"binary": True}),
+        ("ply", {"binary": True}),
+        ("vtk", {}),
+        ("vtu", {}),
+        ("obj", {}),
+    ):
         meshio.write(tmp_path / f"mesh.{name}", mesh, **options)
     meshio.write(tmp_path / "ascii.stl", mesh, binary=False)
     meshio.write(tmp_path / "ascii.ply", mesh, binary=False)
     (tmp_path / "table.csv").write_text("x,y,z,r\n0,0,0,1\n3,0,0,1\n")
     meshio.write(tmp_path / "table.vtu", meshio.Mesh(POINTS, [], point_data={"radius": np.ones(4)}))
-    run = subprocess.run([sys.executable, "-c", FUZZ, str(tmp_path)], capture_output=True, text=True, timeout=240)
+    run = subprocess.run(
+        [sys.executable, "-c", FUZZ, str(tmp_path)], capture_output=True, text=True, timeout=240
+    )
     assert (run.returncode, run.stdout[-5:]) == (0, "done\n"), run.stderr[-2000:]

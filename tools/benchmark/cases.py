@@ -45,14 +45,23 @@ class Case:
 
     def save(self, path: Path) -> None:
         """Writes the case to a file for `load`."""
-        np.savez(path, name=self.name, kind=self.kind, diameter=self.diameter, position=self.position, sides=self.sides)
+        np.savez(
+            path,
+            name=self.name,
+            kind=self.kind,
+            diameter=self.diameter,
+            position=self.position,
+            sides=self.sides,
+        )
 
     @classmethod
     def load(cls, path: Path) -> "Case":
         """Reads a case from a file of `save`."""
         with np.load(path) as arrays:
             sides = (float(arrays["sides"][0]), float(arrays["sides"][1]))
-            return cls(str(arrays["name"]), str(arrays["kind"]), arrays["diameter"], arrays["position"], sides)
+            return cls(
+                str(arrays["name"]), str(arrays["kind"]), arrays["diameter"], arrays["position"], sides
+            )
 
 
 @dataclass(frozen=True)
@@ -64,7 +73,8 @@ class Steps:
 
 
 def steps_for(case: Case, slow: bool, scale: float) -> Steps:
-    """Steps for a measurement of some seconds, independent of the particle count; a tenth of them for a slow code.
+    """Steps for a measurement of some seconds, independent of the particle count; a tenth of them for a slow
+    code.
 
     The hopper has a fixed simulated time, so that the discharged mass can be compared.
     """
@@ -81,7 +91,9 @@ def read_data(path: Path, kind: str = "bed") -> Case:
     with opened as lines:
         rows = [line.split() for line in lines]
     spheres = np.array([[row[2], *row[4:7]] for row in rows if len(row) == 7], float)
-    spans = {row[2]: float(row[1]) - float(row[0]) for row in rows if len(row) == 4 and row[2] in ("xlo", "ylo")}
+    spans = {
+        row[2]: float(row[1]) - float(row[0]) for row in rows if len(row) == 4 and row[2] in ("xlo", "ylo")
+    }
     name = "hopper" if kind == "hopper" else f"bed {len(spheres)}"
     return Case(name, kind, spheres[:, 0], spheres[:, 1:], (spans["xlo"], spans["ylo"]))
 
@@ -89,8 +101,8 @@ def read_data(path: Path, kind: str = "bed") -> Case:
 def tiled(bed: Case, count: int) -> Case:
     """A bed of about `count` particles from mirror images of a smaller one in x and y.
 
-    The mirror plane is a wall of the smaller bed: the packing remains in equilibrium, and an overlap d with the wall
-    becomes an overlap 2 d with the mirror image.
+    The mirror plane is a wall of the smaller bed: the packing remains in equilibrium, and an overlap d with
+    the wall becomes an overlap 2 d with the mirror image.
     """
     tiles = round(count / bed.count)
     across = next(n for n in range(int(sqrt(tiles)), 0, -1) if tiles % n == 0)
@@ -123,7 +135,9 @@ def find_beds(folder: Path) -> dict[int, Path]:
 def write_data(case: Case, path: Path) -> None:
     """Writes a LAMMPS data file; the box of a hopper is open, that of a bed extends above the bed."""
     top = max(float(case.position[:, 2].max()), TUBE_TOP if case.kind == "hopper" else 0.0) + 0.01
-    (low, high) = (-HOPPER_REACH, (HOPPER_REACH, HOPPER_REACH)) if case.kind == "hopper" else (0.0, case.sides)
+    (low, high) = (
+        (-HOPPER_REACH, (HOPPER_REACH, HOPPER_REACH)) if case.kind == "hopper" else (0.0, case.sides)
+    )
     bottom = HOPPER_FLOOR if case.kind == "hopper" else -0.001
     head = f"""{case.name}
 
@@ -138,7 +152,9 @@ Atoms
 
 """
     ids = np.arange(1, case.count + 1)
-    columns = np.column_stack([ids, np.ones_like(ids), case.diameter, np.full(case.count, DENSITY), case.position])
+    columns = np.column_stack(
+        [ids, np.ones_like(ids), case.diameter, np.full(case.count, DENSITY), case.position]
+    )
     with path.open("w") as file:
         file.write(head)
         np.savetxt(file, columns, fmt="%d %d %.12g %g %.12g %.12g %.12g")
@@ -149,7 +165,10 @@ def write_hopper_mesh(path: Path, segments: int = 64) -> None:
     cone = [(CONE_HEIGHT * k / 6, ORIFICE_RADIUS + (TUBE_RADIUS - ORIFICE_RADIUS) * k / 6) for k in range(7)]
     tube = [(CONE_HEIGHT + (TUBE_TOP - CONE_HEIGHT) * k / 10, TUBE_RADIUS) for k in range(1, 11)]
     angle = 2.0 * pi * np.arange(segments + 1) / segments
-    rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full_like(angle, z)]) for z, r in cone + tube]
+    rings = [
+        np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full_like(angle, z)])
+        for z, r in cone + tube
+    ]
     with path.open("w") as file:
         file.write("solid hopper\n")
         for low, high in zip(rings[:-1], rings[1:], strict=True):
@@ -174,7 +193,8 @@ def hertz_stiffnesses() -> tuple[float, float]:
 
 
 def lammps_damping() -> float:
-    """Normal damping gamma_n [1/(m s)] of LAMMPS' gran/hertz/history for the given restitution, at the mean overlap.
+    """Normal damping gamma_n [1/(m s)] of LAMMPS' gran/hertz/history for the given restitution, at the mean
+    overlap.
 
     sqrt(R d) M gamma_n = 2 sqrt(5/6) b sqrt(2 E* sqrt(R d) M),    b = |ln e| / sqrt(ln^2 e + pi^2)
     """

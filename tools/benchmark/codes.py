@@ -19,13 +19,15 @@ SKINS = {"bed": {"granflow": 0.2e-3, "liggghts": 0.2e-3, "lammps": 0.2e-3, "yade
 FLOWING_SKIN = 0.5e-3
 """Neighbor-list skins [m]; FLOWING_SKIN for other combinations.
 
-The skins of LIGGGHTS and LAMMPS were the fastest of 0.1 to 0.7 mm in one scan of the bed of 50 000 on a machine under
-load; those of granflow, YADE and the hopper have not been scanned on an idle machine. `--skin` sets other values.
+The skins of LIGGGHTS and LAMMPS were the fastest of 0.1 to 0.7 mm in one scan of the bed of 50 000 on a
+machine under load; those of granflow, YADE and the hopper have not been scanned on an idle machine. `--skin`
+sets other values.
 """
 GRANFLOW, ON_RANKS = "granflow", "granflow --mpi"
 """Names of this code with threads and with MPI ranks."""
 BOUND = ("--bind-to", "core")
-"""Options of mpirun for granflow: each rank on a core, as the mpirun of Open MPI binds those of the other codes."""
+"""Options of mpirun for granflow: each rank on a core, as the mpirun of Open MPI binds those of the other
+codes."""
 SLOW = {"yade"}
 LARGEST_COUNT = {"yade": 200_000}
 """Largest particle count of a code: above it, the setup takes minutes."""
@@ -72,15 +74,15 @@ def missing(name: str, threads: list[int]) -> str | None:
     if shutil.which(peer.program) is None:
         return f"{name} is skipped: the program {peer.program} was not found; install {peer.package}."
     if name != "yade" and max(threads) > 1 and shutil.which("mpirun") is None:
-        return (
-            f"{name} is skipped: several ranks need mpirun; install the Debian package openmpi-bin or use --threads 1."
-        )
+        return f"{name} is skipped: several ranks need mpirun; install the Debian package openmpi-bin or use --threads 1."
     return None
 
 
 def measure(job: Job, folder: Path) -> dict[str, Any]:
     """Runs one job in `folder`, which contains the files of the case; raises Failed with a message."""
-    found = granflow(job, folder) if job.code in (GRANFLOW, ON_RANKS) else PEERS[job.code].measure(job, folder)
+    found = (
+        granflow(job, folder) if job.code in (GRANFLOW, ON_RANKS) else PEERS[job.code].measure(job, folder)
+    )
     point = {"code": job.code, "law": job.law, "case": job.case.name, "count": job.case.count}
     point |= {"threads": job.threads, "precision": job.precision, "skin": job.skin, **asdict(job.steps)}
     return point | found
@@ -103,7 +105,9 @@ def child(order: dict[str, Any], folder: Path, ranks: int = 0) -> ProcessResult:
     """Runs a job in a new granflow process, or on MPI ranks; see `bench.py --child`."""
     wheel = Path(sys.executable).with_name("mpirun")
     launcher = [str(wheel) if wheel.exists() else "mpirun", *BOUND, "-n", str(ranks)] if ranks else []
-    return run([*launcher, sys.executable, str(BENCH), "--child", json.dumps(order)], folder, MPI if ranks else None)
+    return run(
+        [*launcher, sys.executable, str(BENCH), "--child", json.dumps(order)], folder, MPI if ranks else None
+    )
 
 
 def last_json(done: ProcessResult, case_name: str) -> dict[str, Any]:
@@ -130,7 +134,12 @@ def granflow(job: Job, folder: Path) -> dict[str, Any]:
         "law": job.law,
         "precision": job.precision,
     }
-    order |= {"threads": job.threads, "skin": f"{job.skin:g} m", "warm": job.steps.warm, "window": job.steps.window}
+    order |= {
+        "threads": job.threads,
+        "skin": f"{job.skin:g} m",
+        "warm": job.steps.warm,
+        "window": job.steps.window,
+    }
     done = child(order, folder, ranks)
     found = last_json(done, job.code)
     memory = {"memory": done.memory} if ranks else {}
@@ -141,7 +150,8 @@ def yade(job: Job, folder: Path) -> dict[str, Any]:
     """Measures YADE with OpenMP threads."""
     names = ("young_modulus", "poisson_ratio", "density", "friction", "restitution", "gravity", "time_step")
     settings = json.dumps({name: getattr(cases, name.upper()) for name in names})
-    script, steps = str(Path(__file__).with_name("yade_case.py")), job.steps
+    script = str(Path(__file__).with_name("yade_case.py"))
+    steps = job.steps
     command = ["yade", f"-j{job.threads}", "-n", "-x", script, "case.npz", "hopper.stl", str(job.skin)]
     done = run([*command, str(steps.warm), str(steps.window), settings], folder)
     found = last_json(replace(done, code=0), "yade")
@@ -172,12 +182,14 @@ def _ranks(job: Job, folder: Path, deck: str) -> dict[str, Any]:
 
 
 def read_log(output: str, job: Job) -> dict[str, Any]:
-    """Rate, contacts, rebuilds and mass flow from the log of LIGGGHTS or LAMMPS; the third run is the measurement."""
+    """Rate, contacts, rebuilds and mass flow from the log of LIGGGHTS or LAMMPS; the third run is the
+    measurement."""
     loops = re.findall(r"Loop time of (\S+) on (\d+) procs", output)
     builds = re.findall(r"Neighbor list builds = (\d+)", output)
     if len(loops) < 4 or len(builds) < 4:
         raise Failed(f"{job.code} did not finish its four runs: {last_error_line(output)}")
-    seconds, ranks = float(loops[2][0]), int(loops[2][1])
+    seconds = float(loops[2][0])
+    ranks = int(loops[2][1])
     if ranks != job.threads:
         raise Failed(f"{job.code} ran on {ranks} rank(s) for {job.threads}: it uses another MPI than mpirun.")
     tables = thermo_tables(output)

@@ -7,11 +7,12 @@
                                     + S (partner index and contact flag, read and written)
                                     + C (history and partner read twice, written twice)
 
-N: particles; S: neighbor-list entries; C: entries in contact. The fields of a partner count once for each particle,
-not for each pair: particles are sorted in space, so that partners are in the first-level cache. These are lower bounds;
-a phase with more traffic reaches a lower fraction of its bound.
+N: particles; S: neighbor-list entries; C: entries in contact. The fields of a partner count once for each
+particle, not for each pair: particles are sorted in space, so that partners are in the first-level cache.
+These are lower bounds; a phase with more traffic reaches a lower fraction of its bound.
 
-Operations are counted in the source: a sum or a product is one operation; roots and quotients are counted separately.
+Operations are counted in the source: a sum or a product is one operation; roots and quotients are counted
+separately.
 """
 
 from dataclasses import dataclass
@@ -48,13 +49,16 @@ class Operations:
 
 
 MOTION = Operations(35, 0, 2)
-"""Kick 3 + 3, synchronized velocity 6, drift 6, inertia and angular velocity 3 + 6, displacement 3 + 5; dt/m, dt/I."""
+"""Kick 3 + 3, synchronized velocity 6, drift 6, inertia and angular velocity 3 + 6, displacement 3 + 5; dt/m,
+dt/I."""
 DISTANCE = Operations(10)
 """Difference 3, its square 5, the sum of the radii and its square 2."""
 GEOMETRY = Operations(47, 1, 3)
-"""Normal 4, relative velocity 3, its rates 6 + 8, sliding 6, mean normal 8, effective radius, mass, lever arms 12."""
+"""Normal 4, relative velocity 3, its rates 6 + 8, sliding 6, mean normal 8, effective radius, mass, lever
+arms 12."""
 FRICTION = Operations(87, 2, 1)
-"""Slip 21, stiffness 3, rotation of history 11 + 3, spring and Coulomb limit 16, torques 15, sums on both sides 18."""
+"""Slip 21, stiffness 3, rotation of history 11 + 3, spring and Coulomb limit 16, torques 15, sums on both
+sides 18."""
 NORMAL = {
     "hertz": Operations(8, 2, 0),
     "zhou": Operations(14, 4, 1),
@@ -64,7 +68,8 @@ NORMAL = {
 BINNING = Operations(12)
 """Cell of one particle, computed twice, and the comparisons of the sort."""
 TESTS_PER_PAIR = 27.0 / (4.0 / 3.0 * pi)
-"""Distance tests per pair found: volume of 27 cells over that of the search sphere; each pair is tested once."""
+"""Distance tests per pair found: volume of 27 cells over that of the search sphere; each pair is tested
+once."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,8 @@ def entry_size(field: Any) -> int:
 
 def bytes_of(load: BytesMoved) -> dict[str, float]:
     """Minimum bytes of one execution of each phase."""
-    n, row = load.particles, ROW_INTEGERS * INTEGER
+    n = load.particles
+    row = ROW_INTEGERS * INTEGER
     return {
         "motion": n * (load.size(INTEGRATION_READ) + load.size(INTEGRATION_WRITTEN)),
         "forces": n * (load.size(FORCES_READ) + 2 * load.size(FORCES_WRITTEN) + row)

@@ -50,7 +50,13 @@ def liggghts_deck(case: Case, steps: Steps, skin: float) -> str:
             f"pair_style gran {law}",
         )
     )
-    planes = (("xplane", 0.0), ("xplane", case.sides[0]), ("yplane", 0.0), ("yplane", case.sides[1]), ("zplane", 0.0))
+    planes = (
+        ("xplane", 0.0),
+        ("xplane", case.sides[0]),
+        ("yplane", 0.0),
+        ("yplane", case.sides[1]),
+        ("zplane", 0.0),
+    )
     walls = "\n".join(
         f"fix wall{number} all wall/gran {law} primitive type 1 {plane} {place}"
         for number, (plane, place) in enumerate(planes)
@@ -69,13 +75,16 @@ def lammps_deck(case: Case, steps: Steps, skin: float) -> str:
     normal, tangential = cases.hertz_stiffnesses()
     damping = cases.lammps_damping()
     numbers = f"{normal:.6g} {tangential:.6g} {damping:.6g} {0.5 * damping:.6g} {cases.FRICTION} 1"
-    law, model = f"hertz/history {numbers}", f"pair_style gran/hertz/history {numbers}"
+    law = f"hertz/history {numbers}"
+    model = f"pair_style gran/hertz/history {numbers}"
     walls = "\n".join(
         f"fix wall_{axis} all wall/gran {law} {axis}plane 0.0 {high}"
         for axis, high in (("x", case.sides[0]), ("y", case.sides[1]), ("z", "NULL"))
     )
     if case.kind == "hopper":
-        height, orifice, tube = cases.CONE_HEIGHT, cases.ORIFICE_RADIUS, cases.TUBE_RADIUS
+        height = cases.CONE_HEIGHT
+        orifice = cases.ORIFICE_RADIUS
+        tube = cases.TUBE_RADIUS
         walls = (
             f"region tube cylinder z 0 0 {tube} {height} 1.0 side in units box open 1 open 2\n"
             f"region cone cone z 0 0 {orifice} {tube} 0.0 {height} side in units box open 1 open 2\n"

@@ -9,7 +9,8 @@ from granflow.kernel_language import ti
 IN_CACHE, IN_MEMORY = 1 << 18, 1 << 24
 """Length of each of three f64 arrays: 6 MiB and 384 MiB in total."""
 STRIDE = 512
-"""Smallest number of loop iterations per CPU thread in Taichi; the first of each STRIDE iterations does the work."""
+"""Smallest number of loop iterations per CPU thread in Taichi; the first of each STRIDE iterations does the
+work."""
 LENGTH = 1 << 22
 """Operations in a chain; several chains overlap in the pipeline of the processor."""
 CHAINS = 8
@@ -17,7 +18,8 @@ TRIES = 5
 
 
 def measure(threads: int) -> dict[str, float]:
-    """Bandwidth [bytes/s] of copy and triad, in cache and in memory, and time [s] of one operation on all threads."""
+    """Bandwidth [bytes/s] of copy and triad, in cache and in memory, and time [s] of one operation on all
+    threads."""
     ti.init(arch=ti.cpu, default_fp=ti.f64, fast_math=False, cpu_max_num_threads=threads, log_level=ti.ERROR)
     found: dict[str, float] = {"threads": threads}
     for where, length in (("cache", IN_CACHE), ("memory", IN_MEMORY)):
@@ -29,9 +31,11 @@ def measure(threads: int) -> dict[str, float]:
 
 
 def bandwidth(where: str, length: int, threads: int) -> dict[str, float]:
-    """Bandwidth as in STREAM: copy counts two accesses per element, triad three; each thread accesses one part."""
+    """Bandwidth as in STREAM: copy counts two accesses per element, triad three; each thread accesses one
+    part."""
     a, b, c = (ti.field(ti.f64, length) for _ in range(3))
-    part, passes = length // threads, max(2 * IN_MEMORY // length, 1)
+    part = length // threads
+    passes = max(2 * IN_MEMORY // length, 1)
 
     @ti.kernel
     def copy(scale: ti.f64):  # noqa: ANN202

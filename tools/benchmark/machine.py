@@ -15,7 +15,9 @@ def machine() -> dict[str, Any]:
     """Processor, cores, caches, memory, operating system, Python packages, commit and date."""
     return {
         "processor": _line("/proc/cpuinfo", "model name") or platform.processor() or platform.machine(),
-        "instructions": "AVX-512" if "avx512f" in (_line("/proc/cpuinfo", "flags") or "") else platform.machine(),
+        "instructions": "AVX-512"
+        if "avx512f" in (_line("/proc/cpuinfo", "flags") or "")
+        else platform.machine(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "last_level_cache": last_level_cache(),
         "memory": _memory(),
@@ -30,7 +32,9 @@ def machine() -> dict[str, Any]:
 
 def last_level_cache() -> int | None:
     """Size of the largest cache [bytes], or None if unknown."""
-    sizes = [path.read_text().strip() for path in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size")]
+    sizes = [
+        path.read_text().strip() for path in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size")
+    ]
     units = {"K": 1024, "M": 1024**2}
     return max((int(size[:-1]) * units[size[-1]] for size in sizes if size[-1:] in units), default=None)
 

@@ -1,4 +1,5 @@
-"""Jobs of granflow in a separate process: measurement of a case, settling of a bed. Taichi starts once per process."""
+"""Jobs of granflow in a separate process: measurement of a case, settling of a bed. Taichi starts once per
+process."""
 
 import resource
 import sys
@@ -91,11 +92,14 @@ def scene_for(case: Case, law: str, precision: str, skin: str) -> Any:
         return load_scene(scene_file)
 
 
-def simulation_for(case: Case, law: str, precision: str, threads: int, skin: str, communicator: Any = None) -> Any:
+def simulation_for(
+    case: Case, law: str, precision: str, threads: int, skin: str, communicator: Any = None
+) -> Any:
     """Simulation with the particles of the case, before the first step."""
     from granflow import ParticleData, Simulation
 
-    zeros, zero_indices = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
+    zeros = np.zeros((case.count, 3))
+    zero_indices = np.zeros(case.count, np.int32)
     particles = ParticleData(case.position, zeros, zeros, 0.5 * case.diameter, zero_indices, zero_indices)
     scene = scene_for(case, law, precision, skin)
     return Simulation(scene, threads=threads, particles=particles, communicator=communicator)
@@ -119,18 +123,23 @@ def measure(
 def measure_on_ranks(
     path: str, law: str, precision: str, threads: int, skin: str, warm: int, window: int
 ) -> dict[str, Any] | None:  # fmt: skip
-    """As `measure`, on the ranks of mpirun with one thread each; None on all but the root. `threads` has no effect."""
+    """As `measure`, on the ranks of mpirun with one thread each; None on all but the root. `threads` has no
+    effect."""
     from granflow.engine.backend import start
     from granflow.parallel.communicator import Communicator
     from granflow.parallel.rank_engine import RankEngine, controlling, serve
     from granflow.plan.build import plan_for
 
-    case, communicator = Case.load(Path(path)), Communicator()
+    case = Case.load(Path(path))
+    communicator = Communicator()
     if communicator.is_root:
         with controlling(communicator):
             return measured(simulation_for(case, law, precision, 1, skin, communicator), case, warm, window)
     scene = scene_for(case, law, precision, skin)
-    serve(communicator, lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator, scene))
+    serve(
+        communicator,
+        lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator, scene),
+    )
     return None
 
 
@@ -140,11 +149,13 @@ def measured(simulation: Any, case: Case, warm: int, window: int) -> dict[str, A
     first_step = time.time()
     simulation.step(warm)
     timing = simulation.engine.timing
-    above, before = mass_above(simulation), replace(timing)
+    above = mass_above(simulation)
+    before = replace(timing)
     began = time.perf_counter()
     simulation.step(window)
     seconds = time.perf_counter() - began
-    rebuilds, memory = timing.rebuild_count - before.rebuild_count, peak_memory()
+    rebuilds = timing.rebuild_count - before.rebuild_count
+    memory = peak_memory()
     span = window * cases.TIME_STEP
     return {
         "rate": window * case.count / seconds,
@@ -209,4 +220,6 @@ def relax(count: int, path: str, threads: int | None) -> None:
         simulation = Simulation(load_scene(scene_file), threads=threads)
         simulation.run()
     particles = simulation.snapshot().particles
-    Case(f"bed {count}", "bed", 2.0 * particles["radius"], particles["position"], (side, side)).save(Path(path))
+    Case(f"bed {count}", "bed", 2.0 * particles["radius"], particles["position"], (side, side)).save(
+        Path(path)
+    )

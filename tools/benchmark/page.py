@@ -64,9 +64,12 @@ hopper.
 
 def write(folder: Path, name: str) -> Path:
     """Writes the page from the results `name`, or from the newest results."""
-    peer_file, phase_file = newest(folder, "peers", name), newest(folder, "phases", "")
+    peer_file = newest(folder, "peers", name)
+    phase_file = newest(folder, "phases", "")
     if peer_file is None:
-        raise SystemExit(f"There are no results {name or ''} in {folder}: run tools/bench.py without --page first.")
+        raise SystemExit(
+            f"There are no results {name or ''} in {folder}: run tools/bench.py without --page first."
+        )
     result = json.loads(peer_file.read_text())
     PAGE.write_text(
         TEXT.format(
@@ -75,14 +78,17 @@ def write(folder: Path, name: str) -> Path:
             table=tables.markdown(tables.COLUMNS, list(tables.rows(result))),
             notes="\n".join(f"- {note}" for note in result["notes"]) + "\n",
             figure=f"![Rate over size]({FIGURE.name})\n" if draw(result) else "",
-            phases=phase_section(json.loads(phase_file.read_text())) if phase_file else "Not measured yet: `--phases`.",
+            phases=phase_section(json.loads(phase_file.read_text()))
+            if phase_file
+            else "Not measured yet: `--phases`.",
         )
     )
     return PAGE
 
 
 def newest(folder: Path, kind: str, name: str) -> Path | None:
-    """The newest results of a kind in double precision by date and time, or the results `name` in any precision."""
+    """The newest results of a kind in double precision by date and time, or the results `name` in any
+    precision."""
     found = []
     for path in folder.glob("*.json"):
         result = json.loads(path.read_text())
@@ -100,7 +106,9 @@ def is_double(result: dict[str, Any]) -> bool:
 def machine_lines(result: dict[str, Any]) -> str:
     """Machine and versions as two lines of text."""
     machine = result["machine"]
-    versions = machine["versions"] | {each["code"]: each["version"] for each in result["points"] if "version" in each}
+    versions = machine["versions"] | {
+        each["code"]: each["version"] for each in result["points"] if "version" in each
+    }
     memory = f", {machine['memory'] / 2**30:.0f} GiB" if machine["memory"] else ""
     cache = f", {machine['last_level_cache'] / 2**20:.0f} MiB of cache" if machine["last_level_cache"] else ""
     changed = " with local changes" if machine["changed"] else ""
@@ -139,16 +147,24 @@ def draw(result: dict[str, Any]) -> bool:
     if not threads:
         return False
     figure = Figure(figsize=(4.5 * len(threads), 3.6), layout="constrained")
-    for axes, number in zip(figure.subplots(1, len(threads), sharey=True, squeeze=False)[0], threads, strict=True):
-        labels = sorted({g.label for g in beds if g.threads == number}, key=lambda label: (label[0] != "g", label))
+    for axes, number in zip(
+        figure.subplots(1, len(threads), sharey=True, squeeze=False)[0], threads, strict=True
+    ):
+        labels = sorted(
+            {g.label for g in beds if g.threads == number}, key=lambda label: (label[0] != "g", label)
+        )
         for index, label in enumerate(labels):
             line = [(g.count, g.spread("rate")) for g in beds if (g.threads, g.label) == (number, label)]
             middle = [rate.middle / 1e6 for _, rate in line if rate]
             style = {"marker": "o", "markersize": 4, "color": f"C{index}", "label": label}
             axes.plot([count for count, _ in line], middle, linewidth=2 if label[0] == "g" else 1, **style)
             spans = [(rate.low / 1e6, rate.high / 1e6) for _, rate in line if rate]
-            axes.vlines([count for count, _ in line], *zip(*spans, strict=True), color=f"C{index}", linewidth=1)
-        axes.set(xscale="log", xlabel="particles", title=f"{number} thread" + "s" * (number > 1), ylim=(0, None))
+            axes.vlines(
+                [count for count, _ in line], *zip(*spans, strict=True), color=f"C{index}", linewidth=1
+            )
+        axes.set(
+            xscale="log", xlabel="particles", title=f"{number} thread" + "s" * (number > 1), ylim=(0, None)
+        )
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
     figure.axes[0].set_ylabel("M particle-steps/s")

@@ -1,7 +1,7 @@
 """Time of each phase and kernel of granflow, compared with the measured limits of the machine.
 
-Steps are taken through the public interface. Times of single phases and rebuilds, sizes of fields and entries of the
-neighbor list are not part of it, because they depend on the layout of the engine; they are read there.
+Steps are taken through the public interface. Times of single phases and rebuilds, sizes of fields and entries
+of the neighbor list are not part of it, because they depend on the layout of the engine; they are read there.
 """
 
 import argparse
@@ -18,7 +18,8 @@ from benchmark.machine import last_level_cache, machine
 from granflow.kernel_language import KERNELS
 
 PROFILER = "TI_KERNEL_PROFILER" if KERNELS == "taichi" else "QD_KERNEL_PROFILER"
-"""Environment variable that enables the profiler of the kernel language; without it the profiler ends the process."""
+"""Environment variable that enables the profiler of the kernel language; without it the profiler ends the
+process."""
 REBUILDS = 5
 LEAST_STEPS = 1024
 """Smallest number of steps in which the stepper takes several samples of its phases."""
@@ -45,16 +46,19 @@ def measure(
     simulation.step(1 + warm)
     engine = simulation.engine
     clear_profile()
-    before, rebuilds = phase_seconds(engine), engine.timing.rebuild_count
+    before = phase_seconds(engine)
+    rebuilds = engine.timing.rebuild_count
     simulation.step(window)
-    after, rebuilds = phase_seconds(engine), engine.timing.rebuild_count - rebuilds
+    after = phase_seconds(engine)
+    rebuilds = engine.timing.rebuild_count - rebuilds
     step_kernels = profile(window)
     rebuild_times = [rebuild_seconds(engine) for _ in range(REBUILDS)]
     rebuild_kernels = profile(REBUILDS)
     seconds = {name: (after[name] - before[name]) / window for name in after}
     list_entries, touching = neighbors_of(engine)
     load = counts.load_of(engine.state, list_entries, touching)
-    moved, operations = counts.bytes_of(load), counts.operations_of(load)
+    moved = counts.bytes_of(load)
+    operations = counts.operations_of(load)
     return {
         "seconds": seconds | {"search": median(rebuild_times)},
         "steps_per_search": window / rebuilds if rebuilds else None,
@@ -81,15 +85,21 @@ def rebuild_seconds(engine: Any) -> float:
 
 
 def neighbors_of(engine: Any) -> tuple[int, int]:
-    """Number of neighbor-list entries, including walls and pairs listed twice, and number of particle contacts."""
-    neighbors, particles, count = engine.state.neighbors, engine.state.particles, engine.state.count
+    """Number of neighbor-list entries, including walls and pairs listed twice, and number of particle
+    contacts."""
+    neighbors = engine.state.neighbors
+    particles = engine.state.particles
+    count = engine.state.count
     begin, end = (field.to_numpy()[:count] for field in (neighbors.list_begin, neighbors.list_end))
     number = end - begin
     row = np.repeat(np.arange(count), number)
-    list_index = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number) + np.repeat(begin, number)
+    list_index = (
+        np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number) + np.repeat(begin, number)
+    )
     partner = neighbors.partner.to_numpy()[list_index]
     is_particle = partner >= 0
-    position, radius = particles.position.to_numpy()[:count], particles.radius.to_numpy()[:count]
+    position = particles.position.to_numpy()[:count]
+    radius = particles.radius.to_numpy()[:count]
     i, j = row[is_particle], partner[is_particle]
     distance = np.linalg.norm(position[i] - position[j], axis=1)
     return len(list_index), int((distance < radius[i] + radius[j]).sum())
@@ -104,7 +114,8 @@ def clear_profile() -> None:
 
 
 def profile(times: int) -> dict[str, float]:
-    """Time [s] of each kernel since the last reset, by name, divided by `times`; empty without the profiler."""
+    """Time [s] of each kernel since the last reset, by name, divided by `times`; empty without the
+    profiler."""
     if PROFILER not in os.environ:
         return {}
     from granflow.kernel_language import ti
@@ -129,7 +140,9 @@ def measure_all(options: argparse.Namespace, found: list[Case], folder: Path) ->
         case_folder = codes.prepare(case, folder, [])
         for law in options.laws:
             for threads in options.threads:
-                job = codes.job_for("granflow", law, case, threads, options.precision, options.skin, options.scale)
+                job = codes.job_for(
+                    "granflow", law, case, threads, options.precision, options.skin, options.scale
+                )
                 result["points"].append(point(job, case_folder))
                 print(f"{case.name}, {law}, {threads} thread(s): measured", flush=True)
     return result
@@ -149,7 +162,9 @@ def point(job: codes.Job, case_folder: Path) -> dict[str, Any]:
     phases = codes.last_json(codes.child(order, case_folder), "granflow")
     os.environ[PROFILER] = "1"
     try:
-        kernels = codes.last_json(codes.child(order | {"window": steps.window}, case_folder), "granflow")["kernels"]
+        kernels = codes.last_json(codes.child(order | {"window": steps.window}, case_folder), "granflow")[
+            "kernels"
+        ]
     finally:
         del os.environ[PROFILER]
     description = {"case": job.case.name, "law": job.law, "threads": job.threads, "precision": job.precision}
@@ -219,5 +234,9 @@ def kernel_lines(point: dict[str, Any]) -> list[str]:
         total = sum(kernels.values())
         shown = sorted(kernels.items(), key=lambda each: -each[1])
         label = PHASES.get(unit, unit)
-        lines += [f"  {1e6 * t:9.1f} us/{label:<7} {t / total:4.0%}  {name}" for name, t in shown if t > 0.01 * total]
+        lines += [
+            f"  {1e6 * t:9.1f} us/{label:<7} {t / total:4.0%}  {name}"
+            for name, t in shown
+            if t > 0.01 * total
+        ]
     return lines

@@ -12,7 +12,8 @@ LONGEST = 900.0  # s
 
 @dataclass(frozen=True)
 class ProcessResult:
-    """`began`: time just before the start [s since 1970]; `memory`: peak memory of all its processes [bytes]."""
+    """`began`: time just before the start [s since 1970]; `memory`: peak memory of all its processes
+    [bytes]."""
 
     output: str
     code: int
@@ -50,7 +51,9 @@ def _peaks_below(root: int) -> dict[int, int]:
         number = pending.pop()
         try:
             status = Path(f"/proc/{number}/status").read_text()
-            pending += [int(word) for word in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
+            pending += [
+                int(word) for word in Path(f"/proc/{number}/task/{number}/children").read_text().split()
+            ]
         except OSError:
             continue
         peaks = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")]

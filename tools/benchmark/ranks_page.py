@@ -11,11 +11,20 @@ from benchmark.machine import ROOT
 GUIDE = ROOT / "docs" / "pages" / "guides" / "parallel.md"
 BEGIN, END = "<!-- begin: bench.py --ranks -->\n", "<!-- end: bench.py --ranks -->\n"
 """Lines of the guide between which the table is written."""
-COLUMNS = ("particles", "code", "M particle-steps/s", "messages", "waiting", "rebuilds/1000 steps", "memory [MB]")
+COLUMNS = (
+    "particles",
+    "code",
+    "M particle-steps/s",
+    "messages",
+    "waiting",
+    "rebuilds/1000 steps",
+    "memory [MB]",
+)
 
 
 def write(folder: Path, guide: Path = GUIDE) -> Path | None:
-    """Writes the table of the newest results of ranks in a folder to the guide; None if there are no such results."""
+    """Writes the table of the newest results of ranks in a folder to the guide; None if there are no such
+    results."""
     found = page.newest(folder, "ranks", "")
     if found is None:
         return None

@@ -13,7 +13,8 @@ from benchmark.machine import ROOT, machine
 
 PEER_DATA = ROOT.parent / "shared" / "peers"
 HERTZ_ONLY_COUNT = 1_000_000
-"""Particle count from which granflow is measured only with the contact model of the other codes, to save time."""
+"""Particle count from which granflow is measured only with the contact model of the other codes, to save
+time."""
 START = {"granflow": (4.0, 6e-6), "liggghts": (0.5, 1e-5), "lammps": (0.5, 8e-6), "yade": (1.5, 1e-4)}
 """Constant overhead [s] and overhead per particle [s] of each code; only for the estimate of the duration."""
 RATE = {"granflow": 7e6, "liggghts": 4e6, "lammps": 4e6, "yade": 5e5}
@@ -30,7 +31,9 @@ def gather_cases(options: argparse.Namespace, folder: Path) -> list[Case]:
         if path.exists():
             found.append(read_data(path, "hopper"))
         else:
-            print(f"The hopper is skipped: {path} does not exist; give the file of its particles with --hopper-data.")
+            print(
+                f"The hopper is skipped: {path} does not exist; give the file of its particles with --hopper-data."
+            )
     return found
 
 
@@ -42,7 +45,9 @@ def bed_of(size: int, bed_files: dict[int, Path], folder: Path) -> Case:
         return settled_bed(size, folder)
     seeds = [count for count in {*bed_files, *cases.SEED_SIZES} if count < size and size % count == 0]
     if not seeds:
-        raise SystemExit(f"--sizes {size}: there is no such bed, and it is not a multiple of {min(cases.SEED_SIZES)}.")
+        raise SystemExit(
+            f"--sizes {size}: there is no such bed, and it is not a multiple of {min(cases.SEED_SIZES)}."
+        )
     return tiled(bed_of(max(seeds), bed_files, folder), size)
 
 
@@ -53,7 +58,9 @@ def settled_bed(size: int, folder: Path) -> Case:
         print(f"granflow settles a bed of {size} particles ...", flush=True)
         done = codes.child({"job": "settle", "count": size, "path": str(path), "threads": 2}, folder)
         if done.code or not path.exists():
-            raise SystemExit(f"Settling a bed of {size} particles failed: {codes.last_error_line(done.output)}")
+            raise SystemExit(
+                f"Settling a bed of {size} particles failed: {codes.last_error_line(done.output)}"
+            )
     return Case.load(path)
 
 
@@ -105,7 +112,10 @@ def measure_all(
     """Measures all rounds; writes the results to `out` after each group."""
     groups = jobs(options, found, peers)
     minutes = options.rounds * sum(seconds_for(job) for group in groups for job in group) / 60.0
-    print(f"{options.rounds} round(s) of {sum(map(len, groups))} measurements: about {minutes:.0f} min.", flush=True)
+    print(
+        f"{options.rounds} round(s) of {sum(map(len, groups))} measurements: about {minutes:.0f} min.",
+        flush=True,
+    )
     notes = skipped_cases(found, peers)
     kind = "ranks" if options.ranks else "peers"
     result: dict[str, Any] = {"kind": kind, "machine": machine(), "notes": notes, "points": []}

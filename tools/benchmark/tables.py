@@ -71,7 +71,9 @@ def ratio(result: dict[str, Any], other: Group) -> Spread | None:
         and (point["case"], point["threads"]) == (other.case, other.threads)
     }
     pairs = [
-        granflow_rates[point["round"]] / point["rate"] for point in other.points if point["round"] in granflow_rates
+        granflow_rates[point["round"]] / point["rate"]
+        for point in other.points
+        if point["round"] in granflow_rates
     ]
     return Spread.of(pairs) if pairs else None
 
@@ -101,7 +103,10 @@ def text(result: dict[str, Any]) -> str:
     """Table and notes as text."""
     table = [list(COLUMNS), *rows(result)]
     widths = [max(len(row[k]) for row in table) for k in range(len(COLUMNS))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in table
+    ]
     return "\n".join(["", *lines, *result["notes"]])
 
 

@@ -50,7 +50,9 @@ if str(held["kind"]) == "bed":
         omega.bodies.append(utils.wall(float(place), axis=axis, sense=sense, material="m"))
 else:
     omega.bodies.append(ymport.stl(mesh, material="m"))
-collider = InsertionSortCollider([Bo1_Sphere_Aabb(), Bo1_Wall_Aabb(), Bo1_Facet_Aabb()], verletDist=float(skin))
+collider = InsertionSortCollider(
+    [Bo1_Sphere_Aabb(), Bo1_Wall_Aabb(), Bo1_Facet_Aabb()], verletDist=float(skin)
+)
 restitution = settings["restitution"]
 omega.engines = [
     ForceResetter(),

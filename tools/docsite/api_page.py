@@ -39,7 +39,15 @@ joins the blocks and validates them together. Blocks are immutable.
 """
 GROUPS: Mapping[str, Sequence[str]] = {
     "Scenes": ("load_scene", "Scene", "register_contact_model"),
-    "Simulations": ("Simulation", "ParticleForce", "on_interval", "StopRun", "Snapshot", "ParticleData", "start"),
+    "Simulations": (
+        "Simulation",
+        "ParticleForce",
+        "on_interval",
+        "StopRun",
+        "Snapshot",
+        "ParticleData",
+        "start",
+    ),
     "Results": ("read_run", "Run", "Result", "analyze_snapshots", "steady_flow"),
     "Studies": ("sweep", "calibrate"),
     "Plans": ("plan_for", "Plan", "explain", "estimate_memory"),
@@ -89,7 +97,9 @@ def page() -> str:
         lines.append(f"## {topic}\n")
         for module, names in modules.items():
             introduction = inspect.getdoc(import_module(module)) or ""
-            lines += [f"{introduction}\n"] * ("\n" in introduction) + [part_section(module, name) for name in names]
+            lines += [f"{introduction}\n"] * ("\n" in introduction) + [
+                part_section(module, name) for name in names
+            ]
     if remaining:
         lines += ["## Further names\n", *map(section, remaining)]
     return "\n".join(lines)
@@ -107,7 +117,8 @@ def is_block(name: str) -> bool:
 
 
 def section(name: str) -> str:
-    """Signature and docstring of a function or class, with the public members of a class, or the keys of a block."""
+    """Signature and docstring of a function or class, with the public members of a class, or the keys of a
+    block."""
     thing = getattr(granflow, name)
     lines = [f"### {name}\n", signature(name, thing), docstring(name, thing)]
     if is_block(name):
@@ -122,7 +133,12 @@ def part_section(module: str, name: str) -> str:
     """Module and docstring of a class that is not a name of the package, with its public members."""
     thing = getattr(import_module(module), name)
     is_created = module.startswith("granflow.contact")
-    lines = [f"### {name}\n", f"In `{module}`.\n", signature(name, thing) if is_created else "", docstring(name, thing)]
+    lines = [
+        f"### {name}\n",
+        f"In `{module}`.\n",
+        signature(name, thing) if is_created else "",
+        docstring(name, thing),
+    ]
     for member, value in members(thing):
         lines += [f"#### {name}.{member}\n", value]
     return "\n".join(lines)
@@ -139,7 +155,8 @@ def _key_link(block: str, key: str) -> str:
 
 
 def signature(name: str, thing: Any) -> str:
-    """Signature as a block of Python; empty without one, and for parts of a scene, whose arguments are keys."""
+    """Signature as a block of Python; empty without one, and for parts of a scene, whose arguments are
+    keys."""
     if inspect.isclass(thing) and issubclass(thing, Model):
         return ""
     try:
@@ -160,7 +177,9 @@ def wrapped(text: str, width: int = 100) -> str:
         return text
     head, _, rest = text.partition("(")
     inner, _, tail = rest.rpartition(")")
-    depth, parameters, current = 0, [], ""
+    depth = 0
+    parameters = []
+    current = ""
     for character in inner:
         depth += (character in "([{") - (character in ")]}")
         if character == "," and depth == 0:
@@ -196,7 +215,9 @@ def members(thing: type) -> Iterator[tuple[str, str]]:
     for member, value in {**vars(thing), **inherited}.items():
         if member.startswith("_"):
             continue
-        function: Callable[..., Any] | None = getattr(value, "__func__", value if inspect.isfunction(value) else None)
+        function: Callable[..., Any] | None = getattr(
+            value, "__func__", value if inspect.isfunction(value) else None
+        )
         if isinstance(value, property) and value.__doc__:
             yield member, docstring(member, value)
         elif function is not None and function.__doc__ and function.__module__.startswith("granflow"):

@@ -39,7 +39,12 @@ def pair(restitution: float | VelocityRestitution | None = RESTITUTION) -> PairM
         restitution,
         0.5,
         STEEL.yield_strength,
-        {"rolling_friction": 0.1, "rolling_damping": 0.3, "rolling_dissipation": 1e-3, "twisting_friction": 1e-5}
+        {
+            "rolling_friction": 0.1,
+            "rolling_damping": 0.3,
+            "rolling_dissipation": 1e-3,
+            "twisting_friction": 1e-5,
+        }
         | ADHESION,
     )
 

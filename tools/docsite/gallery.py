@@ -29,16 +29,19 @@ in 3D.
 
 def page() -> str:
     """The page in Markdown."""
-    sections = [INTRODUCTION, _contents(), *(_section(name) for name in names() if not name.startswith(VERIFICATION))]
+    sections = [
+        INTRODUCTION,
+        _contents(),
+        *(_section(name) for name in names() if not name.startswith(VERIFICATION)),
+    ]
     rows = [(code(name), _scene(name)["title"]) for name in names() if name.startswith(VERIFICATION)]
-    verification = (
-        "## Verification scenes\n\nSingle collisions and small systems with closed-form or published results.\n\n"
-    )
+    verification = "## Verification scenes\n\nSingle collisions and small systems with closed-form or published results.\n\n"
     return "\n".join([*sections, verification + table(("scene", "title"), rows)])
 
 
 def names() -> list[str]:
-    """Names of the shipped scenes, without sweeps and calibrations: paths relative to scenes/ without suffix."""
+    """Names of the shipped scenes, without sweeps and calibrations: paths relative to scenes/ without
+    suffix."""
     return sorted(scene_paths())
 
 
@@ -60,7 +63,8 @@ def _contents() -> str:
 
 
 def _section(name: str) -> str:
-    """Title, description, film, command, comparisons with published values or expectations, run time of a scene."""
+    """Title, description, film, command, comparisons with published values or expectations, run time of a
+    scene."""
     scene = _scene(name)
     lines = [f"## {scene['title']} {{ #{_identifier(name)} }}\n", f"{scene['description']}\n"]
     lines.append(_picture_or_film(name, scene["title"]))
@@ -74,13 +78,17 @@ def _section(name: str) -> str:
         lines.append(table(("quantity", "unit", "granflow", "expected"), found))
     if "wall_clock" in run:
         threads = f"{run['threads']} thread{'s' if run['threads'] > 1 else ''}"
-        lines.append(f"Run time: {run['wall_clock']:.0f} s with {threads} (AMD EPYC, compilation included).\n")
+        lines.append(
+            f"Run time: {run['wall_clock']:.0f} s with {threads} (AMD EPYC, compilation included).\n"
+        )
     return "\n".join(lines)
 
 
 def _picture_or_film(name: str, title: str) -> str:
-    """The film of a scene, with its picture before it plays; the picture alone or nothing if there is no file."""
-    picture, film = picture_of(name), picture_of(name).with_suffix(".mp4")
+    """The film of a scene, with its picture before it plays; the picture alone or nothing if there is no
+    file."""
+    picture = picture_of(name)
+    film = picture_of(name).with_suffix(".mp4")
     if film.exists():
         files = f'poster="gallery/{picture.name}" src="gallery/{film.name}"'
         return f'<video controls loop muted playsinline preload="none" width="480" title="{title}" {files}></video>\n'

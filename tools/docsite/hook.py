@@ -1,4 +1,5 @@
-"""Events of MkDocs: adds the generated pages and pictures, inserts facts of contact models, and converts formulas.
+"""Events of MkDocs: adds the generated pages and pictures, inserts facts of contact models, and converts
+formulas.
 
 A page contains `<!-- contact model NAME -->` or `<!-- contact models -->` where facts of the registry belong.
 """
@@ -66,14 +67,17 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Insert the facts of contact models. Raises PluginError if the page of a model does not contain its facts."""
+    """Insert the facts of contact models. Raises PluginError if the page of a model does not contain its
+    facts."""
     from mkdocs.exceptions import PluginError
 
     path = Path(page.file.src_uri)
     if path.parent.name == "contact_models" and path.stem in set(model_pages.names()):
         if MODEL.findall(markdown) != [path.stem]:
             raise PluginError(f"docs/pages/{path} must contain <!-- contact model {path.stem} --> once")
-    return MODEL.sub(lambda found: model_pages.facts(found[1]), markdown).replace(MODELS, model_pages.overview())
+    return MODEL.sub(lambda found: model_pages.facts(found[1]), markdown).replace(
+        MODELS, model_pages.overview()
+    )
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:

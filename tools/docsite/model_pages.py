@@ -1,4 +1,5 @@
-"""Facts of the contact models from the registry: source, limits, options, keys of pairs, constants and history."""
+"""Facts of the contact models from the registry: source, limits, options, keys of pairs, constants and
+history."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,5 @@
-"""Pictures of the contact models, from closed forms and reference implementations on the host; no simulation."""
+"""Pictures of the contact models, from closed forms and reference implementations on the host; no
+simulation."""
 
 import io
 import math
@@ -8,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from docsite.example_laws import ADHESION, LARGEST_VELOCITY, example_pair, fitted_pair, normal_law, pair, two_spheres
+from docsite.example_laws import (
+    ADHESION,
+    LARGEST_VELOCITY,
+    example_pair,
+    fitted_pair,
+    normal_law,
+    pair,
+    two_spheres,
+)
 from granflow.contact import registry, theory
 from granflow.contact.law import ContactState, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
@@ -25,8 +34,13 @@ RADIUS, MODULUS = 1e-4, 1e7
 STEPS_PER_CONTACT = 400
 VARIANTS: dict[str, Sequence[tuple[str, dict[str, Any]]]] = {
     "linear": [("stiffness: onset", {}), ("stiffness: 1e7 N/m", {"stiffness": {"value": 1e7}})],
-    "walton_braun": [("unloading: constant", {}), ("reference 1 m/s", {"unloading": {"reference_velocity": 1.0}})],
-    "luding": [(f"tension: {tension:g}", {"plasticity_depth": 1e-3, "tension": tension}) for tension in (0.0, 0.2)],
+    "walton_braun": [
+        ("unloading: constant", {}),
+        ("reference 1 m/s", {"unloading": {"reference_velocity": 1.0}}),
+    ],
+    "luding": [
+        (f"tension: {tension:g}", {"plasticity_depth": 1e-3, "tension": tension}) for tension in (0.0, 0.2)
+    ],
     "thornton": [("yield_ratio: 1.6", {}), ("yield_ratio: 2.8", {"yield_ratio": 2.8})],
     "kuwabara_kono": [("reference 1 m/s", {}), ("reference 0.1 m/s", {"reference_velocity": 0.1})],
 }
@@ -39,7 +53,9 @@ def picture(slot: str, name: str) -> str:
     """Picture of a model as SVG text. Raises KeyError for a slot without pictures."""
     draw: dict[str, Callable[[str], str]] = {
         "normal": _normal,
-        "tangential": lambda name: _loop("displacement / displacement at slip", "tangential force / Coulomb limit"),
+        "tangential": lambda name: _loop(
+            "displacement / displacement at slip", "tangential force / Coulomb limit"
+        ),
         "rolling": _rolling,
         "twisting": lambda name: _loop("twist angle / angle at the limit", "torque / limit"),
         "cohesion": lambda name: _sjkr() if name == "sjkr" else _cohesion(name),
@@ -56,7 +72,9 @@ def collide(law: NormalLaw, materials: PairMaterial, velocity: float) -> tuple[f
     constants = np.array(law.pair_constants(materials))
     history = np.zeros(law.history_count)
     time_step = sum(law.phase_durations(materials, radius, mass, velocity)) / STEPS_PER_CONTACT
-    overlap, rate, steps = 0.5 * velocity * time_step, velocity, 0.5
+    overlap = 0.5 * velocity * time_step
+    rate = velocity
+    steps = 0.5
     while True:
         force, history = law.reference_force(constants, radius, mass, time_step, overlap, rate, history)
         ends = force == 0.0 and rate < 0.0
@@ -100,7 +118,8 @@ def _loop(x: str, y: str) -> str:
     """Force of the elastic-plastic spring over one cycle of displacement, in units of the limit."""
     figure, (axis,) = _figure(1)
     path = np.concatenate([np.linspace(0, 2, 100), np.linspace(2, -2, 200), np.linspace(-2, 2, 200)])
-    displacement, forces = np.zeros(3), []
+    displacement = np.zeros(3)
+    forces = []
     for step in np.diff(path, prepend=0.0):
         force, displacement = reference_spring(1.0, 1.0, displacement, np.array([step, 0.0, 0.0]))
         forces.append(-force[0])
@@ -128,10 +147,12 @@ def _rolling(name: str) -> str:
 
 
 def _damped_loop() -> str:
-    """Torque of SDS over two cycles of rolling with a period of twelve natural periods, in units of the limit."""
+    """Torque of SDS over two cycles of rolling with a period of twelve natural periods, in units of the
+    limit."""
     figure, (axis,) = _figure(1)
     time, step = np.linspace(0.0, 24.0 * math.tau, 4001, retstep=True)
-    angle, law = 2.0 * np.sin(time / 12.0), Sds(False)
+    angle = 2.0 * np.sin(time / 12.0)
+    law = Sds(False)
     contact = SimpleNamespace(
         stiffness=1.0, stiffness_ratio=1.0, radius_eff=1.0, inertia_eff=1.0, normal_load=1.0, time_step=step,
         normal=np.array([0.0, 0.0, 1.0]), normal_half=np.array([0.0, 0.0, 1.0]),
@@ -140,7 +161,8 @@ def _damped_loop() -> str:
     torques: list[float] = []
     history: Mapping[str, Any] = {"angle": np.zeros(3)}
     for rate in np.diff(angle, prepend=0.0) / step:
-        contact.history, contact.rolling_rate = SimpleNamespace(**history), np.array([rate, 0.0, 0.0])
+        contact.history = SimpleNamespace(**history)
+        contact.rolling_rate = np.array([rate, 0.0, 0.0])
         torque, history = law.reference(contact)
         torques.append(-torque[0])
     axis.plot(angle, torques, color=COLORS[0])
@@ -169,7 +191,9 @@ def _cohesion(name: str) -> str:
     return _svg(figure)
 
 
-def _pulled_force(law: Any, constants: SimpleNamespace, overlap: np.ndarray, start: Mapping[str, Any]) -> np.ndarray:
+def _pulled_force(
+    law: Any, constants: SimpleNamespace, overlap: np.ndarray, start: Mapping[str, Any]
+) -> np.ndarray:
     """Hertz force minus attraction (n,) [N] along overlaps (n,) [m], from a history at the start."""
     force: list[float] = []
     history = start
@@ -183,7 +207,8 @@ def _pulled_force(law: Any, constants: SimpleNamespace, overlap: np.ndarray, sta
 def _sjkr() -> str:
     """Hertz force minus the SJKR attraction versus overlap."""
     figure, (axis,) = _figure(1)
-    radius, modulus = 0.5e-3, 5e6 / (2.0 * (1.0 - 0.2**2))
+    radius = 0.5e-3
+    modulus = 5e6 / (2.0 * (1.0 - 0.2**2))
     overlap = np.linspace(0.0, 20e-6, 200)
     hertz = theory.hertz_stiffness(modulus, radius) * overlap**1.5
     for color, density in zip(COLORS, (0.0, 5e4, 1e5), strict=True):

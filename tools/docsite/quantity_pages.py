@@ -1,4 +1,5 @@
-"""Reference pages of the files of a run: time series, VTU arrays, metrics, result.json; and of units and presets."""
+"""Reference pages of the files of a run: time series, VTU arrays, metrics, result.json; and of units and
+presets."""
 
 from collections.abc import Iterable, Mapping
 
@@ -78,8 +79,12 @@ def time_series() -> str:
 
 def vtu_arrays() -> str:
     """Page of the arrays of VTU files."""
-    displayed = [each for each in fields.PARTICLE_QUANTITIES.values() if isinstance(each, FieldSpec) and each.displayed]
-    contacts = [each for name, each in fields.CONTACT_QUANTITIES.items() if name not in ("position_i", "position_j")]
+    displayed = [
+        each for each in fields.PARTICLE_QUANTITIES.values() if isinstance(each, FieldSpec) and each.displayed
+    ]
+    contacts = [
+        each for name, each in fields.CONTACT_QUANTITIES.items() if name not in ("position_i", "position_j")
+    ]
     return "\n".join(
         [
             VTU,
@@ -122,14 +127,21 @@ def result() -> str:
     for name, quantities in parts.items():
         sections.append(f"## {name}\n\n{quantity_table(quantities.values(), 'PART')}")
     sections.append("## metrics\n\nBy name of the metric; see [metrics](metrics.md).\n")
-    sections.append("## expect\n\nA list of `{sentence, met}`, one for each entry of `expect:` in the scene.\n")
+    sections.append(
+        "## expect\n\nA list of `{sentence, met}`, one for each entry of `expect:` in the scene.\n"
+    )
     return "\n".join(sections)
 
 
 def units() -> str:
     """Page of the units of each dimension."""
     rows = [
-        (each.noun.partition(" ")[2], si_unit(each), ", ".join(code(name) for name in each.units), code(each.example))
+        (
+            each.noun.partition(" ")[2],
+            si_unit(each),
+            ", ".join(code(name) for name in each.units),
+            code(each.example),
+        )
         for each in DIMENSIONS.values()
     ]
     return f"{UNITS}\n{table(('quantity', 'SI unit', 'units', 'example'), rows)}"
@@ -144,7 +156,10 @@ def presets() -> str:
             ("Young's modulus", f"{each.young_modulus:.4g} Pa"),
             ("Poisson ratio", f"{each.poisson_ratio:g}"),
             ("density", f"{each.density:g} kg/m3"),
-            ("yield strength", f"{each.yield_strength:.4g} Pa" if each.yield_strength else "none: never yields"),
+            (
+                "yield strength",
+                f"{each.yield_strength:.4g} Pa" if each.yield_strength else "none: never yields",
+            ),
             ("sigma, psi (Zhou 2011, Eq. 12)", f"{fit[0]:g}, {fit[1]:g}" if fit else "none"),
         ]
         sections.append(f"## {name}\n\n{table(('property', 'value'), rows)}\nSource: {each.source}.\n")
@@ -153,11 +168,15 @@ def presets() -> str:
 
 def quantity_table(quantities: Iterable[Quantity], part: str = "") -> str:
     """Table of columns; `part`: placeholder of the name of a part after the dot."""
-    rows = [(code(each.label_of(part) if part else each.label), each.symbol, each.meaning) for each in quantities]
+    rows = [
+        (code(each.label_of(part) if part else each.label), each.symbol, each.meaning) for each in quantities
+    ]
     return table(("column", "symbol", "meaning"), rows)
 
 
 def array_table(quantities: Iterable[Quantity]) -> str:
     """Table of VTU arrays."""
-    rows = [(code(each.name), each.unit, f"{each.kind}, {each.file_type}", each.meaning) for each in quantities]
+    rows = [
+        (code(each.name), each.unit, f"{each.kind}, {each.file_type}", each.meaning) for each in quantities
+    ]
     return table(("array", "unit", "type", "meaning"), rows)

@@ -1,8 +1,9 @@
 """Beds of any size without settling them, and engines that hold them.
 
-A bed of some thousand particles settles on the CPU under gravity; a larger bed consists of mirror images of it (see
-`benchmark.cases.tiled`). Contacts per particle, overlaps and disorder are therefore those of a settled bed at each
-size; only the share of particles near a side wall differs. A lattice would have 12 contacts, or 6 in regular order.
+A bed of some thousand particles settles on the CPU under gravity; a larger bed consists of mirror images of
+it (see `benchmark.cases.tiled`). Contacts per particle, overlaps and disorder are therefore those of a
+settled bed at each size; only the share of particles near a side wall differs. A lattice would have 12
+contacts, or 6 in regular order.
 """
 
 import tempfile
@@ -54,9 +55,12 @@ def engine_for(
     if chunk_size is not None:
         plan = replace(plan, chunk_size=chunk_size)
     engine = Engine(plan, backend)
-    zeros, zero_indices = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
+    zeros = np.zeros((case.count, 3))
+    zero_indices = np.zeros(case.count, np.int32)
     velocities = zeros if velocity is None else velocity
-    engine.insert(ParticleData(case.position, velocities, zeros, 0.5 * case.diameter, zero_indices, zero_indices))
+    engine.insert(
+        ParticleData(case.position, velocities, zeros, 0.5 * case.diameter, zero_indices, zero_indices)
+    )
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
     return engine

@@ -1,7 +1,7 @@
 """Correctness checks on one device in one precision. Each check is a value with a limit.
 
-The functions are jobs of subprocesses and return records {name, value, limit, passed}. A GPU evaluates each contact
-from both sides (chunks of one particle); on a CPU these checks do the same.
+The functions are jobs of subprocesses and return records {name, value, limit, passed}. A GPU evaluates each
+contact from both sides (chunks of one particle); on a CPU these checks do the same.
 """
 
 import hashlib
@@ -15,7 +15,15 @@ from benchmark.cases import RADIUS_MEAN
 from gpu_checks.beds import bed, engine_for
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
-VERIFIED = ("unequal_spheres", "wall_limit", "chung_ooi_3", "conveyor", "incline", "stack_at_rest", "mfix_slip_to_roll")
+VERIFIED = (
+    "unequal_spheres",
+    "wall_limit",
+    "chung_ooi_3",
+    "conveyor",
+    "incline",
+    "stack_at_rest",
+    "mfix_slip_to_roll",
+)
 """Scenes in scenes/verification with closed forms: pairs, walls, moving walls, friction, rest, rolling."""
 STEPS = 400
 EPS = {"f64": float(np.finfo(np.float64).eps), "mixed": float(np.finfo(np.float32).eps)}
@@ -24,7 +32,8 @@ SPREAD = 6.0
 """Accepted deviation due to rounding, in standard deviations."""
 TRAJECTORY_STEPS = 1000
 FASTEST = 0.5
-"""Largest initial speed [m/s] of the colliding particles: two of them approach at the planned 1 m/s at most."""
+"""Largest initial speed [m/s] of the colliding particles: two of them approach at the planned 1 m/s at
+most."""
 PARTICLE_COUNT = (256, 60)
 """Particles of the vibrated box: those in the box, and those that rain in upward and leave the domain."""
 
@@ -42,11 +51,16 @@ def collisions(arch: str, precision: str) -> list[dict[str, Any]]:
     from granflow.contact.registry import models
     from granflow.studies.collide import collide
 
-    logging.getLogger("granflow").setLevel(logging.ERROR)  # f32 logs a warning; the limit includes its resolution
-    found, diameter = [], 4e-3
+    logging.getLogger("granflow").setLevel(
+        logging.ERROR
+    )  # f32 logs a warning; the limit includes its resolution
+    found = []
+    diameter = 4e-3
     resolved = EPS[precision] * diameter * (10.0 if precision == "f32" else 1.0)
     for law, wall in [*((law, False) for law in models("normal")), ("zhou", True)]:
-        requested: dict[str, Any] = {} if models("normal")[law].restitution == "nothing" else {"restitution": 0.7}
+        requested: dict[str, Any] = (
+            {} if models("normal")[law].restitution == "nothing" else {"restitution": 0.7}
+        )
         numbers = collide(
             law, "stainless_316", diameter, 0.5, wall=wall, steps_per_contact=STEPS, precision=precision, arch=arch,
             **requested,
@@ -83,7 +97,8 @@ def momentum(arch: str, precision: str, bed_file: str) -> list[dict[str, Any]]:
 
 def _colliding_particles(bed_file: str, precision: str) -> Any:
     """Particles of a settled bed with random velocities, without walls."""
-    case, rng = bed(bed_file, 0), np.random.default_rng(7)
+    case = bed(bed_file, 0)
+    rng = np.random.default_rng(7)
     center = case.position.mean(axis=0)
     selected = np.argsort(np.linalg.norm(case.position - center, axis=1))[:1000]
     position = case.position[selected] - center
@@ -121,13 +136,19 @@ def _scene(groups: dict[str, Any], walls: dict[str, Any], **parts: Any) -> Any:
 
 
 def _vibrated_box(precision: str) -> Any:
-    """A lattice falls into a vibrated box; particles rain in upward and leave the domain. Friction and rolling."""
+    """A lattice falls into a vibrated box; particles rain in upward and leave the domain. Friction and
+    rolling."""
     rng = np.random.default_rng(4)
     positions = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
     walls: dict[str, Any] = {}
     for axis, name in enumerate("xyz"):
         unit = np.eye(3)[axis]
-        walls[f"low_{name}"] = {"shape": "plane", "point": [0.0] * 3, "normal": unit.tolist(), "material": "m"}
+        walls[f"low_{name}"] = {
+            "shape": "plane",
+            "point": [0.0] * 3,
+            "normal": unit.tolist(),
+            "material": "m",
+        }
         if name != "z":
             far = {"point": (0.06 * unit).tolist(), "normal": (-unit).tolist()}
             walls[f"high_{name}"] = {"shape": "plane", "material": "m", **far}
@@ -160,7 +181,9 @@ def vibrated_box(arch: str, precision: str) -> dict[str, Any]:
         "digest": digest.hexdigest(),
         "checks": [
             record("vibrated box: particles missing", totals["particle_count"] - PARTICLE_COUNT[0], 0.0),
-            record("vibrated box: deleted particles missing", totals["deleted_count"] - PARTICLE_COUNT[1], 0.0),
+            record(
+                "vibrated box: deleted particles missing", totals["deleted_count"] - PARTICLE_COUNT[1], 0.0
+            ),
             record("vibrated box: energy error", totals["energy_error"], energy_limit),
             record("vibrated box: maximum overlap over radius", totals["overlap_largest"], 0.1),
         ],
@@ -168,7 +191,8 @@ def vibrated_box(arch: str, precision: str) -> dict[str, Any]:
 
 
 def scenes(arch: str, precision: str) -> list[dict[str, Any]]:
-    """Scenes of the repository: the start of the hopper, and in f64 the expectations of verification scenes."""
+    """Scenes of the repository: the start of the hopper, and in f64 the expectations of verification
+    scenes."""
     found = hopper(arch, precision)
     if precision != "f64":
         return found
@@ -201,12 +225,15 @@ def hopper(arch: str, precision: str) -> list[dict[str, Any]]:
     ]
 
 
-def trajectory(arch: str, precision: str, bed_file: str, out: str, moved: float, chunk_size: int | None) -> None:
+def trajectory(
+    arch: str, precision: str, bed_file: str, out: str, moved: float, chunk_size: int | None
+) -> None:
     """Writes the state of a settled bed after TRAJECTORY_STEPS with random velocities of 0.1 m/s.
 
     `moved` [m] is a displacement of random sign of each initial position.
     """
-    case, rng = bed(bed_file, 0), np.random.default_rng(11)
+    case = bed(bed_file, 0)
+    rng = np.random.default_rng(11)
     velocity = rng.normal(0.0, 0.1, case.position.shape)
     case.position[:] += moved * rng.choice([-1.0, 1.0], case.position.shape)
     engine = engine_for(case, arch, precision, velocity, chunk_size)
@@ -228,8 +255,9 @@ def displacement(precision: str, bed_file: str) -> float:
 def agreement(here: Path, reference: Path, disturbed: Path, margin: float) -> list[dict[str, Any]]:
     """Compares a trajectory with that of the CPU in f64.
 
-    Collisions amplify differences, so that the limit is measured: `margin` times the change of the reference if each
-    initial position is displaced by the resolution of the precision. The root mean square bounds the energy:
+    Collisions amplify differences, so that the limit is measured: `margin` times the change of the reference
+    if each initial position is displaced by the resolution of the precision. The root mean square bounds the
+    energy:
     |dE| / E <= 2 rms(dv) / rms(v).
     """
     one, other, shifted = (dict(np.load(path)) for path in (here, reference, disturbed))
@@ -243,11 +271,14 @@ def agreement(here: Path, reference: Path, disturbed: Path, margin: float) -> li
     limit = {name: margin * max_difference(name, shifted) for name in ("position", "velocity")}
     energy = margin * 2.0 * rms_difference("velocity") / float(np.sqrt(np.mean(other["velocity"] ** 2)))
     overlap = margin * 2.0 * rms_difference("position") / float(other["radius"].min())
-    diameter, position = 2.0 * float(other["radius"].mean()), max_difference("position", one)
+    diameter = 2.0 * float(other["radius"].mean())
+    position = max_difference("position", one)
     return [
         record("steps missing", float(one["steps"]) - TRAJECTORY_STEPS, 0.0),
         record("position difference [diameters]", position / diameter, limit["position"] / diameter),
         record("velocity difference [m/s]", max_difference("velocity", one), limit["velocity"]),
         record("kinetic energy difference", one["kinetic_energy"] / other["kinetic_energy"] - 1.0, energy),
-        record("maximum overlap difference [radii]", one["overlap_largest"] - other["overlap_largest"], overlap),
+        record(
+            "maximum overlap difference [radii]", one["overlap_largest"] - other["overlap_largest"], overlap
+        ),
     ]

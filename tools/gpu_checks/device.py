@@ -10,7 +10,8 @@ ARRAY_LENGTH = 1 << 27
 
 
 def present(arch: str) -> dict[str, Any]:
-    """Job of a subprocess: starts the architecture and describes it; an error message if it is not available."""
+    """Job of a subprocess: starts the architecture and describes it; an error message if it is not
+    available."""
     from granflow.engine.backend import start
     from granflow.errors import GranflowError
 
@@ -43,7 +44,11 @@ def _query_vulkan() -> dict[str, Any]:
     device = used_device(vulkan_devices())
     if device is None:
         return {}
-    memory = {"memory_total": device.total, "memory_free": device.free, "largest_buffer": device.largest_buffer}
+    memory = {
+        "memory_total": device.total,
+        "memory_free": device.free,
+        "largest_buffer": device.largest_buffer,
+    }
     return {"name": device.name, "driver": device.driver, **memory}
 
 
@@ -51,17 +56,26 @@ def _query_driver() -> dict[str, Any]:
     requested = "--query-gpu=name,driver_version,memory.total,memory.free"
     try:
         done = subprocess.run(
-            ["nvidia-smi", requested, "--format=csv,noheader,nounits"], capture_output=True, text=True, timeout=60
+            ["nvidia-smi", requested, "--format=csv,noheader,nounits"],
+            capture_output=True,
+            text=True,
+            timeout=60,
         )
         name, driver, total, free = (word.strip() for word in done.stdout.splitlines()[0].split(","))
         mebi = 1 << 20
-        return {"name": name, "driver": driver, "memory_total": mebi * int(total), "memory_free": mebi * int(free)}
+        return {
+            "name": name,
+            "driver": driver,
+            "memory_total": mebi * int(total),
+            "memory_free": mebi * int(free),
+        }
     except (OSError, IndexError, ValueError, subprocess.TimeoutExpired):
         return {}
 
 
 def bandwidth(on_cpu: bool) -> dict[str, float]:
-    """Bandwidth [bytes/s] of copy (two accesses per element) and triad (three), as in STREAM; best of several."""
+    """Bandwidth [bytes/s] of copy (two accesses per element) and triad (three), as in STREAM; best of
+    several."""
     from benchmark import limits  # imports Taichi, whose banner granflow must disable first
 
     if on_cpu:
@@ -71,7 +85,8 @@ def bandwidth(on_cpu: bool) -> dict[str, float]:
 
 
 def _gpu_bandwidth(count: int) -> dict[str, float]:
-    """Bandwidth with coalesced access: neighboring threads access neighboring elements; `count` is a power of 2."""
+    """Bandwidth with coalesced access: neighboring threads access neighboring elements; `count` is a power of
+    2."""
     from benchmark import limits
 
     from granflow.engine.fields import thread_count
@@ -96,6 +111,9 @@ def _gpu_bandwidth(count: int) -> dict[str, float]:
             for k in range(count // threads):
                 a[k * threads + i] = b[k * threads + i] + scale * c[k * threads + i]
 
-    found = {"copy": 8.0 * count / limits.fastest(copy, 0.5), "triad": 12.0 * count / limits.fastest(triad, 0.5)}
+    found = {
+        "copy": 8.0 * count / limits.fastest(copy, 0.5),
+        "triad": 12.0 * count / limits.fastest(triad, 0.5),
+    }
     tree.destroy()
     return found

@@ -1,4 +1,5 @@
-"""Speed of one bed in one precision, minimum memory traffic, and memory bandwidth measured in the same process."""
+"""Speed of one bed in one precision, minimum memory traffic, and memory bandwidth measured in the same
+process."""
 
 import os
 import time
@@ -19,7 +20,8 @@ MEMORY_SHARE = 0.7
 
 
 def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> tuple[int, int]:
-    """Bytes of all fields, and of the largest one, of a bed of about `count` particles, before neighbor lists grow."""
+    """Bytes of all fields, and of the largest one, of a bed of about `count` particles, before neighbor lists
+    grow."""
     from granflow.plan.arrays import estimate_memory, largest_block
 
     case = bed(bed_file, 0)
@@ -30,7 +32,8 @@ def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> tup
 
 
 def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float) -> dict[str, Any]:
-    """Job of a subprocess: particle-steps per second of a settled bed, with memory traffic, timings and contacts.
+    """Job of a subprocess: particle-steps per second of a settled bed, with memory traffic, timings and
+    contacts.
 
     If `phases.PROFILER` is set, the result includes the time [s] of each kernel per step and per rebuild.
     """
@@ -38,7 +41,8 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
 
     backend = start(arch, precision)  # type: ignore[arg-type]
     limits = bandwidth(backend.on_cpu)
-    began, case = time.perf_counter(), bed(bed_file, count)
+    began = time.perf_counter()
+    case = bed(bed_file, count)
     engine = engine_for(case, arch, precision)
     ready = time.perf_counter() - began
     engine.advance(WARM_STEPS)
@@ -66,7 +70,9 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
 
 def _window(engine: Any, seconds: float) -> tuple[int, float, int]:
     """Steps in at least `seconds` of wall time, the elapsed time [s], and the rebuilds in it."""
-    rebuilds, steps, began = engine.timing.rebuild_count, 0, time.perf_counter()
+    rebuilds = engine.timing.rebuild_count
+    steps = 0
+    began = time.perf_counter()
     while time.perf_counter() - began < seconds and not engine.aborted:
         engine.advance(BATCH)  # waits for the device, since it reads the number of steps
         steps += BATCH
@@ -80,7 +86,8 @@ def _traffic(
     state = engine.state
     totals = engine.snapshot("run", frozenset({"totals"})).totals
     begin, end = (f.to_numpy()[: state.count] for f in (state.neighbors.list_begin, state.neighbors.list_end))
-    list_entries, contacts = int((end - begin).sum()), totals["contact_count"]
+    list_entries = int((end - begin).sum())
+    contacts = totals["contact_count"]
     both_sides = 2 if state.plan.chunk_size == 1 else 1
     moved = counts.bytes_of(counts.load_of(state, list_entries, int(both_sides * contacts)))
     each = (moved["motion"] + moved["forces"] + rebuilds_per_step * moved["search"]) / case.count

@@ -2,9 +2,9 @@
 
     python tools/validation/run_peers.py [CASE ...] [--out out/peers]
 
-Writes figures, version and date of each case to granflow/studies/validation/peers/figures.json. Needs the programs
-`liggghts` and `lmp` (Debian packages liggghts and lammps). With names of cases, such as "flat silo with a slot", only
-those are run, and the figures of the other cases remain.
+Writes figures, version and date of each case to granflow/studies/validation/peers/figures.json. Needs the
+programs `liggghts` and `lmp` (Debian packages liggghts and lammps). With names of cases, such as "flat silo
+with a slot", only those are run, and the figures of the other cases remain.
 """
 
 import argparse
@@ -17,15 +17,23 @@ STORED = Path(compare.__file__).with_name("figures.json")
 
 def main() -> None:
     """Run both codes and store their figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"one of {', '.join(compare.CASES)} (default: all)")
-    parser.add_argument("--out", type=Path, default=Path("out/peers"), metavar="DIR", help="files of the runs")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "cases", nargs="*", metavar="CASE", help=f"one of {', '.join(compare.CASES)} (default: all)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/peers"), metavar="DIR", help="files of the runs"
+    )
     options = parser.parse_args()
     if missing := set(programs.PROGRAMS) - set(programs.installed()):
         parser.error(f"{' and '.join(sorted(missing))} not installed")
     if unknown := set(options.cases) - set(compare.CASES):
         parser.error(f"no case {', '.join(sorted(unknown))}; there are {', '.join(compare.CASES)}")
-    chosen = {name: case for name, case in compare.CASES.items() if name in options.cases or not options.cases}
+    chosen = {
+        name: case for name, case in compare.CASES.items() if name in options.cases or not options.cases
+    }
     found = compare.run_peers(options.out, print, chosen)
     kept = compare.stored_figures()
     compare.write_figures(STORED, {code: kept[code] | content for code, content in found.items()})

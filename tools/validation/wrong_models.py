@@ -1,8 +1,10 @@
-"""Wrong models: inserts one error at a time into a copy of the source, and runs the validation cases that must fail.
+"""Wrong models: inserts one error at a time into a copy of the source, and runs the validation cases that
+must fail.
 
-python tools/validation/wrong_models.py            all models of WRONG_MODELS; writes docs/validation_results.json
-python tools/validation/wrong_models.py NAME ...   only the given ones; the rows of others stay
-python tools/validation/wrong_models.py --check    only checks that the text of each error occurs once in its file
+python tools/validation/wrong_models.py            all models of WRONG_MODELS; writes
+docs/validation_results.json python tools/validation/wrong_models.py NAME ...   only the given ones; the rows
+of others stay python tools/validation/wrong_models.py --check    only checks that the text of each error
+occurs once in its file
 
 The page of the documentation shows the result as a table.
 """
@@ -45,7 +47,8 @@ TWISTING, LAW = "granflow/contact/twisting/", "granflow/contact/normal_law.py"
 
 @dataclass(frozen=True)
 class WrongModel:
-    """A wrong model: replacements (file, text, erroneous text) and families of cases (module:function) that detect it.
+    """A wrong model: replacements (file, text, erroneous text) and families of cases (module:function) that
+    detect it.
 
     small:  whether the error is a change of a model by 10 %; the others are the errors of the review
     """
@@ -222,7 +225,8 @@ MODELS = (
 )  # fmt: skip
 """Models changed by 10 %: what changes, file, text, erroneous text, family."""
 WRONG_MODELS = REVIEW + tuple(
-    WrongModel(f"{name} times 1.1", ((file, old, new),), (family,), True) for name, file, old, new, family in MODELS
+    WrongModel(f"{name} times 1.1", ((file, old, new),), (family,), True)
+    for name, file, old, new, family in MODELS
 )
 
 
@@ -273,7 +277,10 @@ def result_of(copy: Path, model: WrongModel, kernels: Path) -> dict[str, Any]:
             print(f"{'ERROR':10} {model.name}: {error}", flush=True)
             raise
     worst = max(failing, key=lambda each: abs(each["deviation"]) / max(each["allowed"], 1e-300), default=None)
-    print(f"{'killed' if failing else 'SURVIVED':10} {model.name}: {len(failing)} of {count} cases fail", flush=True)
+    print(
+        f"{'killed' if failing else 'SURVIVED':10} {model.name}: {len(failing)} of {count} cases fail",
+        flush=True,
+    )
     return {
         "name": model.name, "small": model.small, "cases": count, "failing": len(failing),
         "worst": None if worst is None else {key: worst[key] for key in ("kind", "name", "deviation", "allowed")},
@@ -282,12 +289,18 @@ def result_of(copy: Path, model: WrongModel, kernels: Path) -> dict[str, Any]:
 
 def main() -> int:
     """Runs the wrong models; returns 1 if one is not killed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", help="names of wrong models; default: all")
-    parser.add_argument("--check", action="store_true", help="only check that the changes apply to the source")
+    parser.add_argument(
+        "--check", action="store_true", help="only check that the changes apply to the source"
+    )
     options = parser.parse_args()
     chosen = [each for each in WRONG_MODELS if not options.names or each.name in options.names]
-    stale = [f"{name} is not the name of a wrong model." for name in set(options.names) - {m.name for m in chosen}]
+    stale = [
+        f"{name} is not the name of a wrong model." for name in set(options.names) - {m.name for m in chosen}
+    ]
     stale += problems(chosen)
     if stale:
         print("\n".join(stale), file=sys.stderr)
@@ -296,7 +309,8 @@ def main() -> int:
         print(f"{len(chosen)} wrong models fit the source.")
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        copy, kernels = copy_to(Path(folder) / "copy"), Path(folder) / "kernels"
+        copy = copy_to(Path(folder) / "copy")
+        kernels = Path(folder) / "kernels"
         families = sorted({family for each in chosen for family in each.families})
         failing = failing_cases(copy, families, kernels)[1]
         if failing:
@@ -305,14 +319,16 @@ def main() -> int:
         rows = [result_of(copy, each, kernels) for each in chosen]
     surviving = [row["name"] for row in rows if not row["failing"]]
     print(
-        f"{len(rows) - len(surviving)} of {len(rows)} killed" + (f"; not: {', '.join(surviving)}" if surviving else "")
+        f"{len(rows) - len(surviving)} of {len(rows)} killed"
+        + (f"; not: {', '.join(surviving)}" if surviving else "")
     )
     write_page(rows)
     return 1 if surviving else 0
 
 
 def write_page(rows: Sequence[dict[str, Any]]) -> None:
-    """Replaces rows of the table of wrong models in the stored results and in the page of the documentation."""
+    """Replaces rows of the table of wrong models in the stored results and in the page of the
+    documentation."""
     from granflow.studies.validation.report import rendered
 
     stored = json.loads(STORED.read_text(encoding="utf-8"))

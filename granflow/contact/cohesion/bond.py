@@ -1,4 +1,5 @@
-"""Cohesive bonds that form at first contact and break at a rupture distance: base class of models such as JKR."""
+"""Cohesive bonds that form at first contact and break at a rupture distance: base class of models such as
+JKR."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +17,8 @@ def at_overlap(contact, overlap):
 
 @dataclass(frozen=True)
 class BondLaw(CohesionLaw):
-    """A bond: no attraction before first contact, an attraction until the distance exceeds the rupture distance.
+    """A bond: no attraction before first contact, an attraction until the distance exceeds the rupture
+    distance.
 
     bond_range:     largest rupture distance [m] of all pairs and sizes
     energy_budget:  whether the energy lost by formation and rupture of bonds is saved
@@ -36,7 +38,9 @@ class BondLaw(CohesionLaw):
     def history(self) -> tuple[HistoryField, ...]:
         """1 while the bond exists, and with the energy budget the lost energy."""
         lost = (HistoryField("lost", "energy lost by formation and rupture of the bond", "J"),)
-        return HistoryField("bonded", "1 while the bond exists", in_output=True), *(lost if self.energy_budget else ())
+        return HistoryField("bonded", "1 while the bond exists", in_output=True), *(
+            lost if self.energy_budget else ()
+        )
 
     @ti.func
     def rupture_distance(self, constants, contact):
@@ -62,7 +66,8 @@ class BondLaw(CohesionLaw):
         holds = contact.overlap > -self.rupture_distance(constants, contact)
         bonded = ti.select(contact.overlap > 0.0, 1.0, ti.select(holds, history.bonded, 0.0))
         if ti.static(self.energy_budget):
-            formed, broken = ti.max(bonded - history.bonded, 0.0), ti.max(history.bonded - bonded, 0.0)
+            formed = ti.max(bonded - history.bonded, 0.0)
+            broken = ti.max(history.bonded - bonded, 0.0)
             formation_energy = -self.bond_energy(constants, at_overlap(contact, 0.0 * contact.overlap))
             history_new.lost += formed * formation_energy + broken * self.rupture_energy(constants, contact)
         history_new.bonded = bonded
@@ -78,7 +83,9 @@ class BondLaw(CohesionLaw):
         """Energy lost by formation, and by rupture if the contact has opened [J]."""
         energy = 0.0 * contact.overlap
         if ti.static(self.energy_budget):
-            open_now = ti.select(contact.overlap < -self.rupture_distance(constants, contact), history.bonded, 0.0)
+            open_now = ti.select(
+                contact.overlap < -self.rupture_distance(constants, contact), history.bonded, 0.0
+            )
             energy = history.lost + open_now * self.rupture_energy(constants, contact)
         return energy
 

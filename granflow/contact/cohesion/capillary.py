@@ -1,4 +1,5 @@
-"""Capillary bridges of constant liquid volume, from first contact to the rupture distance; see `capillary_bridge`."""
+"""Capillary bridges of constant liquid volume, from first contact to the rupture distance; see
+`capillary_bridge`."""
 
 import math
 from dataclasses import dataclass
@@ -11,8 +12,9 @@ from granflow.device_functions import ti
 # Force, energy and rupture distance of a capillary bridge of a given volume, and the keys of pairs for its
 # liquid.
 #
-#     F = 2 pi r g cos(t) / (1 + 1.05 u + 2.5 u^2),   u = s sqrt(r / V),   r = 2 R        (Willett et al. 2000, Eq. 12)
-#     s_c = (1 + t/2) V^(1/3)                                                             (Lian, Thornton & Adams 1993)
+#     F = 2 pi r g cos(t) / (1 + 1.05 u + 2.5 u^2),   u = s sqrt(r / V),   r = 2 R        (Willett et al.
+#     2000, Eq. 12) s_c = (1 + t/2) V^(1/3)                                                             (Lian,
+#     Thornton & Adams 1993)
 #
 # R is the effective radius, so that r is the radius of equal spheres, and twice that of a sphere at a wall.
 # The distance between the surfaces is s, 0 during overlap; V is the volume, g the surface tension, t the
@@ -23,8 +25,11 @@ LINEAR, SQUARE = 1.05, 2.5
 ROOT = math.sqrt(4.0 * SQUARE - LINEAR**2)
 """Square root of minus the discriminant of the denominator, for its integral."""
 HALVINGS, SERIES = 3, 12
-"""Halvings of an angle below pi/2, so that its tangent is below 0.2, and terms of the series: the next is 1e-18."""
-SOURCE = "Willett et al. 2000, Langmuir 16:9396, doi 10.1021/la000657y; Lian, Thornton & Adams 1993, JCIS 161:138"
+"""Halvings of an angle below pi/2, so that its tangent is below 0.2, and terms of the series: the next is
+1e-18."""
+SOURCE = (
+    "Willett et al. 2000, Langmuir 16:9396, doi 10.1021/la000657y; Lian, Thornton & Adams 1993, JCIS 161:138"
+)
 
 
 @ti.func
@@ -36,7 +41,8 @@ def arctangent(x):
     half = x
     for _ in ti.static(range(HALVINGS)):
         half = half / (1.0 + ti.sqrt(1.0 + half * half))
-    square, series = half * half, 0.0 * x
+    square = half * half
+    series = 0.0 * x
     for n in ti.static(range(SERIES, -1, -1)):
         series = 1.0 / (2 * n + 1) - square * series
     return 2.0**HALVINGS * half * series
@@ -44,7 +50,8 @@ def arctangent(x):
 
 @ti.func
 def bridge_attraction(contact, tension, volume):
-    """Capillary force [N]; `tension`: surface tension times cosine of the contact angle [N/m]; volume [m3] above 0."""
+    """Capillary force [N]; `tension`: surface tension times cosine of the contact angle [N/m]; volume [m3]
+    above 0."""
     u = ti.max(-contact.overlap, 0.0) * ti.sqrt(2.0 * contact.radius_eff / volume)
     return 4.0 * math.pi * contact.radius_eff * tension / (1.0 + LINEAR * u + SQUARE * u * u)
 
@@ -59,7 +66,9 @@ def bridge_energy(contact, tension, volume, rupture_distance):
     here = (2.0 * SQUARE * ti.max(-contact.overlap, 0.0) * scale + LINEAR) / ROOT
     end = (2.0 * SQUARE * rupture_distance * scale + LINEAR) / ROOT
     # the difference of two arctangents as one, without cancellation
-    distance = 2.0 / ROOT * arctangent((end - here) / (1.0 + end * here)) / scale + ti.max(contact.overlap, 0.0)
+    distance = 2.0 / ROOT * arctangent((end - here) / (1.0 + end * here)) / scale + ti.max(
+        contact.overlap, 0.0
+    )
     return -4.0 * math.pi * contact.radius_eff * tension * distance
 
 
@@ -69,7 +78,8 @@ def reference_attraction(radius_eff: float, overlap: float, tension: float, volu
     F / (2 pi r g) = cos(t) / (1 + 2.1 S / sqrt(V) + 10 S^2 / V)
     """
     radius = 2.0 * radius_eff
-    half, relative_volume = 0.5 * max(-overlap, 0.0) / radius, volume / radius**3
+    half = 0.5 * max(-overlap, 0.0) / radius
+    relative_volume = volume / radius**3
     ratio = 1.0 + 2.1 * half / math.sqrt(relative_volume) + 10.0 * half**2 / relative_volume
     return 2.0 * math.pi * radius * tension / ratio
 
@@ -83,14 +93,16 @@ SURFACE_TENSION = PairOption(
     "surface_tension",
     Amount(
         "surface tension of the liquid [J/m2], the same as N/m",
-        *("72 mN/m", "surface_energy", "a surface tension"),
+        "72 mN/m",
+        "surface_energy",
+        "a surface tension",
         at_least=0,
     ),
     "give it in N/m, or 0 to disable cohesion",
 )
 CONTACT_ANGLE = PairOption(
     "contact_angle",
-    Amount("contact angle of the liquid [rad]", *("20 deg", "angle", "an angle"), at_least=0, at_most=1.57),
+    Amount("contact angle of the liquid [rad]", "20 deg", "angle", "an angle", at_least=0, at_most=1.57),
     "give the angle, or 0 for a liquid that wets completely",
 )
 
@@ -160,7 +172,7 @@ MODEL = ContactModel(
         CONTACT_ANGLE,
         PairOption(
             "liquid_volume",
-            Amount("volume of each liquid bridge [m3]", *("10 nl", "volume", "a volume"), at_least=0),
+            Amount("volume of each liquid bridge [m3]", "10 nl", "volume", "a volume", at_least=0),
             "give it in m3, or 0 for a pair without liquid",
         ),
     ),

@@ -1,11 +1,12 @@
 """Capillary bridges that take their liquid from films on the particles, and return it at rupture.
 
-The films of both particles give a part to the bridge that forms (Shi & McCarthy 2008, Powder Technol. 184:64):
+The films of both particles give a part to the bridge that forms (Shi & McCarthy 2008, Powder Technol.
+184:64):
 
     L_i = V_i / 2 [1 - sqrt(1 - R_j^2 / (R_i + R_j)^2)]
 
-Force and rupture distance follow the volume of the bridge, see `capillary_bridge`. The engine moves the liquid, see
-`granflow.engine.liquid`; `form` gets the volume from it.
+Force and rupture distance follow the volume of the bridge, see `capillary_bridge`. The engine moves the
+liquid, see `granflow.engine.liquid`; `form` gets the volume from it.
 """
 
 import math
@@ -48,7 +49,8 @@ class CapillaryTransfer(CohesionLaw):
         "not flow along surfaces or between bridges, and its mass and viscous force are neglected"
     )
     constant_names = ("tension", "rupture_factor")
-    """Surface tension times cosine of the contact angle [N/m], rupture distance over the cube root of the volume."""
+    """Surface tension times cosine of the contact angle [N/m], rupture distance over the cube root of the
+    volume."""
     at_distance = True
     transfers_liquid = True
 
@@ -96,7 +98,8 @@ class CapillaryTransfer(CohesionLaw):
 
     @ti.func
     def form(self, constants, contact, history, volume):
-        """The history of a contact without a bridge, after one of a volume [m3] has formed at the present overlap."""
+        """The history of a contact without a bridge, after one of a volume [m3] has formed at the present
+        overlap."""
         history_new = history
         history_new.bridge_volume = volume
         if ti.static(self.energy_budget):
@@ -106,7 +109,8 @@ class CapillaryTransfer(CohesionLaw):
     @ti.func
     def force(self, constants, contact, history):
         """Attraction [N] of the bridge, and its history: at rupture the volume becomes 0."""
-        history_new, volume = history, history.bridge_volume
+        history_new = history
+        volume = history.bridge_volume
         positive = ti.select(volume > 0.0, volume, constants.max_bridge_volume)
         holds = (volume > 0.0) & (contact.overlap > -self.rupture_distance(constants, positive))
         history_new.bridge_volume = ti.select(holds, volume, 0.0)
@@ -127,7 +131,8 @@ class CapillaryTransfer(CohesionLaw):
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, Any]]:
         """Reference implementation of `force` without the lost energy."""
-        constants, volume = contact.constants, getattr(contact.history, "bridge_volume", 0.0)
+        constants = contact.constants
+        volume = getattr(contact.history, "bridge_volume", 0.0)
         if volume <= 0.0 or -contact.overlap >= constants.rupture_factor * volume ** (1.0 / 3.0):
             return 0.0, {"bridge_volume": 0.0}
         force = reference_attraction(contact.radius_eff, contact.overlap, constants.tension, volume)
@@ -144,7 +149,9 @@ MODEL = ContactModel(
     options={
         "max_bridge_volume": Amount(
             "largest volume of a bridge [m3]: the films keep the rest; it determines the range of the neighbor lists",
-            *("10 nl", "volume", "a volume"),
+            "10 nl",
+            "volume",
+            "a volume",
             above=0,
         )
     },

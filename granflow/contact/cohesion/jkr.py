@@ -1,15 +1,16 @@
 """Johnson, Kendall & Roberts (1971): adhesive elastic spheres, with the pull beyond contact.
 
-The attraction is the Hertz force minus the JKR force, so that a Hertz normal model and this model together are the
-theory; with another normal model the attraction is the same. Lengths are in units of the contact radius a_s at zero
-overlap and of d_s, energies follow from both:
+The attraction is the Hertz force minus the JKR force, so that a Hertz normal model and this model together
+are the theory; with another normal model the attraction is the same. Lengths are in units of the contact
+radius a_s at zero overlap and of d_s, energies follow from both:
 
     a_s^3 = 2 pi w R^2 / E        d_s = a_s^2 / R        y = sqrt(a / a_s)
 
-    d / d_s = y^4 - y        F = 2 pi w R (4/3 y^6 - 2 y^3)        U = 2 pi w a_s^2 (8/15 y^10 - 4/3 y^7 + y^4/2)
+    d / d_s = y^4 - y        F = 2 pi w R (4/3 y^6 - 2 y^3)        U = 2 pi w a_s^2 (8/15 y^10 - 4/3 y^7 +
+    y^4/2)
 
-The force is smallest at y^3 = 3/4: the pull-off force 3/2 pi w R. At a given distance the contact is stable down to
-y^3 = 1/4, where it snaps off.
+The force is smallest at y^3 = 3/4: the pull-off force 3/2 pi w R. At a given distance the contact is stable
+down to y^3 = 1/4, where it snaps off.
 """
 
 import math
@@ -29,7 +30,8 @@ SNAP_OFF = 0.75 * 0.25 ** (1.0 / 3.0)
 AT_REST = 1.5 ** (2.0 / 3.0)
 """Contact radius over a_s without a load: y^2 at y^3 = 3/2."""
 SMALLEST_SCALE = 1e-6
-"""Smallest a_s over R on the device: pairs without adhesion have no length scale, and their attraction is 0."""
+"""Smallest a_s over R on the device: pairs without adhesion have no length scale, and their attraction is
+0."""
 
 
 def contact_radius_scale(work_of_adhesion: float, modulus_eff: float, radius_eff: float) -> float:
@@ -47,7 +49,8 @@ def length_scale(constants, contact):
 
 @ti.func
 def root_of_contact_radius(d):
-    """y of the stable contact: the largest root of y^4 - y = d, by Ferrari's method; that of snap-off beyond it.
+    """y of the stable contact: the largest root of y^4 - y = d, by Ferrari's method; that of snap-off beyond
+    it.
 
         m^3 + d m - 1/8 = 0        y = (sqrt(2 m) + sqrt(sqrt(2 / m) - 2 m)) / 2
 
@@ -94,7 +97,8 @@ class Jkr(BondLaw):
         """Hertz force minus JKR force [N]."""
         scale = length_scale(constants, contact)
         relative = contact.overlap * contact.radius_eff / (scale * scale)
-        y, above = root_of_contact_radius(relative), ti.max(relative, 0.0)
+        y = root_of_contact_radius(relative)
+        above = ti.max(relative, 0.0)
         cube = y * y * y
         unit = 2.0 * math.pi * constants.work_of_adhesion * contact.radius_eff
         return unit * (4.0 / 3.0 * (above * ti.sqrt(above) - cube * cube) + 2.0 * cube)
@@ -104,8 +108,10 @@ class Jkr(BondLaw):
         """Elastic and surface energy [J] minus the energy of the Hertz contact."""
         scale = length_scale(constants, contact)
         relative = contact.overlap * contact.radius_eff / (scale * scale)
-        y, above = root_of_contact_radius(relative), ti.max(relative, 0.0)
-        fourth, cube = y * y * y * y, y * y * y
+        y = root_of_contact_radius(relative)
+        above = ti.max(relative, 0.0)
+        fourth = y * y * y * y
+        cube = y * y * y
         elastic = 8.0 / 15.0 * (fourth * cube * cube - above * above * ti.sqrt(above))
         unit = 2.0 * math.pi * constants.work_of_adhesion * scale * scale
         return unit * (elastic - 4.0 / 3.0 * fourth * cube + 0.5 * fourth)
@@ -115,7 +121,9 @@ class Jkr(BondLaw):
 
         d = a^2 / R - sqrt(2 pi w a / E)        F = 4 E a^3 / (3 R) - sqrt(8 pi w E a^3)
         """
-        w, modulus, radius = contact.constants.work_of_adhesion, contact.constants.modulus_eff, contact.radius_eff
+        w = contact.constants.work_of_adhesion
+        modulus = contact.constants.modulus_eff
+        radius = contact.radius_eff
         if w == 0.0:
             return 0.0, 0.0
         pull = math.sqrt(2.0 * math.pi * w / modulus)

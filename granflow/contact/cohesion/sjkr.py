@@ -1,8 +1,8 @@
 """Simplified Johnson-Kendall-Roberts cohesion (SJKR): an attraction proportional to the contact area.
 
-Cohesion energy density times the intersection area of the undeformed spheres, while they overlap. The attraction does
-not press the surfaces together, so the friction limit uses the normal force without it, as Luding (2008) uses
-f_n + k_c d.
+Cohesion energy density times the intersection area of the undeformed spheres, while they overlap. The
+attraction does not press the surfaces together, so the friction limit uses the normal force without it, as
+Luding (2008) uses f_n + k_c d.
 """
 
 import math
@@ -15,7 +15,8 @@ from granflow.device_functions import ti
 
 @dataclass(frozen=True)
 class Sjkr(CohesionLaw):
-    """F = w A,   A = 2 pi R d   to first order in d / R,   w the cohesion energy density of the pair [J/m3]."""
+    """F = w A,   A = 2 pi R d   to first order in d / R,   w the cohesion energy density of the pair
+    [J/m3]."""
 
     name = "sjkr"
     source = "SJKR as in LIGGGHTS, after Johnson, Kendall & Roberts 1971"
@@ -51,7 +52,9 @@ MODEL = ContactModel(
             "cohesion_energy_density",
             Amount(
                 "cohesion energy density [J/m3]",
-                *("1e4 J/m3", "energy_density", "a cohesion energy density"),
+                "1e4 J/m3",
+                "energy_density",
+                "a cohesion energy density",
                 at_least=0,
             ),
             "give it in J/m3, or 0 to disable cohesion",

@@ -14,7 +14,8 @@ CUTOFF = 30.0
 
 @dataclass(frozen=True)
 class VanDerWaals(CohesionLaw):
-    """F = A R / (6 s^2),   s = s_0 + distance of the surfaces; during overlap s = s_0.   A: Hamaker constant [J].
+    """F = A R / (6 s^2),   s = s_0 + distance of the surfaces; during overlap s = s_0.   A: Hamaker constant
+    [J].
 
     largest_cutoff:  largest cut-off distance [m] of all pairs
     """
@@ -50,7 +51,8 @@ class VanDerWaals(CohesionLaw):
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Potential [J], -A R / 6 (1/s - 1/s_c), and minus the work of the overlap; 0 at the cut-off s_c."""
-        smallest, largest = constants.separation, (1.0 + CUTOFF) * constants.separation
+        smallest = constants.separation
+        largest = (1.0 + CUTOFF) * constants.separation
         separation = ti.min(smallest + ti.max(-contact.overlap, 0.0), largest)
         inverse = (largest - separation) / (separation * largest)
         inverse += ti.max(contact.overlap, 0.0) / (smallest * smallest)
@@ -58,7 +60,8 @@ class VanDerWaals(CohesionLaw):
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force`."""
-        distance, smallest = max(-contact.overlap, 0.0), contact.constants.separation
+        distance = max(-contact.overlap, 0.0)
+        smallest = contact.constants.separation
         if distance >= CUTOFF * smallest:
             return 0.0, {}
         separation = smallest + distance
@@ -69,7 +72,8 @@ class VanDerWaals(CohesionLaw):
         return pair.options["hamaker_constant"] * radius_eff / (6.0 * pair.options["separation"] ** 2)
 
     def equivalent_velocity(self, pair: PairMaterial, radius_eff: float, mass_eff: float) -> float:
-        """Larger of the velocity for the contact at rest, and that for the stiffness A R / (3 s_0^3) = 2 E a."""
+        """Larger of the velocity for the contact at rest, and that for the stiffness A R / (3 s_0^3) = 2 E
+        a."""
         contact_radius = self.pull_off_force(pair, radius_eff) / pair.options["separation"] / pair.modulus_eff
         by_slope = theory.velocity_for_radius(pair.modulus_eff, radius_eff, mass_eff, contact_radius)
         return max(super().equivalent_velocity(pair, radius_eff, mass_eff), by_slope)
@@ -81,14 +85,16 @@ MODEL = ContactModel(
     pair_options=(
         PairOption(
             "hamaker_constant",
-            Amount("Hamaker constant [J]", *("65 zJ", "energy", "an energy"), at_least=0),
+            Amount("Hamaker constant [J]", "65 zJ", "energy", "an energy", at_least=0),
             "give it in J, or 0 to disable cohesion",
         ),
         PairOption(
             "separation",
             Amount(
                 "separation s_0 [m] of the surfaces in contact: 0.165 nm for smooth spheres, larger for rough ones",
-                *("0.165 nm", "length", "a distance"),
+                "0.165 nm",
+                "length",
+                "a distance",
                 above=0,
             ),
             "give it in m",

@@ -27,7 +27,9 @@ class HertzSpring(NormalLaw):
         k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
         return 0.4 * k * contact.overlap * contact.overlap * ti.sqrt(contact.overlap)
 
-    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def unloading_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
         """Hertz tangent at the maximum overlap [N/m]."""
         return theory.hertz_tangent(pair, radius_eff, mass_eff, velocity)
 
@@ -94,17 +96,16 @@ class Hertz(HertzSpring):
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force` in numpy."""
-        k, viscosity = (
-            theory.hertz_stiffness(contact.constants.modulus_eff, contact.radius_eff),
-            contact.constants.viscosity,
-        )
+        k = theory.hertz_stiffness(contact.constants.modulus_eff, contact.radius_eff)
+        viscosity = contact.constants.viscosity
         root = reference_step_mean(DAMPING_POWER, contact.overlap, contact.overlap_rate, contact.time_step)
         viscous = viscosity * np.sqrt(contact.mass_eff * k) * root * contact.overlap_rate
         elastic = k * contact.overlap**1.5
         return float(elastic if viscosity == 0.0 else max(elastic + viscous, 0.0)), {}
 
     def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Ratio of viscous force to overlap rate [N s/m], at the maximum overlap without damping (Zhou 2011, Eq. 5)."""
+        """Ratio of viscous force to overlap rate [N s/m], at the maximum overlap without damping (Zhou 2011,
+        Eq. 5)."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         largest = float(theory.overlap_max(k, mass_eff, velocity))
         return self.pair_constants(pair)[2] * float(np.sqrt(mass_eff * k) * largest**0.25)
@@ -121,4 +122,6 @@ class Hertz(HertzSpring):
         return half, half
 
 
-MODEL = ContactModel(Hertz, "Hertz spring; viscous damping from the restitution number of each pair (1: elastic).")
+MODEL = ContactModel(
+    Hertz, "Hertz spring; viscous damping from the restitution number of each pair (1: elastic)."
+)

@@ -31,10 +31,11 @@ _step_mean = build_step_mean(DAMPING_POWER)
 
 @dataclass(frozen=True)
 class KuwabaraKono(HertzSpring):
-    """Viscoelastic spheres; the restitution of a pair applies at the reference velocity [m/s], for all particle sizes.
+    """Viscoelastic spheres; the restitution of a pair applies at the reference velocity [m/s], for all
+    particle sizes.
 
-    e depends only on g v^(1/5) (Brilliantov et al. 1996), so that g = g_ref / v_ref^(1/5), where g_ref gives e at 1
-    m/s.
+    e depends only on g v^(1/5) (Brilliantov et al. 1996), so that g = g_ref / v_ref^(1/5), where g_ref gives
+    e at 1 m/s.
     """
 
     reference_velocity: float
@@ -112,7 +113,8 @@ class KuwabaraKono(HertzSpring):
         return unit * loading, unit * unloading
 
     def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Ratio of dissipative force to overlap rate at the maximum overlap of the undamped contact [N s/m]."""
+        """Ratio of dissipative force to overlap rate at the maximum overlap of the undamped contact [N
+        s/m]."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         largest = float(theory.overlap_max(k, mass_eff, velocity))
         return self.pair_constants(pair)[2] * k**0.6 * mass_eff**0.4 * math.sqrt(largest)
@@ -125,7 +127,9 @@ MODEL = ContactModel(
     options={
         "reference_velocity": Amount(
             "approach velocity [m/s] at which e equals the restitution of the pair",
-            *("1 m/s", "velocity", "a speed"),
+            "1 m/s",
+            "velocity",
+            "a speed",
             above=0,
         )
     },
@@ -145,7 +149,9 @@ def dissipation_for(e: float) -> float:
     while rebound_of(high)[0] > e:
         low, high = high, 2.0 * high
         if high > LARGEST_DISSIPATION:
-            raise ValueError(f"the contact model kuwabara_kono does not support a restitution as small as {e:g}")
+            raise ValueError(
+                f"the contact model kuwabara_kono does not support a restitution as small as {e:g}"
+            )
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if rebound_of(middle)[0] > e else (low, middle)
@@ -158,10 +164,12 @@ def rebound_of(dissipation: float) -> tuple[float, float, float]:
 
         x'' + g x^(1/2) x' + x^(3/2) = 0,   x(0) = 0, x'(0) = 1,   until the force is 0
 
-    The unit of length is (M v^2 / k)^(2/5), the unit of time that length over v. With s = t^(1/2) as the variable the
-    solution is smooth at the start.
+    The unit of length is (M v^2 / k)^(2/5), the unit of time that length over v. With s = t^(1/2) as the
+    variable the solution is smooth at the start.
     """
-    state, s, turning_time = (0.0, 1.0), 0.0, 0.0
+    state = (0.0, 1.0)
+    s = 0.0
+    turning_time = 0.0
     step = math.sqrt(2.0 * theory.LOADING_DURATION) / STEPS / max(1.0, dissipation)
     while True:
         after = _runge_kutta_step(state, s, step, dissipation)
@@ -169,7 +177,8 @@ def rebound_of(dissipation: float) -> tuple[float, float, float]:
             turning_time = (s + step * state[1] / (state[1] - after[1])) ** 2
         if after[1] < 0.0 and after[0] + dissipation * after[1] <= 0.0:
             break
-        state, s = after, s + step
+        state = after
+        s = s + step
     low, high = 0.0, step
     for _ in range(40):
         middle = 0.5 * (low + high)

@@ -22,9 +22,7 @@ class Linear(SpringLaw):
     name = "linear"
     has_dashpot = True
     source = "Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007"
-    limits = (
-        "duration and restitution do not depend on velocity; with damping the force is discontinuous at first contact"
-    )
+    limits = "duration and restitution do not depend on velocity; with damping the force is discontinuous at first contact"
     constant_names = ("modulus_eff", "shear_modulus_eff", "damping_ratio")
 
     @classmethod
@@ -83,7 +81,10 @@ class Linear(SpringLaw):
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force` in numpy."""
         stiffness, history = self.reference_stiffness(contact)
-        rate = reference_step_mean(0.0, contact.overlap, contact.overlap_rate, contact.time_step) * contact.overlap_rate
+        rate = (
+            reference_step_mean(0.0, contact.overlap, contact.overlap_rate, contact.time_step)
+            * contact.overlap_rate
+        )
         viscous = 2.0 * contact.constants.damping_ratio * np.sqrt(stiffness * contact.mass_eff) * rate
         return float(max(stiffness * contact.overlap + viscous, 0.0)), history
 
@@ -94,7 +95,9 @@ class Linear(SpringLaw):
         quarter = quarter_period(self.loading_stiffness(pair, radius_eff, mass_eff, velocity), mass_eff)
         return quarter, quarter
 
-    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def unloading_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
         """Stiffness K [N/m]."""
         return self.loading_stiffness(pair, radius_eff, mass_eff, velocity)
 

@@ -1,7 +1,9 @@
-"""Bilinear model with plasticity that increases with the overlap up to a limit, and with tension (Luding 2008).
+"""Bilinear model with plasticity that increases with the overlap up to a limit, and with tension (Luding
+2008).
 
-The loading slope is k1. The unloading slope k2 lies between k1 and kp and increases with the maximum overlap. Beyond
-the limit overlap the contact is elastic along the kp line: the limit branch. The tension, if any, is -kc d.
+The loading slope is k1. The unloading slope k2 lies between k1 and kp and increases with the maximum overlap.
+Beyond the limit overlap the contact is elastic along the kp line: the limit branch. The tension, if any, is
+-kc d.
 
     F = max(k1 dmax - k2 (dmax - d), -kc d),   k2 = k1 (1 + growth dmax / R),   dmax up to the limit overlap
 """
@@ -70,13 +72,18 @@ class LudingCollision:
     def restitution(self) -> float:
         """Restitution coefficient; 0 if the tension prevents separation."""
         tension_force = self.tension * self.stiffness * self.overlap_in_tension
-        work = 0.5 * tension_force * self.overlap_in_tension + 0.5 * tension_force**2 / self.unloading_stiffness
+        work = (
+            0.5 * tension_force * self.overlap_in_tension + 0.5 * tension_force**2 / self.unloading_stiffness
+        )
         return math.sqrt(max(2.0 * (self.elastic_energy - work) / self.mass_eff, 0.0)) / self.velocity
 
     def durations(self) -> tuple[float, float]:
-        """Loading and unloading durations [s]. If the spheres do not separate, unloading ends at zero force."""
+        """Loading and unloading durations [s]. If the spheres do not separate, unloading ends at zero
+        force."""
         quarter = quarter_period(self.unloading_stiffness, self.mass_eff)
-        return self._loading_duration(), quarter + (self._tension_duration() if self.restitution > 0.0 else 0.0)
+        return self._loading_duration(), quarter + (
+            self._tension_duration() if self.restitution > 0.0 else 0.0
+        )
 
     def _loading_duration(self) -> float:
         """Loading duration [s]: a quarter period of k1, or the limit overlap with k1 and the rest with kp."""
@@ -121,7 +128,8 @@ def tension_overlap_max(growth, tension, overlap):
 
 @dataclass(frozen=True)
 class Luding(ClosedFormCollision, SpringLaw):
-    """Luding's model with the loading spring k1. The restitution of a pair applies on the limit branch: kp = k1 / e^2.
+    """Luding's model with the loading spring k1. The restitution of a pair applies on the limit branch: kp =
+    k1 / e^2.
 
     plasticity_depth:  ratio of the largest residual overlap to 2 R
     tension:           ratio kc / k1; 0: no tension
@@ -142,7 +150,9 @@ class Luding(ClosedFormCollision, SpringLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Luding":
         """The law that a scene requests."""
-        return cls(Spring.from_scene(request), request.options["plasticity_depth"], request.options["tension"])
+        return cls(
+            Spring.from_scene(request), request.options["plasticity_depth"], request.options["tension"]
+        )
 
     @property
     def attracts(self) -> bool:
@@ -158,7 +168,11 @@ class Luding(ClosedFormCollision, SpringLaw):
     def history(self) -> tuple[HistoryField, ...]:
         """Maximum overlap, plastic work with tension, and the stiffness unless it is a number."""
         work = (HistoryField("plastic_work", "plastic work", "J"),) if self.attracts else ()
-        return HistoryField("overlap_max", "maximum overlap", "m", in_output=True), *work, *self.spring_history
+        return (
+            HistoryField("overlap_max", "maximum overlap", "m", in_output=True),
+            *work,
+            *self.spring_history,
+        )
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Growth and limit: k2 = k1 (1 + growth dmax / R) for dmax up to limit R.
@@ -168,7 +182,9 @@ class Luding(ClosedFormCollision, SpringLaw):
         Raises ValueError if the restitution is 0, above 1 or depends on velocity.
         """
         if not isinstance(pair.restitution, float) or not 0.0 < pair.restitution <= 1.0:
-            raise ValueError("the contact model luding requires one number above 0 as restitution coefficient")
+            raise ValueError(
+                "the contact model luding requires one number above 0 as restitution coefficient"
+            )
         share = pair.restitution**2
         growth = (1.0 - share) ** 2 / (2.0 * self.plasticity_depth * share)
         limit = 2.0 * self.plasticity_depth / (1.0 - share) if share < 1.0 else math.inf
@@ -176,14 +192,19 @@ class Luding(ClosedFormCollision, SpringLaw):
 
     @ti.func
     def tension_loss(self, constants, growth, stiffness, largest, overlap):
-        """Energy lost along -kc d from its intersection with the unloading line of `largest` to an overlap [J]."""
+        """Energy lost along -kc d from its intersection with the unloading line of `largest` to an overlap
+        [J]."""
         energy_lost = 0.0 * stiffness
         if ti.static(self.attracts):
             tension = constants.tension
             begin = growth * largest * largest / (1.0 + growth * largest + tension)
             elastic_change = tension * tension * (begin * begin / (1.0 + growth * largest))
             elastic_change -= (
-                tension * tension * overlap * overlap / (1.0 + growth * tension_overlap_max(growth, tension, overlap))
+                tension
+                * tension
+                * overlap
+                * overlap
+                / (1.0 + growth * tension_overlap_max(growth, tension, overlap))
             )
             dissipated = 0.5 * stiffness * (tension * (begin * begin - overlap * overlap) + elastic_change)
             energy_lost = ti.select(overlap < begin, dissipated, energy_lost)
@@ -192,14 +213,18 @@ class Luding(ClosedFormCollision, SpringLaw):
     @ti.func
     def force(self, constants, contact, history):
         """F = max(k1 dmax - k2 (dmax - d), -kc d); dmax follows the overlap up to the limit."""
-        history_new, overlap = history, contact.overlap
-        stiffness, growth = self.stiffness_of(constants, contact, history), constants.growth / contact.radius_eff
+        history_new = history
+        overlap = contact.overlap
+        stiffness = self.stiffness_of(constants, contact, history)
+        growth = constants.growth / contact.radius_eff
         largest = ti.max(history.overlap_max, ti.min(overlap, constants.limit * contact.radius_eff))
         normal_force = stiffness * (largest + (1.0 + growth * largest) * (overlap - largest))
         least = -constants.tension * stiffness * overlap
         if ti.static(self.attracts):
             in_tension = normal_force < least
-            energy_lost = ti.select(in_tension, self.tension_loss(constants, growth, stiffness, largest, overlap), 0.0)
+            energy_lost = ti.select(
+                in_tension, self.tension_loss(constants, growth, stiffness, largest, overlap), 0.0
+            )
             history_new.plastic_work += (
                 loading_loss(growth, stiffness, largest)
                 - loading_loss(growth, stiffness, history.overlap_max)
@@ -213,7 +238,8 @@ class Luding(ClosedFormCollision, SpringLaw):
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Elastic energy [J], F^2 / (2 k2)."""
-        stiffness, largest = self.stiffness_of(constants, contact, history), history.overlap_max
+        stiffness = self.stiffness_of(constants, contact, history)
+        largest = history.overlap_max
         stiffness_ratio = 1.0 + constants.growth / contact.radius_eff * largest
         scaled_force = largest + stiffness_ratio * (contact.overlap - largest)
         scaled_force = ti.max(scaled_force, -constants.tension * contact.overlap)
@@ -222,7 +248,8 @@ class Luding(ClosedFormCollision, SpringLaw):
     @ti.func
     def lost_energy(self, constants, contact, history):
         """Energy lost by loading and along the tension line [J]."""
-        stiffness, growth = self.stiffness_of(constants, contact, history), constants.growth / contact.radius_eff
+        stiffness = self.stiffness_of(constants, contact, history)
+        growth = constants.growth / contact.radius_eff
         energy_lost = self.tension_loss(constants, growth, stiffness, history.overlap_max, contact.overlap)
         if ti.static(self.attracts):
             energy_lost += history.plastic_work
@@ -236,9 +263,15 @@ class Luding(ClosedFormCollision, SpringLaw):
         return constants.tension * self.stiffness_of(constants, contact, history) * contact.overlap
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
-        """Reference implementation of `force`, branch by branch with d0 = (1 - k1/k2) dmax as in the paper."""
-        (k1, spring), growth = self.reference_stiffness(contact), contact.constants.growth / contact.radius_eff
-        largest_before, kc, end = contact.history.overlap_max, self.tension * k1, contact.overlap
+        """Reference implementation of `force`, branch by branch with d0 = (1 - k1/k2) dmax as in the
+        paper."""
+        (k1, spring), growth = (
+            self.reference_stiffness(contact),
+            contact.constants.growth / contact.radius_eff,
+        )
+        largest_before = contact.history.overlap_max
+        kc = self.tension * k1
+        end = contact.overlap
         largest = max(largest_before, min(end, contact.constants.limit * contact.radius_eff))
         work = _reference_loss(k1, growth, largest) - _reference_loss(k1, growth, largest_before)
         k2 = k1 * (1.0 + growth * largest)
@@ -249,18 +282,23 @@ class Luding(ClosedFormCollision, SpringLaw):
                 begin = (k2 - k1) * largest / (k2 + kc)
                 # g dmax^2 - g d dmax - (1 + kc/k1) d = 0: the unloading line through (d, -kc d)
                 largest = max(np.roots([growth, -growth * end, -(1.0 + self.tension) * end]))
-                elastic_before, elastic = (kc * begin) ** 2 / (2.0 * k2), (kc * end) ** 2
+                elastic_before = (kc * begin) ** 2 / (2.0 * k2)
+                elastic = (kc * end) ** 2
                 work += 0.5 * kc * (begin**2 - end**2) - (
                     elastic / (2.0 * k1 * (1.0 + growth * largest)) - elastic_before
                 )
         plastic = {"plastic_work": contact.history.plastic_work + work} if self.attracts else {}
         return float(force), {"overlap_max": largest, **plastic, **spring}
 
-    def collision(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> LudingCollision:
+    def collision(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> LudingCollision:
         """Closed forms of a collision."""
         _, _, growth, limit = self.pair_constants(pair)
         stiffness = self.loading_stiffness(pair, radius_eff, mass_eff, velocity)
-        return LudingCollision(stiffness, growth / radius_eff, limit * radius_eff, self.tension, mass_eff, velocity)
+        return LudingCollision(
+            stiffness, growth / radius_eff, limit * radius_eff, self.tension, mass_eff, velocity
+        )
 
 
 def _reference_loss(k1: float, growth: float, largest: float) -> float:
@@ -277,13 +315,17 @@ MODEL = ContactModel(
         "stiffness": STIFFNESS,
         "plasticity_depth": Amount(
             "ratio of the largest residual overlap to 2 R (R: effective radius), such as 0.05",
-            *("0.05", "number", "a ratio"),
+            "0.05",
+            "number",
+            "a ratio",
             above=0,
             at_most=1,
         ),
         "tension": Amount(
             "ratio of the stiffness kc of the tension line -kc d to the loading stiffness; 0: no tension",
-            *("0.2", "number", "a ratio"),
+            "0.2",
+            "number",
+            "a ratio",
             at_least=0,
             default=0.0,
         ),

@@ -1,7 +1,7 @@
 """Elastic, perfectly plastic spheres (Thornton 1997): limited contact pressure, Hertz unloading.
 
-Restitution follows from the material and is not an input. A flattened contact unloads, and reloads up to its previous
-maximum overlap, as an elastic sphere of a larger radius.
+Restitution follows from the material and is not an input. A flattened contact unloads, and reloads up to its
+previous maximum overlap, as an elastic sphere of a larger radius.
 """
 
 import math
@@ -39,7 +39,8 @@ def loading_force(constants, radius_eff, overlap):
 def unloading_contact(constants, radius_eff, overlap_max):
     """Unloading stiffness [N/m^1.5] and residual overlap [m] of the flattened contact (Thornton 1997).
 
-    R_p F* = R F_e*,   F_e* = k d*^1.5,   d_p = d* - d* F* / F_e*        * at the maximum overlap, R_p flattened radius
+    R_p F* = R F_e*,   F_e* = k d*^1.5,   d_p = d* - d* F* / F_e*        * at the maximum overlap, R_p
+    flattened radius
     """
     hertz = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(radius_eff * overlap_max) * overlap_max
     ratio = hertz / loading_force(constants, radius_eff, overlap_max)
@@ -133,7 +134,8 @@ class ThorntonCollision:
 
 
 def _hertz_time(share: float) -> float:
-    """Time over T_s of Hertz loading to a fraction of the maximum overlap: int_0^share du / sqrt(1 - u^2.5)."""
+    """Time over T_s of Hertz loading to a fraction of the maximum overlap: int_0^share du / sqrt(1 -
+    u^2.5)."""
     nodes, weights = leggauss(60)
     end = math.asin(share)
     angle = 0.5 * end * (nodes + 1.0)
@@ -175,18 +177,22 @@ class Thornton(ClosedFormCollision, NormalLaw):
 
     @ti.func
     def force(self, constants, contact, history):
-        """Loading branch beyond the previous maximum overlap, Hertz force of the flattened contact below it [N]."""
+        """Loading branch beyond the previous maximum overlap, Hertz force of the flattened contact below it
+        [N]."""
         history_new = history
         history_new.overlap_max = ti.max(contact.overlap, history.overlap_max)
         stiffness, residual = unloading_contact(constants, contact.radius_eff, history_new.overlap_max)
         above = ti.max(contact.overlap - residual, 0.0)
         loading = loading_force(constants, contact.radius_eff, contact.overlap)
-        normal_force = ti.select(contact.overlap >= history.overlap_max, loading, stiffness * above * ti.sqrt(above))
+        normal_force = ti.select(
+            contact.overlap >= history.overlap_max, loading, stiffness * above * ti.sqrt(above)
+        )
         return normal_force, 0.0 * normal_force, history_new
 
     @ti.func
     def stored_energy(self, constants, contact, history):
-        """Energy recovered by unloading [J]: 2/5 of the force times the overlap above the residual overlap."""
+        """Energy recovered by unloading [J]: 2/5 of the force times the overlap above the residual
+        overlap."""
         stiffness, residual = unloading_contact(constants, contact.radius_eff, history.overlap_max)
         above = ti.max(contact.overlap - residual, 0.0)
         return 0.4 * stiffness * above * above * ti.sqrt(above)
@@ -200,16 +206,21 @@ class Thornton(ClosedFormCollision, NormalLaw):
         if largest > overlap_yield:
             beyond = largest - overlap_yield
             work = 0.4 * force_yield * overlap_yield
-            work += beyond * (force_yield + 0.5 * math.pi * constants.yield_pressure * contact.radius_eff * beyond)
+            work += beyond * (
+                force_yield + 0.5 * math.pi * constants.yield_pressure * contact.radius_eff * beyond
+            )
             stiffness, residual = unloading_contact(constants, contact.radius_eff, largest)
             above = largest - residual
             energy_lost = work - 0.4 * stiffness * above * above * ti.sqrt(above)
         return energy_lost
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
-        """Reference implementation of `force` in numpy, by contact radii: a^2 = R d and a^2 = R_p (d - d_p)."""
-        modulus, pressure = contact.constants.modulus_eff, contact.constants.yield_pressure
-        radius, before = contact.radius_eff, contact.history.overlap_max
+        """Reference implementation of `force` in numpy, by contact radii: a^2 = R d and a^2 = R_p (d -
+        d_p)."""
+        modulus = contact.constants.modulus_eff
+        pressure = contact.constants.yield_pressure
+        radius = contact.radius_eff
+        before = contact.history.overlap_max
         largest = max(contact.overlap, before)
         yield_radius = math.pi * pressure * radius / (2.0 * modulus)
 
@@ -225,7 +236,9 @@ class Thornton(ClosedFormCollision, NormalLaw):
         above = max(contact.overlap - (largest - radius * largest / flat_radius), 0.0)
         return 4.0 / 3.0 * modulus * math.sqrt(flat_radius) * above**1.5, {"overlap_max": largest}
 
-    def collision(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> ThorntonCollision:
+    def collision(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> ThorntonCollision:
         """Closed forms of a collision."""
         modulus, _, pressure = self.pair_constants(pair)
         hertz = float(theory.hertz_stiffness(modulus, radius_eff))
@@ -244,7 +257,9 @@ MODEL = ContactModel(
         "yield_ratio": Amount(
             "ratio of the maximum contact pressure to the yield strength: 1.6 at the onset of yield below the surface "
             "(Thornton 1997), 2.8 for a fully plastic contact (Johnson 1985)",
-            *("1.6", "number", "a ratio"),
+            "1.6",
+            "number",
+            "a ratio",
             above=0,
         )
     },

@@ -1,4 +1,5 @@
-"""Bilinear model: loading with stiffness k1, unloading and reloading with the larger k2 (Walton & Braun 1986)."""
+"""Bilinear model: loading with stiffness k1, unloading and reloading with the larger k2 (Walton & Braun
+1986)."""
 
 import math
 from collections.abc import Mapping
@@ -16,8 +17,8 @@ class WaltonBraun(SpringLaw):
 
     reference_velocity:  velocity [m/s] at which e applies, or None
 
-    Without a reference velocity k2 = k1 / e^2, so that e does not depend on velocity; otherwise k2 = k1 (1 + S F_max)
-    with the slope S that gives e at the reference velocity, and e decreases with velocity.
+    Without a reference velocity k2 = k1 / e^2, so that e does not depend on velocity; otherwise k2 = k1 (1 +
+    S F_max) with the slope S that gives e at the reference velocity, and e decreases with velocity.
     """
 
     reference_velocity: float | None
@@ -58,7 +59,9 @@ class WaltonBraun(SpringLaw):
         Raises ValueError if the restitution is 0 or depends on velocity.
         """
         if not isinstance(pair.restitution, float) or not 0.0 < pair.restitution <= 1.0:
-            raise ValueError("the contact model walton_braun requires one number above 0 as restitution coefficient")
+            raise ValueError(
+                "the contact model walton_braun requires one number above 0 as restitution coefficient"
+            )
         return pair.modulus_eff, pair.shear_modulus_eff, 1.0 / pair.restitution**2 - 1.0
 
     @ti.func
@@ -72,7 +75,8 @@ class WaltonBraun(SpringLaw):
     @ti.func
     def force(self, constants, contact, history):
         """F = k1 d beyond the previous maximum overlap, max(k2 (d - d0), 0) below it [N]."""
-        history_new, stiffness = history, self.stiffness_of(constants, contact, history)
+        history_new = history
+        stiffness = self.stiffness_of(constants, contact, history)
         largest = ti.max(contact.overlap, history.overlap_max)
         history_new.overlap_max = largest
         slope = self.unloading_slope(constants, contact, stiffness, largest)
@@ -82,7 +86,8 @@ class WaltonBraun(SpringLaw):
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Energy recovered by unloading [J], F^2 / (2 k2)."""
-        stiffness, largest = self.stiffness_of(constants, contact, history), history.overlap_max
+        stiffness = self.stiffness_of(constants, contact, history)
+        largest = history.overlap_max
         slope = self.unloading_slope(constants, contact, stiffness, largest)
         force = ti.max(stiffness * largest - slope * (largest - contact.overlap), 0.0)
         return 0.5 * force * force / slope
@@ -90,19 +95,23 @@ class WaltonBraun(SpringLaw):
     @ti.func
     def lost_energy(self, constants, contact, history):
         """Work of loading minus recoverable energy at the maximum overlap [J], k1 dmax^2 (1 - k1/k2) / 2."""
-        stiffness, largest = self.stiffness_of(constants, contact, history), history.overlap_max
+        stiffness = self.stiffness_of(constants, contact, history)
+        largest = history.overlap_max
         slope = self.unloading_slope(constants, contact, stiffness, largest)
         return 0.5 * stiffness * largest * largest * (1.0 - stiffness / slope)
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
-        """Reference implementation of `force`, with the slope S [1/N] of k2 = k1 (1 + S F_max) as in the paper."""
+        """Reference implementation of `force`, with the slope S [1/N] of k2 = k1 (1 + S F_max) as in the
+        paper."""
         (stiffness, spring), largest = self.reference_stiffness(contact), contact.history.overlap_max
         history = {"overlap_max": max(largest, contact.overlap), **spring}
         if contact.overlap >= largest:
             return stiffness * contact.overlap, history
         k2 = stiffness * (1.0 + contact.constants.loss_ratio)
         if self.reference_velocity is not None:
-            slope = contact.constants.loss_ratio / (self.reference_velocity * math.sqrt(stiffness * contact.mass_eff))
+            slope = contact.constants.loss_ratio / (
+                self.reference_velocity * math.sqrt(stiffness * contact.mass_eff)
+            )
             k2 = stiffness * (1.0 + slope * stiffness * largest)
         return max(k2 * (contact.overlap - largest * (1.0 - stiffness / k2)), 0.0), history
 
@@ -118,7 +127,9 @@ class WaltonBraun(SpringLaw):
         quarter = quarter_period(self.loading_stiffness(pair, radius_eff, mass_eff, velocity), mass_eff)
         return quarter, self.restitution(pair, radius_eff, mass_eff, velocity) * quarter
 
-    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def unloading_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
         """Slope k2 [N/m] = k1 / e(v)^2."""
         stiffness = self.loading_stiffness(pair, radius_eff, mass_eff, velocity)
         return stiffness / self.restitution(pair, radius_eff, mass_eff, velocity) ** 2
@@ -136,7 +147,9 @@ MODEL = ContactModel(
             keyed={
                 "reference_velocity": Amount(
                     "approach velocity [m/s] at which e equals the restitution of the pair",
-                    *("1 m/s", "velocity", "a speed"),
+                    "1 m/s",
+                    "velocity",
+                    "a speed",
                     above=0,
                 )
             },

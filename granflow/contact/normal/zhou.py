@@ -1,7 +1,8 @@
 """Hertz elastic loading, nonlinear plastic unloading (Zhou 2011): the primary contact model of granflow.
 
-This file defines the model: pair constants, history, device functions and reference implementation. Reloading follows
-the unloading curve up to the previous maximum overlap, then the Hertz curve, so that the force is continuous:
+This file defines the model: pair constants, history, device functions and reference implementation. Reloading
+follows the unloading curve up to the previous maximum overlap, then the Hertz curve, so that the force is
+continuous:
 F = min(k d^1.5, unloading curve for dmax).
 """
 
@@ -23,7 +24,15 @@ from granflow.contact.device import (
     reference_turning_point,
     turning_point,
 )
-from granflow.contact.law import Amount, Choice, ContactModel, ContactState, HistoryField, ModelRequest, NormalLaw
+from granflow.contact.law import (
+    Amount,
+    Choice,
+    ContactModel,
+    ContactState,
+    HistoryField,
+    ModelRequest,
+    NormalLaw,
+)
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.device_functions import ti
 
@@ -34,7 +43,8 @@ from granflow.device_functions import ti
 # force between 0 and k dmax^1.5 without moving: the force that the other forces W on the pair require, M
 # d'' = W - F = 0. A contact is in one of three states:
 #
-#     yielding    F = min(k d^1.5, G),  G: force that stops the approach within this step, until it is the smaller one
+#     yielding    F = min(k d^1.5, G),  G: force that stops the approach within this step, until it is the
+#                 smaller one
 #     stopping    F = G, as long as the force exceeds the load of the pair
 #     supporting  F = P + K (d - dmax) + c d' >= 0, until it exceeds k d^1.5
 #
@@ -86,7 +96,8 @@ def is_inelastic(pair: PairMaterial) -> bool:
 
 @ti.func
 def inelastic_pair(constants):
-    """Device form of `is_inelastic`: a pair with e(v) has a limit velocity, and the constant restitution 0."""
+    """Device form of `is_inelastic`: a pair with e(v) has a limit velocity, and the constant restitution
+    0."""
     return constants.restitution + constants.limit_velocity == 0.0
 
 
@@ -117,7 +128,8 @@ def inelastic_force(contact, k, rate, history):
     k:     Hertz stiffness [N/m^1.5]
     rate:  overlap rate at the half step [m/s]
     """
-    overlap, mass_rate = contact.overlap, contact.mass_eff / contact.time_step
+    overlap = contact.overlap
+    mass_rate = contact.mass_eff / contact.time_step
     largest = ti.max(overlap, history.overlap_max)
     capacity = k * ti.sqrt(largest) * largest
     stopping, load, decelerates = stopping_force(mass_rate, rate, capacity, history)
@@ -130,7 +142,9 @@ def inelastic_force(contact, k, rate, history):
     damping = SUPPORT_DAMPING * ti.max(1.0 - number, 0.0) * mass_rate
     held = ti.select(line > 0.0, ti.max(line + damping * rate, 0.0), 0.0)
     separates = (line <= 0.0) & (overlap < history.overlap_max)
-    arrives = decelerates & (load == 0.0) & (history.support == 0.0)  # at the end of the line, and without load
+    arrives = (
+        decelerates & (load == 0.0) & (history.support == 0.0)
+    )  # at the end of the line, and without load
     lands = arrives & (stopping < history.force_before) & ~stops
 
     trial = ti.select(yields | stops | lands, stopping, held)
@@ -155,8 +169,11 @@ def inelastic_force(contact, k, rate, history):
 def reference_inelastic(contact: ContactState, k: float, rate: float) -> tuple[float, dict[str, float]]:
     """Reference implementation of `inelastic_force` in numpy: force [N] and changed history fields."""
     before: SimpleNamespace = contact.history
-    mass, time_step, overlap = contact.mass_eff, contact.time_step, contact.overlap
-    mass_rate, change = mass / time_step, before.rate_before - rate
+    mass = contact.mass_eff
+    time_step = contact.time_step
+    overlap = contact.overlap
+    mass_rate = mass / time_step
+    change = before.rate_before - rate
     deceleration = mass_rate * change
     load = float(np.clip(before.force_before - 2.0 * deceleration, 0.0, before.force_before))
     if before.overlap_max == 0.0:
@@ -169,9 +186,12 @@ def reference_inelastic(contact: ContactState, k: float, rate: float) -> tuple[f
     hertz = k * np.sqrt(largest) * largest
     number = max(1.5 * k * np.sqrt(largest) * (time_step / mass_rate), SUPPORT_NUMBER)
     stiffness = number * (mass_rate / time_step)
-    force, state, largest_new = min(stopping, hertz), STOPPING, before.overlap_max
+    force = min(stopping, hertz)
+    state = STOPPING
+    largest_new = before.overlap_max
     if before.recovery == YIELDING:
-        state, largest_new = STOPPING if stopping < hertz else YIELDING, largest
+        state = STOPPING if stopping < hertz else YIELDING
+        largest_new = largest
         support = load + stiffness * (largest - overlap)
     elif before.recovery == STOPPING and deceleration > 0.0 and before.force_before > 0.0:
         support = load + stiffness * (largest_new - overlap)
@@ -179,14 +199,18 @@ def reference_inelastic(contact: ContactState, k: float, rate: float) -> tuple[f
         depth = overlap - before.overlap_max
         elastic = before.support + stiffness * depth
         if 0.0 == before.support == load and deceleration > 0.0 and stopping < before.force_before:
-            state, support = SUPPORTING, -stiffness * depth
+            state = SUPPORTING
+            support = -stiffness * depth
         else:
             viscous = SUPPORT_DAMPING * max(1.0 - number, 0.0) * mass_rate * rate
             force = min(max(elastic + viscous, 0.0), hertz) if elastic > 0.0 else 0.0
             if force < hertz or depth < 0.0:
-                state, support = SUPPORTING, 0.0 if elastic <= 0.0 and depth < 0.0 else before.support
+                state = SUPPORTING
+                support = 0.0 if elastic <= 0.0 and depth < 0.0 else before.support
             else:
-                state, support, largest_new = YIELDING, before.support, largest
+                state = YIELDING
+                support = before.support
+                largest_new = largest
     travel = time_step * (max(rate, 0.0) if before.overlap_max == 0.0 else rate)
     return force, {
         "overlap_max": largest_new,
@@ -204,7 +228,8 @@ def reference_inelastic(contact: ContactState, k: float, rate: float) -> tuple[f
 REST_SPEED = 0.1
 """Velocity over the impact velocity of the maximum overlap at which rest damping is halved."""
 NEWTON_STEPS = 5
-"""Newton iterations from y = (4/5) e^2: five reach float64 precision for every e, four leave 25 ulps at e = 1."""
+"""Newton iterations from y = (4/5) e^2: five reach float64 precision for every e, four leave 25 ulps at e =
+1."""
 
 
 @ti.func
@@ -235,7 +260,9 @@ def recovery_of(e):
     first = 0.8 * e * e
     share = 0.2 * e * e * e
     y = first
-    for _ in range(NEWTON_STEPS):  # not unrolled: several kernels contain it several times, and compile it slowly
+    for _ in range(
+        NEWTON_STEPS
+    ):  # not unrolled: several kernels contain it several times, and compile it slowly
         root = y * ti.sqrt(y)
         y -= (y - first - share * y * root) / (1.0 - 2.5 * share * root)
     return y
@@ -256,8 +283,8 @@ def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_st
 
         F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
 
-    with k = stiffness sqrt(radius), stiffness = (4/3) E, and d - ds averaged over the step, in which the particles may
-    separate. Up to 1/e^2 steeper than loading; limited by the time step as e -> 0.
+    with k = stiffness sqrt(radius), stiffness = (4/3) E, and d - ds averaged over the step, in which the
+    particles may separate. Up to 1/e^2 steeper than loading; limited by the time step as e -> 0.
     """
     above = mean_above(overlap - overlap_max * (1.0 - y), rate, time_step)
     cube = e * e * e
@@ -268,19 +295,21 @@ def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_st
 
 @ti.func
 def reloading_damping(contact, tangent, loading_energy):
-    """Damping c [N s/m] of a contact that reloads, for the damping ratio 1, and its stiffness number; not in the paper.
+    """Damping c [N s/m] of a contact that reloads, for the damping ratio 1, and its stiffness number; not in
+    the paper.
 
         c = 2 sqrt(K M) (1 - n) / (1 + (d' / (s v))^2),      n = K dt^2/M < 1, else 0
 
-    with s = REST_SPEED. The first factor preserves the stability limit of dense packings, 4 n + 4 c dt/M <= 4,
-    for damping ratios up to 1/2: the damping acts on approach only, in half of the steps of the fastest mode. The
-    second one restricts the damping to vibrations that are slow compared with the impact velocity v that causes the
-    maximum overlap (Zhou 2011, Eq. 5): 1 % of it remains in impacts of several particles.
+    with s = REST_SPEED. The first factor preserves the stability limit of dense packings, 4 n + 4 c dt/M <=
+    4, for damping ratios up to 1/2: the damping acts on approach only, in half of the steps of the fastest
+    mode. The second one restricts the damping to vibrations that are slow compared with the impact velocity v
+    that causes the maximum overlap (Zhou 2011, Eq. 5): 1 % of it remains in impacts of several particles.
 
     tangent:         K [N/m], that of unloading
     loading_energy:  M v^2 / 2 [J]
     """
-    mass, rate = contact.mass_eff, contact.overlap_rate
+    mass = contact.mass_eff
+    rate = contact.overlap_rate
     stiffness_number = tangent * contact.time_step * (contact.time_step / mass)
     slow = loading_energy / (loading_energy + mass * rate * rate * (0.5 / REST_SPEED**2))
     return 2.0 * ti.sqrt(tangent * mass) * ti.max(1.0 - stiffness_number, 0.0) * slow, stiffness_number
@@ -288,14 +317,16 @@ def reloading_damping(contact, tangent, loading_energy):
 
 @ti.func
 def reloading_force(constants, contact, overlap_max, tangent):
-    """Viscous force of a contact that reloads [N], for the ratio `rest_damping`, and the part of it without loss [N].
+    """Viscous force of a contact that reloads [N], for the ratio `rest_damping`, and the part of it without
+    loss [N].
 
     tangent:  K [N/m], that of unloading
 
-    The loss is booked with `overlap_rate`, half a step before the force. The mean over the step is smaller by half of
-    the damping number and, in a vibration about equilibrium, by the share K dt^2/(4 M).
+    The loss is booked with `overlap_rate`, half a step before the force. The mean over the step is smaller by
+    half of the damping number and, in a vibration about equilibrium, by the share K dt^2/(4 M).
     """
-    stiffness, rate = 4.0 / 3.0 * constants.modulus_eff, contact.overlap_rate
+    stiffness = 4.0 / 3.0 * constants.modulus_eff
+    rate = contact.overlap_rate
     loading_energy = 0.4 * stiffness * ti.sqrt(contact.radius_eff * overlap_max) * overlap_max * overlap_max
     damping, stiffness_number = reloading_damping(contact, tangent, loading_energy)
     damping *= constants.rest_damping
@@ -323,15 +354,24 @@ DAMPING_POWER = 0.25
 
 
 def reference_contact(
-    contact: ContactState, restitution_at: RestitutionAt, angle: float, damping_ratio: float, reloading_ratio: float
+    contact: ContactState,
+    restitution_at: RestitutionAt,
+    angle: float,
+    damping_ratio: float,
+    reloading_ratio: float,
 ) -> tuple[float, Mapping[str, float]]:
     """Normal force [N] and changed history fields of one contact, in float64.
 
     `angle`, `damping_ratio`, `reloading_ratio`: as in `normal.zhou.Zhou`
     """
-    overlap, rate, constants, history = contact.overlap, contact.overlap_rate, contact.constants, contact.history
+    overlap = contact.overlap
+    rate = contact.overlap_rate
+    constants = contact.constants
+    history = contact.history
     k = float(theory.hertz_stiffness(constants.modulus_eff, contact.radius_eff))
-    largest, e, y = history.overlap_max, history.restitution, history.recovery
+    largest = history.overlap_max
+    e = history.restitution
+    y = history.recovery
     if constants.restitution == constants.limit_velocity == 0.0:
         if damping_ratio > 0.0:
             rate += 0.5 * contact.time_step * history.force_before / contact.mass_eff
@@ -340,7 +380,9 @@ def reference_contact(
         e = _restitution(constants, rate)
     viscous = 0.0
     if overlap >= largest:
-        elastic, largest, y = k * overlap**1.5, overlap, 0.0
+        elastic = k * overlap**1.5
+        largest = overlap
+        y = 0.0
     else:
         if y == 0.0:
             largest, e, y = _unloading_start(contact, k, restitution_at, angle, damping_ratio > 0.0)
@@ -363,8 +405,12 @@ def _unloading_start(
     contact: ContactState, k: float, restitution_at: RestitutionAt, angle: float, is_damped: bool
 ) -> tuple[float, float, float]:
     """Maximum overlap [m], restitution and recovery at the start of unloading."""
-    largest, mass, time_step = contact.history.overlap_max, contact.mass_eff, contact.time_step
-    force, rate, e = k * largest**1.5, contact.overlap_rate, contact.history.restitution
+    largest = contact.history.overlap_max
+    mass = contact.mass_eff
+    time_step = contact.time_step
+    force = k * largest**1.5
+    rate = contact.overlap_rate
+    e = contact.history.restitution
     if is_damped:
         rate += 0.5 * time_step * force / mass
     largest = reference_turning_point(largest, force, mass, time_step, rate)
@@ -386,7 +432,8 @@ def _restitution(constants: SimpleNamespace, velocity: float) -> float:
 REST_DAMPING = 0.1
 """Default of the option `rest_damping`."""
 LEAST_RESOLVED = 0.1
-"""Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
+"""Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent
+applies."""
 _step_mean = build_step_mean(DAMPING_POWER)
 
 
@@ -396,8 +443,8 @@ class Zhou(NormalLaw):
 
     restitution_at:   velocity at which e is evaluated
     angle:            bound theta on sqrt(K/M) dt, where K is the unloading tangent
-    damping_ratio:    zeta of a viscous force 2 zeta sqrt(K M) times the overlap rate on the elastic branch, where K is
-                      the Hertz tangent; 0: no viscous force
+    damping_ratio:    zeta of a viscous force 2 zeta sqrt(K M) times the overlap rate on the elastic branch,
+                      where K is the Hertz tangent; 0: no viscous force
     rest_damping:     the same of contacts that reload, where K is the unloading tangent; 0: none
     has_inelastic:    whether a pair has the restitution 0, see `zhou_inelastic`
     """
@@ -434,9 +481,12 @@ class Zhou(NormalLaw):
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """Bound on the unloading tangent, and the damping ratios of the viscous forces that are not disabled."""
+        """Bound on the unloading tangent, and the damping ratios of the viscous forces that are not
+        disabled."""
         ratios = {"damping_ratio": self.damping_ratio, "rest_damping": self.rest_damping}
-        return {"unloading_angle": self.angle} | {name: ratio for name, ratio in ratios.items() if ratio > 0.0}
+        return {"unloading_angle": self.angle} | {
+            name: ratio for name, ratio in ratios.items() if ratio > 0.0
+        }
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
@@ -469,11 +519,15 @@ class Zhou(NormalLaw):
         return self.rest_damping
 
     def unresolved_unloading(self, pair: PairMaterial) -> float:
-        """Ratio of the durations at the restitution LEAST_RESOLVED; 1 for an inelastic pair, which does not unload."""
-        return 1.0 if is_inelastic(pair) else theory.unloading_duration(LEAST_RESOLVED) / theory.LOADING_DURATION
+        """Ratio of the durations at the restitution LEAST_RESOLVED; 1 for an inelastic pair, which does not
+        unload."""
+        return (
+            1.0 if is_inelastic(pair) else theory.unloading_duration(LEAST_RESOLVED) / theory.LOADING_DURATION
+        )
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Values of `constant_names`; unused ones are 0 (psi: 1). Raises ValueError if the pair has no restitution."""
+        """Values of `constant_names`; unused ones are 0 (psi: 1). Raises ValueError if the pair has no
+        restitution."""
         moduli = (pair.modulus_eff, pair.shear_modulus_eff)
         if isinstance(pair.restitution, VelocityRestitution):
             fit = pair.restitution
@@ -484,7 +538,10 @@ class Zhou(NormalLaw):
     def unloading_parameters(self, constants, contact, history):
         """Restitution and recovery for unloading from the present maximum overlap."""
         k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
-        e, y, largest, mass = history.restitution, history.recovery, history.overlap_max, contact.mass_eff
+        e = history.restitution
+        y = history.recovery
+        largest = history.overlap_max
+        mass = contact.mass_eff
         if y == 0.0:
             if ti.static(self.restitution_at == "max_overlap"):
                 e = restitution_at(constants, ti.sqrt(0.8 * k * largest**2 * ti.sqrt(largest) / mass))
@@ -495,7 +552,8 @@ class Zhou(NormalLaw):
 
     @ti.func
     def prepare(self, constants, contact, history):
-        """Set the restitution at first contact; set maximum overlap, restitution and recovery when unloading begins."""
+        """Set the restitution at first contact; set maximum overlap, restitution and recovery when unloading
+        begins."""
         history_new = history
         if ti.static(self.restitution_at != "max_overlap"):
             if history_new.overlap_max == 0.0:
@@ -504,12 +562,17 @@ class Zhou(NormalLaw):
         if ti.static(self.has_inelastic):
             unloads = unloads and not inelastic_pair(constants)
         if unloads:
-            largest, mass = history_new.overlap_max, contact.mass_eff
-            largest_force = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff * largest) * largest
+            largest = history_new.overlap_max
+            mass = contact.mass_eff
+            largest_force = (
+                4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff * largest) * largest
+            )
             overlap_rate_half = contact.overlap_rate
             if ti.static(self.rate_dependent):  # `overlap_rate` is at the time level, not half a step later
                 overlap_rate_half += 0.5 * contact.time_step * largest_force / mass
-            history_new.overlap_max = turning_point(largest, largest_force, mass, contact.time_step, overlap_rate_half)
+            history_new.overlap_max = turning_point(
+                largest, largest_force, mass, contact.time_step, overlap_rate_half
+            )
             e, y = self.unloading_parameters(constants, contact, history_new)
             history_new.restitution = e
             history_new.recovery = y
@@ -517,10 +580,14 @@ class Zhou(NormalLaw):
 
     @ti.func
     def force(self, constants, contact, history):
-        """Force of the present branch [N] (Zhou 2011, Eq. 4); the viscous part is limited so that the total is >= 0."""
-        overlap, radius, rate = contact.overlap, contact.radius_eff, contact.overlap_rate
+        """Force of the present branch [N] (Zhou 2011, Eq. 4); the viscous part is limited so that the total
+        is >= 0."""
+        overlap = contact.overlap
+        radius = contact.radius_eff
+        rate = contact.overlap_rate
         stiffness = 4.0 / 3.0 * constants.modulus_eff
-        overlap_max, recovery = history.overlap_max, history.recovery
+        overlap_max = history.overlap_max
+        recovery = history.recovery
         loading = overlap >= overlap_max
         y = ti.select(loading, 1.0, recovery)
         unloading, tangent = unloading_force(
@@ -528,9 +595,12 @@ class Zhou(NormalLaw):
         )
         loading_force = stiffness * ti.sqrt(radius * overlap) * overlap
         normal_force = ti.select(loading, loading_force, unloading)
-        viscous, excess = 0.0 * stiffness, 0.0 * stiffness
+        viscous = 0.0 * stiffness
+        excess = 0.0 * stiffness
         if ti.static(self.rest_damping > 0.0):
-            reloads = (overlap < overlap_max) & (rate > 0.0) & (unloading > 0.0) & (constants.restitution < 1.0)
+            reloads = (
+                (overlap < overlap_max) & (rate > 0.0) & (unloading > 0.0) & (constants.restitution < 1.0)
+            )
             damping_force, damping_excess = reloading_force(constants, contact, overlap_max, tangent)
             viscous = ti.select(reloads, damping_force, 0.0)
             excess = ti.select(reloads, damping_excess, 0.0)
@@ -543,12 +613,17 @@ class Zhou(NormalLaw):
         history_new.overlap_max = ti.max(overlap, overlap_max)
         history_new.recovery = ti.select(loading, 0.0, recovery)
         if ti.static(self.has_inelastic):
-            inelastic, rate_half = inelastic_pair(constants), rate
+            inelastic = inelastic_pair(constants)
+            rate_half = rate
             if ti.static(self.rate_dependent):  # `overlap_rate` is at the time level, half a step later
                 rate_half += 0.5 * contact.time_step * history.force_before / contact.mass_eff
-            force, history_inelastic = inelastic_force(contact, stiffness * ti.sqrt(radius), rate_half, history)
-            total, viscous = ti.select(inelastic, force, total), ti.select(inelastic, 0.0, viscous)
-            largest, state = history_new.overlap_max, history_new.recovery
+            force, history_inelastic = inelastic_force(
+                contact, stiffness * ti.sqrt(radius), rate_half, history
+            )
+            total = ti.select(inelastic, force, total)
+            viscous = ti.select(inelastic, 0.0, viscous)
+            largest = history_new.overlap_max
+            state = history_new.recovery
             history_new = history_inelastic  # the fields of HISTORY of other pairs are not read
             history_new.overlap_max = ti.select(inelastic, history_inelastic.overlap_max, largest)
             history_new.recovery = ti.select(inelastic, history_inelastic.recovery, state)
@@ -559,7 +634,13 @@ class Zhou(NormalLaw):
         """Viscous force of the option `damping_ratio` [N], mean over the step."""
         overlap_at, weight = _step_mean(contact.overlap, contact.overlap_rate, contact.time_step)
         tangent = 2.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff * overlap_at)
-        return 2.0 * constants.damping_ratio * weight * ti.sqrt(tangent * contact.mass_eff) * contact.overlap_rate
+        return (
+            2.0
+            * constants.damping_ratio
+            * weight
+            * ti.sqrt(tangent * contact.mass_eff)
+            * contact.overlap_rate
+        )
 
     @ti.func
     def stored_energy(self, constants, contact, history):
@@ -574,13 +655,17 @@ class Zhou(NormalLaw):
 
     @ti.func
     def lost_energy(self, constants, contact, history):
-        """Work of loading to the maximum overlap, (2/5) k dmax^2.5, minus the energy recovered by unloading [J].
+        """Work of loading to the maximum overlap, (2/5) k dmax^2.5, minus the energy recovered by unloading
+        [J].
 
         All work on an inelastic pair.
         """
-        k, largest = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff), history.overlap_max
+        k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
+        largest = history.overlap_max
         e, y = self.unloading_parameters(constants, contact, history)
-        energy_lost = 0.4 * k * largest * largest * ti.sqrt(largest) - unloading_energy(k, largest, e, y, largest)
+        energy_lost = 0.4 * k * largest * largest * ti.sqrt(largest) - unloading_energy(
+            k, largest, e, y, largest
+        )
         if ti.static(self.has_inelastic):
             if inelastic_pair(constants):
                 energy_lost = history.work
@@ -588,28 +673,36 @@ class Zhou(NormalLaw):
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of the model for one contact, in float64."""
-        return reference_contact(contact, self.restitution_at, self.angle, self.damping_ratio, self.rest_damping)
+        return reference_contact(
+            contact, self.restitution_at, self.angle, self.damping_ratio, self.rest_damping
+        )
 
     def phase_durations(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
     ) -> tuple[float, float]:
         """Loading and unloading durations [s] (Zhou 2011, Eqs. 13-15): eta1 Ts and eta2(e(v)) Ts."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
-        scale, e = float(theory.time_scale(k, mass_eff, velocity)), pair.restitution_at(velocity)
+        scale = float(theory.time_scale(k, mass_eff, velocity))
+        e = pair.restitution_at(velocity)
         return theory.LOADING_DURATION * scale, theory.unloading_duration(e) * scale
 
-    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def unloading_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
         """Tangent stiffness at the start of unloading [N/m]; infinite at e = 0 (Zhou 2011, Eqs. 4, 7)."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         largest = float(theory.overlap_max(k, mass_eff, velocity))
         return k * np.sqrt(largest) * float(theory.unloading_tangent(pair.restitution_at(velocity)))
 
-    def stable_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def stable_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
         """Hertz tangent [N/m]; the unloading tangent is bounded by the time step."""
         return theory.hertz_tangent(pair, radius_eff, mass_eff, velocity)
 
     def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Viscous force over overlap rate [N s/m], 2 zeta sqrt(K M) with the Hertz tangent K at the maximum overlap."""
+        """Viscous force over overlap rate [N s/m], 2 zeta sqrt(K M) with the Hertz tangent K at the maximum
+        overlap."""
         tangent = theory.hertz_tangent(pair, radius_eff, mass_eff, velocity)
         return 2.0 * self.damping_ratio * float(np.sqrt(tangent * mass_eff))
 
@@ -642,7 +735,9 @@ MODEL = ContactModel(
         ),
         "damping_ratio": Amount(
             "damping ratio of the viscous force on the elastic branch; 0: no viscous force, 1: critical damping",
-            *("0.1", "number", "a damping ratio"),
+            "0.1",
+            "number",
+            "a damping ratio",
             at_least=0,
             at_most=1,
             default=0.0,
@@ -650,7 +745,9 @@ MODEL = ContactModel(
         "rest_damping": Amount(
             "damping ratio of a viscous force on contacts that are compressed again without having separated, as in a "
             "bed at rest; binary collisions are not affected; 0: no such force",
-            *("0.1", "number", "a damping ratio"),
+            "0.1",
+            "number",
+            "a damping ratio",
             at_least=0,
             at_most=0.5,
             default=REST_DAMPING,

@@ -1,4 +1,5 @@
-"""Elastic-plastic spring torque (EPSD): the tangential spring with torque in place of force and angle of displacement.
+"""Elastic-plastic spring torque (EPSD): the tangential spring with torque in place of force and angle of
+displacement.
 
 The rolling stiffness is k_t R^2 (Wensrich & Katterfeld 2012), the limit mu_r R F.
 """
@@ -50,7 +51,9 @@ class Epsd(RollingLaw):
     @ti.func
     def spring_torque(self, constants, contact, history):
         """Spring torque [N m] after the rotation of this step, limited to mu_r R F, its history and loss."""
-        history_new, ratio, rate = history, contact.stiffness_ratio, contact.rolling_rate
+        history_new = history
+        ratio = contact.stiffness_ratio
+        rate = contact.rolling_rate
         rotated = rotated_displacement(history.angle, contact.normal, contact.normal_half)
         step = contact.time_step * in_contact_plane(rate, contact.normal, contact.normal_half)
         spring = contact.stiffness * contact.radius_eff * contact.radius_eff

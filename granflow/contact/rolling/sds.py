@@ -57,7 +57,8 @@ class Sds(Epsd):
     def torque(self, constants, contact, history):
         """Torque of spring and dashpot [N m]."""
         spring_torque, history_new, energy_lost = self.spring_torque(constants, contact, history)
-        rate, radius = contact.rolling_rate, contact.radius_eff
+        rate = contact.rolling_rate
+        radius = contact.radius_eff
         tangential_rate = in_contact_plane(rate, contact.normal, contact.normal_half)
         spring = contact.stiffness * radius * radius
         limit = BELOW_LIMIT * constants.rolling_friction * radius * contact.normal_load

@@ -36,7 +36,7 @@ MODEL = ContactModel(
     pair_options=(
         PairOption(
             "rolling_dissipation",
-            Amount("dissipative constant A of rolling [s]", *("1e-3 s", "time", "a time"), at_least=0),
+            Amount("dissipative constant A of rolling [s]", "1e-3 s", "time", "a time", at_least=0),
             "give it in s, or 0 to disable rolling friction",
         ),
     ),

@@ -1,7 +1,8 @@
-"""Tangential model: Mindlin's no-slip spring with history, limited by Coulomb friction, with an optional dashpot.
+"""Tangential model: Mindlin's no-slip spring with history, limited by Coulomb friction, with an optional
+dashpot.
 
-The four combinations of `increments` and `unloading` are the styles mindlin, mindlin/force, mindlin_rescale and
-mindlin_rescale/force of LAMMPS.
+The four combinations of `increments` and `unloading` are the styles mindlin, mindlin/force, mindlin_rescale
+and mindlin_rescale/force of LAMMPS.
 """
 
 from collections.abc import Mapping
@@ -45,7 +46,8 @@ DAMPING = Amount(
 class Mindlin(TangentialLaw):
     """Elastic-plastic spring with the no-slip stiffness of the normal model, see `tangential.spring`.
 
-    force_increments:  whether a change of the stiffness preserves the force; otherwise it preserves the displacement
+    force_increments:  whether a change of the stiffness preserves the force; otherwise it preserves the
+                       displacement
     rescaled:          whether a decrease of the stiffness decreases the force in proportion
     damping:           ratio of the tangential to the normal dashpot
     """
@@ -79,7 +81,9 @@ class Mindlin(TangentialLaw):
     def history(self) -> tuple[HistoryField, ...]:
         """Elastic tangential displacement, and the force of the dashpot."""
         dashpot = (HistoryField("dashpot", "force of the tangential dashpot", "N", size=3),)
-        return HistoryField("displacement", "tangential displacement", "m", size=3), *(dashpot if self.damped else ())
+        return HistoryField("displacement", "tangential displacement", "m", size=3), *(
+            dashpot if self.damped else ()
+        )
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Coefficient of sliding friction."""
@@ -102,7 +106,8 @@ class Mindlin(TangentialLaw):
 
     @ti.func
     def displacement_ratio(self, ratio):
-        """Factor of the displacement if the stiffness changes, `ratio` is that of the previous to the present one.
+        """Factor of the displacement if the stiffness changes, `ratio` is that of the previous to the present
+        one.
 
         force, rescaled:         min(ratio, 1)        force, kept:         ratio
         displacement, rescaled:  min(1 / ratio, 1)    displacement, kept:  1
@@ -122,14 +127,20 @@ class Mindlin(TangentialLaw):
 
         F = -k s - eta_t v_t;   if |F| > mu F_n:   F <- mu F_n F / |F|,   s <- -(F + eta_t v_t) / k
 
-        The dashpot acts from the second step on: in the first one the normal force is a mean since first contact, and
-        the spring would keep the difference between the dashpot and a limit that depends on the time of first contact.
+        The dashpot acts from the second step on: in the first one the normal force is a mean since first
+        contact, and the spring would keep the difference between the dashpot and a limit that depends on the
+        time of first contact.
         """
-        history_new, stiffness, ratio = history, self.stiffness(constants, contact), self.stiffness_ratio(contact)
+        history_new = history
+        stiffness = self.stiffness(constants, contact)
+        ratio = self.stiffness_ratio(contact)
         rotated = rotated_displacement(history.displacement, contact.normal, contact.normal_half)
-        factor, limit = self.displacement_ratio(ratio), self.limit(constants, contact)
-        spring, displacement = 0.0 * rotated, 0.0 * rotated
-        force, dashpot_loss = 0.0 * rotated, 0.0 * ratio
+        factor = self.displacement_ratio(ratio)
+        limit = self.limit(constants, contact)
+        spring = 0.0 * rotated
+        displacement = 0.0 * rotated
+        force = 0.0 * rotated
+        dashpot_loss = 0.0 * ratio
         if ti.static(self.damped):
             damping = ti.select(rotated.dot(rotated) > 0.0, constants.damping * contact.normal_damping, 0.0)
             dashpot = -damping * contact.slip_rate
@@ -144,7 +155,9 @@ class Mindlin(TangentialLaw):
         else:
             spring, displacement = elastic_plastic_spring(stiffness, factor, limit, rotated, contact.slip)
             force = spring
-        energy_lost = spring_loss(stiffness, ratio, rotated, contact.slip, spring, displacement) + dashpot_loss
+        energy_lost = (
+            spring_loss(stiffness, ratio, rotated, contact.slip, spring, displacement) + dashpot_loss
+        )
         history_new.displacement = displacement
         return force, history_new, energy_lost
 
@@ -158,7 +171,9 @@ class Mindlin(TangentialLaw):
         preserved = ratio if self.force_increments else 1.0  # by which the displacement changes
         if self.rescaled and ratio > 1.0:
             preserved /= ratio
-        carried = preserved * reference_rotation(contact.history.displacement, contact.normal, contact.normal_half)
+        carried = preserved * reference_rotation(
+            contact.history.displacement, contact.normal, contact.normal_half
+        )
         limit = contact.constants.friction * contact.normal_load
         if not self.damped:
             force, displacement = reference_spring(stiffness, limit, carried, contact.slip)

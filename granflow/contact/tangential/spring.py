@@ -1,8 +1,8 @@
 """Elastic-plastic spring with history: Mindlin's tangential spring and the EPSD rolling spring.
 
-The history is the elastic displacement. If the stiffness increases, the force is preserved and the displacement
-decreases; if it decreases, the displacement is preserved and the force decreases with the contact radius (Thornton,
-Cummins & Cleary 2013). The spring therefore never generates energy.
+The history is the elastic displacement. If the stiffness increases, the force is preserved and the
+displacement decreases; if it decreases, the displacement is preserved and the force decreases with the
+contact radius (Thornton, Cummins & Cleary 2013). The spring therefore never generates energy.
 """
 
 import numpy as np
@@ -17,10 +17,12 @@ def rotated_displacement(displacement, normal, normal_half):
         s' = s - (s . n) p
 
     normal:       unit normal n now
-    normal_half:  normal p at the half step, p . n = 1: it halves the angle between the previous and the present normal
+    normal_half:  normal p at the half step, p . n = 1: it halves the angle between the previous and the
+                  present normal
 
-    Rotation of the pair about its normal does not rotate the spring; other DEM codes neglect it as well, and it costs a
-    cross product. The projection along p is the rotation from the previous to the present contact plane.
+    Rotation of the pair about its normal does not rotate the spring; other DEM codes neglect it as well, and
+    it costs a cross product. The projection along p is the rotation from the previous to the present contact
+    plane.
     """
     return displacement - displacement.dot(normal) * normal_half
 
@@ -34,16 +36,17 @@ def limit_ratio(force, cap):
 
 @ti.func
 def elastic_plastic_spring(stiffness, factor, cap, rotated, step):
-    """Spring force -k s [N] after one step of displacement, limited to `cap` [N]. Returns (force, new displacement).
+    """Spring force -k s [N] after one step of displacement, limited to `cap` [N]. Returns (force, new
+    displacement).
 
     stiffness:  present stiffness k [N/m]
-    factor:     factor of the displacement for a change of the stiffness; min(previous / present stiffness, 1) preserves
-                the force if the stiffness increases, and the displacement if it decreases
+    factor:     factor of the displacement for a change of the stiffness; min(previous / present stiffness, 1)
+                preserves the force if the stiffness increases, and the displacement if it decreases
     rotated:    displacement of the previous step [m] in the present contact plane
     step:       relative tangential displacement in this step [m]
 
-    For a rolling spring, torque [N m] replaces force and angle [rad] displacement. `ti.select` replaces a branch, so
-    that the compiler can vectorize over contacts.
+    For a rolling spring, torque [N m] replaces force and angle [rad] displacement. `ti.select` replaces a
+    branch, so that the compiler can vectorize over contacts.
     """
     displacement_new = factor * rotated + step
     force = -stiffness * displacement_new
@@ -53,11 +56,14 @@ def elastic_plastic_spring(stiffness, factor, cap, rotated, step):
 
 @ti.func
 def spring_loss(stiffness, stiffness_ratio, rotated, step, force, displacement_new):
-    """Energy dissipated by the spring in one step [J]: work done on it minus the increase of its stored energy."""
+    """Energy dissipated by the spring in one step [J]: work done on it minus the increase of its stored
+    energy."""
     stiffness_before = stiffness_ratio * stiffness
     work = 0.5 * (stiffness_before * rotated - force).dot(step)
     return (
-        work + 0.5 * stiffness_before * rotated.dot(rotated) - 0.5 * stiffness * displacement_new.dot(displacement_new)
+        work
+        + 0.5 * stiffness_before * rotated.dot(rotated)
+        - 0.5 * stiffness * displacement_new.dot(displacement_new)
     )
 
 

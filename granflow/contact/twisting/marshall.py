@@ -62,7 +62,11 @@ class Marshall(TorsionLaw):
         contact_radius = float((contact.radius_eff * contact.overlap) ** 0.5)
         tangential = (contact.stiffness, self.damping * contact.normal_damping)
         stiffness, coefficient = (0.5 * each * contact_radius**2 for each in tangential)
-        return stiffness, coefficient, contact.constants.friction * contact.normal_load * 2 / 3 * contact_radius
+        return (
+            stiffness,
+            coefficient,
+            contact.constants.friction * contact.normal_load * 2 / 3 * contact_radius,
+        )
 
 
 MODEL = ContactModel(

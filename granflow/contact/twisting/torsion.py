@@ -1,7 +1,7 @@
 """Torsion spring with dashpot and limit: base class of the twisting models.
 
-The twist angle is the integral of the relative angular velocity about the normal. If the partners are exchanged, the
-normal and the relative angular velocity change their signs, and the twist angle does not.
+The twist angle is the integral of the relative angular velocity about the normal. If the partners are
+exchanged, the normal and the relative angular velocity change their signs, and the twist angle does not.
 """
 
 from collections.abc import Mapping
@@ -23,8 +23,8 @@ class TorsionLaw(TwistingLaw):
     dashpot:        whether the dashpot is compiled
     energy_budget:  whether the torque of the dashpot is saved for the dissipated energy
 
-    If the stiffness increases, the torque is preserved; if it decreases, the angle is. The dashpot acts from the second
-    step on, as that of the tangential models.
+    If the stiffness increases, the torque is preserved; if it decreases, the angle is. The dashpot acts from
+    the second step on, as that of the tangential models.
     """
 
     dashpot: bool
@@ -54,7 +54,8 @@ class TorsionLaw(TwistingLaw):
         history_new = history
         stiffness, coefficient, limit = self.torsion(constants, contact)
         rate = contact.rolling_rate.dot(contact.normal_half)
-        step, before = contact.time_step * rate, history.angle
+        step = contact.time_step * rate
+        before = history.angle
         angle = ti.min(history.stiffness / stiffness, 1.0) * before + step
         dashpot = 0.0 * rate
         if ti.static(self.dashpot):
@@ -67,13 +68,15 @@ class TorsionLaw(TwistingLaw):
         if ti.static(self.dashpot and self.energy_budget):
             lost += -0.5 * (history.dashpot + dashpot) * step
             history_new.dashpot = dashpot
-        history_new.angle, history_new.stiffness = angle, stiffness
+        history_new.angle = angle
+        history_new.stiffness = stiffness
         return torque * contact.normal, history_new, lost
 
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `torque` in numpy."""
         stiffness, coefficient, limit = self.reference_torsion(contact)
-        rate, before = float(contact.rolling_rate @ contact.normal_half), contact.history
+        rate = float(contact.rolling_rate @ contact.normal_half)
+        before = contact.history
         angle = before.angle * min(before.stiffness / stiffness, 1.0) + contact.time_step * rate
         dashpot = -coefficient * rate if self.dashpot and before.angle != 0.0 else 0.0
         torque = dashpot - stiffness * angle

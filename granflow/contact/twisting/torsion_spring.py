@@ -10,7 +10,8 @@ from granflow.device_functions import ti
 
 @dataclass(frozen=True)
 class TorsionSpring(TorsionLaw):
-    """Spring k [N m/rad] and dashpot c [N m s] of the scene; T_max = mu_t F_n with the length mu_t of the pair."""
+    """Spring k [N m/rad] and dashpot c [N m s] of the scene; T_max = mu_t F_n with the length mu_t of the
+    pair."""
 
     torsion_stiffness: float
     torsion_damping: float
@@ -23,7 +24,8 @@ class TorsionSpring(TorsionLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "TorsionSpring":
         """The law that a scene requests."""
-        stiffness, damping = request.options["stiffness"], request.options["damping"]
+        stiffness = request.options["stiffness"]
+        damping = request.options["damping"]
         return cls(damping > 0.0, request.energy_budget, stiffness, damping)
 
     @property
@@ -51,16 +53,23 @@ MODEL = ContactModel(
     "torsion spring and dashpot with a limit",
     options={
         "stiffness": Amount(
-            "twisting stiffness [Nm/rad]", *("1 mNm/rad", "torsion_stiffness", "a twisting stiffness"), above=0
+            "twisting stiffness [Nm/rad]", "1 mNm/rad", "torsion_stiffness", "a twisting stiffness", above=0
         ),
         "damping": Amount(
-            "twisting dashpot [Nms]", *("1 uNms", "torsion_damping", "a twisting dashpot"), at_least=0, default=0.0
+            "twisting dashpot [Nms]",
+            "1 uNms",
+            "torsion_damping",
+            "a twisting dashpot",
+            at_least=0,
+            default=0.0,
         ),
     },
     pair_options=(
         PairOption(
             "twisting_friction",
-            Amount("largest twisting torque over the normal force [m]", *("10 um", "length", "a length"), at_least=0),
+            Amount(
+                "largest twisting torque over the normal force [m]", "10 um", "length", "a length", at_least=0
+            ),
             "give the length, or 0 to disable twisting friction",
         ),
     ),

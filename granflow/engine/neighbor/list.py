@@ -1,6 +1,7 @@
 """Neighbor list (Verlet list): candidate pairs of each particle, found in the cells around it.
 
-The order of the cells and of their particles determines that of each list: identical bits for any number of threads.
+The order of the cells and of their particles determines that of each list: identical bits for any number of
+threads.
 """
 
 from typing import Any
@@ -26,27 +27,36 @@ from granflow.kernel_language import ti
 class NeighborListFill:
     """Device functions that append the entries of one neighbor list.
 
-    `owner`, a struct: index `i` of the particle, `first` and `end` of its chunk, `limit` of the list indices of the
-    chunk, the `skin` [m], the largest `reach` [m] of all particles and the `pose` of the walls.
+    `owner`, a struct: index `i` of the particle, `first` and `end` of its chunk, `limit` of the list indices
+    of the chunk, the `skin` [m], the largest `reach` [m] of all particles and the `pose` of the walls.
     Each function takes the list index of the next entry and returns the one after its last entry.
     """
 
     def __init__(self, state: State) -> None:
-        plan, periodic_box = state.plan, state.plan.periodic_box
-        self.state, self.plan, self.mesh = state, plan, state.mesh
-        self.particles, self.neighbors, self.sorting = state.particles, state.neighbors, state.cell_sort
-        self.sheared, self.by_class = plan.features.lees_edwards, state.cell_sort.class_order is not None
-        self.image_range, self.class_count = int(plan.features.lees_edwards), state.parameter("class_count")
+        plan = state.plan
+        periodic_box = state.plan.periodic_box
+        self.state = state
+        self.plan = plan
+        self.mesh = state.mesh
+        self.particles = state.particles
+        self.neighbors = state.neighbors
+        self.sorting = state.cell_sort
+        self.sheared = plan.features.lees_edwards
+        self.by_class = state.cell_sort.class_order is not None
+        self.image_range = int(plan.features.lees_edwards)
+        self.class_count = state.parameter("class_count")
         self.gradient = -1 if periodic_box.image_motion is None else periodic_box.image_motion.gradient
         self.periodic = periodic_box.axes
         self.periodic_unsheared = tuple(axis for axis in periodic_box.axes if axis != self.gradient)
-        self.geometry, self.can_touch = WallGeometry(state), build_can_touch(state)
+        self.geometry = WallGeometry(state)
+        self.can_touch = build_can_touch(state)
         self.wall_count = state.parameter("wall_count")
         self.domain_low, self.domain_high, self.force_range = (
             state.parameter(name) for name in ("domain_low", "domain_high", "force_range")
         )
         self.restore_history: Any = build_restore_history(state) if state.neighbors.history else None
-        self.minimum_image, self.shift_by_images = build_minimum_image(state), build_shift_by_images(state)
+        self.minimum_image = build_minimum_image(state)
+        self.shift_by_images = build_shift_by_images(state)
         self.image_index = build_image_index(state)
 
     @ti.func
@@ -79,7 +89,8 @@ class NeighborListFill:
     @ti.func
     def _append_walls(self, owner: ti.template(), list_index):
         """Append the walls, and the triangles of meshes, within reach."""
-        position, list_end = self.particles.position[owner.i], list_index
+        position = self.particles.position[owner.i]
+        list_end = list_index
         reach = self.particles.radius[owner.i] + self._slack(owner)
         for w in range(self.wall_count()):
             if self.state.walls.present[w] == 1 and self.can_touch(owner.i, -1 - w):
@@ -95,7 +106,8 @@ class NeighborListFill:
 
         In a periodic box, also of a contact after the particle has crossed a boundary.
         """
-        list_end, slack = list_index, self._slack(owner)
+        list_end = list_index
+        slack = self._slack(owner)
         position = self.geometry.wrap_position(self.particles.position[owner.i])
         for number in range(self.geometry.image_count):
             image, is_near = self.geometry.near_image(position, number, slack)
@@ -111,21 +123,28 @@ class NeighborListFill:
     @ti.func
     def _first_image_at(self, owner: ti.template(), w, t, position, last):
         """Number of the first image up to `last` that may have a contact with triangle t, or `last` + 1."""
-        slack, number, found = self._slack(owner), 0, last + 1
+        slack = self._slack(owner)
+        number = 0
+        found = last + 1
         reach = self.particles.radius[owner.i] + slack
         while number <= last and found > last:
             image, is_near = self.geometry.near_image(position, number, slack)
             if is_near:
                 local = self.geometry.image_in_wall_frame(w, owner.pose, image)
-                if may_own(self.mesh, t, local, slack) == 1 and from_nearest(self.mesh, t, local).norm() < reach:
+                if (
+                    may_own(self.mesh, t, local, slack) == 1
+                    and from_nearest(self.mesh, t, local).norm() < reach
+                ):
                     found = number
             number += 1
         return found
 
     @ti.func
     def _append_particles(self, owner: ti.template(), list_index):
-        """Append partners from the cells within reach, class by class; separately for each image along a gradient."""
-        list_end, position = list_index, self.particles.position[owner.i]
+        """Append partners from the cells within reach, class by class; separately for each image along a
+        gradient."""
+        list_end = list_index
+        position = self.particles.position[owner.i]
         if ti.static(self.by_class):
             for grid in range(self.class_count()):
                 reach = self.particles.radius[owner.i] + self.sorting.radius[grid] + self.force_range()
@@ -134,17 +153,23 @@ class NeighborListFill:
                     reach += owner.skin
                 for image in range(-self.image_range, self.image_range + 1):
                     point = self.shift_by_images(position, image, owner.pose)
-                    first, end = cells_within(self.sorting, self.periodic_unsheared, self.gradient, grid, point, reach)
+                    first, end = cells_within(
+                        self.sorting, self.periodic_unsheared, self.gradient, grid, point, reach
+                    )
                     list_end = self._append_cells(owner, list_end, grid, first, end, image)
         else:
-            first, end = adjacent_cells(self.periodic, cell_of_point(self.sorting, 0, position), self.sorting.cells[0])
+            first, end = adjacent_cells(
+                self.periodic, cell_of_point(self.sorting, 0, position), self.sorting.cells[0]
+            )
             list_end = self._append_cells(owner, list_end, 0, first, end, 0)
         return list_end
 
     @ti.func
     def _append_cells(self, owner: ti.template(), list_index, grid, first, end, image):
         """Append partners from a range of cells of a grid."""
-        list_end, cells, z = list_index, self.sorting.cells[grid], first[2]
+        list_end = list_index
+        cells = self.sorting.cells[grid]
+        z = first[2]
         while (z < end[2]) & is_count(list_end):
             y = first[1]
             while (y < end[1]) & is_count(list_end):
@@ -153,7 +178,9 @@ class NeighborListFill:
                     cell = wrapped_cell(self.periodic, ti.Vector([x, y, z]), cells)
                     # Cells along x are consecutive within a block: their particles are one range.
                     count = ti.min(end[0] - x, cells[0] - cell[0], BLOCK_SIDE - cell[0] % BLOCK_SIDE)
-                    list_end = self._append_range(owner, list_end, grid, cell_number(cell, cells), count, image)
+                    list_end = self._append_range(
+                        owner, list_end, grid, cell_number(cell, cells), count, image
+                    )
                     x += count
                 y += 1
             z += 1
@@ -162,7 +189,8 @@ class NeighborListFill:
     @ti.func
     def _append_range(self, owner: ti.template(), list_index, grid, cell, count, image):
         """Append partners from `count` consecutive cells of a grid."""
-        list_end, k = list_index, 0
+        list_end = list_index
+        k = 0
         if ti.static(self.by_class):
             begin = self.sorting.first_cell[grid] + cell
             k = self.sorting.class_start[begin]
@@ -178,9 +206,13 @@ class NeighborListFill:
 
     @ti.func
     def _can_cross(self, position, skin):
-        """True if a particle can cross a sheared face before the next rebuild; it is an image for others then."""
+        """True if a particle can cross a sheared face before the next rebuild; it is an image for others
+        then."""
         axis = ti.static(self.gradient)
-        return position[axis] < self.domain_low()[axis] + skin or position[axis] > self.domain_high()[axis] - skin
+        return (
+            position[axis] < self.domain_low()[axis] + skin
+            or position[axis] > self.domain_high()[axis] - skin
+        )
 
     @ti.func
     def _append_if_near(self, owner: ti.template(), list_index, j, image):
@@ -188,17 +220,24 @@ class NeighborListFill:
 
         Along a sheared gradient, append only partners whose nearest image is the given one.
         """
-        list_end, i, is_nearest_image = list_index, owner.i, True
+        list_end = list_index
+        i = owner.i
+        is_nearest_image = True
         # A half list within a chunk, a full list across chunks: no two workers write to the same particle.
         if (j > i) | (j < owner.first) | (j >= owner.end):
-            position, partner_position = self.particles.position[i], self.particles.position[j]
+            position = self.particles.position[i]
+            partner_position = self.particles.position[j]
             branch = self.minimum_image(position, partner_position, owner.pose)
             reach = self.particles.radius[i] + self.particles.radius[j] + self.force_range()
             reach += self.particles.reach[i] + self.particles.reach[j]
             if ti.static(self.sheared):
                 is_nearest_image = self.image_index(position, partner_position) == image
                 # Up to the next rebuild the image moves by at most the skin, in addition to the particles.
-                if image != 0 or self._can_cross(position, owner.skin) or self._can_cross(partner_position, owner.skin):
+                if (
+                    image != 0
+                    or self._can_cross(position, owner.skin)
+                    or self._can_cross(partner_position, owner.skin)
+                ):
                     reach += owner.skin
             if branch.dot(branch) < reach * reach and is_nearest_image and self.can_touch(i, j):
                 list_end = self._append(owner, list_end, j)
@@ -214,22 +253,25 @@ NO_LIMIT = 2**31 - 1
 
 
 def fill_phase(state: State) -> Phase:
-    """Fill the neighbor lists, chunk by chunk, with all pairs that can come into contact before the next rebuild.
+    """Fill the neighbor lists, chunk by chunk, with all pairs that can come into contact before the next
+    rebuild.
 
-    Two particles are listed if their gap is less than their reaches, a particle and a wall if it is less than the reach
-    plus half the skin, by which walls may move. The range of forces at a distance is added to both.
+    Two particles are listed if their gap is less than their reaches, a particle and a wall if it is less than
+    the reach plus half the skin, by which walls may move. The range of forces at a distance is added to both.
 
-    `list_length_needed`: largest number of entries of a segment; entries beyond the capacity are not stored, and the
-    host repeats this phase with a larger capacity. TOO_LONG is added if the batch is too short for one of the lists.
+    `list_length_needed`: largest number of entries of a segment; entries beyond the capacity are not stored,
+    and the host repeats this phase with a larger capacity. TOO_LONG is added if the batch is too short for
+    one of the lists.
 
-    If each particle is a chunk, it counts its entries, reserves them by an atomic addition and then stores them. Their
-    places depend on the threads; nothing depends on their places.
+    If each particle is a chunk, it counts its entries, reserves them by an atomic addition and then stores
+    them. Their places depend on the threads; nothing depends on their places.
 
     Reads:   position, radius, reach, fixed, cells and order of the cell sort, walls, mesh, saved history
     Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed, present,
              position_at_rebuild, rebuild_due, rebuild_requested, halted_at
     """
-    present_count, chunk_size = _build_present_count(state), state.parameter("chunk_size")
+    present_count = _build_present_count(state)
+    chunk_size = state.parameter("chunk_size")
     fill = _build_fill_one(state) if state.plan.chunk_size == 1 else _build_fill(state, present_count)
 
     @ti.func
@@ -241,7 +283,8 @@ def fill_phase(state: State) -> Phase:
 
 def _build_present_count(state: State) -> Any:
     """Device function (rebuild): number of particles with a neighbor list."""
-    sorting, has_ghosts = state.cell_sort, state.plan.has_ghosts
+    sorting = state.cell_sort
+    has_ghosts = state.plan.has_ghosts
 
     @ti.func
     def present_count(rebuild: ti.template()):
@@ -250,7 +293,9 @@ def _build_present_count(state: State) -> Any:
             if ti.static(has_ghosts):
                 present = sorting.owned_count[0]  # the lists of ghosts are on the ranks that own them
             else:
-                present = sorting.cell_start[sorting.cell_count[0]]  # deleted particles are in the cell behind the last
+                present = sorting.cell_start[
+                    sorting.cell_count[0]
+                ]  # deleted particles are in the cell behind the last
         return present
 
     return present_count
@@ -258,24 +303,37 @@ def _build_present_count(state: State) -> Any:
 
 def _build_fill(state: State, present_count: Any) -> Any:
     """Device function (task, rebuild): fill the neighbor lists of a chunk, see `fill_phase`."""
-    particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
-    chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
-    lists, longest_allowed = NeighborListFill(state), NO_LIMIT
+    particles = state.particles
+    neighbors = state.neighbors
+    control = state.control
+    sorting = state.cell_sort
+    chunk_size = state.parameter("chunk_size")
+    list_capacity = state.parameter("list_capacity")
+    lists = NeighborListFill(state)
+    longest_allowed = NO_LIMIT
     if state.batch is not None:
         longest_allowed = state.batch.longest_list
 
     @ti.func
     def fill(task: ti.template(), rebuild: ti.template()):
-        first, end = task.index * chunk_size(), (task.index + 1) * chunk_size()
+        first = task.index * chunk_size()
+        end = (task.index + 1) * chunk_size()
         begin = task.index * list_capacity()
-        limit, list_index, longest = begin + list_capacity(), begin, 0
+        limit = begin + list_capacity()
+        list_index = begin
+        longest = 0
         for i in range(first, ti.min(end, present_count(rebuild))):
             particles.position_at_rebuild[i] = particles.position[i]
             neighbors.list_begin[i] = list_index
             owner = ti.Struct(
-                i=i, first=first, end=end, limit=limit, skin=rebuild.skin, reach=sorting.reach_largest[0],
+                i=i,
+                first=first,
+                end=end,
+                limit=limit,
+                skin=rebuild.skin,
+                reach=sorting.reach_largest[0],
                 pose=rebuild.pose,
-            )  # fmt: skip
+            )
             list_index = lists.fill(owner, list_index)
             lists.restore(owner, neighbors.list_begin[i], list_index)
             neighbors.list_end[i] = list_index
@@ -288,23 +346,35 @@ def _build_fill(state: State, present_count: Any) -> Any:
 
 def _build_fill_one(state: State) -> Any:
     """Device function (task, rebuild): fill the neighbor list of one particle, see `fill_phase`."""
-    particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
-    lists, list_capacity = NeighborListFill(state), state.parameter("list_capacity")
+    particles = state.particles
+    neighbors = state.neighbors
+    control = state.control
+    sorting = state.cell_sort
+    lists = NeighborListFill(state)
+    list_capacity = state.parameter("list_capacity")
 
     @ti.func
     def fill_one(task: ti.template(), rebuild: ti.template()):
         i = task.index
         particles.position_at_rebuild[i] = particles.position[i]
-        begin, end, limit = 0, 0, 0
+        begin = 0
+        end = 0
+        limit = 0
         for _ in range(2):  # a limit of 0 counts the entries
             owner = ti.Struct(
-                i=i, first=i, end=i + 1, limit=limit, skin=rebuild.skin, reach=sorting.reach_largest[0],
+                i=i,
+                first=i,
+                end=i + 1,
+                limit=limit,
+                skin=rebuild.skin,
+                reach=sorting.reach_largest[0],
                 pose=rebuild.pose,
-            )  # fmt: skip
+            )
             end = lists.fill(owner, begin)
             lists.restore(owner, begin, end)
             if limit == 0:
-                begin, limit = ti.atomic_add(control.list_length_needed[0], end), list_capacity()
+                begin = ti.atomic_add(control.list_length_needed[0], end)
+                limit = list_capacity()
         neighbors.list_begin[i], neighbors.list_end[i] = begin, end
 
     return fill_one
@@ -312,7 +382,9 @@ def _build_fill_one(state: State) -> Any:
 
 def _build_finish(state: State, present_count: Any) -> Any:
     """Device function (rebuild): store the number of particles and reset the requests of a rebuild."""
-    control, sorting, can_halt = state.control, state.cell_sort, state.control.halted_at is not None
+    control = state.control
+    sorting = state.cell_sort
+    can_halt = state.control.halted_at is not None
 
     @ti.func
     def finish(rebuild: ti.template()):

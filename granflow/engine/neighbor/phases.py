@@ -1,7 +1,8 @@
-"""Phases of a neighbor-list rebuild in one launch: tasks in any order, then a serial part, one phase after the other.
+"""Phases of a neighbor-list rebuild in one launch: tasks in any order, then a serial part, one phase after
+the other.
 
-On a CPU, workers share the tasks of each phase, with a barrier after it: waking the threads of Taichi for each phase
-takes 15 to 60 us, a barrier 1 us. On a GPU each phase is a loop over its tasks.
+On a CPU, workers share the tasks of each phase, with a barrier after it: waking the threads of Taichi for
+each phase takes 15 to 60 us, a barrier 1 us. On a GPU each phase is a loop over its tasks.
 """
 
 from collections.abc import Callable
@@ -22,8 +23,9 @@ EVENLY = 0
 def is_count(number: ti.template()):
     """True for all counts and indices, which the compiler does not know.
 
-    A loop that ends where a number from memory is no count is neither unrolled nor vectorized. Unrolled eight times,
-    with versions for each remainder, the short loops of a rebuild are half of its machine code, and no faster.
+    A loop that ends where a number from memory is no count is neither unrolled nor vectorized. Unrolled eight
+    times, with versions for each remainder, the short loops of a rebuild are half of its machine code, and no
+    faster.
     """
     return number >= 0
 
@@ -36,7 +38,8 @@ def all_particles(rebuild: ti.template()):
 
 @dataclass(frozen=True)
 class Phase:
-    """Device functions of a phase; `rebuild` is a struct with the arguments of the launch, see `build_rebuild`.
+    """Device functions of a phase; `rebuild` is a struct with the arguments of the launch, see
+    `build_rebuild`.
 
     body:      (task, rebuild): one task, a struct of its `index` and its entries `begin` to `end`, exclusive
     most:      largest number of tasks; on a GPU the length of the loop
@@ -83,7 +86,8 @@ def entry_range(index, entries, per_task):
 @ti.func
 def part_range(part, parts, count):
     """Begin and end of a part of `count` consecutive entries, distributed evenly."""
-    share, rest = count // parts, count % parts
+    share = count // parts
+    rest = count % parts
     begin = part * share + ti.min(part, rest)
     return begin, begin + share + ti.cast(part < rest, ti.i32)
 
@@ -102,16 +106,24 @@ def build_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
 
 
 def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
-    control, real, position_real = state.control, state.backend.real, state.backend.position_real
+    control = state.control
+    real = state.backend.real
+    position_real = state.backend.position_real
     numbered = [
-        (number, phase, thread_count(phase.most), _build_tasks_of_thread(phase)) for number, phase in enumerate(phases)
+        (number, phase, thread_count(phase.most), _build_tasks_of_thread(phase))
+        for number, phase in enumerate(phases)
     ]
 
     @ti.kernel
     def rebuild_on_gpu(
-        workers: ti.i32, first: ti.i32, count: ti.i32, skin: position_real, reach_time: position_real, dt: real,
-        pose: ti.i32
-    ):  # fmt: skip
+        workers: ti.i32,
+        first: ti.i32,
+        count: ti.i32,
+        skin: position_real,
+        reach_time: position_real,
+        dt: real,
+        pose: ti.i32,
+    ):
         control.running[0], control.list_length_needed[0] = 1, 0
         for number, phase, threads, tasks_of_thread in ti.static(numbered):
             # A constant length: Taichi computes any other one in a dispatch of its own.
@@ -122,7 +134,9 @@ def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
             if ti.static(phase.has_serial):
                 for _ in range(1):  # one task of the kernel
                     if number >= first and control.running[0] == 1:
-                        phase.serial(ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose))
+                        phase.serial(
+                            ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
+                        )
 
     return rebuild_on_gpu
 
@@ -148,8 +162,11 @@ def _build_tasks_of_thread(phase: Phase) -> Any:
 
 
 def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
-    control, real, position_real = state.control, state.backend.real, state.backend.position_real
-    numbered, phase_count = [*enumerate(phases)], len(phases)
+    control = state.control
+    real = state.backend.real
+    position_real = state.backend.position_real
+    numbered = [*enumerate(phases)]
+    phase_count = len(phases)
     special = [each for each in numbered if (each[1].count, each[1].per_task) != (all_particles, EVENLY)]
     serial = [(number, phase) for number, phase in numbered if phase.has_serial]
 
@@ -160,10 +177,13 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
     @ti.func
     def run_tasks(current, rebuild: ti.template()):
         """Tasks of one phase of one worker."""
-        index, entries, per_task = next_task(), all_particles(rebuild), EVENLY
+        index = next_task()
+        entries = all_particles(rebuild)
+        per_task = EVENLY
         for number, phase in ti.static(special):
             if number == current:
-                entries, per_task = phase.count(rebuild), phase.per_task
+                entries = phase.count(rebuild)
+                per_task = phase.per_task
         tasks = task_count(entries, per_task)
         while index < tasks:
             begin, end = entry_range(index, entries, per_task)
@@ -175,7 +195,8 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
 
     @ti.func
     def complete(current, barrier, rebuild: ti.template()):
-        """Wait for all workers; the last one runs the serial part. Returns 1 if this worker leaves the launch."""
+        """Wait for all workers; the last one runs the serial part. Returns 1 if this worker leaves the
+        launch."""
         left = 0
         if arrive(control, barrier) == 1:
             for number, phase in ti.static(serial):
@@ -189,9 +210,14 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
 
     @ti.kernel
     def rebuild_on_cpu(
-        workers: ti.i32, first: ti.i32, count: ti.i32, skin: position_real, reach_time: position_real, dt: real,
-        pose: ti.i32
-    ):  # fmt: skip
+        workers: ti.i32,
+        first: ti.i32,
+        count: ti.i32,
+        skin: position_real,
+        reach_time: position_real,
+        dt: real,
+        pose: ti.i32,
+    ):
         control.worker_count[0], control.running[0], control.list_length_needed[0] = workers, 1, 0
         control.next_chunk[CACHE_LINE], control.released[CACHE_LINE] = 0, 0
         control.arrived[CACHE_LINE], control.arrived[2 * CACHE_LINE] = 0, 0
@@ -199,7 +225,8 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
             if task % CPU_STRIDE == 0:
                 rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
                 # One loop with the phase chosen in it, not a sequence of phases: half the compile time.
-                current, left = first, 0
+                current = first
+                left = 0
                 while current < phase_count and left == 0 and control.running[0] == 1:
                     run_tasks(current, rebuild)
                     left = complete(current, current - first + 1, rebuild)

@@ -28,27 +28,35 @@ from granflow.plan.capacities import REACH_STEPS
 def reorder_phases(state: State) -> list[Phase]:
     """Move all particle fields to the new order: copied to buffers, then back.
 
-    Fields that are written again before they are read serve as buffers. A vector buffer takes a vector or three
-    numbers. `position_at_rebuild` keeps the positions; before, it takes the reals that are wider than a force.
+    Fields that are written again before they are read serve as buffers. A vector buffer takes a vector or
+    three numbers. `position_at_rebuild` keeps the positions; before, it takes the reals that are wider than a
+    force.
 
     Reads:   order
     Writes:  all fields of `Particles.sorted_fields`, position_at_rebuild, force, torque, coordination_number
     """
-    particles, phases = state.particles, []
+    particles = state.particles
+    phases = []
     fields = [field for field in particles.sorted_fields() if field is not particles.position]
     reals = [component for field in fields if field.dtype != ti.i32 for component in components(field)]
     at_rebuild = components(particles.position_at_rebuild)
     widest = at_rebuild[0].dtype if at_rebuild[0].dtype != particles.force.dtype else None
-    wide, reals = [each for each in reals if each.dtype == widest], [each for each in reals if each.dtype != widest]
+    wide = [each for each in reals if each.dtype == widest]
+    reals = [each for each in reals if each.dtype != widest]
     for k in range(0, len(wide), len(at_rebuild)):
         phases += _copy_phases(state, [*zip(wide[k:], at_rebuild, strict=False)])
     integers = [field for field in fields if field.dtype == ti.i32]
-    buffers = [*components(particles.force), *(components(particles.torque) if particles.torque is not None else ())]
+    buffers = [
+        *components(particles.force),
+        *(components(particles.torque) if particles.torque is not None else ()),
+    ]
     first = [*zip(components(particles.position), at_rebuild, strict=True)]
     while reals or integers:
         pairs = [*first, *zip(reals, buffers, strict=False)]
         pairs += zip(integers, [particles.coordination_number], strict=False)
-        reals, integers, first = reals[len(buffers) :], integers[1:], []
+        reals = reals[len(buffers) :]
+        integers = integers[1:]
+        first = []
         phases += _copy_phases(state, pairs)
     return phases
 
@@ -65,7 +73,8 @@ def _copy_phases(state: State, pairs: list[Any]) -> list[Phase]:
 
     @ti.func
     def gather(task: ti.template(), rebuild: ti.template()):
-        source, k = 0, task.begin
+        source = 0
+        k = task.begin
         while (k < task.end) & is_count(source):
             source = order[k]
             for field, buffer in ti.static(pairs):
@@ -131,7 +140,8 @@ class Rebuild(Protocol):
         """Put particles on an empty device; the next rebuild lists them."""
 
     def restore(self, particles: HostParticles, pose: int, workers: int) -> None:
-        """Put particles on an empty device with the lists of the last rebuild, at which the wall poses are given."""
+        """Put particles on an empty device with the lists of the last rebuild, at which the wall poses are
+        given."""
 
     def ids(self) -> np.ndarray:
         """Ids of all particles that lists can contain, by index."""
@@ -141,14 +151,18 @@ class NeighborListRebuild:
     """Runs the phases of a rebuild.
 
     state:       device data
-    on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
-                 deleted
-    grow:        increases the list entries per segment, and the batch, to at least these numbers and compiles all
-                 kernels again
+    on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before
+                 they are deleted
+    grow:        increases the list entries per segment, and the batch, to at least these numbers and compiles
+                 all kernels again
     """
 
-    def __init__(self, state: State, on_deleted: Callable[[int, int], None], grow: Callable[[int, int], None]) -> None:
-        self._state, self._on_deleted, self._grow = state, on_deleted, grow
+    def __init__(
+        self, state: State, on_deleted: Callable[[int, int], None], grow: Callable[[int, int], None]
+    ) -> None:
+        self._state = state
+        self._on_deleted = on_deleted
+        self._grow = grow
 
     def compile(self) -> None:
         """Compile the kernel, unless the state has it."""
@@ -165,10 +179,14 @@ class NeighborListRebuild:
         self._delete(self._launch(pose, workers, REACH_STEPS * self._state.clock.time_step))
 
     def put(self, particles: HostParticles) -> None:
-        """Put particles, in the order of their ids, on a device without particles; the next rebuild lists them."""
-        state, histories = self._state, HistoryTable(self._state)
+        """Put particles, in the order of their ids, on a device without particles; the next rebuild lists
+        them."""
+        state = self._state
+        histories = HistoryTable(self._state)
         state.count = len(particles.arrays["id"])
-        if (needed := histories.longest_segment(particles.histories)) > state.capacities.list_entries_per_segment:
+        if (
+            needed := histories.longest_segment(particles.histories)
+        ) > state.capacities.list_entries_per_segment:
             self._grow(needed, 0)
         saved_particle_table(state).put(np.arange(state.count), particles.arrays)
         histories.write_lists(particles.histories, particles.arrays["id"])
@@ -184,7 +202,9 @@ class NeighborListRebuild:
         self.put(particles.at_rebuild(state.plan.periodic_box.at(state.clock.time)))
         flags = self._launch(pose, workers, KEPT_REACH)
         if state.count and flags.present < state.count:
-            raise GranflowError("The checkpoint contains particles that were in an outlet or outside the domain.")
+            raise GranflowError(
+                "The checkpoint contains particles that were in an outlet or outside the domain."
+            )
         present = particles.of(np.searchsorted(particles.arrays["id"], self.ids()))
         saved_particle_table(state).put(np.arange(state.count), present.arrays)
 
@@ -193,12 +213,14 @@ class NeighborListRebuild:
         return copy_to_host(self._state, ("id",))["id"]
 
     def _launch(self, pose: int, workers: int, reach_time: float) -> DeviceFlags:
-        """Launch the kernel, again after the capacities have grown; particles to delete are then behind the others.
+        """Launch the kernel, again after the capacities have grown; particles to delete are then behind the
+        others.
 
         Returns the flags after the last launch.
         """
         state = self._state
-        first, step = 0 if state.count else self._kernel.fill, state.clock.time_step
+        first = 0 if state.count else self._kernel.fill
+        step = state.clock.time_step
         while True:
             self._kernel.launch(workers, first, state.count, state.plan.skin, reach_time, step, pose)
             flags = read_flags(state)
@@ -225,16 +247,21 @@ class NeighborListRebuild:
 
 
 def _chunk_phases(state: State) -> list[Phase]:
-    """Wrap the particles, prepare films and save the contact histories, chunk by chunk; none if none is needed.
+    """Wrap the particles, prepare films and save the contact histories, chunk by chunk; none if none is
+    needed.
 
     If the histories do not fit, this phase is the last one.
 
     Reads:   as `build_wrap`, `build_prepare_films` and `build_save_history`
     Writes:  as these; running, list_length_needed
     """
-    control, wraps, saves = state.control, state.plan.features.periodic != "none", bool(state.neighbors.history)
-    wrap, save_history = build_wrap(state) if wraps else None, build_save_history(state) if saves else None
-    chunk_size, saved_capacity = state.parameter("chunk_size"), state.parameter("saved_capacity")
+    control = state.control
+    wraps = state.plan.features.periodic != "none"
+    saves = bool(state.neighbors.history)
+    wrap = build_wrap(state) if wraps else None
+    save_history = build_save_history(state) if saves else None
+    chunk_size = state.parameter("chunk_size")
+    saved_capacity = state.parameter("saved_capacity")
     liquid = transfers_liquid(state)
     prepare_films = build_prepare_films(state) if liquid else None
 

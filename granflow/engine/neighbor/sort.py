@@ -1,7 +1,7 @@
 """Cell grid over the particles, computed on the device.
 
-Cells are numbered in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is compact and few pairs connect
-two chunks.
+Cells are numbered in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is compact and few pairs
+connect two chunks.
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.codes import ABORT_FAR, REMOVED_BELOW
-from granflow.engine.neighbor.phases import Phase, all_particles, granularity, is_count, part_range, task_count
+from granflow.engine.neighbor.phases import (
+    Phase,
+    all_particles,
+    granularity,
+    is_count,
+    part_range,
+    task_count,
+)
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK, SUBPARTS
@@ -52,11 +59,13 @@ def cell_of_point(sorting: ti.template(), grid, point):
 
 @ti.func
 def adjacent_cells(periodic: ti.template(), cell, cells):
-    """Begin and end of the ranges of cells adjacent to a cell, which may extend beyond the grid along periodic axes.
+    """Begin and end of the ranges of cells adjacent to a cell, which may extend beyond the grid along
+    periodic axes.
 
     periodic:  axes along which the first and the last cell are adjacent; with fewer than three cells, all are
     """
-    first, end = cell - 1, cell + 2
+    first = cell - 1
+    end = cell + 2
     for axis in ti.static(range(3)):
         if ti.static(axis in periodic):
             if cells[axis] < 3:
@@ -67,15 +76,17 @@ def adjacent_cells(periodic: ti.template(), cell, cells):
 
 
 @ti.func
-def cells_within(sorting: ti.template(), periodic: ti.template(), gradient: ti.template(), grid, point, reach):
+def cells_within(
+    sorting: ti.template(), periodic: ti.template(), gradient: ti.template(), grid, point, reach
+):
     """Begin and end of the ranges of cells of a grid that a sphere intersects.
 
     periodic:  axes that are periodic without shear
     gradient:  axis of the gradient of a sheared box, or -1
     reach:     radius of the sphere [m], enlarged by ROUNDING
 
-    Along a periodic axis the range may extend beyond the grid, but contains no cell twice. Images along a sheared
-    gradient are searched separately, and the range ends at the grid.
+    Along a periodic axis the range may extend beyond the grid, but contains no cell twice. Images along a
+    sheared gradient are searched separately, and the range ends at the grid.
 
     Reads:  grid_low, cell_side, cells
     """
@@ -118,14 +129,16 @@ MARGIN = 1e-6
 def build_lay_grids(state: State) -> Any:
     """Device function (count): the grid for sorting; if particle sizes differ widely, one per size class.
 
-    The cells are at least as wide as the largest diameter of the class plus two of the largest reaches and the range of
-    the forces. Aborts if an expanding domain has become too large for the precision.
+    The cells are at least as wide as the largest diameter of the class plus two of the largest reaches and
+    the range of the forces. Aborts if an expanding domain has become too large for the precision.
 
     Reads:   radius of the size classes; low, high, reach of the cell sort (see `bounds_phases`)
     Writes:  grid_low, cell_side, cells, cell_count, first_cell, reach_largest, abort
     """
-    sorting, by_class = state.cell_sort, state.cell_sort.class_order is not None
-    lay_grid, expands = _build_lay_grid(state), state.plan.domain.on_exit == "expand"
+    sorting = state.cell_sort
+    by_class = state.cell_sort.class_order is not None
+    lay_grid = _build_lay_grid(state)
+    expands = state.plan.domain.on_exit == "expand"
     class_count, force_range, coordinate_limit = (
         state.parameter(name) for name in ("class_count", "force_range", "coordinate_limit")
     )
@@ -133,7 +146,9 @@ def build_lay_grids(state: State) -> Any:
     @ti.func
     def lay_grids(count):
         parts = ti.min(count, BOUNDS)
-        low, high, reach = sorting.low[0], sorting.high[0], sorting.reach[0]
+        low = sorting.low[0]
+        high = sorting.high[0]
+        reach = sorting.reach[0]
         part = 0
         while (part < parts) & is_count(reach):
             low, high = ti.min(low, sorting.low[part]), ti.max(high, sorting.high[part])
@@ -161,30 +176,41 @@ def _build_lay_grid(state: State) -> Any:
     low, high:  corners [m] of their bounding box
     side:       smallest cell side [m]
 
-    If a few outliers make the cells much larger than requested, the grid excludes them; an outlier is then assigned to
-    the nearest cell at the edge of the grid.
+    If a few outliers make the cells much larger than requested, the grid excludes them; an outlier is then
+    assigned to the nearest cell at the edge of the grid.
 
     Reads:   low, high of the cell sort
     Writes:  grid_low, cell_side, cells, cell_count
     """
-    sorting, axes = state.cell_sort, state.plan.periodic_box.axes
-    grid_over, within = build_grid_over(state), _build_within(state)
-    other_axes, cell_capacity = [axis for axis in range(3) if axis not in axes], state.parameter("cell_capacity")
+    sorting = state.cell_sort
+    axes = state.plan.periodic_box.axes
+    grid_over = build_grid_over(state)
+    within = _build_within(state)
+    other_axes = [axis for axis in range(3) if axis not in axes]
+    cell_capacity = state.parameter("cell_capacity")
 
     @ti.func
     def lay_grid(grid, parts, low, high, side):
         limit = cell_capacity() >> grid
-        box_low, box_high, is_coarse = low, high, True
-        found_low, sides, cells = low, high - low, ti.Vector([0, 0, 0])
+        box_low = low
+        box_high = high
+        is_coarse = True
+        found_low = low
+        sides = high - low
+        cells = ti.Vector([0, 0, 0])
         attempt = 0
         while is_coarse & (attempt < 2):  # one call of `grid_over`, which is compiled once
             if attempt == 1:
                 box_low, box_high = within(parts, low, high)
             finer_low, finer_sides, finer_cells = grid_over(box_low, box_high, side, limit)
-            finer_volume, volume = finer_sides[0] * finer_sides[1] * finer_sides[2], sides[0] * sides[1] * sides[2]
+            finer_volume = finer_sides[0] * finer_sides[1] * finer_sides[2]
+            volume = sides[0] * sides[1] * sides[2]
             if (attempt == 0) | (finer_volume < VOLUME_RATIO * volume):
-                found_low, sides, cells = finer_low, finer_sides, finer_cells
-            is_coarse, attempt = False, attempt + 1
+                found_low = finer_low
+                sides = finer_sides
+                cells = finer_cells
+            is_coarse = False
+            attempt = attempt + 1
             for axis in ti.static(other_axes):
                 is_coarse = is_coarse | (sides[axis] > side)
         sorting.grid_low[grid], sorting.cell_side[grid], sorting.cells[grid] = found_low, sides, cells
@@ -195,30 +221,36 @@ def _build_lay_grid(state: State) -> Any:
 
 
 def _build_within(state: State) -> Any:
-    """Device function (parts, low, high): corners [m] of the box without OUTLIER_SHARE of the parts at each end.
+    """Device function (parts, low, high): corners [m] of the box without OUTLIER_SHARE of the parts at each
+    end.
 
     A bisection along each axis: the corner between which and `low` at most that share of the parts begin, ...
 
     Reads:  low, high of the cell sort
     """
-    sorting, bisections = state.cell_sort, 30
+    sorting = state.cell_sort
+    bisections = 30
 
     @ti.func
     def within(parts, low, high):
         outliers = ti.cast(OUTLIER_SHARE * ti.cast(parts, ti.f32), ti.i32)
         begin, end = low, high  # at most `outliers` parts are below `begin`
         first, last = low, high  # at most `outliers` parts are above `last`
-        below, above, bisection = ti.Vector([0, 0, 0]), ti.Vector([0, 0, 0]), 0
+        below = ti.Vector([0, 0, 0])
+        above = ti.Vector([0, 0, 0])
+        bisection = 0
         while (bisection < bisections) & is_count(below[0]):
             bisection += 1
             middle_low, middle_high = 0.5 * (begin + end), 0.5 * (first + last)
-            below, above = ti.Vector([0, 0, 0]), ti.Vector([0, 0, 0])
+            below = ti.Vector([0, 0, 0])
+            above = ti.Vector([0, 0, 0])
             part = 0
             while (part < parts) & ((below.min() <= outliers) | (above.min() <= outliers)):
                 below += ti.cast(sorting.low[part] < middle_low, ti.i32)
                 above += ti.cast(sorting.high[part] > middle_high, ti.i32)
                 part += 1
-            few_below, few_above = below <= outliers, above <= outliers
+            few_below = below <= outliers
+            few_above = above <= outliers
             begin, end = ti.select(few_below, middle_low, begin), ti.select(few_below, end, middle_low)
             first, last = ti.select(few_above, first, middle_high), ti.select(few_above, middle_high, last)
         return begin, last
@@ -227,22 +259,26 @@ def _build_within(state: State) -> Any:
 
 
 def build_grid_over(state: State) -> Any:
-    """Device function (low, high, side, cell limit): low corner [m], cell sides [m] and cells along each axis.
+    """Device function (low, high, side, cell limit): low corner [m], cell sides [m] and cells along each
+    axis.
 
-    The smallest grid of cells at least `side` wide over a box clipped to the domain, unless the domain expands,
-    coarsened to at most the limit of cells, exceeded only by a grid of one block. Along periodic axes the cells fill
-    the domain exactly; along the other axes they are `side` wide, in whole blocks.
+    The smallest grid of cells at least `side` wide over a box clipped to the domain, unless the domain
+    expands, coarsened to at most the limit of cells, exceeded only by a grid of one block. Along periodic
+    axes the cells fill the domain exactly; along the other axes they are `side` wide, in whole blocks.
     """
-    real, domain_low, domain_high = (
-        state.backend.position_real,
-        state.parameter("domain_low"),
-        state.parameter("domain_high"),
-    )
-    axes, expands = state.plan.periodic_box.axes, state.plan.domain.on_exit == "expand"
+    real = state.backend.position_real
+    domain_low = state.parameter("domain_low")
+    domain_high = state.parameter("domain_high")
+    axes = state.plan.periodic_box.axes
+    expands = state.plan.domain.on_exit == "expand"
 
     @ti.func
     def grid_over(low, high, side_requested, limit):
-        box_low, box_high, side, lows, highs = low, high, side_requested, domain_low(), domain_high()
+        box_low = low
+        box_high = high
+        side = side_requested
+        lows = domain_low()
+        highs = domain_high()
         for axis in ti.static(range(3)):
             if ti.static(axis in axes):
                 box_low[axis], box_high[axis] = lows[axis], highs[axis]
@@ -250,7 +286,9 @@ def build_grid_over(state: State) -> Any:
                 box_low[axis] = ti.max(low[axis], lows[axis])
                 box_high[axis] = ti.min(high[axis], highs[axis])
         size = ti.max(box_high - box_low, 0.0)
-        cells, sides, fits = size, size, False
+        cells = size
+        sides = size
+        fits = False
         while not fits:
             for axis in ti.static(range(3)):
                 cells[axis] = BLOCK_SIDE * ti.max(ti.ceil(size[axis] / (side * BLOCK_SIDE) + 1e-9), 1.0)
@@ -279,14 +317,16 @@ def bounds_phases(state: State) -> list[Phase]:
 
         reach = min(skin / 2 + |v| time, reach_max)
 
-    A part holds consecutive particles; its bounds are those of the positions, and the largest reach. A fast particle
-    looks further, so that it does not make the rebuilds of all others more frequent. With the time KEPT_REACH, the
-    reach is that of an earlier rebuild. On a GPU, SUBPARTS threads first share a part.
+    A part holds consecutive particles; its bounds are those of the positions, and the largest reach. A fast
+    particle looks further, so that it does not make the rebuilds of all others more frequent. With the time
+    KEPT_REACH, the reach is that of an earlier rebuild. On a GPU, SUBPARTS threads first share a part.
 
     Reads:   position, velocity, reach
     Writes:  reach of the particles; low, high, reach of the cell sort and of the subparts; the grids
     """
-    sorting, lay_grids, bounds_of = state.cell_sort, build_lay_grids(state), _build_bounds_of(state)
+    sorting = state.cell_sort
+    lay_grids = build_lay_grids(state)
+    bounds_of = _build_bounds_of(state)
 
     @ti.func
     def bounds(task: ti.template(), rebuild: ti.template()):
@@ -300,25 +340,35 @@ def bounds_phases(state: State) -> list[Phase]:
     if state.backend.on_cpu or sorting.subpart_low is None:
         return [Phase(bounds, BOUNDS, serial=lay)]
     subpart_count, subpart_bounds, joined = _build_subparts(state, bounds_of)
-    return [Phase(subpart_bounds, BOUNDS * SUBPARTS, subpart_count, per_task=1), Phase(joined, BOUNDS, serial=lay)]
+    return [
+        Phase(subpart_bounds, BOUNDS * SUBPARTS, subpart_count, per_task=1),
+        Phase(joined, BOUNDS, serial=lay),
+    ]
 
 
 def _build_bounds_of(state: State) -> Any:
-    """Device function (first, begin, end, rebuild): low and high corner [m] and largest reach [m] of begin to end.
+    """Device function (first, begin, end, rebuild): low and high corner [m] and largest reach [m] of begin to
+    end.
 
     first:  a particle within the bounds, which counts also if the range is empty
 
     Writes:  reach of the particles
     """
-    particles, reach_max, real = state.particles, state.parameter("reach_max"), state.backend.position_real
+    particles = state.particles
+    reach_max = state.parameter("reach_max")
+    real = state.backend.position_real
     position = particles.position
 
     @ti.func
     def bounds_of(first, begin, end, rebuild: ti.template()):
-        smallest, largest, reach_largest, limit = position[first], position[first], 0.5 * rebuild.skin, reach_max()
+        smallest = position[first]
+        largest = position[first]
+        reach_largest = 0.5 * rebuild.skin
+        limit = reach_max()
         i = begin
         while (i < end) & is_count(reach_largest):
-            smallest, largest = ti.min(smallest, position[i]), ti.max(largest, position[i])
+            smallest = ti.min(smallest, position[i])
+            largest = ti.max(largest, position[i])
             speed = ti.cast(particles.velocity[i].norm(), real)
             reach = ti.min(0.5 * rebuild.skin + speed * rebuild.reach_time, limit)
             if rebuild.reach_time < 0.0:
@@ -332,7 +382,8 @@ def _build_bounds_of(state: State) -> Any:
 
 
 def _build_subparts(state: State, bounds_of: Any) -> tuple[Any, Any, Any]:
-    """Device functions: number of subparts; bounds of a subpart; bounds of a part from those of its subparts."""
+    """Device functions: number of subparts; bounds of a subpart; bounds of a part from those of its
+    subparts."""
     sorting = state.cell_sort
 
     @ti.func
@@ -345,12 +396,19 @@ def _build_subparts(state: State, bounds_of: Any) -> tuple[Any, Any, Any]:
         first, end = part_range(subpart // SUBPARTS, ti.min(rebuild.count, BOUNDS), rebuild.count)
         begin, last = part_range(subpart % SUBPARTS, SUBPARTS, end - first)
         low, high, reach = bounds_of(first, first + begin, first + last, rebuild)
-        sorting.subpart_low[subpart], sorting.subpart_high[subpart], sorting.subpart_reach[subpart] = low, high, reach
+        sorting.subpart_low[subpart], sorting.subpart_high[subpart], sorting.subpart_reach[subpart] = (
+            low,
+            high,
+            reach,
+        )
 
     @ti.func
     def joined(task: ti.template(), rebuild: ti.template()):
-        part, first = task.index, task.index * SUBPARTS
-        low, high, reach = sorting.subpart_low[first], sorting.subpart_high[first], sorting.subpart_reach[first]
+        part = task.index
+        first = task.index * SUBPARTS
+        low = sorting.subpart_low[first]
+        high = sorting.subpart_high[first]
+        reach = sorting.subpart_reach[first]
         for subpart in range(first + 1, first + SUBPARTS):
             low = ti.min(low, sorting.subpart_low[subpart])
             high = ti.max(high, sorting.subpart_high[subpart])
@@ -374,13 +432,16 @@ def find_farthest(state: State) -> None:
 
 
 def build_remains(state: State) -> Any:
-    """Device function (i): true if particle i is in the domain, not in an outlet, and not removed from Python.
+    """Device function (i): true if particle i is in the domain, not in an outlet, and not removed from
+    Python.
 
     The spheres of a clump remain if its center of mass does.
 
     Reads:  position, radius, fixed, clump, clump_position
     """
-    particles, fixed_particles, remains_at = state.particles, state.plan.features.fixed_particles, _build_remains(state)
+    particles = state.particles
+    fixed_particles = state.plan.features.fixed_particles
+    remains_at = _build_remains(state)
     clumps = state.plan.features.clumps
 
     @ti.func
@@ -409,13 +470,16 @@ def remaining(state: State, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     found = np.zeros(count, np.int32)
     if count:
         fixed = arrays.get("fixed", np.zeros(count, np.int32))
-        state.built(_build_remaining)(*map(np.ascontiguousarray, (arrays["position"], arrays["radius"], fixed)), found)
+        state.built(_build_remaining)(
+            *map(np.ascontiguousarray, (arrays["position"], arrays["radius"], fixed)), found
+        )
     return found.astype(bool)
 
 
 def _build_remaining(state: State) -> Any:
     """Kernel (position, radius, fixed, found): the result of `remaining`."""
-    remains_at, real = _build_remains(state), state.backend.position_real
+    remains_at = _build_remains(state)
+    real = state.backend.position_real
     external: Any = ti.types.ndarray()
 
     @ti.kernel
@@ -430,8 +494,9 @@ def _build_remaining(state: State) -> Any:
 def _build_remains(state: State) -> Any:
     """Device function (position, radius, fixed): true if such a particle remains.
 
-    Along periodic axes, and in an expanding domain, only the outlets delete. A position that is NaN is outside; an
-    outlet does not delete fixed particles. `changes.remove_particles` marks particles by a negative radius.
+    Along periodic axes, and in an expanding domain, only the outlets delete. A position that is NaN is
+    outside; an outlet does not delete fixed particles. `changes.remove_particles` marks particles by a
+    negative radius.
     """
     in_one_outlet = [_build_in_one_outlet(state, index) for index in range(len(state.plan.outlets))]
     low, high = state.parameter("domain_low"), state.parameter("domain_high")
@@ -446,7 +511,9 @@ def _build_remains(state: State) -> Any:
 
     @ti.func
     def remains_at(p, radius, fixed):
-        inside, lows, highs = radius > REMOVED_BELOW, low(), high()
+        inside = radius > REMOVED_BELOW
+        lows = low()
+        highs = high()
         for axis in ti.static(range(3)):
             if ti.static(axis in unchecked_axes):
                 inside = inside & (p[axis] == p[axis])  # false for NaN
@@ -465,7 +532,11 @@ def _build_in_one_outlet(state: State, index: int) -> Any:
     An outlet is a box, a half space, or the part of a half space within a radius of its axis (disc).
     """
     outlet = state.plan.outlets[index]
-    return _build_in_box(state, index) if outlet.kind == "box" else _build_in_half_space(state, index, outlet.kind)
+    return (
+        _build_in_box(state, index)
+        if outlet.kind == "box"
+        else _build_in_half_space(state, index, outlet.kind)
+    )
 
 
 def _build_in_box(state: State, index: int) -> Any:
@@ -473,7 +544,9 @@ def _build_in_box(state: State, index: int) -> Any:
 
     @ti.func
     def in_box(p):
-        is_inside, lows, highs = True, low(), high()
+        is_inside = True
+        lows = low()
+        highs = high()
         for axis in ti.static(range(3)):
             is_inside = is_inside & (p[axis] >= lows[axis]) & (p[axis] <= highs[axis])
         return is_inside
@@ -482,13 +555,15 @@ def _build_in_box(state: State, index: int) -> Any:
 
 
 def _build_in_half_space(state: State, index: int, kind: str) -> Any:
-    point, normal = state.parameter(f"outlet.{index}.point"), state.parameter(f"outlet.{index}.normal")
+    point = state.parameter(f"outlet.{index}.point")
+    normal = state.parameter(f"outlet.{index}.normal")
     is_disc = kind == "disc"
     radius = state.parameter(f"outlet.{index}.radius") if is_disc else None
 
     @ti.func
     def in_half_space(p):
-        from_point, direction = p - point(), normal()
+        from_point = p - point()
+        direction = normal()
         along = from_point.dot(direction)
         is_inside = along >= 0.0
         if ti.static(is_disc):
@@ -510,7 +585,8 @@ def sort_phases(state: State) -> list[Phase]:
     Reads:   position, id
     Writes:  cell_start, order
     """
-    particles, sorting = state.particles, state.cell_sort
+    particles = state.particles
+    sorting = state.cell_sort
     remains = build_remains(state)
 
     @ti.func
@@ -534,12 +610,15 @@ def sort_phases(state: State) -> list[Phase]:
 def class_phases(state: State) -> list[Phase]:
     """Order of the sorted particles, and of ghosts, by size class and cell of its grid.
 
-    Within a cell the particles keep their order. Entries between the owned particles and the ghosts are unused.
+    Within a cell the particles keep their order. Entries between the owned particles and the ghosts are
+    unused.
 
     Reads:   position, radius, owned_count, ghost_first
     Writes:  class_start, class_order
     """
-    particles, sorting, has_ghosts = state.particles, state.cell_sort, state.plan.has_ghosts
+    particles = state.particles
+    sorting = state.cell_sort
+    has_ghosts = state.plan.has_ghosts
     class_count = state.parameter("class_count")
 
     @ti.func
@@ -573,7 +652,9 @@ def class_phases(state: State) -> list[Phase]:
             present = sorting.cell_start[sorting.cell_count[0]]
         return present
 
-    return _counting_sort(state, cell_of, cells_of_all, present_count, key, sorting.class_start, sorting.class_order)
+    return _counting_sort(
+        state, cell_of, cells_of_all, present_count, key, sorting.class_start, sorting.class_order
+    )
 
 
 def _counting_sort(
@@ -588,13 +669,15 @@ def _counting_sort(
     start:         field, written; the particles of cell c are order[start[c]:start[c + 1]]
     order:         field, written
 
-    Cell `cells` collects the deleted particles. Counts are added atomically, which is exact for integers. The scan
-    makes `start` the end of each cell; each particle that is placed there decreases it by 1, so that the begin remains.
+    Cell `cells` collects the deleted particles. Counts are added atomically, which is exact for integers. The
+    scan makes `start` the end of each cell; each particle that is placed there decreases it by 1, so that the
+    begin remains.
 
     Writes:  start, order, coordination_number (the cell of each particle until it is placed), block_sum
     """
     particles_per_task, cells_per_task = granularity(state)
-    most_cells, most_particles = start.shape[0], order.shape[0]
+    most_cells = start.shape[0]
+    most_particles = order.shape[0]
 
     @ti.func
     def cells_to_order(rebuild: ti.template()):
@@ -623,8 +706,8 @@ def _build_cell_tasks(key: Any, start: Any, order: Any) -> tuple[Any, Any]:
         for c in range(task.begin, task.end):
             start[c] = 0
 
-    # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that. The cell of the
-    # deleted particles can hold many of them: the host orders these.
+    # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that. The
+    # cell of the deleted particles can hold many of them: the host orders these.
     @ti.func
     def order_cells(task: ti.template(), rebuild: ti.template()):
         for c in range(task.begin, task.end):
@@ -638,14 +721,15 @@ def _build_particle_parts(
 ) -> tuple[Any, Any]:
     """Device functions (task, rebuild): count some particles in their cells; place them there.
 
-    Cells are filled from their ends, so that the last particles are placed first: a cell that is nearly in order takes
-    the least time to sort.
+    Cells are filled from their ends, so that the last particles are placed first: a cell that is nearly in
+    order takes the least time to sort.
     """
     cells = state.particles.coordination_number
 
     @ti.func
     def count_particles(task: ti.template(), rebuild: ti.template()):
-        cell, i = 0, task.begin
+        cell = 0
+        i = task.begin
         while (i < task.end) & is_count(cell):
             cell = cell_of(i, cells_of_all())
             cells[i] = cell
@@ -655,7 +739,8 @@ def _build_particle_parts(
     @ti.func
     def place(task: ti.template(), rebuild: ti.template()):
         last = count_of(rebuild) - 1
-        cell, k = 0, task.begin
+        cell = 0
+        k = task.begin
         while (k < task.end) & is_count(cell):
             i = last - k
             cell = cells[i]
@@ -670,11 +755,13 @@ def _scan_phases(state: State, counts_of_cells: Any, start: Any) -> list[Phase]:
 
     counts_of_cells:  device function (rebuild), number of counts
     """
-    sorting, most_blocks = state.cell_sort, state.cell_sort.block_sum.shape[0]
+    sorting = state.cell_sort
+    most_blocks = state.cell_sort.block_sum.shape[0]
 
     @ti.func
     def sum_block(task: ti.template(), rebuild: ti.template()):
-        total, c = 0, task.begin
+        total = 0
+        c = task.begin
         while (c < task.end) & is_count(total):
             total += start[c]
             c += 1
@@ -682,7 +769,8 @@ def _scan_phases(state: State, counts_of_cells: Any, start: Any) -> list[Phase]:
 
     @ti.func
     def sum_blocks(rebuild: ti.template()):
-        total, blocks = 0, task_count(counts_of_cells(rebuild), SCAN_BLOCK)
+        total = 0
+        blocks = task_count(counts_of_cells(rebuild), SCAN_BLOCK)
         block = 0
         while (block < blocks) & is_count(total):
             here = sorting.block_sum[block]

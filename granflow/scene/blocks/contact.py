@@ -44,8 +44,8 @@ class Contact(Model):
     Normal force, tangential force (friction), rolling and twisting torque, cohesion; friction coefficients
     are properties of the pairs.
 
-    >>> gf.Contact(normal={"law": "linear", "stiffness": "onset"}, tangential="mindlin", rolling="none").name("normal")
-    'linear'
+    >>> gf.Contact(normal={"law": "linear", "stiffness": "onset"}, tangential="mindlin",
+    rolling="none").name("normal") 'linear'
     """
 
     # the values of each key follow from the registered models, see `use_registry`
@@ -76,7 +76,8 @@ _LAST_WORDS = {"cohesion": ", with any normal contact model"}
 
 
 def use_registry() -> None:
-    """Set the fields of `contact` to the registered models; a schema that is built must be rebuilt afterwards."""
+    """Set the fields of `contact` to the registered models; a schema that is built must be rebuilt
+    afterwards."""
     for slot in SLOTS:
         annotation, field = _normal() if slot == "normal" else _slot(slot)
         Contact.__pydantic_fields__[slot] = FieldInfo.from_annotated_attribute(annotation, field)
@@ -97,7 +98,8 @@ def _normal() -> tuple[Any, Any]:
 
 
 def _slot(slot: str) -> tuple[Any, Any]:
-    """Annotation and field of another slot: a name if no option is required, or a mapping for a model with options."""
+    """Annotation and field of another slot: a name if no option is required, or a mapping for a model with
+    options."""
     models = registry.models(slot)
     words = tuple(name for name, model in models.items() if not model.needs_options)
     words = (*words, "none") if slot == "tangential" else ("none", *words)
@@ -111,7 +113,9 @@ def _slot(slot: str) -> tuple[Any, Any]:
         reason = f"it must be {_either([*words, *examples])}"
         annotation = Annotated[Union[tuple(members)], choose_by(_slot_tagger(words, mappings), reason)]  # noqa: UP007
     description = _either([*texts, *examples]) + _LAST_WORDS.get(slot, "")
-    return annotation, Field("none", description=description) if slot in OPTIONAL else Field(description=description)
+    return annotation, Field("none", description=description) if slot in OPTIONAL else Field(
+        description=description
+    )
 
 
 def _slot_tagger(words: tuple[str, ...], models: dict[str, type[LawSettings]]) -> Callable[[Any], str | None]:

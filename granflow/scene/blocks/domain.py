@@ -18,7 +18,8 @@ ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
 
 
 class LeesEdwards(Model):
-    """Lees-Edwards boundary conditions: uniform shear without walls; the periodic images move along the flow axis.
+    """Lees-Edwards boundary conditions: uniform shear without walls; the periodic images move along the flow
+    axis.
 
         velocity of the image above = rate * width of the box along the gradient axis      [m/s]
 
@@ -61,15 +62,19 @@ class Domain(Box):
 
     def periodic_box(self) -> PeriodicBox:
         """The periodic box of the domain at the start."""
-        low, width, given = np.array(self.min), np.subtract(self.max, self.min), self.lees_edwards
+        low = np.array(self.min)
+        width = np.subtract(self.max, self.min)
+        given = self.lees_edwards
         image_motion = None
         if given is not None:
-            flow, gradient = AXES.index(given.flow), AXES.index(given.gradient)
+            flow = AXES.index(given.flow)
+            gradient = AXES.index(given.gradient)
             image_motion = ImageMotion(flow, gradient, given.rate * float(width[gradient]), given.start)
         return PeriodicBox(tuple(AXES.index(axis) for axis in self.periodic), low, width, image_motion)
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the volume is positive, and the periodic axes are unique and include the shear axes."""
+        """Yield a fault unless the volume is positive, and the periodic axes are unique and include the shear
+        axes."""
         yield from super().faults()
         for index, axis in enumerate(self.periodic):
             if axis in self.periodic[:index]:
@@ -87,7 +92,9 @@ class HalfSpaceGiven(Model):
     """All points on one side of a plane."""
 
     point: q.Point = Field(description="a point on the plane [m]")
-    normal: q.Direction = Field(description="normal of the plane, toward the half space; its length does not matter")
+    normal: q.Direction = Field(
+        description="normal of the plane, toward the half space; its length does not matter"
+    )
 
 
 class DiscGiven(Model):
@@ -121,7 +128,8 @@ class HalfSpaceOutlet(Model):
 
 
 class DiscOutlet(Model):
-    """Particles whose center is in the semi-infinite cylinder downstream of a disc are deleted at the next rebuild.
+    """Particles whose center is in the semi-infinite cylinder downstream of a disc are deleted at the next
+    rebuild.
 
     >>> gf.DiscOutlet(disc={"center": [0, 0, 0], "normal": [0, 0, -1], "radius": "2 cm"}).disc.radius
     0.02

@@ -15,9 +15,7 @@ from granflow.units import Number, value_error
 
 # Material presets, each with its source.
 
-_ZHOU = (
-    "Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011), Figs. 3-4, after Stevens & Hrenya, Powder Technol. 154, 99 (2005)"
-)
+_ZHOU = "Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011), Figs. 3-4, after Stevens & Hrenya, Powder Technol. 154, 99 (2005)"
 _GLASS = "soda-lime silicate glass, EN 572-1: Young's modulus 70 GPa, Poisson ratio 0.2, density 2500 kg/m3"
 
 
@@ -25,8 +23,8 @@ _GLASS = "soda-lime silicate glass, EN 572-1: Young's modulus 70 GPa, Poisson ra
 class Preset:
     """A material in SI units.
 
-    Moduli and strength [Pa], density [kg/m3]. `restitution_fit`: (sigma, psi) of Zhou (2011), Eq. 12, for contacts
-    within the material, if known. `source`: reference.
+    Moduli and strength [Pa], density [kg/m3]. `restitution_fit`: (sigma, psi) of Zhou (2011), Eq. 12, for
+    contacts within the material, if known. `source`: reference.
     """
 
     young_modulus: float
@@ -56,15 +54,21 @@ FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least
 def _preset_name(given: Any, known: Iterable[str], kind: str) -> str | None:
     """Name of the requested preset, None without one.
 
-    `known`: names of the presets; `kind`: noun for the message. Raises PydanticCustomError for an unknown preset.
+    `known`: names of the presets; `kind`: noun for the message. Raises PydanticCustomError for an unknown
+    preset.
     """
     name = given.get("preset") if isinstance(given, dict) else None
     if name is None or name in list(known):
         return name
-    raise value_error(f"this is not one of the {kind}. {suggestion_or_list(str(name), known, kind)}", "preset")
+    raise value_error(
+        f"this is not one of the {kind}. {suggestion_or_list(str(name), known, kind)}", "preset"
+    )
 
 
-_OPTIONAL = ("yield_strength", "restitution_fit")  # keys of a material: an empty value removes the value of the preset
+_OPTIONAL = (
+    "yield_strength",
+    "restitution_fit",
+)  # keys of a material: an empty value removes the value of the preset
 
 
 class Material(Model):
@@ -76,9 +80,13 @@ class Material(Model):
     70000000000.0
     """
 
-    model_config = ConfigDict(json_schema_extra=required_unless("preset", "young_modulus", "poisson_ratio", "density"))
+    model_config = ConfigDict(
+        json_schema_extra=required_unless("preset", "young_modulus", "poisson_ratio", "density")
+    )
 
-    preset: Text | None = Field(None, description="name of a preset that supplies the values that are not given")
+    preset: Text | None = Field(
+        None, description="name of a preset that supplies the values that are not given"
+    )
     young_modulus: YoungModulus = Field(description="Young's modulus [Pa], such as 70 GPa")
     poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.3")
     density: q.Density = Field(description="density of the solid [kg/m3], such as 2500")

@@ -9,7 +9,17 @@ from granflow.fields import FIELD_QUANTITIES
 from granflow.geometry.shape import are_perpendicular
 from granflow.scene.blocks import shapes as q
 from granflow.scene.blocks.shapes import Box
-from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, choose_by_key, suggestion_or_list
+from granflow.scene.model import (
+    Flag,
+    FlagOrNames,
+    ListOf,
+    Model,
+    Name,
+    Names,
+    Text,
+    choose_by_key,
+    suggestion_or_list,
+)
 from granflow.units import Fault, Number, redundant, whole
 
 # Schema of the quantities computed from particles and contacts during a run: fields on a grid, and metrics.
@@ -44,7 +54,8 @@ class GridSpec(Model):
         if self.cells is not None:
             return self.cells
         assert self.cell is not None
-        box, edge = self.region or domain, self.cell
+        box = self.region or domain
+        edge = self.cell
         x, y, z = (max(round((high - low) / edge), 1) for low, high in zip(box.min, box.max, strict=True))
         return x, y, z
 
@@ -59,9 +70,13 @@ class FieldGrid(GridSpec):
     ('density', 'velocity')
     """
 
-    width: q.AutoLength = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
+    width: q.AutoLength = Field(
+        "auto", description="kernel width (standard deviation) [m]; auto: the largest radius"
+    )
     cutoff: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
-    interval: q.PositiveTime | None = Field(None, description="time between frames [s]; default: output.interval")
+    interval: q.PositiveTime | None = Field(
+        None, description="time between frames [s]; default: output.interval"
+    )
     stages: Names | None = Field(None, description="stages in which the fields are written; default: all")
     quantities: Annotated[tuple[Text, ...], ListOf(some="[density, velocity]")] = Field(
         tuple(FIELD_QUANTITIES), description="fields that are written; default: all"
@@ -97,8 +112,8 @@ class TwoComponentGrid(GridSpec):
 class LaceyMetric(TwoComponentGrid):
     """Lacey mixing index of the particles of some groups, materials or sizes among all particles, by number.
 
-    0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.) For components of different sizes,
-    `kind: segregation` weights particles by their volume.
+    0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.) For components of
+    different sizes, `kind: segregation` weights particles by their volume.
 
     >>> gf.LaceyMetric(cell="1 cm", groups=["red"]).cell
     0.01
@@ -111,8 +126,8 @@ class LaceyMetric(TwoComponentGrid):
 class SegregationMetric(TwoComponentGrid):
     """Intensity of segregation of two components by volume, and its value for a random mixture.
 
-    1: each cell contains one component only, 0: the same share in all cells. (P. V. Danckwerts, Appl. Sci. Res. A 3
-    (1952) 279.)
+    1: each cell contains one component only, 0: the same share in all cells. (P. V. Danckwerts, Appl. Sci.
+    Res. A 3 (1952) 279.)
 
     >>> gf.SegregationMetric(cell="1 cm", smaller_than="2 mm").smaller_than
     0.002
@@ -136,7 +151,8 @@ class ReposeMetric(Model):
     )
     region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
     axis: q.Point | None = Field(
-        None, description="with surface: cone, a point on its axis [m]; default: mean position of the particles"
+        None,
+        description="with surface: cone, a point on its axis [m]; default: mean position of the particles",
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -146,7 +162,8 @@ class ReposeMetric(Model):
 
 
 class FabricMetric(Model):
-    """Fabric tensor of the contacts between particles: mean of n n, with n the unit vector between the centers.
+    """Fabric tensor of the contacts between particles: mean of n n, with n the unit vector between the
+    centers.
 
     (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
 
@@ -159,7 +176,8 @@ class FabricMetric(Model):
 
 
 class CoordinationMetric(Model):
-    """Mean number of contacts with particles, with and without rattlers (fewer than two contacts), and with walls.
+    """Mean number of contacts with particles, with and without rattlers (fewer than two contacts), and with
+    walls.
 
     (C. Thornton, Geotechnique 50 (2000) 43.)
 
@@ -183,7 +201,8 @@ class ContentMetric(Model):
 
 
 class CenterOfMassMetric(Model):
-    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped positions.
+    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped
+    positions.
 
     >>> gf.CenterOfMassMetric(groups=["red"])
     CenterOfMassMetric(groups=('red',))
@@ -244,7 +263,9 @@ METRIC_QUANTITIES_BY_KIND = {
     "center_of_mass": ("center_of_mass_x", "center_of_mass_y", "center_of_mass_z"),
     "sliding": ("sliding_share",),
     "probe": tuple(
-        f"{vector}_{axis}" for vector in ("position", "velocity", "angular_velocity") for axis in ("x", "y", "z")
+        f"{vector}_{axis}"
+        for vector in ("position", "velocity", "angular_velocity")
+        for axis in ("x", "y", "z")
     ),
 }
 """Quantities of each kind of metric; each also has a time average, NAME_mean."""
@@ -262,11 +283,16 @@ class FlowMeter(Model):
     0.02
     """
 
-    point: q.Point = Field(description="a point on the plane [m]: the center of the disc, or a corner of the rectangle")
+    point: q.Point = Field(
+        description="a point on the plane [m]: the center of the disc, or a corner of the rectangle"
+    )
     normal: q.Direction = Field(description="direction of positive flow; its length does not matter")
-    radius: q.PositiveLength | None = Field(None, description="radius of the disc [m]; default: the whole plane")
+    radius: q.PositiveLength | None = Field(
+        None, description="radius of the disc [m]; default: the whole plane"
+    )
     sides: q.Sides | None = Field(
-        None, description="the two edge vectors of the rectangle [m], perpendicular to each other and to the normal"
+        None,
+        description="the two edge vectors of the rectangle [m], perpendicular to each other and to the normal",
     )
     group_by: Literal["material", "group"] | None = Field(
         None, description="additional separate counts for each material or group"
@@ -309,8 +335,12 @@ class CollisionEnergies(Model):
     60
     """
 
-    min: q.Energy = Field(description="lower edge of the first class [J]; smaller energies have a class of their own")
-    max: q.Energy = Field(description="upper edge of the last class [J]; larger energies have a class of their own")
+    min: q.Energy = Field(
+        description="lower edge of the first class [J]; smaller energies have a class of their own"
+    )
+    max: q.Energy = Field(
+        description="upper edge of the last class [J]; larger energies have a class of their own"
+    )
     classes: q.Count = Field(30, description="number of classes between min and max, at most 200")
 
     def faults(self) -> Iterator[Fault]:
@@ -337,7 +367,8 @@ class Output(Model):
     )
     particles: Flag = Field(True, description="write particles_*.vtu")
     frames_per_rank: Flag = Field(
-        False, description="on MPI ranks, write one particle file per rank and particles_*.pvtu, which lists them"
+        False,
+        description="on MPI ranks, write one particle file per rank and particles_*.pvtu, which lists them",
     )
     compression: Literal["zlib", "none"] = Field(
         "zlib", description="of VTU files: none is written 7 times as fast; the files are 1.8 times as large"
@@ -353,6 +384,12 @@ class Output(Model):
         None, description="count collisions by impact energy, for collision_energies.csv; default: no counts"
     )
     flow_meters: dict[Name, FlowMeter] = Field({}, description="flow meters by name")
-    fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
-    metrics: dict[Name, AnyMetric] = Field({}, description="metrics of the bed by name, for timeseries.csv and expect")
-    checkpoint: Checkpoints = Field(Checkpoints.model_construct(), description="interval and number of checkpoints")
+    fields: dict[Name, FieldGrid] = Field(
+        {}, description="fields on grids by name, written as fields_NAME_*.vtu"
+    )
+    metrics: dict[Name, AnyMetric] = Field(
+        {}, description="metrics of the bed by name, for timeseries.csv and expect"
+    )
+    checkpoint: Checkpoints = Field(
+        Checkpoints.model_construct(), description="interval and number of checkpoints"
+    )

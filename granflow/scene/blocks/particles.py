@@ -10,7 +10,16 @@ from granflow.geometry.clump import ClumpShape, clump_shape
 from granflow.scene.blocks import shapes as q
 from granflow.scene.blocks.shapes import Box, CylinderShape, Rectangular
 from granflow.scene.blocks.walls import RotationStep
-from granflow.scene.model import FileName, Flag, ListOf, Model, Text, choose_by, choose_by_first_key, choose_by_key
+from granflow.scene.model import (
+    FileName,
+    Flag,
+    ListOf,
+    Model,
+    Text,
+    choose_by,
+    choose_by_first_key,
+    choose_by_key,
+)
 from granflow.units import Fault, KeyPath, Number, missing, redundant, whole, whole_error
 
 # Schema of the key `clump` of particle groups: rigid bodies of spheres, and their orientation.
@@ -26,7 +35,9 @@ class ClumpSphere(Model):
     0.002
     """
 
-    position: q.UnscaledPoint = Field(description="center [m]; the origin of all centers of a clump is arbitrary")
+    position: q.UnscaledPoint = Field(
+        description="center [m]; the origin of all centers of a clump is arbitrary"
+    )
     radius: q.UnscaledLength = Field(description="radius [m]")
 
 
@@ -46,7 +57,8 @@ Orientation = Annotated[
 
 
 class Clump(Model):
-    """A rigid body of spheres, which may overlap; its density is that of the material, and overlaps count once.
+    """A rigid body of spheres, which may overlap; its density is that of the material, and overlaps count
+    once.
 
     >>> spheres = [gf.ClumpSphere(position=[x, 0, 0], radius="2 mm") for x in (0, 0.003)]
     >>> gf.Clump(spheres=spheres, orientation="random").orientation
@@ -54,7 +66,8 @@ class Clump(Model):
     """
 
     spheres: Annotated[
-        tuple[ClumpSphere, ...], ListOf(some="[{position: [0, 0, 0], radius: 1 mm}, {position: [1.5 mm, 0, 0], ...}]")
+        tuple[ClumpSphere, ...],
+        ListOf(some="[{position: [0, 0, 0], radius: 1 mm}, {position: [1.5 mm, 0, 0], ...}]"),
     ] = Field(description="centers and radii of the spheres, {position: [..], radius: ..}, at most 100")
     orientation: Orientation | None = Field(
         None,
@@ -70,7 +83,9 @@ class Clump(Model):
     @property
     def shape(self) -> ClumpShape:
         """Volume, moments of inertia and spheres of the clump."""
-        return clump_shape(tuple(each.position for each in self.spheres), tuple(each.radius for each in self.spheres))
+        return clump_shape(
+            tuple(each.position for each in self.spheres), tuple(each.radius for each in self.spheres)
+        )
 
     @property
     def outer_diameter(self) -> float:
@@ -106,13 +121,16 @@ class CylinderRegion(Model):
 
 Region = Annotated[
     BoxRegion | CylinderRegion,
-    choose_by_first_key("it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}"),
+    choose_by_first_key(
+        "it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}"
+    ),
 ]
 """A box or a cylinder, in which particles lie entirely inside."""
 
 
 class LatticeInsertion(Model):
-    """Particles on a regular lattice in a region, in layers from the bottom, with the widest spacing that fits.
+    """Particles on a regular lattice in a region, in layers from the bottom, with the widest spacing that
+    fits.
 
     >>> region = gf.BoxRegion(box=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1]))
     >>> gf.LatticeInsertion(region=region, jitter=0.2).jitter
@@ -139,12 +157,14 @@ class PackInsertion(Model):
 class TimedInsertion(Model):
     """Insertion during the run at a constant number or mass per second.
 
-    It ends when the count or mass of the group is inserted, or at `end`. Sizes are in a fixed order, so that each size
-    class has its fraction at any time.
+    It ends when the count or mass of the group is inserted, or at `end`. Sizes are in a fixed order, so that
+    each size class has its fraction at any time.
     """
 
     rate: q.Rate | None = Field(None, description="insertion rate, particles per second [1/s]")
-    mass_flow: q.MassFlow | None = Field(None, description="insertion rate, mass per second [kg/s]; instead of rate")
+    mass_flow: q.MassFlow | None = Field(
+        None, description="insertion rate, mass per second [kg/s]; instead of rate"
+    )
     start: q.Time = Field(0.0, description="time of the first particle [s]")
     end: q.PositiveTime | None = Field(
         None, description="end of the insertion [s]; default: when all particles are inserted"
@@ -163,7 +183,8 @@ class TimedInsertion(Model):
 class RainInsertion(TimedInsertion):
     """Insertion at random free positions in a region, until the count, the mass or the end time is reached.
 
-    Particles without a free position are queued and inserted first in the next batch. Walls are not considered.
+    Particles without a free position are queued and inserted first in the next batch. Walls are not
+    considered.
 
     >>> region = gf.BoxRegion(box=gf.Box(min=[0, 0, 0.1], max=[0.1, 0.1, 0.2]))
     >>> gf.RainInsertion(region=region, mass_flow="2 t/h", end="1 s").end
@@ -193,8 +214,8 @@ class DiscOutline(Model):
 class RectangleFace(Model):
     """A rectangle through which particles enter.
 
-    >>> gf.RectangleFace(rectangle={"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}).rectangle.corner
-    (0.0, 0.0, 0.0)
+    >>> gf.RectangleFace(rectangle={"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1,
+    0]]}).rectangle.corner (0.0, 0.0, 0.0)
     """
 
     rectangle: RectangleOutline = Field(description="{corner: [..], sides: [[..], [..]]}")
@@ -248,8 +269,8 @@ class FileSummary(Model):
 class FileInsertion(Model):
     """Particles from a table: CSV, or a VTU frame.
 
-    Required columns: x, y, z and r (or diameter); optional: velocity, angular velocity, material. With a material
-    column, the group gets the rows of its material.
+    Required columns: x, y, z and r (or diameter); optional: velocity, angular velocity, material. With a
+    material column, the group gets the rows of its material.
 
     >>> gf.FileInsertion(file="start.csv")
     FileInsertion(file='start.csv')
@@ -272,7 +293,8 @@ class PositionsInsertion(Model):
 
 
 class PythonInsertion(Model):
-    """No particles from the scene: a Python program adds them, with `simulation.particles.add` or from arrays.
+    """No particles from the scene: a Python program adds them, with `simulation.particles.add` or from
+    arrays.
 
     `count` of the group is the number of particles for which arrays and chunks are sized; more can be added.
 
@@ -303,7 +325,8 @@ _ROUNDING = 1e-12  # tolerance of the sum of fractions
 
 
 class TruncatedSizes(Model):
-    """A size distribution that is truncated to an interval: diameters outside [`min`, `max`] do not occur [m]."""
+    """A size distribution that is truncated to an interval: diameters outside [`min`, `max`] do not occur
+    [m]."""
 
     min: q.Diameter = Field(description="smallest diameter [m]")
     max: q.Diameter = Field(description="largest diameter [m]")
@@ -373,7 +396,8 @@ class SizeClass(Model):
 
 
 def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
-    """The classes with fractions normalized to the sum 1; unchanged if normalized, so that reading is idempotent.
+    """The classes with fractions normalized to the sum 1; unchanged if normalized, so that reading is
+    idempotent.
 
     Raises PydanticCustomError if all fractions are 0.
     """
@@ -385,7 +409,9 @@ def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
     return tuple(SizeClass(diameter=each.diameter, fraction=each.fraction / total) for each in classes)
 
 
-Classes = Annotated[tuple[SizeClass, ...], ListOf(some="[{diameter: 4 mm, fraction: 1}]"), AfterValidator(_scaled)]
+Classes = Annotated[
+    tuple[SizeClass, ...], ListOf(some="[{diameter: 4 mm, fraction: 1}]"), AfterValidator(_scaled)
+]
 """List of diameters with fractions, which are normalized to the sum 1."""
 
 
@@ -423,23 +449,29 @@ def _many_tag(value: Any) -> str:
 
 _one_or_many = choose_by(_many_tag, "a vector is expected, or a list of vectors")
 VelocityOrMany = Annotated[
-    Annotated[q.VelocityVector, Tag("<one>")] | Annotated[tuple[q.VelocityVector, ...], Tag("<list>")], _one_or_many
+    Annotated[q.VelocityVector, Tag("<one>")] | Annotated[tuple[q.VelocityVector, ...], Tag("<list>")],
+    _one_or_many,
 ]
 """One velocity (3,) [m/s] for all particles, or one for each."""
 AngularVelocityOrMany = Annotated[
-    Annotated[q.AngularVelocityVector, Tag("<one>")] | Annotated[tuple[q.AngularVelocityVector, ...], Tag("<list>")],
+    Annotated[q.AngularVelocityVector, Tag("<one>")]
+    | Annotated[tuple[q.AngularVelocityVector, ...], Tag("<list>")],
     _one_or_many,
 ]
 """One angular velocity (3,) [rad/s] for all particles, or one for each."""
 RadiusOrMany = Annotated[
     Annotated[q.Radius, Tag("<one>")] | Annotated[tuple[q.Radius, ...], Tag("<list>")],
-    choose_by(lambda value: "<list>" if isinstance(value, list | tuple) else "<one>", "one radius or a list of radii"),
+    choose_by(
+        lambda value: "<list>" if isinstance(value, list | tuple) else "<one>",
+        "one radius or a list of radii",
+    ),
 ]
 """One radius [m] for all particles, or one for each."""
 
 
 class ThermalMotion(Model):
-    """Random initial velocities with the Maxwell distribution, in addition to `velocity`; from the seed of the scene.
+    """Random initial velocities with the Maxwell distribution, in addition to `velocity`; from the seed of
+    the scene.
 
     All particles of the group have the same distribution, whatever their mass.
     """
@@ -448,7 +480,8 @@ class ThermalMotion(Model):
         None, description="root mean square of the random velocities [m/s], which they have exactly"
     )
     granular_temperature: q.GranularTemperature | None = Field(
-        None, description="a third of the mean square of the random velocities [m2/s2], instead of velocity_rms"
+        None,
+        description="a third of the mean square of the random velocities [m2/s2], instead of velocity_rms",
     )
     zero_momentum: Flag = Field(True, description="remove the total momentum of the random velocities")
 
@@ -468,8 +501,8 @@ class ThermalMotion(Model):
 class Group(Model, populate_by_name=False, serialize_by_alias=True):
     """Particles of one material with one kind of insertion.
 
-    Positions and files define the count by their rows; other groups give a count or a mass, and inserted groups may
-    give an end time instead. Of several limits, the smallest number of particles applies.
+    Positions and files define the count by their rows; other groups give a count or a mass, and inserted
+    groups may give an end time instead. Of several limits, the smallest number of particles applies.
 
     >>> insertion = gf.PositionsInsertion(positions=[[0, 0, 0], [0, 0, 0.1]])
     >>> gf.Group(material="glass", diameter="4 mm", insert=insertion).count
@@ -484,10 +517,12 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     )
     mass: q.ParticleMass | None = Field(None, description="total mass [kg], instead of count")
     diameter: Sizes = Field(
-        None, description="diameter [m], or a size distribution; with positions, also a list; with file, not allowed"
+        None,
+        description="diameter [m], or a size distribution; with positions, also a list; with file, not allowed",
     )
     radius: RadiusOrMany | None = Field(
-        None, description="radius [m], instead of diameter; with positions, also a list; with file, not allowed"
+        None,
+        description="radius [m], instead of diameter; with positions, also a list; with file, not allowed",
     )
     clump: Clump | None = Field(
         None,
@@ -500,23 +535,29 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         "particles; required with contact.cohesion: {law: capillary_transfer, ...}",
     )
     velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
-    angular_velocity: AngularVelocityOrMany = Field((0.0, 0.0, 0.0), description="initial angular velocity [rad/s]")
+    angular_velocity: AngularVelocityOrMany = Field(
+        (0.0, 0.0, 0.0), description="initial angular velocity [rad/s]"
+    )
     thermal: ThermalMotion | None = Field(
         None, description="random initial velocities, {velocity_rms: 0.1 m/s} or {granular_temperature: ...}"
     )
     fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
-    insert: Insertion = Field(description="insertion, {kind: lattice, pack, rain, inlet, positions, file, python, ...}")
+    insert: Insertion = Field(
+        description="insertion, {kind: lattice, pack, rain, inlet, positions, file, python, ...}"
+    )
 
     @property
     def count(self) -> int:
-        """Number of particles, or of clumps. Raises ValueError if it is not resolved from a mass or a file."""
+        """Number of particles, or of clumps. Raises ValueError if it is not resolved from a mass or a
+        file."""
         if self.count_given is None:
             raise ValueError("The number of particles is not resolved; see granflow.particles.resolve.")
         return self.count_given
 
     @property
     def sphere_count(self) -> int:
-        """Number of spheres: those of all clumps, or the number of particles. Raises ValueError as `count`."""
+        """Number of spheres: those of all clumps, or the number of particles. Raises ValueError as
+        `count`."""
         return self.count * (1 if self.clump is None else len(self.clump.spheres))
 
     @property
@@ -531,7 +572,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             return self.diameter
         if self.radius is None:
             raise ValueError("A file defines the diameters.")
-        return tuple(2.0 * each for each in self.radius) if isinstance(self.radius, tuple) else 2.0 * self.radius
+        return (
+            tuple(2.0 * each for each in self.radius) if isinstance(self.radius, tuple) else 2.0 * self.radius
+        )
 
     @model_validator(mode="before")
     @classmethod
@@ -540,7 +583,11 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         if not isinstance(given, dict) or "count" in given:
             return given
         insertion = given.get("insert")
-        positions = insertion.get("positions") if isinstance(insertion, dict) else getattr(insertion, "positions", None)
+        positions = (
+            insertion.get("positions")
+            if isinstance(insertion, dict)
+            else getattr(insertion, "positions", None)
+        )
         return given | {"count": max(1, len(positions))} if isinstance(positions, list | tuple) else given
 
     def faults(self) -> Iterator[Fault]:
@@ -556,13 +603,17 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             yield from self._fixed_faults()
         for key in ("velocity", "angular_velocity") if self.insert.kind == "python" else ():
             if np.any(getattr(self, key)):
-                yield Fault((key,), "insert.kind is python, so that it is an argument of particles.add; remove it")
+                yield Fault(
+                    (key,), "insert.kind is python, so that it is an argument of particles.add; remove it"
+                )
 
     def _size_faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one of diameter, radius, clump and file defines the sizes."""
         given = [key for key in ("diameter", "radius") if getattr(self, key) is not None]
         if self.clump is not None:
-            yield from (Fault((key,), f"the spheres of the clump define the sizes; remove {key}") for key in given)
+            yield from (
+                Fault((key,), f"the spheres of the clump define the sizes; remove {key}") for key in given
+            )
             return
         if not given and self.insert.kind != "file":
             yield missing(("diameter",), "diameter [m], or a size distribution")
@@ -572,13 +623,17 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             yield redundant("radius", "diameter")
 
     def _amount_faults(self) -> Iterator[Fault]:
-        """Yield a fault unless count, mass, end time and rows define the number of particles without contradiction."""
-        insertion, count = self.insert, self.count_given
+        """Yield a fault unless count, mass, end time and rows define the number of particles without
+        contradiction."""
+        insertion = self.insert
+        count = self.count_given
         rows = len(insertion.positions) if insertion.kind == "positions" else None
         if rows is not None and count != rows:
             yield Fault(("count",), f"insert.positions has {rows} rows; remove count")
         if self.mass is not None and insertion.kind in ("positions", "file"):
-            yield Fault(("mass",), f"it cannot be combined with insert: {{kind: {insertion.kind}}}; remove it")
+            yield Fault(
+                ("mass",), f"it cannot be combined with insert: {{kind: {insertion.kind}}}; remove it"
+            )
         elif self.mass is not None and count is not None:
             yield redundant("mass", "count")
         elif not (self.mass or count or insertion.kind == "file" or getattr(insertion, "end", None)):
@@ -595,9 +650,12 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
                 yield whole(key, reason)
 
     def _thermal_faults(self, thermal: ThermalMotion) -> Iterator[Fault]:
-        """Random velocities require mobile particles at the start, and two of them if their momentum is zero."""
+        """Random velocities require mobile particles at the start, and two of them if their momentum is
+        zero."""
         if self.insert.kind in ("rain", "inlet", "file", "python"):
-            reason = f"insert.kind is {self.insert.kind}; random velocities require lattice, pack or positions"
+            reason = (
+                f"insert.kind is {self.insert.kind}; random velocities require lattice, pack or positions"
+            )
             yield whole(("thermal",), f"cannot be combined with it: {reason}")
         elif self.fixed:
             yield whole(("thermal",), "cannot be combined with fixed: true; remove thermal")
@@ -616,7 +674,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     def _fixed_faults(self) -> Iterator[Fault]:
         """Fixed particles must exist from the start and be at rest."""
         if self.insert.kind in ("rain", "inlet"):
-            yield Fault(("fixed",), "rain and inlet require moving particles; use lattice, pack, positions or file")
+            yield Fault(
+                ("fixed",), "rain and inlet require moving particles; use lattice, pack, positions or file"
+            )
         for key in ("velocity", "angular_velocity"):
             if np.any(getattr(self, key)):
                 yield Fault((key,), f"fixed is true, so the particles do not move; remove {key}")

@@ -48,7 +48,8 @@ class Damping(Model):
 class Expectation(Model):
     """An expectation for the results of a run: one comparison of one quantity, in SI units.
 
-    The names are those of the totals in timeseries.csv, and NAME.PART for flow meters, walls, metrics and groups.
+    The names are those of the totals in timeseries.csv, and NAME.PART for flow meters, walls, metrics and
+    groups.
 
     >>> gf.Expectation(quantity="mass_flow.outlet", equals="0.5 kg/s", tolerance=0.05).equals
     0.5
@@ -62,7 +63,9 @@ class Expectation(Model):
     above: q.AnyQuantity | None = Field(None, description="lower limit of the quantity")
     equals: q.AnyQuantity | None = Field(None, description="expected value, within the tolerance")
     tolerance: q.NotNegative | None = Field(None, description="with equals: largest relative difference")
-    any_scale: Flag = Field(False, description="true: evaluate at every scale of the scene; false: only at scale 1")
+    any_scale: Flag = Field(
+        False, description="true: evaluate at every scale of the scene; false: only at scale 1"
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless the expectation has exactly one comparison, with a tolerance for equals."""
@@ -80,15 +83,19 @@ class Expectation(Model):
 
 
 LARGEST_OVERLAP = 0.8
-"""Largest overlap limit: with larger overlaps a center could cross a thin wall in one step (`granflow.plan.limits`)."""
+"""Largest overlap limit: with larger overlaps a center could cross a thin wall in one step
+(`granflow.plan.limits`)."""
 LARGEST_CHUNK = 1_000_000
-"""Largest chunk size: larger chunks leave threads idle, and particle counts rounded up to chunks have 32 bits."""
+"""Largest chunk size: larger chunks leave threads idle, and particle counts rounded up to chunks have 32
+bits."""
 LARGEST_ANGLE = 0.9
-"""Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4 (`granflow.plan.time_step.stable_step`)."""
+"""Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4
+(`granflow.plan.time_step.stable_step`)."""
 TIME_STEP_FRACTION = 0.05
-"""Default of `time_step_fraction`: 40 steps per collision of an elastic contact. The restitution is then within 0.3 %
-of the given one for every contact model and every restitution from 0.5 up, with dashpots within 1.4 % at 0.05. Large
-scenes use up to 0.3 where a few tenths of a percent are enough: table in the documentation, Accuracy."""
+"""Default of `time_step_fraction`: 40 steps per collision of an elastic contact. The restitution is then
+within 0.3 % of the given one for every contact model and every restitution from 0.5 up, with dashpots within
+1.4 % at 0.05. Large scenes use up to 0.3 where a few tenths of a percent are enough: table in the
+documentation, Accuracy."""
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
 UnloadingAngle = Annotated[float, Number(noun="an angle", above=0, at_most=LARGEST_ANGLE)]
@@ -104,7 +111,8 @@ Precision = Literal["f64", "f32", "mixed"]
 class RunSettings(Model):
     """Duration, time step and precision of a run.
 
-    An automatic time step follows from the stiffest contact at `velocity_max`, with the fractions in `numerics`.
+    An automatic time step follows from the stiffest contact at `velocity_max`, with the fractions in
+    `numerics`.
 
     >>> gf.RunSettings(duration="50 ms", precision="mixed")
     RunSettings(duration=0.05, precision='mixed')
@@ -116,7 +124,8 @@ class RunSettings(Model):
         description="time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest current one",
     )
     velocity_max: q.Speed | None = Field(
-        None, description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds"
+        None,
+        description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds",
     )
     precision: Precision = Field(
         "f64", description="floating-point precision: f64, f32, or mixed (positions in f64, all else in f32)"
@@ -153,7 +162,8 @@ class Numerics(Model):
 class StageCondition(Model):
     """A condition that ends a stage: a column of timeseries.csv is above or below a value.
 
-    It is evaluated at each row of the time series: wall forces and flow rates are means since the previous row.
+    It is evaluated at each row of the time series: wall forces and flow rates are means since the previous
+    row.
 
     >>> gf.StageCondition(quantity="wall_pressure.lid", above="100 kPa").above
     100000.0
@@ -162,8 +172,12 @@ class StageCondition(Model):
     quantity: Text = Field(
         description="column of timeseries.csv, such as wall_force_z.lid, deleted_mass or mass_flow.outlet"
     )
-    above: q.AnyQuantity | None = Field(None, description="the stage ends if the quantity is above this value")
-    below: q.AnyQuantity | None = Field(None, description="the stage ends if the quantity is below this value")
+    above: q.AnyQuantity | None = Field(
+        None, description="the stage ends if the quantity is above this value"
+    )
+    below: q.AnyQuantity | None = Field(
+        None, description="the stage ends if the quantity is below this value"
+    )
     hold: q.Time = Field(0.0, description="time during which all rows must satisfy the condition [s]")
 
     def faults(self) -> Iterator[Fault]:
@@ -190,7 +204,8 @@ class Stage(Model):
         "force on the particles is below 20 % of their weight",
     )
     until: Annotated[tuple[StageCondition, ...], ListOf(one=True)] = Field(
-        (), description="the stage ends if a quantity is above or below a value: one condition, or a list, any of which"
+        (),
+        description="the stage ends if a quantity is above or below a value: one condition, or a list, any of which",
     )
     min_duration: q.Time = Field(
         0.0, description="with kinetic_energy_below or until: time before which no condition is satisfied [s]"
@@ -206,7 +221,9 @@ class Stage(Model):
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless the stage has either a duration, or a condition with a maximum duration."""
-        condition = "kinetic_energy_below" if self.kinetic_energy_below is not None else "until" if self.until else ""
+        condition = (
+            "kinetic_energy_below" if self.kinetic_energy_below is not None else "until" if self.until else ""
+        )
         if self.duration is None and not condition:
             yield whole((), "has no end: give duration, or kinetic_energy_below or until with max_duration")
         elif self.duration is not None and condition:

@@ -1,7 +1,7 @@
 """Schema of a scene file: its blocks and their keys; an immutable model in SI units after reading.
 
-Physical parameters have no hidden defaults: a scene must give all of them. Numerical parameters have defaults, all
-in `RunSettings` and `Numerics`.
+Physical parameters have no hidden defaults: a scene must give all of them. Numerical parameters have
+defaults, all in `RunSettings` and `Numerics`.
 """
 
 import json
@@ -34,8 +34,8 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_. /-]*[A-Za-z0-9_]|[A-Za-z_]")
 def to_yaml(value: Any, indent: int = 0) -> str:
     """YAML text of plain data (dict, list or tuple, str, bool, int, float); short values are on one line.
 
-    `indent`: number of leading spaces. Floats have as many digits as their value requires; text that YAML would read as
-    another type is quoted.
+    `indent`: number of leading spaces. Floats have as many digits as their value requires; text that YAML
+    would read as another type is quoted.
     """
     pad = " " * indent
     if isinstance(value, dict):
@@ -84,7 +84,8 @@ Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 class SceneInput(Model):
     """A complete scene as written, in SI units: validated, but not resolved; `granflow.load.Scene` is.
 
-    Immutable. `to_yaml` writes it with all defaults. Methods `locate` and `where` give source positions for messages.
+    Immutable. `to_yaml` writes it with all defaults. Methods `locate` and `where` give source positions for
+    messages.
     """
 
     title: Text = Field(description="title of the scene, one line")
@@ -99,14 +100,20 @@ class SceneInput(Model):
     pairs: dict[PairName, MaterialPair] = Field(
         description="contact properties of material pairs; each key is two names joined by a hyphen"
     )
-    contact: Contact = Field(description="contact models, such as {normal: zhou, tangential: mindlin, rolling: none}")
-    damping: Damping | None = Field(
-        None, description="damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}; default: none"
+    contact: Contact = Field(
+        description="contact models, such as {normal: zhou, tangential: mindlin, rolling: none}"
     )
-    walls: Annotated[dict[WallName, AnyWall], AfterValidator(with_faces)] = Field({}, description="walls by name")
+    damping: Damping | None = Field(
+        None,
+        description="damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}; default: none",
+    )
+    walls: Annotated[dict[WallName, AnyWall], AfterValidator(with_faces)] = Field(
+        {}, description="walls by name"
+    )
     particles: dict[Name, Group] = Field(description="groups of particles by name")
     start_from: FileName | None = Field(
-        None, description="directory of an earlier run; its last particles replace those of groups with the same name"
+        None,
+        description="directory of an earlier run; its last particles replace those of groups with the same name",
     )
     outlets: dict[Name, Outlet] = Field(
         {}, description="outlets by name: regions in which particles are deleted and counted"
@@ -114,7 +121,9 @@ class SceneInput(Model):
     domain: Domain = Field(description="the simulated box")
     stages: Annotated[tuple[Stage, ...], ListOf()] = Field((), description="stages of the run, in order")
     run: RunSettings = Field(RunSettings.model_construct(), description="duration, time step and precision")
-    numerics: Numerics = Field(Numerics.model_construct(), description="numerical parameters, all with defaults")
+    numerics: Numerics = Field(
+        Numerics.model_construct(), description="numerical parameters, all with defaults"
+    )
     output: Output = Field(description="selection and intervals of the output")
     expect: Annotated[tuple[Expectation, ...], ListOf()] = Field(
         (), description="expectations for the results of the finished run"
@@ -175,7 +184,8 @@ class SceneInput(Model):
         return self.pairs[self.pair_key(first, second)]
 
     def pair_key(self, first: str, second: str) -> str:
-        """The key in `pairs` for two materials in either order; "second-first" if the scene does not have the pair."""
+        """The key in `pairs` for two materials in either order; "second-first" if the scene does not have the
+        pair."""
         key = f"{first}-{second}"
         return key if key in self.pairs else f"{second}-{first}"
 
@@ -184,13 +194,17 @@ class SceneInput(Model):
         return to_yaml(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """The resolved scene as nested dictionaries with all defaults, in SI units; keys are those of a scene file.
+        """The resolved scene as nested dictionaries with all defaults, in SI units; keys are those of a scene
+        file.
 
         `granflow.Scene.from_dict` makes an equal scene of it.
         """
-        # The serializer of this class: a subclass, which has the same fields, would build another one. It warns of
-        # options that were validated before another contact model was registered, although it writes them correctly.
-        found = SceneInput.__pydantic_serializer__.to_python(self, by_alias=True, exclude_none=True, warnings=False)
+        # The serializer of this class: a subclass, which has the same fields, would build another one. It
+        # warns of options that were validated before another contact model was registered, although it writes
+        # them correctly.
+        found = SceneInput.__pydantic_serializer__.to_python(
+            self, by_alias=True, exclude_none=True, warnings=False
+        )
         return cast("dict[str, Any]", found)
 
     def is_given(self, *key_path: str | int) -> bool:
@@ -203,8 +217,8 @@ class SceneInput(Model):
     def locate(self, *key_path: str | int) -> str:
         """Source position of the value of a key, as `file:line:column`, for error messages.
 
-        For a missing key, that of the nearest existing parent key; without a file, the name of the scene file or
-        "scene".
+        For a missing key, that of the nearest existing parent key; without a file, the name of the scene file
+        or "scene".
         """
         if self._document is None:
             return self.path.name or "scene"

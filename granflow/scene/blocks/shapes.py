@@ -64,7 +64,11 @@ Vector3 = tuple[float, float, float]
 Point = Annotated[tuple[Length, Length, Length], _vector]
 """Position or edge vector (3,) [m], proportional to `scale`."""
 UnscaledPoint = Annotated[
-    tuple[Annotated[float, Number("length")], Annotated[float, Number("length")], Annotated[float, Number("length")]],
+    tuple[
+        Annotated[float, Number("length")],
+        Annotated[float, Number("length")],
+        Annotated[float, Number("length")],
+    ],
     _vector,
 ]
 """Position (3,) [m] within a particle, independent of `scale`."""
@@ -84,7 +88,8 @@ Direction = Annotated[
         )
     ),
 ]
-"""Vector (3,), not the zero vector; its length does not matter, but the square of the length must not underflow."""
+"""Vector (3,), not the zero vector; its length does not matter, but the square of the length must not
+underflow."""
 
 
 class Box(Model):
@@ -139,7 +144,9 @@ class Rectangular(Model):
                 yield Fault(("sides", i), "a side must not be the zero vector")
         if all(lengths) and not are_perpendicular(a, b):
             angle = math.degrees(math.acos(dot(a, b) / (lengths[0] * lengths[1])))
-            yield Fault(("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg")
+            yield Fault(
+                ("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg"
+            )
 
 
 def dot(a: Vector3, b: Vector3) -> float:

@@ -29,9 +29,13 @@ class TimedMotion(Model):
     """True for motions that respond to the force of the particles on the wall."""
 
     kind: str = Field(description="kind of motion")
-    start: q.Time | None = Field(None, description="time at which the motion begins [s]; default: start of the run")
+    start: q.Time | None = Field(
+        None, description="time at which the motion begins [s]; default: start of the run"
+    )
     end: q.Time | None = Field(None, description="time at which the motion ends [s]; default: end of the run")
-    stages: Names | None = Field(None, description="stages with this motion; its time starts at the first of them")
+    stages: Names | None = Field(
+        None, description="stages with this motion; its time starts at the first of them"
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless either times or stages are given, and the end is after the start."""
@@ -52,8 +56,9 @@ class Vibration(TimedMotion):
         displacement:  amplitude * (sin(angular_frequency * t + phase) - sin(phase))
         velocity:      amplitude * angular_frequency * cos(angular_frequency * t + phase)
 
-    The position is continuous at the start; the velocity is too if phase is 90 deg or -90 deg. The center of the
-    oscillation is at -amplitude * sin(phase) from the given position. At the end the wall stops at its position.
+    The position is continuous at the start; the velocity is too if phase is 90 deg or -90 deg. The center of
+    the oscillation is at -amplitude * sin(phase) from the given position. At the end the wall stops at its
+    position.
 
     >>> gf.Vibration(direction=[0, 0, 1], amplitude="2 mm", frequency="25 Hz")
     Vibration(direction=(0.0, 0.0, 1.0), amplitude=0.002, frequency=25.0)
@@ -61,12 +66,15 @@ class Vibration(TimedMotion):
 
     kind: Literal["vibration"] = Field("vibration", description="kind of motion")
     direction: q.Direction = Field(description="direction of the motion; its length does not matter")
-    amplitude: q.UnscaledLength | None = Field(None, description="amplitude, half of the peak-to-peak value [m]")
+    amplitude: q.UnscaledLength | None = Field(
+        None, description="amplitude, half of the peak-to-peak value [m]"
+    )
     frequency: q.Frequency | None = Field(None, description="frequency [Hz]")
     angular_frequency: q.PositiveAngularVelocity | None = Field(None, description="angular frequency [rad/s]")
     gamma: q.Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
     phase: q.Angle = Field(
-        0.0, description="phase at the start [rad]; 0: the wall starts at full speed from the center of the oscillation"
+        0.0,
+        description="phase at the start [rad]; 0: the wall starts at full speed from the center of the oscillation",
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -103,7 +111,8 @@ class VelocityMotion(TimedMotion):
 
     velocity: q.VelocityVector = Field(description="velocity [m/s], after the ramp if there is one")
     ramp_duration: q.PositiveTime | None = Field(
-        None, description="time from the start during which the velocity changes linearly [s]; default: no ramp"
+        None,
+        description="time from the start during which the velocity changes linearly [s]; default: no ramp",
     )
     initial_velocity: q.VelocityVector | None = Field(
         None, description="with ramp_duration: velocity at the start [m/s]; default: 0"
@@ -126,10 +135,12 @@ class Translation(VelocityMotion):
 
 
 class SurfaceVelocity(VelocityMotion):
-    """Velocity of the surface along itself, as of a conveyor belt: the surface moves, the shape of the wall does not.
+    """Velocity of the surface along itself, as of a conveyor belt: the surface moves, the shape of the wall
+    does not.
 
-    The velocity is given in the frame of the wall and rotates with it. At each contact the component in the contact
-    plane acts, v - (v . n) n: friction drives the particles, and faces across the velocity are at rest.
+    The velocity is given in the frame of the wall and rotates with it. At each contact the component in the
+    contact plane acts, v - (v . n) n: friction drives the particles, and faces across the velocity are at
+    rest.
 
     >>> gf.SurfaceVelocity(velocity=["1 m/s", 0, 0], ramp_duration="0.2 s").velocity
     (1.0, 0.0, 0.0)
@@ -139,7 +150,8 @@ class SurfaceVelocity(VelocityMotion):
 
 
 class Rotation(TimedMotion):
-    """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at the start.
+    """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at
+    the start.
 
     The torque on the wall refers to `point`.
 
@@ -178,14 +190,15 @@ MOST_ROWS = 10_000
 
 
 class TableMotion(TimedMotion):
-    """Motion from a table, a CSV file or lists: times, and displacements, velocities, angles or angular velocities.
+    """Motion from a table, a CSV file or lists: times, and displacements, velocities, angles or angular
+    velocities.
 
     Times count from the start of the motion. Velocities are linear between rows; displacements and angles are
-    interpolated with a continuous velocity and without overshoot (Fritsch & Butland), and count from the first row. The
-    wall is at rest before the first and after the last row.
+    interpolated with a continuous velocity and without overshoot (Fritsch & Butland), and count from the
+    first row. The wall is at rest before the first and after the last row.
 
-    >>> gf.TableMotion(direction=[0, 0, 1], times=[0, "10 ms", "20 ms"], displacements=[0, "1 mm", 0]).displacements
-    (0.0, 0.001, 0.0)
+    >>> gf.TableMotion(direction=[0, 0, 1], times=[0, "10 ms", "20 ms"], displacements=[0, "1 mm",
+    0]).displacements (0.0, 0.001, 0.0)
     """
 
     kind: Literal["table"] = Field("table", description="kind of motion")
@@ -197,11 +210,17 @@ class TableMotion(TimedMotion):
     direction: q.Direction | None = Field(None, description="direction of displacements or velocities")
     point: q.Point | None = Field(None, description="with angles: a point on the axis [m]")
     axis: q.Direction | None = Field(None, description="with angles: direction of the axis, right-handed")
-    times: _Column[q.Time] | None = Field(None, description="times [s], ascending; instead of a file, or from it")
-    displacements: _Column[_Displacement] | None = Field(None, description="displacements along the direction [m]")
+    times: _Column[q.Time] | None = Field(
+        None, description="times [s], ascending; instead of a file, or from it"
+    )
+    displacements: _Column[_Displacement] | None = Field(
+        None, description="displacements along the direction [m]"
+    )
     velocities: _Column[q.Velocity] | None = Field(None, description="velocities along the direction [m/s]")
     angles: _Column[q.Angle] | None = Field(None, description="angles about the axis [rad]")
-    angular_velocities: _Column[q.AngularVelocity] | None = Field(None, description="rates about the axis [rad/s]")
+    angular_velocities: _Column[q.AngularVelocity] | None = Field(
+        None, description="rates about the axis [rad/s]"
+    )
 
     @property
     def column(self) -> str | None:
@@ -245,7 +264,8 @@ class Servo(TimedMotion):
 
         v = gain (F - f),      |v| <= velocity_max
 
-    F: prescribed force, f: force of the wall on the particles [N], both along `direction`. Gravity does not act on it.
+    F: prescribed force, f: force of the wall on the particles [N], both along `direction`. Gravity does not
+    act on it.
 
     >>> gf.Servo(direction=[0, 0, -1], pressure="2 kPa", velocity_max="1 m/s").pressure
     2000.0
@@ -254,7 +274,9 @@ class Servo(TimedMotion):
     force_controlled: ClassVar[bool] = True
 
     kind: Literal["servo"] = Field("servo", description="kind of motion")
-    direction: q.Direction = Field(description="direction of the force on the particles; its length does not matter")
+    direction: q.Direction = Field(
+        description="direction of the force on the particles; its length does not matter"
+    )
     force: q.PositiveForce | None = Field(None, description="prescribed force on the particles [N]")
     pressure: q.Pressure | None = Field(
         None, description="prescribed pressure, force over the area of the wall [Pa]; instead of force"
@@ -278,7 +300,8 @@ class FreeWall(TimedMotion):
 
         M dv/dt = f + M g + force - damping v
 
-    f: force of the particles on the wall [N], g: gravity [m/s2], both along `direction`. The wall starts at rest.
+    f: force of the particles on the wall [N], g: gravity [m/s2], both along `direction`. The wall starts at
+    rest.
 
     >>> gf.FreeWall(direction=[0, 0, 1], mass="200 g").mass
     0.2
@@ -294,7 +317,8 @@ class FreeWall(TimedMotion):
 
 
 MotionSpec = Annotated[
-    Vibration | Translation | Rotation | TableMotion | SurfaceVelocity | Servo | FreeWall, choose_by_key("kind")
+    Vibration | Translation | Rotation | TableMotion | SurfaceVelocity | Servo | FreeWall,
+    choose_by_key("kind"),
 ]
 """Any kind of motion; the key `kind` selects it."""
 
@@ -310,8 +334,12 @@ class Wall(Model):
 
     shape: str = Field(description="shape of the wall")
     material: Text = Field(description="name of the wall's material")
-    appears_at: q.Time | None = Field(None, description="time at which the wall appears [s]; default: start of the run")
-    vanishes_at: q.Time | None = Field(None, description="time at which the wall vanishes [s]; default: never")
+    appears_at: q.Time | None = Field(
+        None, description="time at which the wall appears [s]; default: start of the run"
+    )
+    vanishes_at: q.Time | None = Field(
+        None, description="time at which the wall vanishes [s]; default: never"
+    )
     stages: Names | None = Field(None, description="stages in which the wall is present; default: all")
     motion: Annotated[tuple[MotionSpec, ...], ListOf(one=True)] = Field(
         (), description="motion of the wall: one motion or a list of motions"
@@ -322,7 +350,9 @@ class Wall(Model):
         if self.stages is not None and (self.appears_at is not None or self.vanishes_at is not None):
             yield redundant("stages", "appears_at or vanishes_at", keep="either the times or the stages")
         elif self.vanishes_at is not None and self.vanishes_at <= (self.appears_at or 0.0):
-            yield Fault(("vanishes_at",), f"the wall must vanish after it appears at {self.appears_at or 0.0:g} s")
+            yield Fault(
+                ("vanishes_at",), f"the wall must vanish after it appears at {self.appears_at or 0.0:g} s"
+            )
         rotations = [
             i
             for i, motion in enumerate(self.motion)
@@ -374,8 +404,8 @@ class Cylinder(AxialWall):
 class Cone(AxialWall):
     """A thin two-sided cone frustum without end faces; one radius may be 0.
 
-    >>> gf.Cone(material="steel", from_=[0, 0, 0], to=[0, 0, 0.1], radius_from="1 cm", radius_to="5 cm").radius_to
-    0.05
+    >>> gf.Cone(material="steel", from_=[0, 0, 0], to=[0, 0, 0.1], radius_from="1 cm", radius_to="5
+    cm").radius_to 0.05
     """
 
     shape: Literal["cone"] = Field("cone", description="shape of the wall")
@@ -392,8 +422,8 @@ class Cone(AxialWall):
 class Disc(Wall):
     """A thin, two-sided disc, optionally with a circular hole at its center.
 
-    >>> gf.Disc(material="steel", center=[0, 0, 0], normal=[0, 0, 1], radius="5 cm", hole_radius="1 cm").hole_radius
-    0.01
+    >>> gf.Disc(material="steel", center=[0, 0, 0], normal=[0, 0, 1], radius="5 cm", hole_radius="1
+    cm").hole_radius 0.01
     """
 
     shape: Literal["disc"] = Field("disc", description="shape of the wall")
@@ -406,7 +436,9 @@ class Disc(Wall):
         """Yield a fault unless the hole is smaller than the disc."""
         yield from super().faults()
         if self.hole_radius >= self.radius:
-            yield Fault(("hole_radius",), f"the hole must be smaller than the disc of radius {self.radius:g} m")
+            yield Fault(
+                ("hole_radius",), f"the hole must be smaller than the disc of radius {self.radius:g} m"
+            )
 
 
 class RotationStep(Model):
@@ -430,10 +462,15 @@ class MeshWall(Wall):
     """
 
     shape: Literal["mesh"] = Field("mesh", description="shape of the wall")
-    file: FileName = Field(description="STL, OBJ, PLY, VTK or VTU file; path relative to the folder of the scene")
-    scale: MeshScale = Field(1.0, description="factor from the length unit of the file to m, such as 0.001 for mm")
+    file: FileName = Field(
+        description="STL, OBJ, PLY, VTK or VTU file; path relative to the folder of the scene"
+    )
+    scale: MeshScale = Field(
+        1.0, description="factor from the length unit of the file to m, such as 0.001 for mm"
+    )
     rotate: Annotated[tuple[RotationStep, ...], ListOf(one=True)] = Field(
-        (), description="rotation of the mesh about the origin: one rotation, or a list in order of application"
+        (),
+        description="rotation of the mesh about the origin: one rotation, or a list in order of application",
     )
     translate: q.Point = Field((0.0, 0.0, 0.0), description="displacement of the mesh [m]")
 
@@ -444,10 +481,12 @@ FACES: tuple[FaceName, ...] = get_args(FaceName)
 
 
 class BoxWall(Wall):
-    """A box with edges along the coordinate axes, from `min` to `max`, for particles inside; faces can be open.
+    """A box with edges along the coordinate axes, from `min` to `max`, for particles inside; faces can be
+    open.
 
-    It stands for up to six walls with the names NAME.left and NAME.right (smallest and largest x), NAME.front and
-    NAME.back (y), NAME.bottom and NAME.top (z), all with the same material, presence and motion. The faces are planes:
+    It stands for up to six walls with the names NAME.left and NAME.right (smallest and largest x), NAME.front
+    and NAME.back (y), NAME.bottom and NAME.top (z), all with the same material, presence and motion. The
+    faces are planes:
     infinite, also beyond an open face. With `finite` they are rectangles.
 
     >>> gf.BoxWall(material="steel", min=[0, 0, 0], max=["5 cm", "5 cm", "10 cm"], open=["top"]).open
@@ -461,7 +500,8 @@ class BoxWall(Wall):
         (), description="faces without a wall: left, right (x), front, back (y), bottom, top (z)"
     )
     finite: Flag = Field(
-        False, description="true: rectangles, which have a pressure and end at the box; false: infinite planes"
+        False,
+        description="true: rectangles, which have a pressure and end at the box; false: infinite planes",
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -485,11 +525,14 @@ class BoxWall(Wall):
                 axis, is_high = divmod(number, 2)
                 yield (
                     name,
-                    self._rectangle(axis, is_high, shared) if self.finite else self._plane(axis, is_high, shared),
+                    self._rectangle(axis, is_high, shared)
+                    if self.finite
+                    else self._plane(axis, is_high, shared),
                 )
 
     def _plane(self, axis: int, is_high: int, shared: dict[str, Any]) -> Plane:
-        """The plane across an axis at the smallest or largest coordinate, with its normal toward the inside."""
+        """The plane across an axis at the smallest or largest coordinate, with its normal toward the
+        inside."""
         normal = [0.0, 0.0, 0.0]
         normal[axis] = -1.0 if is_high else 1.0
         return Plane.model_construct(point=self._corner(axis, is_high), normal=_vector(normal), **shared)

@@ -56,9 +56,17 @@ def _plot(
     line_index = _names(lines).index(line.law)
     style, marker = LINE_STYLES.get(line.precision, ("-", MARKERS[-1]))
     axes.plot(
-        x, error, linestyle=style, marker=marker, color=COLORS[line_index % len(COLORS)], linewidth=0.9,
-        markersize=3.0, markerfacecolor="white", markeredgewidth=0.8, **more,
-    )  # fmt: skip
+        x,
+        error,
+        linestyle=style,
+        marker=marker,
+        color=COLORS[line_index % len(COLORS)],
+        linewidth=0.9,
+        markersize=3.0,
+        markerfacecolor="white",
+        markeredgewidth=0.8,
+        **more,
+    )
 
 
 def loglog(axes: Any, target: float | None = None, **settings: Any) -> None:
@@ -93,7 +101,8 @@ def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None
 
 
 def draw_convergence(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None]:
-    """Draw the restitution error in double precision against the steps per collision: a line per contact model."""
+    """Draw the restitution error in double precision against the steps per collision: a line per contact
+    model."""
     exact = [line for line in lines if line.precision == "f64"] or list(lines)
 
     def draw(figure: Any) -> None:
@@ -102,7 +111,11 @@ def draw_convergence(lines: Sequence[StudyLine], target: float) -> Callable[[Any
             error = np.maximum(line.error("restitution"), LOWEST)
             _plot(axes, line, exact, line.steps, error, label=_with_order(line))
         loglog(
-            axes, target, xlabel="time steps per collision", ylabel="restitution error", ylim=(0.3 * LOWEST, HIGHEST)
+            axes,
+            target,
+            xlabel="time steps per collision",
+            ylabel="restitution error",
+            ylim=(0.3 * LOWEST, HIGHEST),
         )
         axes.legend(loc="lower left")
 
@@ -119,7 +132,9 @@ def draw_quantities(lines: Sequence[StudyLine]) -> Callable[[Any], None]:
             for line in exact:
                 order = fitted_order(line.steps, line.error(quantity))
                 label = f"{_label(line)}: {order.order:.2f}" if order else _label(line)
-                _plot(axes, line, exact, 1.0 / line.steps, np.maximum(line.error(quantity), LOWEST), label=label)
+                _plot(
+                    axes, line, exact, 1.0 / line.steps, np.maximum(line.error(quantity), LOWEST), label=label
+                )
             loglog(axes, ylim=(0.3 * LOWEST, HIGHEST), title=f"({letter}) {QUANTITY_LABELS[quantity]}")
             axes.legend(loc="lower right")
             axes.set_ylabel("relative error")
@@ -142,8 +157,8 @@ MANY = 1e6
 class Requirement:
     """Requirement of a line for a restitution error within the target.
 
-    `steps` per collision; `share`: largest `numerics.time_step_fraction` that suffices for every kind of collision;
-    `seconds`: processor time of one collision [s], median, minimum and maximum.
+    `steps` per collision; `share`: largest `numerics.time_step_fraction` that suffices for every kind of
+    collision; `seconds`: processor time of one collision [s], median, minimum and maximum.
     """
 
     line: StudyLine
@@ -176,20 +191,26 @@ def first_within(error: np.ndarray, target: float) -> int | None:
 
 
 def _share_within(points: Sequence[StudyPoint], target: float) -> float:
-    """Largest sufficient time step over the shorter phase for one kind of collision; `points` in ascending steps."""
+    """Largest sufficient time step over the shorter phase for one kind of collision; `points` in ascending
+    steps."""
     index = first_within(np.array([point.restitution_error for point in points]), target)
     return points[index].share if index is not None else 0.0
 
 
 def cheapest(requirements: Iterable[Requirement | None]) -> list[Requirement]:
     """Requirement of least cost for FOR_LAW, and those whose ranges of costs overlap with its range."""
-    able = [requirement for requirement in requirements if requirement is not None and requirement.line.law == FOR_LAW]
+    able = [
+        requirement
+        for requirement in requirements
+        if requirement is not None and requirement.line.law == FOR_LAW
+    ]
     able.sort(key=lambda requirement: requirement.seconds[0])
     return [requirement for requirement in able if requirement.seconds[1] <= able[0].seconds[2]]
 
 
 def recommendation(lines: Sequence[StudyLine], target: float) -> str:
-    """Concluding sentence of the study: the cheapest time step and precision with errors within the target."""
+    """Concluding sentence of the study: the cheapest time step and precision with errors within the
+    target."""
     found = cheapest(requirement_of(line, target) for line in lines)
     if not found:
         return f"No time step of this study limits the restitution error to {target:.3g} with {FOR_LAW}."
@@ -249,25 +270,41 @@ def table_heads(target: float) -> tuple[str, ...]:
     """Column headings of `table_rows`."""
     requested = f"{100.0 * target:g} %"
     return (
-        "contact model", "precision", "order of e (fitted steps)", "smallest error of e",
-        f"steps for {requested}", f"time_step_fraction for {requested}", "s per million collisions",
-    )  # fmt: skip
+        "contact model",
+        "precision",
+        "order of e (fitted steps)",
+        "smallest error of e",
+        f"steps for {requested}",
+        f"time_step_fraction for {requested}",
+        "s per million collisions",
+    )
 
 
 def table_rows(lines: Iterable[StudyLine], target: float) -> list[tuple[str, ...]]:
     """Table rows, one per line: order of convergence, smallest error, and the requirement for the target."""
     rows: list[tuple[str, ...]] = []
     for line in lines:
-        error, requirement = line.error("restitution"), requirement_of(line, target)
+        error = line.error("restitution")
+        requirement = requirement_of(line, target)
         order = fitted_order(line.steps, error)
         least = float(np.nanmin(error))
         needed: tuple[str, str, str] = ("–", "–", "–")
         if requirement is not None:
             median, low, high = (MANY * each for each in requirement.seconds)
-            needed = (f"{requirement.steps:g}", f"{requirement.share:.2g}", f"{median:.3g} ({low:.3g}–{high:.3g})")
-        rows.append((
-            line.law, line.precision, order.text if order else "–", _short(least), *needed,
-        ))  # fmt: skip
+            needed = (
+                f"{requirement.steps:g}",
+                f"{requirement.share:.2g}",
+                f"{median:.3g} ({low:.3g}–{high:.3g})",
+            )
+        rows.append(
+            (
+                line.law,
+                line.precision,
+                order.text if order else "–",
+                _short(least),
+                *needed,
+            )
+        )
     return rows
 
 
@@ -313,12 +350,13 @@ def measure_two_bodies(
 ) -> TwoBodyStudy:
     """Measure every combination.
 
-    `target`: relative error of the restitution. `full`: more time steps and repeats. `report` receives progress
-    messages.
+    `target`: relative error of the restitution. `full`: more time steps and repeats. `report` receives
+    progress messages.
     """
     counts = two_particles.FULL_STEPS if full else two_particles.STEPS
     repeats = 3 * REPEATS if full else REPEATS
-    lines, refused = [], []
+    lines = []
+    refused = []
     for precision in two_particles.PRECISIONS:
         for studied_law in STUDIED_LAWS:
             report(f"{studied_law.name}, {precision}")
@@ -333,7 +371,8 @@ def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
 
     Raises GranflowError at the end if it is not, after all other files are written.
     """
-    lines, target = study.lines, study.target
+    lines = study.lines
+    target = study.target
     missing = write_study(
         out / "accuracy.html",
         "accuracy.html",

@@ -1,7 +1,7 @@
 """Errors of the runs of a scene, their statistical noise, and the recommended time step.
 
-Granular flow is chaotic: a difference between two runs is an error of the time step only if it exceeds the scatter over
-several seeds.
+Granular flow is chaotic: a difference between two runs is an error of the time step only if it exceeds the
+scatter over several seeds.
 """
 
 import hashlib
@@ -78,8 +78,8 @@ class SceneTask:
 class RunOutcome:
     """Result of a run, or the reason of its abort (`stopped`).
 
-    `values` by quantity; `seconds`: processor time of the run without compilation [s], which other programs on the
-    machine change less than the wall time; `simulated` time [s].
+    `values` by quantity; `seconds`: processor time of the run without compilation [s], which other programs
+    on the machine change less than the wall time; `simulated` time [s].
     """
 
     values: dict[str, float] = field(default_factory=dict)
@@ -95,12 +95,16 @@ def reduced_counts(scene: Scene, most: int = MAX_PARTICLES) -> list[str]:
     Each group keeps at least one particle. Empty if the scene is small enough.
     """
     counted = {
-        name: group.count for name, group in scene.particles.items() if scene.is_given("particles", name, "count")
+        name: group.count
+        for name, group in scene.particles.items()
+        if scene.is_given("particles", name, "count")
     }
     total = sum(counted.values())
     if total <= most:
         return []
-    return [f"particles.{name}.count={max(round(count * most / total), 1)}" for name, count in counted.items()]
+    return [
+        f"particles.{name}.count={max(round(count * most / total), 1)}" for name, count in counted.items()
+    ]
 
 
 def phase_of(scene: Scene) -> tuple[float, float]:
@@ -116,7 +120,8 @@ def phase_of(scene: Scene) -> tuple[float, float]:
 class _RunMeans:
     """Means over the run of center height [m] and coordination number.
 
-    The height is that of the center of mass above the bottom of the domain, opposite to gravity (z without gravity).
+    The height is that of the center of mass above the bottom of the domain, opposite to gravity (z without
+    gravity).
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -168,10 +173,12 @@ def run_task(task: SceneTask) -> RunOutcome:
 
 
 class KeptRuns:
-    """Outcomes of the runs of a study in a file, so that a study that was stopped continues with the missing runs.
+    """Outcomes of the runs of a study in a file, so that a study that was stopped continues with the missing
+    runs.
 
-    `path`: JSON file; None: in memory only. The key of an outcome is the identity of its run: resolved scene, contents
-    of its inputs, version of granflow, end time. A damaged file, or a damaged outcome, counts as missing.
+    `path`: JSON file; None: in memory only. The key of an outcome is the identity of its run: resolved scene,
+    contents of its inputs, version of granflow, end time. A damaged file, or a damaged outcome, counts as
+    missing.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -214,7 +221,8 @@ class KeptRuns:
 
 
 def restitution_error(task: SceneTask) -> float:
-    """Largest relative restitution error of any pair of materials, for velocities from a tenth of the largest.
+    """Largest relative restitution error of any pair of materials, for velocities from a tenth of the
+    largest.
 
     Measured by head-on collisions at the time step and the precision of the task.
     """
@@ -259,9 +267,9 @@ ENERGY_ERROR = "energy_error"
 class ScenePoint:
     """Results of a scene with one time step and precision.
 
-    `share`: time step over the shortest phase; `time_step` [s]; `values` and relative `errors` by quantity, empty after
-    an abort; `seconds` (seeds,): processor time of each run [s]; `simulated` time [s]; `stopped`: reason of an abort,
-    otherwise empty.
+    `share`: time step over the shortest phase; `time_step` [s]; `values` and relative `errors` by quantity,
+    empty after an abort; `seconds` (seeds,): processor time of each run [s]; `simulated` time [s]; `stopped`:
+    reason of an abort, otherwise empty.
     """
 
     family: str
@@ -288,9 +296,10 @@ class ScenePoint:
 class SceneStudy:
     """All points of a scene.
 
-    `noise`: statistical difference of two means over the seeds by quantity (SIGMAS standard errors). `spread`:
-    standard deviation over the seeds of the reference. Both are relative, like the errors. `own_share`, `own_time_step`
-    [s]: values of the unmodified scene.
+    `noise`: statistical difference of two means over the seeds by quantity (SIGMAS standard errors).
+    `spread`:
+    standard deviation over the seeds of the reference. Both are relative, like the errors. `own_share`,
+    `own_time_step` [s]: values of the unmodified scene.
     """
 
     title: str
@@ -322,7 +331,8 @@ class SceneStudy:
     def cheapest(self) -> list[ScenePoint]:
         """The cheapest point within the target, and those whose costs overlap with its costs, over all seeds.
 
-        With more than one, the measured costs do not decide between them. Empty if no point is within the target.
+        With more than one, the measured costs do not decide between them. Empty if no point is within the
+        target.
         """
         inside = sorted(filter(self.within_target, self.points), key=lambda point: point.cost[0])
         return [point for point in inside if point.cost[1] <= inside[0].cost[2]]
@@ -360,9 +370,9 @@ def measure_scene(
 ) -> SceneStudy:
     """Run the scene with every time step and precision, the finest first.
 
-    `target`: relative error; `full`: more seeds and a finer reference; `shares`: time steps over the shortest phase.
-    `precisions` begin with f64. `report` receives progress messages. `kept`: runs of an earlier call, which are not
-    repeated.
+    `target`: relative error; `full`: more seeds and a finer reference; `shares`: time steps over the shortest
+    phase. `precisions` begin with f64. `report` receives progress messages. `kept`: runs of an earlier call,
+    which are not repeated.
 
     Raises SceneError for an invalid scene, GranflowError if the run with the finest time step aborts.
     """
@@ -392,7 +402,8 @@ class _Progress:
     """Numbers the runs of a study in its messages."""
 
     def __init__(self, total: int, report: Callable[[str], None]) -> None:
-        self._total, self._report = total, report
+        self._total = total
+        self._report = report
         self._number = 0
 
     def next(self, text: str, is_kept: bool) -> None:
@@ -402,13 +413,19 @@ class _Progress:
 
 
 def _run(
-    task: SceneTask, family: StepFamily, share: float, phase: float, precision: str, seeds: Sequence[int],
-    kept: KeptRuns, progress: _Progress,
-) -> _Runs:  # fmt: skip
+    task: SceneTask,
+    family: StepFamily,
+    share: float,
+    phase: float,
+    precision: str,
+    seeds: Sequence[int],
+    kept: KeptRuns,
+    progress: _Progress,
+) -> _Runs:
     """Run all seeds and measure the restitution error.
 
-    `share`: time step over the shortest phase; `phase` [s]. After an abort the restitution error is infinite. The time
-    step of the adaptive family is that of the plan, which other limits can shorten.
+    `share`: time step over the shortest phase; `phase` [s]. After an abort the restitution error is infinite.
+    The time step of the adaptive family is that of the plan, which other limits can shorten.
     """
     stepped = task.with_overrides(f"run.precision={precision}", *family.overrides(share, phase))
     outcomes = []
@@ -424,15 +441,24 @@ def _run(
 
 
 def _study(
-    runs: Sequence[_Runs], finest: float, title: str, given: tuple[float, float], count: int, seeds: int, target: float
+    runs: Sequence[_Runs],
+    finest: float,
+    title: str,
+    given: tuple[float, float],
+    count: int,
+    seeds: int,
+    target: float,
 ) -> SceneStudy:
     """Combine the runs to errors, noise and spread relative to the reference run.
 
     `given`: share and time step [s] of the unmodified scene.
     """
     reference = next(each for each in runs if each.share == finest and each.precision == "f64")
-    quantities = [name for name in common_quantities([o.values for r in runs for o in r.outcomes if not o.stopped])
-                  if name != ENERGY_ERROR]  # fmt: skip
+    quantities = [
+        name
+        for name in common_quantities([o.values for r in runs for o in r.outcomes if not o.stopped])
+        if name != ENERGY_ERROR
+    ]
     scales = {name: abs(float(reference.value(name).mean())) or 1.0 for name in quantities}
     noise = {name: _noise(runs, reference, name) / scales[name] for name in quantities}
     spread = {name: float(reference.value(name).std(ddof=1)) / scales[name] for name in quantities}
@@ -441,7 +467,8 @@ def _study(
 
 
 def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
-    """SIGMAS standard errors of the mean difference from the reference; variance averaged over all time steps.
+    """SIGMAS standard errors of the mean difference from the reference; variance averaged over all time
+    steps.
 
     Absolute, in the unit of the quantity `name`; 0 if no other run is complete.
     """
@@ -455,15 +482,26 @@ def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
 
 def _point(runs: _Runs, reference: _Runs, scales: dict[str, float]) -> ScenePoint:
     """Means over the seeds and relative errors of one time step; `scales`: reference values by quantity."""
-    values, errors = {}, {}
+    values = {}
+    errors = {}
     if not runs.stopped:
         values = {name: float(runs.value(name).mean()) for name in (ENERGY_ERROR, *scales)}
         errors = {ENERGY_ERROR: float(np.abs(runs.value(ENERGY_ERROR)).max())}
-        errors |= {name: abs(values[name] - float(reference.value(name).mean())) / scales[name] for name in scales}
+        errors |= {
+            name: abs(values[name] - float(reference.value(name).mean())) / scales[name] for name in scales
+        }
     return ScenePoint(
-        runs.family, runs.precision, runs.share, runs.time_step, runs.restitution_error, values, errors,
-        np.array([outcome.seconds for outcome in runs.outcomes]), runs.outcomes[0].simulated, runs.stopped,
-    )  # fmt: skip
+        runs.family,
+        runs.precision,
+        runs.share,
+        runs.time_step,
+        runs.restitution_error,
+        values,
+        errors,
+        np.array([outcome.seconds for outcome in runs.outcomes]),
+        runs.outcomes[0].simulated,
+        runs.stopped,
+    )
 
 
 # `granflow accuracy SCENE`: sentences, table, CSV, figure and page of the study of one scene.
@@ -514,8 +552,12 @@ def _cost(point: ScenePoint) -> str:
 
 def noise_sentence(study: SceneStudy) -> str:
     """Spread over the seeds, and the number of errors above the noise."""
-    significant = [point.errors[name] > study.noise[name] for point in study.points if not point.stopped for name in
-            study.quantities]  # fmt: skip
+    significant = [
+        point.errors[name] > study.noise[name]
+        for point in study.points
+        if not point.stopped
+        for name in study.quantities
+    ]
     spreads = ", ".join(f"{_label(name)} {percent(spread)}" for name, spread in study.spread.items())
     return (
         f"Granular flow is chaotic. Standard deviation over {study.seed_count} seeds with the finest time step: "
@@ -534,9 +576,16 @@ def _label(name: str) -> str:
 def scene_heads(study: SceneStudy) -> tuple[str, ...]:
     """Column headings of `scene_rows`."""
     return (
-        "time step", "precision", "fraction", "dt s", "restitution", "energy budget",
-        *(_label(name) for name in study.quantities), "s per simulated s", "within target",
-    )  # fmt: skip
+        "time step",
+        "precision",
+        "fraction",
+        "dt s",
+        "restitution",
+        "energy budget",
+        *(_label(name) for name in study.quantities),
+        "s per simulated s",
+        "within target",
+    )
 
 
 def scene_rows(study: SceneStudy) -> list[tuple[str, ...]]:
@@ -555,9 +604,13 @@ def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
         errors.append(percent(point.errors[name]) + (" n" if below else ""))
     median, least, most = point.cost
     return (
-        *first, percent(point.restitution_error), percent(point.errors[ENERGY_ERROR]), *errors,
-        f"{median:.3g} ({least:.3g}–{most:.3g})", "yes" if study.within_target(point) else "no",
-    )  # fmt: skip
+        *first,
+        percent(point.restitution_error),
+        percent(point.errors[ENERGY_ERROR]),
+        *errors,
+        f"{median:.3g} ({least:.3g}–{most:.3g})",
+        "yes" if study.within_target(point) else "no",
+    )
 
 
 def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
@@ -567,8 +620,10 @@ def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
     """
     rows = []
     for point in study.points:
-        row: dict[str, Any] = {name: getattr(point, name) for name in
-                               ("family", "precision", "share", "time_step", "restitution_error")}  # fmt: skip
+        row: dict[str, Any] = {
+            name: getattr(point, name)
+            for name in ("family", "precision", "share", "time_step", "restitution_error")
+        }
         row["energy_error"] = point.errors.get(ENERGY_ERROR, np.nan)
         for name in study.quantities:
             row |= {name: point.values.get(name, np.nan), f"{name}_error": point.errors.get(name, np.nan)}
@@ -631,7 +686,9 @@ def _draw_errors(axes: Any, study: SceneStudy, name: str, precision: str, color:
     for family in dict.fromkeys(point.family for point in study.points):
         points = [p for p in study.points if (p.precision, p.family) == (precision, family) and not p.stopped]
         errors = [p.restitution_error if name == "restitution" else p.errors[name] for p in points]
-        shown = [(p.cost[0], max(error, LOWEST)) for p, error in zip(points, errors, strict=True) if error > 0.0]
+        shown = [
+            (p.cost[0], max(error, LOWEST)) for p, error in zip(points, errors, strict=True) if error > 0.0
+        ]
         if shown:
             is_fixed = family == "fixed"
             face = {"markerfacecolor": "white"} if is_fixed else {}

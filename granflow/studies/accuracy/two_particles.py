@@ -29,8 +29,8 @@ from granflow.studies.paper.figures import PaperCase
 class Exact:
     """Exact solution of a collision.
 
-    Restitution, duration [s], time of the maximum overlap after first contact [s], maximum overlap [m]; overlap at
-    which the force vanishes during unloading over the maximum, None where it depends on a dashpot.
+    Restitution, duration [s], time of the maximum overlap after first contact [s], maximum overlap [m];
+    overlap at which the force vanishes during unloading over the maximum, None where it depends on a dashpot.
     """
 
     restitution: float
@@ -47,7 +47,8 @@ def zhou(e: float, k: float, mass: float, velocity: float) -> Exact:
     """
     scale = float(theory.time_scale(k, mass, velocity))
     duration = float(theory.duration(e, k, mass, velocity))
-    largest, end_ratio = float(theory.overlap_max(k, mass, velocity)), 1.0 - float(theory.recovery(e))
+    largest = float(theory.overlap_max(k, mass, velocity))
+    end_ratio = 1.0 - float(theory.recovery(e))
     return Exact(e, duration, theory.LOADING_DURATION * scale, largest, end_ratio)
 
 
@@ -57,7 +58,9 @@ def linear(e: float, k: float, mass: float, velocity: float) -> Exact:
     `e`: restitution, `k`: Hertz stiffness [N/m^1.5], `mass`: effective [kg], `velocity` [m/s].
     """
     oscillator = _Oscillator(float(theory.equivalent_spring(k, mass, velocity)), mass, velocity, e)
-    return Exact(e, oscillator.end, oscillator.peak, float(oscillator.at(oscillator.peak)), 0.0 if e == 1.0 else None)
+    return Exact(
+        e, oscillator.end, oscillator.peak, float(oscillator.at(oscillator.peak)), 0.0 if e == 1.0 else None
+    )
 
 
 def hertz(e: float, k: float, mass: float, velocity: float) -> Exact:
@@ -72,15 +75,22 @@ def hertz(e: float, k: float, mass: float, velocity: float) -> Exact:
     oscillator = _Oscillator(0.8 * k, mass, velocity, e)
     rise = _contact_time(oscillator, 0.0, oscillator.peak)
     fall = rise if e == 1.0 else _contact_time(oscillator, oscillator.peak, oscillator.end)
-    return Exact(e, rise + fall, rise, float(oscillator.at(oscillator.peak)) ** 0.8, 0.0 if e == 1.0 else None)
+    return Exact(
+        e, rise + fall, rise, float(oscillator.at(oscillator.peak)) ** 0.8, 0.0 if e == 1.0 else None
+    )
 
 
-EXACT: Mapping[str, Callable[[float, float, float, float], Exact]] = {"zhou": zhou, "hertz": hertz, "linear": linear}
+EXACT: Mapping[str, Callable[[float, float, float, float], Exact]] = {
+    "zhou": zhou,
+    "hertz": hertz,
+    "linear": linear,
+}
 """Exact solution by name of the contact model; arguments as in `zhou`."""
 
 
 class _Oscillator:
-    """M z'' = -K z - 2 zeta sqrt(K M) z' from z = 0 with a velocity, until its force vanishes; e sets zeta < 1.
+    """M z'' = -K z - 2 zeta sqrt(K M) z' from z = 0 with a velocity, until its force vanishes; e sets zeta <
+    1.
 
     `peak`, `end`: times of the maximum of z and of zero force.
     """
@@ -89,7 +99,9 @@ class _Oscillator:
         zeta = theory.damping_ratio_for(e)
         root = float(np.sqrt(1.0 - zeta**2))
         natural = float(np.sqrt(stiffness / mass))
-        self.decay, self.frequency, self.velocity = zeta * natural, root * natural, velocity
+        self.decay = zeta * natural
+        self.frequency = root * natural
+        self.velocity = velocity
         self.peak = float(np.arctan2(root, zeta)) / self.frequency
         self.end = (np.pi - float(np.arctan2(2.0 * zeta * root, 1.0 - 2.0 * zeta**2))) / self.frequency
 
@@ -127,7 +139,8 @@ VELOCITIES = (0.1, 1.0, 5.0)
 PHASES = 32
 """Collisions of each kind; their times of first contact are evenly spaced over one step."""
 DIAMETER = 5e-3
-"""Diameter [m] of the reference particle; its elastic collision at 1 m/s sets the duration of all collisions."""
+"""Diameter [m] of the reference particle; its elastic collision at 1 m/s sets the duration of all
+collisions."""
 YOUNG_MODULUS = 50e6
 """Young's modulus of the particles [Pa]: glass, softened as in the example scenes.
 
@@ -142,7 +155,8 @@ Representative of a hopper: single precision resolves fewer digits of the overla
 
 @dataclass(frozen=True)
 class StudiedLaw:
-    """A contact model of the study: its label, its `contact.normal` in a scene, and the restitutions to reproduce.
+    """A contact model of the study: its label, its `contact.normal` in a scene, and the restitutions to
+    reproduce.
 
     `normal`: name of the contact model, or a mapping with `law` and its parameters.
     """
@@ -159,7 +173,8 @@ class StudiedLaw:
 
 @dataclass(frozen=True)
 class CollisionKind:
-    """One kind of collision: target restitution, approach velocity [m/s], diameter [m], and the exact solution."""
+    """One kind of collision: target restitution, approach velocity [m/s], diameter [m], and the exact
+    solution."""
 
     restitution: float
     velocity: float
@@ -180,7 +195,8 @@ STUDIED_LAWS = (
     StudiedLaw("linear", {"law": "linear", "stiffness": "onset"}, RESTITUTIONS),
     StudiedLaw("hertz, elastic", "hertz", (1.0,)),
 )
-"""Contact models of the study; an elastic contact separates errors of the integration from those of damping."""
+"""Contact models of the study; an elastic contact separates errors of the integration from those of
+damping."""
 
 
 def reference_case() -> PaperCase:
@@ -190,11 +206,14 @@ def reference_case() -> PaperCase:
     """
     glass = PRESETS["glass"]
     solid = Solid(YOUNG_MODULUS, glass.poisson_ratio, glass.density)
-    return PaperCase("glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=DIAMETER)
+    return PaperCase(
+        "glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=DIAMETER
+    )
 
 
 def common_duration() -> float:
-    """Duration of every collision of the study [s]: that of an elastic collision of the reference case at 1 m/s.
+    """Duration of every collision of the study [s]: that of an elastic collision of the reference case at 1
+    m/s.
 
     It is Zhou's duration (2011, Eq. 13) with e = 1.
     """
@@ -204,15 +223,18 @@ def common_duration() -> float:
 def kinds_of(law: StudiedLaw) -> tuple[CollisionKind, ...]:
     """All kinds of collision of one contact model: each restitution at each velocity.
 
-    The diameters make all durations equal: at given restitution and velocity, the duration is proportional to the
-    diameter.
+    The diameters make all durations equal: at given restitution and velocity, the duration is proportional to
+    the diameter.
     """
-    case, found = reference_case(), []
+    case = reference_case()
+    found = []
     for e in law.restitutions:
         for velocity in VELOCITIES:
             matching = exact_of(law.law_name, case, e, velocity, DIAMETER)
             diameter = DIAMETER * common_duration() / matching.duration
-            found.append(CollisionKind(e, velocity, diameter, exact_of(law.law_name, case, e, velocity, diameter)))
+            found.append(
+                CollisionKind(e, velocity, diameter, exact_of(law.law_name, case, e, velocity, diameter))
+            )
     return tuple(found)
 
 
@@ -227,7 +249,9 @@ def exact_of(law: str, case: PaperCase, e: float, velocity: float, diameter: flo
 def collisions_of(kinds: tuple[CollisionKind, ...]) -> list[HeadOnCollision]:
     """Every kind of collision, repeated `PHASES` times: (kinds * PHASES,) in the order of the kinds."""
     case = reference_case()
-    return [case.head_on(kind.restitution, kind.velocity, kind.diameter) for kind in kinds for _ in range(PHASES)]
+    return [
+        case.head_on(kind.restitution, kind.velocity, kind.diameter) for kind in kinds for _ in range(PHASES)
+    ]
 
 
 def first_contact_times(kinds: tuple[CollisionKind, ...], time_step: float) -> np.ndarray:
@@ -245,11 +269,13 @@ Beyond it, sampling covers the steps around the maximum overlap and the end only
 SAMPLES_AROUND = 12
 """Sampled steps before and after these events: a first-order error shifts them by about one step."""
 MAX_DURATIONS = 1.6
-"""Largest simulated time, over the duration of a collision; a collision that lasts longer counts as unfinished."""
+"""Largest simulated time, over the duration of a collision; a collision that lasts longer counts as
+unfinished."""
 SKIN = 1.0
 """Skin over the smallest diameter.
 
-No neighbor-list rebuild occurs during a collision. The skin is equal for all time steps, so that the kernels are, too.
+No neighbor-list rebuild occurs during a collision. The skin is equal for all time steps, so that the kernels
+are, too.
 """
 FINEST = 5000
 """Steps per collision of the initial scene; every contact model is stable at this resolution."""
@@ -259,10 +285,11 @@ REPEATS = 5
 
 @dataclass(frozen=True)
 class CollisionResults:
-    """Results of collisions with `steps` time steps per duration; arrays (kinds, phases), nan where not observed.
+    """Results of collisions with `steps` time steps per duration; arrays (kinds, phases), nan where not
+    observed.
 
-    `time_step` [s]; `duration` [s]; `overlap_max` [m]. `seconds` (repeats,): processor time of one collision [s], the
-    total of all simultaneous collisions divided by their number.
+    `time_step` [s]; `duration` [s]; `overlap_max` [m]. `seconds` (repeats,): processor time of one collision
+    [s], the total of all simultaneous collisions divided by their number.
     """
 
     steps: float
@@ -278,20 +305,28 @@ class AccuracyBench:
 
     `velocity` (pairs,): approach velocities [m/s]. Call `free` after use.
 
-    The plan assumes the largest velocity for all pairs. Here particles collide with their own kind only, each kind at
-    its own velocity, and all collisions have the same duration; the plan therefore gets the smallest velocity.
+    The plan assumes the largest velocity for all pairs. Here particles collide with their own kind only, each
+    kind at its own velocity, and all collisions have the same duration; the plan therefore gets the smallest
+    velocity.
     """
 
     def __init__(self, studied_law: StudiedLaw, precision: str = "f64", threads: int | None = None) -> None:
-        self.studied_law, self.precision = studied_law, precision
+        self.studied_law = studied_law
+        self.precision = precision
         self.kinds = kinds_of(studied_law)
         self.velocity = np.repeat([kind.velocity for kind in self.kinds], PHASES)
         time_step = common_duration() / FINEST
         self.bench = head_on_bench(
-            studied_law.normal, collisions_of(self.kinds), first_contact_times(self.kinds, time_step), time_step,
-            precision=precision, threads=threads, contact_x=DISTANCE, velocity_max=min(VELOCITIES),
+            studied_law.normal,
+            collisions_of(self.kinds),
+            first_contact_times(self.kinds, time_step),
+            time_step,
+            precision=precision,
+            threads=threads,
+            contact_x=DISTANCE,
+            velocity_max=min(VELOCITIES),
             numerics={"skin": SKIN * min(kind.diameter for kind in self.kinds)},
-        )  # fmt: skip
+        )
 
     @property
     def plan(self) -> Plan:
@@ -303,16 +338,20 @@ class AccuracyBench:
 
         Raises SceneError if that time step is unstable.
         """
-        time_step, scene = common_duration() / steps, self.bench.scene
+        time_step = common_duration() / steps
+        scene = self.bench.scene
         plan_for(scene.model_copy(update={"run": scene.run.model_copy(update={"time_step": time_step})}))
         times = first_contact_times(self.kinds, time_step)
         collisions = [
             replace(each, first_contact=float(time))
             for each, time in zip(self.bench.collisions, times, strict=True)
-        ]  # fmt: skip
+        ]
         numbers, samples = self._sample_contacts(collisions, time_step, steps)
         seconds = np.array([self._timed(collisions, steps) for _ in range(repeats)])
-        found = [self._measured(numbers, samples[:, :, pair], pair, time_step) for pair in range(len(self.velocity))]
+        found = [
+            self._measured(numbers, samples[:, :, pair], pair, time_step)
+            for pair in range(len(self.velocity))
+        ]
         restitution, duration, overlap = np.array(found).T.reshape(3, len(self.kinds), PHASES)
         return CollisionResults(steps, time_step, restitution, duration, overlap, seconds)
 
@@ -325,7 +364,9 @@ class AccuracyBench:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Sampled steps (samples,), and overlap [m], overlap rate [m/s] and force [N] (samples, 3, pairs)."""
         self.bench.restart(collisions, time_step)
-        numbers, samples, now = self._sampled_steps(steps), [], 0
+        numbers = self._sampled_steps(steps)
+        samples = []
+        now = 0
         for number in numbers:
             self.bench.simulation.step(number - now)
             now = number
@@ -335,7 +376,8 @@ class AccuracyBench:
     def _sampled_steps(self, steps: float) -> list[int]:
         """Numbers of steps after which the state is sampled, in ascending order.
 
-        All steps up to MAX_FULLY_SAMPLED_STEPS per collision; else those around the maximum overlap and the end.
+        All steps up to MAX_FULLY_SAMPLED_STEPS per collision; else those around the maximum overlap and the
+        end.
         """
         last = ceil(MAX_DURATIONS * steps) + SAMPLES_AROUND
         if steps <= MAX_FULLY_SAMPLED_STEPS:
@@ -346,7 +388,8 @@ class AccuracyBench:
         return sorted({0, *near, last})
 
     def _timed(self, collisions: list[Collision], steps: float) -> float:
-        """Processor time of one collision [s]: that of all simultaneous collisions, divided by their number."""
+        """Processor time of one collision [s]: that of all simultaneous collisions, divided by their
+        number."""
         self.bench.restart(collisions)
         whole = ceil(steps) + 1
         began = process_time()
@@ -356,10 +399,11 @@ class AccuracyBench:
     def _measured(
         self, numbers: np.ndarray, samples: np.ndarray, pair: int, time_step: float
     ) -> tuple[float, float, float]:
-        """Restitution, duration [s] and maximum overlap [m] of one pair; e = 0 for a pair that has not separated.
+        """Restitution, duration [s] and maximum overlap [m] of one pair; e = 0 for a pair that has not
+        separated.
 
-        `numbers` (samples,): step numbers; `samples` (samples, 3): overlap [m], overlap rate [m/s], force [N]. The
-        duration is nan if the steps at the end were not sampled.
+        `numbers` (samples,): step numbers; `samples` (samples, 3): overlap [m], overlap rate [m/s], force
+        [N]. The duration is nan if the steps at the end were not sampled.
         """
         overlap, rate, force = samples.T
         parted = force[-1] == 0.0 and rate[-1] < 0.0
@@ -405,7 +449,8 @@ MIN_POINTS = 4
 
 @dataclass(frozen=True)
 class Order:
-    """error = prefactor * steps^-order from `first` to `last` steps per collision: a fitted order of convergence."""
+    """error = prefactor * steps^-order from `first` to `last` steps per collision: a fitted order of
+    convergence."""
 
     order: float
     first: float
@@ -423,10 +468,11 @@ class Order:
 
 
 def fitted_order(steps: np.ndarray, error: np.ndarray) -> Order | None:
-    """Least-squares line through the logarithms of `error` (n,) over `steps` (n,), in ascending order of steps.
+    """Least-squares line through the logarithms of `error` (n,) over `steps` (n,), in ascending order of
+    steps.
 
-    The fit begins at the first error below ASYMPTOTIC and ends where the errors stop decreasing. None if fewer than
-    MIN_POINTS points decrease. Errors of nan are not below any bound.
+    The fit begins at the first error below ASYMPTOTIC and ends where the errors stop decreasing. None if
+    fewer than MIN_POINTS points decrease. Errors of nan are not below any bound.
     """
     below = np.flatnonzero(error < ASYMPTOTIC)
     if not len(below):
@@ -469,10 +515,10 @@ QUANTITY_LABELS = {
 class StudyPoint:
     """One row of the CSV, in SI units.
 
-    `steps`: duration of the collision over the time step. `share`: time step over the shorter of loading and unloading,
-    as `numerics.time_step_fraction` of a scene. Errors are relative to the exact value; the energy error is the error
-    of the final kinetic energy over the initial one. `*_error`: root mean square over the phases of first contact;
-    `*_error_worst`: maximum. `seconds_*`: processor time of one collision [s].
+    `steps`: duration of the collision over the time step. `share`: time step over the shorter of loading and
+    unloading, as `numerics.time_step_fraction` of a scene. Errors are relative to the exact value; the energy
+    error is the error of the final kinetic energy over the initial one. `*_error`: root mean square over the
+    phases of first contact; `*_error_worst`: maximum. `seconds_*`: processor time of one collision [s].
     """
 
     law: str
@@ -528,7 +574,9 @@ class StudyLine:
 
     def _over_kinds(self, name: str) -> np.ndarray:
         """Maximum of a field over the kinds of collision for each number of steps (n,)."""
-        return np.array([max_or_nan(getattr(p, name) for p in self.points if p.steps == n) for n in self.steps])
+        return np.array(
+            [max_or_nan(getattr(p, name) for p in self.points if p.steps == n) for n in self.steps]
+        )
 
 
 def max_or_nan(values: Iterable[float]) -> float:
@@ -551,7 +599,8 @@ def measured_line(
 ) -> tuple[StudyLine, list[str]]:
     """Measure all points of one line; the second result describes the steps rejected as unstable.
 
-    `steps`: numbers of steps per collision; `repeats`: number of timings of each; `threads`: as for Simulation.
+    `steps`: numbers of steps per collision; `repeats`: number of timings of each; `threads`: as for
+    Simulation.
     """
     bench = AccuracyBench(studied_law, precision, threads)
     points: list[StudyPoint] = []
@@ -572,17 +621,26 @@ def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]
     Processor times are equal for all kinds, because all collisions run simultaneously.
     """
     seconds = results.seconds
-    shared = {"law": bench.studied_law.name, "precision": bench.precision,
-              "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),
-              "seconds_median": float(np.median(seconds)), "seconds_min": float(seconds.min()),
-              "seconds_max": float(seconds.max())}  # fmt: skip
+    shared = {
+        "law": bench.studied_law.name,
+        "precision": bench.precision,
+        "steps": float(results.steps),
+        "time_step": results.time_step,
+        "repeats": len(seconds),
+        "seconds_median": float(np.median(seconds)),
+        "seconds_min": float(seconds.min()),
+        "seconds_max": float(seconds.max()),
+    }
     found = []
     for index, kind in enumerate(bench.kinds):
         errors = dict(zip(QUANTITIES, _errors(results, kind, index), strict=True))
         rms = {f"{name}_error": float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
         worst = {f"{name}_error_worst": float(np.max(np.abs(error))) for name, error in errors.items()}
-        given = {"restitution": kind.restitution, "velocity": kind.velocity,
-               "share": results.time_step / _phase(bench, index)}  # fmt: skip
+        given = {
+            "restitution": kind.restitution,
+            "velocity": kind.velocity,
+            "share": results.time_step / _phase(bench, index),
+        }
         found.append(StudyPoint(**shared, **given, **rms, **worst))  # type: ignore[arg-type]
     return found
 
@@ -592,7 +650,8 @@ def _errors(results: CollisionResults, kind: CollisionKind, index: int) -> tuple
 
     energy error = e^2 - e_exact^2, over the initial kinetic energy
     """
-    exact, e = kind.exact, results.restitution[index]
+    exact = kind.exact
+    e = results.restitution[index]
     return (
         e / exact.restitution - 1.0,
         results.duration[index] / exact.duration - 1.0,
@@ -606,6 +665,7 @@ def _phase(bench: AccuracyBench, index: int) -> float:
 
     The time of the pair case is scaled with the diameter, to which it is proportional.
     """
-    kind, group = bench.kinds[index], bench.bench.collisions[index * PHASES].first
+    kind = bench.kinds[index]
+    group = bench.bench.collisions[index * PHASES].first
     pair_case = next(each for each in bench.plan.pair_cases if each.name == f"{group}-{group}")
     return bench.plan.shortest_phase(pair_case, kind.velocity) / (2.0 * pair_case.radius) * kind.diameter

@@ -65,10 +65,10 @@ def write_calibration_page(out: Path, calibration: CalibrationInput, result: Cal
 
 def _best(result: CalibrationResult) -> PageTable:
     """Best values, optima of the fit and their standard deviations."""
-    rows = [
-        (each.name, *each.shown, "no" if each.not_identified else "yes") for each in result.parameters
-    ]  # fmt: skip
-    return PageTable(("parameter", "best trial", "optimum of the fit", "standard deviation", "identified"), rows)
+    rows = [(each.name, *each.shown, "no" if each.not_identified else "yes") for each in result.parameters]
+    return PageTable(
+        ("parameter", "best trial", "optimum of the fit", "standard deviation", "identified"), rows
+    )
 
 
 def _targets(result: CalibrationResult) -> PageTable:
@@ -80,45 +80,82 @@ def _targets(result: CalibrationResult) -> PageTable:
 def _convergence(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
     """Loss of each completed trial, and the smallest loss so far."""
     trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
-    numbers, losses = [trial.number for trial in trials], [trial.value for trial in trials]
+    numbers = [trial.number for trial in trials]
+    losses = [trial.value for trial in trials]
     data = [
-        {"type": "scatter", "mode": "markers", "name": "trial", "x": numbers, "y": [plain(each) for each in losses],
-         "hovertext": [_hover(trial, calibration) for trial in trials], "hoverinfo": "text",
-         "marker": {"color": COLORS[5]}},
-        {"type": "scatter", "mode": "lines", "name": "smallest so far", "x": numbers, "line": {"shape": "hv"},
-         "y": [plain(float(each)) for each in np.minimum.accumulate(losses)], "marker": {"color": COLORS[0]}},
-    ]  # fmt: skip
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "trial",
+            "x": numbers,
+            "y": [plain(each) for each in losses],
+            "hovertext": [_hover(trial, calibration) for trial in trials],
+            "hoverinfo": "text",
+            "marker": {"color": COLORS[5]},
+        },
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": "smallest so far",
+            "x": numbers,
+            "line": {"shape": "hv"},
+            "y": [plain(float(each)) for each in np.minimum.accumulate(losses)],
+            "marker": {"color": COLORS[0]},
+        },
+    ]
     axes = {"xaxis": axis("trial"), "yaxis": axis("loss", type="log")}
-    return Plot("Convergence: loss of each trial and smallest loss so far", {
-        "data": data, "layout": layout(HEIGHT, **axes) | {"showlegend": True},
-    })  # fmt: skip
+    return Plot(
+        "Convergence: loss of each trial and smallest loss so far",
+        {
+            "data": data,
+            "layout": layout(HEIGHT, **axes) | {"showlegend": True},
+        },
+    )
 
 
 def _losses(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
     """Loss over each parameter."""
     trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
     data = [
-        {"type": "scatter", "mode": "markers", "x": [plain(each.in_unit(trial.params[name])) for trial in trials],
-         "y": [plain(trial.value) for trial in trials], "hovertext": [_hover(trial, calibration) for trial in trials],
-         "hoverinfo": "text", "xaxis": f"x{k + 1}" if k else "x", "yaxis": f"y{k + 1}" if k else "y",
-         "marker": {"color": [trial.number for trial in trials], "colorscale": "Viridis", "size": 7,
-                    "line": {"width": 1, "color": "#999999"}}}
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "x": [plain(each.in_unit(trial.params[name])) for trial in trials],
+            "y": [plain(trial.value) for trial in trials],
+            "hovertext": [_hover(trial, calibration) for trial in trials],
+            "hoverinfo": "text",
+            "xaxis": f"x{k + 1}" if k else "x",
+            "yaxis": f"y{k + 1}" if k else "y",
+            "marker": {
+                "color": [trial.number for trial in trials],
+                "colorscale": "Viridis",
+                "size": 7,
+                "line": {"width": 1, "color": "#999999"},
+            },
+        }
         for k, (name, each) in enumerate(calibration.parameters.items())
-    ]  # fmt: skip
+    ]
     axes = row_of_axes(list(map(escaped, _labels(calibration))), "loss")
     for key, each in axes.items():
-        is_log = key.startswith("y") or list(calibration.parameters.values())[int(key[5:] or 1) - 1].scale == "log"
+        is_log = (
+            key.startswith("y") or list(calibration.parameters.values())[int(key[5:] or 1) - 1].scale == "log"
+        )
         each["type"] = "log" if is_log else "linear"
-    return Plot("Loss over each parameter, colored by the number of the trial", {
-        "data": data, "layout": layout(HEIGHT, **axes),
-    })  # fmt: skip
+    return Plot(
+        "Loss over each parameter, colored by the number of the trial",
+        {
+            "data": data,
+            "layout": layout(HEIGHT, **axes),
+        },
+    )
 
 
 def _labels(calibration: CalibrationInput) -> list[str]:
     """Short name of each parameter with its unit."""
     short = short_names(list(calibration.parameters))
     return [
-        f"{short[name]} [{each.unit}]" if each.unit else short[name] for name, each in calibration.parameters.items()
+        f"{short[name]} [{each.unit}]" if each.unit else short[name]
+        for name, each in calibration.parameters.items()
     ]
 
 
@@ -126,32 +163,36 @@ def _hover(trial: Any, calibration: CalibrationInput) -> str:
     """Text at the pointer: number, loss, parameters and run directories of a trial."""
     short = short_names(list(calibration.parameters))
     values = [
-        f"{escaped(short[name])} = {each.text(trial.params[name])}" for name, each in calibration.parameters.items()
+        f"{escaped(short[name])} = {each.text(trial.params[name])}"
+        for name, each in calibration.parameters.items()
     ]
     runs = [f"runs/{name}" for name in runs_of(trial).values()]
     return "<br>".join([f"trial {trial.number}: loss {trial.value:.4g}", *values, *runs])
 
 
 def _importance(result: CalibrationResult, calibration: CalibrationInput) -> Plot | None:
-    """Share of each parameter in the squared gradients of the residuals at the best values; None without a fit."""
+    """Share of each parameter in the squared gradients of the residuals at the best values; None without a
+    fit."""
     shares = [each.importance for each in result.parameters]
     if any(share != share for share in shares) or len(shares) < 2:
         return None
     data = {
-        "type": "bar", "marker": {"color": COLORS[0]}, "y": [plain(share) for share in shares],
+        "type": "bar",
+        "marker": {"color": COLORS[0]},
+        "y": [plain(share) for share in shares],
         "x": list(map(escaped, short_names(list(calibration.parameters)).values())),
-    }  # fmt: skip
+    }
     axes = {"xaxis": axis("", type="category"), "yaxis": axis("share")}
-    caption = (
-        "Importance: share of each parameter, scaled to its bounds, in the response of the targets near the best trial"
-    )
+    caption = "Importance: share of each parameter, scaled to its bounds, in the response of the targets near the best trial"
     return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
 
 
 def _trials(result: CalibrationResult, calibration: CalibrationInput) -> PageTable:
     """All trials: number, state, loss, parameters, simulated targets, runs and reasons."""
     rows = []
-    units = {name: "" if each.value is None else each.value.unit for name, each in calibration.targets.items()}
+    units = {
+        name: "" if each.value is None else each.value.unit for name, each in calibration.targets.items()
+    }
     shown = {name: units[name] or unit_of(each.quantity) for name, each in calibration.targets.items()}
     for trial in result.trials:
         simulated = trial.user_attrs.get("simulated", {})
@@ -161,9 +202,14 @@ def _trials(result: CalibrationResult, calibration: CalibrationInput) -> PageTab
             for name, each in calibration.parameters.items()
         ]
         targets = [
-            f"{in_unit(simulated[name], unit):.4g}" if name in simulated else "–" for name, unit in units.items()
+            f"{in_unit(simulated[name], unit):.4g}" if name in simulated else "–"
+            for name, unit in units.items()
         ]
-        ends = " ".join(runs_of(trial).values()), trial.user_attrs.get("reason", ""), " ".join(warnings_of_trial(trial))
+        ends = (
+            " ".join(runs_of(trial).values()),
+            trial.user_attrs.get("reason", ""),
+            " ".join(warnings_of_trial(trial)),
+        )
         rows.append((str(trial.number), state_of(trial), loss, *parameters, *targets, *ends))
     targets = [f"{name} [{unit}]" if unit else name for name, unit in shown.items()]
     heads = ["trial", "state", "loss", *_labels(calibration), *targets, "runs", "reason", "warnings"]
@@ -184,7 +230,8 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class CalibrationFile:
-    """A valid calibration: its content, scene files and targets by name, and the position of each key that it sets."""
+    """A valid calibration: its content, scene files and targets by name, and the position of each key that it
+    sets."""
 
     content: CalibrationInput
     name: str
@@ -196,15 +243,20 @@ class CalibrationFile:
 def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> CalibrationFile:
     """Read a calibration from a YAML file, or from a mapping with the same keys.
 
-    Paths are relative to the folder of the file, or to the working directory. Raises FileError with all problems.
+    Paths are relative to the folder of the file, or to the working directory. Raises FileError with all
+    problems.
     """
-    refuse_other("source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys")
+    refuse_other(
+        "source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys"
+    )
     if isinstance(source, Mapping):
         content, document = validated_mapping(source, CalibrationInput)
-        folder, name = Path(), "calibration"
+        folder = Path()
+        name = "calibration"
     else:
         content, document = validated_file(Path(source), CalibrationInput, "calibration")
-        folder, name = Path(source).parent, Path(source).stem
+        folder = Path(source).parent
+        name = Path(source).stem
     scenes = {each: folder / given.scene for each, given in content.scenes.items()}
     missing = [
         f"{document.value_position(('scenes', each, 'scene'))}: scenes.{each}.scene is {content.scenes[each].scene}, "
@@ -220,7 +272,9 @@ def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> Cali
     }
     positions: dict[str, str] = {}
     for scene, given in content.scenes.items():
-        positions |= {key: str(document.key_position(("scenes", scene, "set", key))) for key in given.settings}
+        positions |= {
+            key: str(document.key_position(("scenes", scene, "set", key))) for key in given.settings
+        }
         for parameter in content.parameters:
             position = str(document.key_position(("parameters", parameter)))
             positions |= dict.fromkeys(content.keys_of(parameter, scene), position)
@@ -242,9 +296,10 @@ def run_calibration(
 ) -> CalibrationResult | None:
     """Carry out the trials that have not ended, and write tables, page and the scenes with the best values.
 
-    `jobs`: number of simultaneous trials, default cores / threads; `stop`: stops all runs when it is set. The same
-    command in other processes adds workers. Returns None if no trial was completed. Raises GranflowError if the
-    calibration is not valid, or if jobs * threads exceeds the cores, and OutputError for files that cannot be written.
+    `jobs`: number of simultaneous trials, default cores / threads; `stop`: stops all runs when it is set. The
+    same command in other processes adds workers. Returns None if no trial was completed. Raises GranflowError
+    if the calibration is not valid, or if jobs * threads exceeds the cores, and OutputError for files that
+    cannot be written.
     """
     require_optuna(file.content.search.method)
     count = local_jobs(jobs, threads, worker_count(None)[0])
@@ -255,7 +310,8 @@ def run_calibration(
 def _run(
     file: CalibrationFile, out: Path, count: int, threads: int, stop: Event, report: Report
 ) -> CalibrationResult | None:
-    """As `run_calibration`, with `count` simultaneous trials; raises OSError for files that cannot be written."""
+    """As `run_calibration`, with `count` simultaneous trials; raises OSError for files that cannot be
+    written."""
     out.mkdir(parents=True, exist_ok=True)
     search = Search(file.content, out)
     stop_file = out / f".stop_{search.worker}"
@@ -278,14 +334,19 @@ def _run(
 
 
 class _Workers:
-    """Threads that carry out trials one after the other until all have begun, or until a stop is requested."""
+    """Threads that carry out trials one after the other until all have begun, or until a stop is
+    requested."""
 
     def __init__(self, runner: TrialRunner, count: int, stop: Event, report: Report) -> None:
-        self._runner, self._count, self._stop, self._report = runner, count, stop, report
+        self._runner = runner
+        self._count = count
+        self._stop = stop
+        self._report = report
         self._asking = Lock()
 
     def run(self) -> None:
-        """Carry out the trials. KeyboardInterrupt stops the runs, and is raised again when all have stopped."""
+        """Carry out the trials. KeyboardInterrupt stops the runs, and is raised again when all have
+        stopped."""
         interrupt: KeyboardInterrupt | None = None
         with ThreadPoolExecutor(self._count) as executor:
             running: set[Future[None]] = {executor.submit(self._work) for _ in range(self._count)}
@@ -304,7 +365,8 @@ class _Workers:
             raise interrupt
 
     def _work(self) -> None:
-        """Carry out trials in one thread. Raises GranflowError if the first trials all fail, or if a scene changes."""
+        """Carry out trials in one thread. Raises GranflowError if the first trials all fail, or if a scene
+        changes."""
         while not self._stop.is_set():
             with self._asking:
                 self._refuse_failures()
@@ -314,14 +376,18 @@ class _Workers:
                 return
             state = self._runner.run(trial)
             parameters = self._runner.search.calibration.parameters
-            values = ", ".join(f"{name} {parameters[name].text(value)}" for name, value in trial.params.items())
+            values = ", ".join(
+                f"{name} {parameters[name].text(value)}" for name, value in trial.params.items()
+            )
             self._report(f"trial {trial.number}: {values}: {state}")
 
     def _refuse_failures(self) -> None:
         """Raise GranflowError if all of the first trials have failed: the others would fail as well."""
         trials = self._runner.search.study.get_trials(deepcopy=False)
         reasons = [trial.user_attrs["reason"] for trial in trials if "reason" in trial.user_attrs]
-        if len(reasons) >= MOST_FAILURES and len(reasons) == sum(trial.state.is_finished() for trial in trials):
+        if len(reasons) >= MOST_FAILURES and len(reasons) == sum(
+            trial.state.is_finished() for trial in trials
+        ):
             raise GranflowError(f"The first {len(reasons)} trials failed. The last reason: {reasons[-1]}")
 
 
@@ -335,14 +401,15 @@ def calibrate(
 
         best = granflow.calibrate("calibration.yaml", jobs=2)
 
-    source:   calibration file (YAML), or a mapping with the same keys, with paths relative to the working directory
+    source:   calibration file (YAML), or a mapping with the same keys, with paths relative to the working
+              directory
     out:      directory of the results; default: out/NAME. Trials in it that have ended are not repeated
     jobs:     simultaneous trials; default: cores / threads
     threads:  CPU threads of each run
     Returns:  one row per parameter: value in the best trial, optimum_of_fit and its standard_deviation (SI),
               identified, remark. `attrs`: loss, and the lists targets and conflicts
-    Raises:   GranflowError with all problems of the calibration, if no trial was completed, or if Optuna or pandas
-              (pip install pandas) is missing
+    Raises:   GranflowError with all problems of the calibration, if no trial was completed, or if Optuna or
+              pandas (pip install pandas) is missing
     """
     study = read_calibration(source)
     try:

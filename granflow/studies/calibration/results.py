@@ -1,4 +1,5 @@
-"""Results of a calibration: best values with uncertainties, targets, conflicts, and the scenes with the best values."""
+"""Results of a calibration: best values with uncertainties, targets, conflicts, and the scenes with the best
+values."""
 
 import shutil
 from collections.abc import Mapping, Sequence
@@ -38,8 +39,9 @@ from granflow.studies.run_process import overrides_of
 # What the targets determine: effects of the parameters over their bounds, and uncertainties at the best
 # values.
 #
-# 1. Effect: a residual responds to a parameter if the terms with the parameter improve a polynomial fit to all trials
-#    that have this residual, by an F test at LEVEL, divided by the number of residuals (Bonferroni).
+# 1. Effect: a residual responds to a parameter if the terms with the parameter improve a polynomial fit to
+#    all trials that have this residual, by an F test at LEVEL, divided by the number of residuals
+#    (Bonferroni).
 # 2. Uncertainty: the targets determine the parameters with the covariance
 #
 #     C = (sum of J J^T / (1 + s^2) + 12 I)^-1
@@ -57,17 +59,17 @@ UNIFORM_VARIANCE = 1.0 / 12.0
 WINDOW_FACTOR = 1.25
 """Ratio of the numbers of trials of two fits that follow each other."""
 NOT_IDENTIFIED = 0.5
-"""Ratio of the standard deviation of a parameter to that of the uniform distribution between its bounds, above which
-the targets do not identify it."""
+"""Ratio of the standard deviation of a parameter to that of the uniform distribution between its bounds,
+above which the targets do not identify it."""
 
 
 @dataclass(frozen=True)
 class Effects:
     """Effects of the parameters on the residuals over the bounds; arrays (residuals, d).
 
-    `change`: of a residual from the lower to the upper bound of a parameter, averaged over the other parameters;
-    `error`: its standard error; `probability`: of an effect of this size by scatter alone, for all residuals together.
-    `trials` (residuals,): number of trials that have each residual.
+    `change`: of a residual from the lower to the upper bound of a parameter, averaged over the other
+    parameters; `error`: its standard error; `probability`: of an effect of this size by scatter alone, for
+    all residuals together. `trials` (residuals,): number of trials that have each residual.
     """
 
     change: np.ndarray
@@ -86,15 +88,19 @@ class Effects:
 
 
 def effects(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray) -> Effects:
-    """Effects of parameters u (trials, d) on residuals (trials, residuals) with standard errors of the same shape.
+    """Effects of parameters u (trials, d) on residuals (trials, residuals) with standard errors of the same
+    shape.
 
-        F = (RSS of the fit without the terms of a parameter - RSS of the full fit) / (number of these terms s^2)
+        F = (RSS of the fit without the terms of a parameter - RSS of the full fit) / (number of these terms
+        s^2)
 
-    A residual that a trial does not have is nan. Each one needs the `fewest_trials` for a fit of first degree.
+    A residual that a trial does not have is nan. Each one needs the `fewest_trials` for a fit of first
+    degree.
     """
     known = np.isfinite(residuals)
     found = [
-        _effect(u[has], r[has, None], e[has, None]) for has, r, e in zip(known.T, residuals.T, errors.T, strict=True)
+        _effect(u[has], r[has, None], e[has, None])
+        for has, r, e in zip(known.T, residuals.T, errors.T, strict=True)
     ]
     change, error, probability = np.array(found).transpose(1, 0, 2)
     return Effects(change, error, np.minimum(probability * len(found), 1.0), known.sum(axis=0))
@@ -113,7 +119,9 @@ def _effect(u: np.ndarray, residual: np.ndarray, error: np.ndarray) -> np.ndarra
         high = low.copy()
         low[0, k], high[0, k] = 0.0, 1.0
         contrast = (terms(high, degree) - terms(low, degree))[0]
-        has_parameter = terms(np.eye(count)[[k]] + 2.0, degree)[0] != terms(np.full((1, count), 2.0), degree)[0]
+        has_parameter = (
+            terms(np.eye(count)[[k]] + 2.0, degree)[0] != terms(np.full((1, count), 2.0), degree)[0]
+        )
         excess = _squares(matrix[:, ~has_parameter], residual) - full
         ratio = max(excess, 0.0) / (has_parameter.sum() * response.scatter[0] ** 2)
         found[0, k] = contrast @ response.coefficients[:, 0]
@@ -129,11 +137,13 @@ def _squares(matrix: np.ndarray, residual: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Identification:
-    """What the targets determine: standard deviation (d,) of each parameter in [0, 1]; responses to each parameter.
+    """What the targets determine: standard deviation (d,) of each parameter in [0, 1]; responses to each
+    parameter.
 
-    `optimum` (d,): parameters in [0, 1] with the smallest sum of squares of the fitted residuals. `importance` (d,):
-    share of each parameter in the squared gradients of the residuals at the best values; 0 if no target responds to the
-    parameter there.
+    `optimum` (d,): parameters in [0, 1] with the smallest sum of squares of the fitted residuals.
+    `importance` (d,):
+    share of each parameter in the squared gradients of the residuals at the best values; 0 if no target
+    responds to the parameter there.
     """
 
     deviation: np.ndarray
@@ -173,11 +183,15 @@ class Identification:
         return f"{name} cannot be identified from the targets: {reason}."
 
 
-def identification(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: int) -> Identification | None:
-    """What the targets determine near trial `best`; see the module docstring. None with too few completed trials.
+def identification(
+    u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: int
+) -> Identification | None:
+    """What the targets determine near trial `best`; see the module docstring. None with too few completed
+    trials.
 
-    `u`: parameters (trials, d) in [0, 1]; `residuals` and their standard `errors`: (trials, residuals), nan where a
-    trial was stopped before; `best`: index of the best of the completed trials, which have all residuals.
+    `u`: parameters (trials, d) in [0, 1]; `residuals` and their standard `errors`: (trials, residuals), nan
+    where a trial was stopped before; `best`: index of the best of the completed trials, which have all
+    residuals.
     """
     completed = np.isfinite(residuals).all(axis=1)
     if highest_degree(int(completed.sum()), u.shape[1]) == 0:
@@ -201,7 +215,9 @@ def _local_fits(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: 
     highest = highest_degree(*u.shape)
     near = len(nearest_trials(u, best, highest))
     order = by_distance(u, best)
-    fits, squares, significant = [], [], []
+    fits = []
+    squares = []
+    significant = []
     for degree in range(1, highest + 1):
         for count in _window_sizes(near, len(u)):
             used = order[:count]
@@ -209,7 +225,8 @@ def _local_fits(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: 
             squares.append(_left_out(u[used], residuals[used], degree)[:near] ** 2)
             significant.append((_significant(fits[-1], u[best]) != 0.0).sum(axis=1))
     error = np.mean(squares, axis=1)
-    smallest, columns = error.argmin(axis=0), np.arange(residuals.shape[1])
+    smallest = error.argmin(axis=0)
+    columns = np.arange(residuals.shape[1])
     spread = np.std(squares, axis=1, ddof=1)[smallest, columns] / np.sqrt(near)
     allowed = error <= error[smallest, columns] + spread
     rank = np.where(allowed, significant, -1)
@@ -232,7 +249,8 @@ def _significant(response: Response, at: np.ndarray) -> np.ndarray:
 
 
 def _left_out(u: np.ndarray, residuals: np.ndarray, degree: int) -> np.ndarray:
-    """Deviations (trials, residuals) of each trial from the fit to all other trials: e / (1 - h), h: leverage."""
+    """Deviations (trials, residuals) of each trial from the fit to all other trials: e / (1 - h), h:
+    leverage."""
     matrix = terms(u, degree)
     hat = matrix @ np.linalg.pinv(matrix)
     return np.asarray((residuals - hat @ residuals) / np.maximum(1.0 - np.diag(hat), EXACT)[:, None])
@@ -244,12 +262,13 @@ FEWEST_TRIALS = 20
 
 @dataclass(frozen=True)
 class BestValue:
-    """Value of a parameter in the best trial, optimum of the fit to all trials, and standard deviation of the latter.
+    """Value of a parameter in the best trial, optimum of the fit to all trials, and standard deviation of the
+    latter.
 
-    `optimum`: nan without a fit and for a parameter that the targets do not identify; `deviation`: nan without a fit;
-    `importance`: share of the parameter in the response of the targets, 0 to 1, nan without a fit; `not_identified`: a
-    sentence if the targets do not identify the parameter, otherwise empty; `shown`: texts of value, optimum and
-    standard deviation in the unit of the bounds.
+    `optimum`: nan without a fit and for a parameter that the targets do not identify; `deviation`: nan
+    without a fit; `importance`: share of the parameter in the response of the targets, 0 to 1, nan without a
+    fit; `not_identified`: a sentence if the targets do not identify the parameter, otherwise empty; `shown`:
+    texts of value, optimum and standard deviation in the unit of the bounds.
     """
 
     name: str
@@ -264,8 +283,9 @@ class BestValue:
 class BestTarget(NamedTuple):
     """A target at the best values: measured (nan for a curve) and simulated value, deviation in tolerances.
 
-    `error`: standard error that the run gives for the simulated value, in tolerances; 0 if it has none. `shown`: texts
-    of the measured and the simulated value, with its error, in the unit in which the calibration gives the target.
+    `error`: standard error that the run gives for the simulated value, in tolerances; 0 if it has none.
+    `shown`: texts of the measured and the simulated value, with its error, in the unit in which the
+    calibration gives the target.
     """
 
     name: str
@@ -303,7 +323,8 @@ class CalibrationResult:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on parameters that are not identified, on scatter above a tolerance, on conflicts, and warnings."""
+        """Sentences on parameters that are not identified, on scatter above a tolerance, on conflicts, and
+        warnings."""
         unidentified = [each.not_identified for each in self.parameters if each.not_identified]
         return (
             *unidentified,
@@ -328,16 +349,21 @@ def result_of(search: Search, targets: Mapping[str, Measured]) -> CalibrationRes
     trials = tuple(search.study.get_trials(deepcopy=False))
     parameters = tuple(_best_values(search, targets, completed, best))
     return CalibrationResult(
-        completed[best].value, parameters, tuple(found), tuple(_conflicts(targets, completed)), trials,
+        completed[best].value,
+        parameters,
+        tuple(found),
+        tuple(_conflicts(targets, completed)),
+        trials,
         warnings_of_trial(completed[best]),
-    )  # fmt: skip
+    )
 
 
 def _best_values(
     search: Search, targets: Mapping[str, Measured], completed: Sequence[Any], best: int
 ) -> list[BestValue]:
     """Best values of all parameters, with their uncertainties."""
-    parameters, values = search.calibration.parameters, completed[best].params
+    parameters = search.calibration.parameters
+    values = completed[best].params
     trials = [*completed, *search.stopped_early()]
     u, residuals = search.scaled(trials)
     known = identification(u, residuals, search.standard_errors(trials), best)
@@ -345,7 +371,11 @@ def _best_values(
         few = f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are needed"
         return [
             _best_value(
-                name, each, values[name], (nan, nan, nan), f"{name} cannot be identified from the targets: {few}."
+                name,
+                each,
+                values[name],
+                (nan, nan, nan),
+                f"{name} cannot be identified from the targets: {few}.",
             )
             for name, each in parameters.items()
         ]
@@ -354,12 +384,15 @@ def _best_values(
         error = deviation_in_units(each, values[name], float(known.deviation[k]))
         optimum = from_unit(each, float(known.optimum[k])) if known.is_identified(k) else nan
         sentence = known.statement(list(parameters), k, _strongest_change(targets, known.effects, k))
-        found.append(_best_value(name, each, values[name], (optimum, error, float(known.importance[k])), sentence))
+        found.append(
+            _best_value(name, each, values[name], (optimum, error, float(known.importance[k])), sentence)
+        )
     return found
 
 
 def _strongest_change(targets: Mapping[str, Measured], effects: Effects, index: int) -> str:
-    """Text of the most significant effect of a parameter over its bounds, such as `angle changes by 2 ± 1 deg`."""
+    """Text of the most significant effect of a parameter over its bounds, such as
+    `angle changes by 2 ± 1 deg`."""
     names = [name for name, each in targets.items() for _ in each.value]
     strongest = effects.strongest(index)
     measured = targets[names[strongest]]
@@ -382,7 +415,8 @@ def _best_target(name: str, measured: Measured, trial: Any) -> BestTarget:
     value = float(measured.value[0]) if measured.time is None else nan
     size = deviation(measured, trial.user_attrs["residuals"], name)
     error = deviation(measured, trial.user_attrs["errors"], name)
-    quantity, simulated = measured.target.quantity, trial.user_attrs["simulated"][name]
+    quantity = measured.target.quantity
+    simulated = trial.user_attrs["simulated"][name]
     shown = given_text(measured, simulated, quantity)
     if error > 0.0 and measured.time is None:
         shown += f" \N{PLUS-MINUS SIGN} {error * measured.target.tolerance / measured.factor:.2g}"
@@ -412,8 +446,10 @@ def _conflicts(targets: Mapping[str, Measured], completed: Sequence[Any]) -> lis
 def write_best_scenes(
     out: Path, calibration: CalibrationInput, scenes: Mapping[str, Path], values: Mapping[str, float]
 ) -> list[Path]:
-    """Write each scene with the best values, ready to run: `best.yaml`, or `best_NAME.yaml` of several scenes."""
-    written, taken = [], dict[str, Path]()
+    """Write each scene with the best values, ready to run: `best.yaml`, or `best_NAME.yaml` of several
+    scenes."""
+    written = []
+    taken = dict[str, Path]()
     for name, path in scenes.items():
         scene = load_scene(path, overrides_of(settings_of(calibration, name, values)))
         copied = copied_scene(scene, taken)
@@ -427,7 +463,8 @@ def write_best_scenes(
 def _copy_inputs(scene: Scene, copied: Scene, out: Path) -> None:
     """Copy the input files of a scene to the directory, to the paths that `copied` contains."""
     for (_, name), (_, copy) in zip(scene.input_names(), copied.input_names(), strict=True):
-        source, target = (scene.folder / name).resolve(), out / copy
+        source = (scene.folder / name).resolve()
+        target = out / copy
         if source.exists() and target.resolve() != source:
             target.parent.mkdir(parents=True, exist_ok=True)
             with replacing(target) as temporary:
@@ -439,7 +476,8 @@ def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:
 
     None if missing.
     """
-    names, targets = [each.name for each in result.parameters], [each.name for each in result.targets]
+    names = [each.name for each in result.parameters]
+    targets = [each.name for each in result.targets]
     found: dict[str, list[Any]] = {"trial": [trial.number for trial in result.trials]}
     found["state"] = [state_of(trial) for trial in result.trials]
     found["loss"] = [trial.value if trial.state.name == "COMPLETE" else None for trial in result.trials]

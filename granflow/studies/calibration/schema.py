@@ -31,7 +31,9 @@ class CalibrationScene(Model):
     """A scene that each trial runs."""
 
     scene: FileName = Field(description="scene file, relative to the folder of this file")
-    settings: dict[Text, Any] = Field({}, alias="set", description="values of other keys of the scene in all trials")
+    settings: dict[Text, Any] = Field(
+        {}, alias="set", description="values of other keys of the scene in all trials"
+    )
 
 
 class Parameter(Model):
@@ -44,7 +46,8 @@ class Parameter(Model):
     keys_in: dict[Name, Keys] = Field({}, description="further keys by scene, which only this scene has")
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the upper bound is larger, both have one unit, and those of a logarithm are positive."""
+        """Yield a fault unless the upper bound is larger, both have one unit, and those of a logarithm are
+        positive."""
         yield from bound_faults(self.start, self.stop, self.scale)
 
     @property
@@ -73,7 +76,9 @@ class Target(Model):
     stage: Name | None = Field(
         None, description="with curve: stage whose beginning is time 0; default: that of the run"
     )
-    tolerance: Tolerance = Field(description="standard deviation of the measurement, in the unit of the quantity")
+    tolerance: Tolerance = Field(
+        description="standard deviation of the measurement, in the unit of the quantity"
+    )
     weight: q.Positive = Field(1.0, description="factor of the target in the loss")
 
     def faults(self) -> Iterator[Fault]:
@@ -104,7 +109,9 @@ class CalibrationInput(Model):
     """A calibration: scenes, parameters with bounds, and targets with tolerances."""
 
     title: Text | None = Field(None, description="title of the calibration, one line")
-    description: Text | None = Field(None, description="description of the calibration and its expected result")
+    description: Text | None = Field(
+        None, description="description of the calibration and its expected result"
+    )
     scenes: dict[Name, CalibrationScene] = Field(description="scenes that each trial runs, by name")
     parameters: dict[Text, Parameter] = Field(description="parameters by name; the default key is the name")
     targets: dict[Name, Target] = Field(description="targets by name")
@@ -138,7 +145,9 @@ class CalibrationInput(Model):
             for name in self.parameters:
                 for key in self.keys_of(name, scene):
                     if key in seen:
-                        yield whole(("parameters", name), f"sets {key}, which {seen[key]} sets too; keep one of them")
+                        yield whole(
+                            ("parameters", name), f"sets {key}, which {seen[key]} sets too; keep one of them"
+                        )
                     seen[key] = f"parameters.{name}"
 
     def keys_of(self, name: str, scene: str) -> tuple[str, ...]:

@@ -36,7 +36,8 @@ EXACT = 1e-9
 
 @dataclass(frozen=True)
 class Response:
-    """Fitted residuals: coefficients (terms, residuals), covariance factor (terms, terms), scatter (residuals,).
+    """Fitted residuals: coefficients (terms, residuals), covariance factor (terms, terms), scatter
+    (residuals,).
 
     `freedom`: number of trials less that of the terms.
     """
@@ -49,7 +50,8 @@ class Response:
 
     @property
     def least_ratio(self) -> float:
-        """Smallest significant ratio of a slope to its standard error: quantile of Student's t, 3 for many trials."""
+        """Smallest significant ratio of a slope to its standard error: quantile of Student's t, 3 for many
+        trials."""
         return float(stdtrit(self.freedom, 1.0 - LEVEL / 2.0))
 
     def at(self, u: np.ndarray) -> np.ndarray:
@@ -81,7 +83,8 @@ def fewest_trials(count: int, degree: int = 1) -> int:
 
 
 def fit_response(u: np.ndarray, residuals: np.ndarray, best: int) -> Response | None:
-    """Fit residuals (trials, residuals) over parameters u (trials, d), near trial `best`; None with too few trials.
+    """Fit residuals (trials, residuals) over parameters u (trials, d), near trial `best`; None with too few
+    trials.
 
     The degree is 2 if the trials suffice for it, else 1. The trials are those of `nearest_trials`.
     """
@@ -110,7 +113,8 @@ def by_distance(u: np.ndarray, best: int) -> np.ndarray:
 def fit(u: np.ndarray, residuals: np.ndarray, degree: int, errors: np.ndarray | None = None) -> Response:
     """Least squares of all residuals (trials, residuals) with the same terms.
 
-    `errors`: standard errors of the residuals (trials, residuals); the scatter about the fit is at least as large.
+    `errors`: standard errors of the residuals (trials, residuals); the scatter about the fit is at least as
+    large.
     """
     matrix = terms(u, degree)
     inverse = np.linalg.pinv(matrix)
@@ -143,23 +147,29 @@ def _term_slopes(u: np.ndarray, degree: int) -> np.ndarray:
 JOURNAL = "trials.journal"
 """File with all trials."""
 LOCK_GRACE = 10
-"""Time [s] after which the lock of the journal is that of a killed process; others hold it for some milliseconds."""
+"""Time [s] after which the lock of the journal is that of a killed process; others hold it for some
+milliseconds."""
 REFINED_SHARE = 0.3
-"""Share of the trials, the last ones, that evaluate the optimum of the fitted response instead of a sampled point."""
+"""Share of the trials, the last ones, that evaluate the optimum of the fitted response instead of a sampled
+point."""
 NEW_POINT = 1e-3
-"""Smallest distance of a refined point from all trials, in the scaled parameters; a closer one would add nothing."""
+"""Smallest distance of a refined point from all trials, in the scaled parameters; a closer one would add
+nothing."""
 FIRST_RANDOM = 10
 """Trials with random parameters before the sampler learns from them."""
 
 
 class Search:
-    """Trials of a calibration. Methods may be called from several threads, and several processes share the journal."""
+    """Trials of a calibration. Methods may be called from several threads, and several processes share the
+    journal."""
 
     def __init__(self, calibration: CalibrationInput, out: Path) -> None:
         self.optuna = require_optuna(calibration.search.method)
-        self.calibration, self._out = calibration, out
+        self.calibration = calibration
+        self._out = out
         self.worker = f"{socket.gethostname()}-{os.getpid()}"
-        journal, path = self.optuna.storages.journal, str(out / JOURNAL)
+        journal = self.optuna.storages.journal
+        path = str(out / JOURNAL)
         # Not the default lock: with a relative path it waits for ever for the lock of a killed process.
         lock = journal.JournalFileOpenLock(path, LOCK_GRACE)
         backend = _journal_of(journal, path, lock)
@@ -174,7 +184,8 @@ class Search:
         return self._out / "workers" / self.worker
 
     def _refuse_other(self, calibration: CalibrationInput) -> None:
-        """Raise GranflowError if the journal belongs to a calibration with other parameters, scenes or targets."""
+        """Raise GranflowError if the journal belongs to a calibration with other parameters, scenes or
+        targets."""
         text = calibration.model_dump_json(by_alias=True, exclude={"search", "title", "description"})
         earlier = self.study.user_attrs.get("calibration")
         if earlier is None:
@@ -202,15 +213,19 @@ class Search:
                 )
 
     def _sampler(self, existing: int) -> Any:
-        """The sampler of Optuna; `existing`: number of trials, so that a restart does not repeat random points."""
-        samplers, seed = self.optuna.samplers, self.calibration.search.seed + existing
+        """The sampler of Optuna; `existing`: number of trials, so that a restart does not repeat random
+        points."""
+        samplers = self.optuna.samplers
+        seed = self.calibration.search.seed + existing
         if self.calibration.search.method == "cma_es":
             return samplers.CmaEsSampler(seed=seed, n_startup_trials=1)
         if self.calibration.search.method == "gp":
             return samplers.GPSampler(seed=seed, n_startup_trials=FIRST_RANDOM)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # constant_liar and multivariate are marked as experimental
-            return samplers.TPESampler(seed=seed, n_startup_trials=FIRST_RANDOM, multivariate=True, constant_liar=True)
+            return samplers.TPESampler(
+                seed=seed, n_startup_trials=FIRST_RANDOM, multivariate=True, constant_liar=True
+            )
 
     def release_lost(self) -> None:
         """End the trials whose process is gone, and put their parameters first in the queue."""
@@ -229,7 +244,11 @@ class Search:
     def next_trial(self) -> Any:
         """The next trial, or None if all have begun."""
         states = self.optuna.trial.TrialState
-        begun = [t for t in self.study.get_trials(deepcopy=False) if t.state != states.WAITING and not self._is_lost(t)]
+        begun = [
+            t
+            for t in self.study.get_trials(deepcopy=False)
+            if t.state != states.WAITING and not self._is_lost(t)
+        ]
         waiting = self.study.get_trials(deepcopy=False, states=(states.WAITING,))
         if len(begun) >= self.calibration.search.trials:
             return None
@@ -250,7 +269,8 @@ class Search:
         found = self.calibration.parameters
         float_distribution = self.optuna.distributions.FloatDistribution
         return {
-            name: float_distribution(each.start, each.stop, log=each.scale == "log") for name, each in found.items()
+            name: float_distribution(each.start, each.stop, log=each.scale == "log")
+            for name, each in found.items()
         }
 
     def completed(self) -> list[Any]:
@@ -264,14 +284,16 @@ class Search:
         return [trial for trial in found if trial.user_attrs.get("residuals")]
 
     def scaled(self, trials: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (trials, d) scaled to [0, 1], and weighted residuals (trials, residuals), nan where missing.
+        """Parameters (trials, d) scaled to [0, 1], and weighted residuals (trials, residuals), nan where
+        missing.
 
         The first trial has been completed.
         """
         return self._unit_parameters(trials), _by_target(trials, "residuals")
 
     def standard_errors(self, trials: Sequence[Any]) -> np.ndarray:
-        """Standard errors (trials, residuals) of the weighted residuals, from the runs; 0 where these have none."""
+        """Standard errors (trials, residuals) of the weighted residuals, from the runs; 0 where these have
+        none."""
         return _by_target(trials, "errors")
 
     def _unit_parameters(self, trials: Sequence[Any]) -> np.ndarray:
@@ -283,7 +305,8 @@ class Search:
     def _enqueue_refined(self) -> None:
         """Enqueue the optimum of the response fitted to the trials near the best one, unless it was tried.
 
-        A trial that was stopped early or failed does not change the fit: its point would be tried again without end.
+        A trial that was stopped early or failed does not change the fit: its point would be tried again
+        without end.
         """
         trials = self.completed()
         if not trials:
@@ -294,7 +317,9 @@ class Search:
         if response is None:
             return
         found = response.optimum(u[best])
-        tried = self._unit_parameters([trial for trial in self.study.get_trials(deepcopy=False) if trial.params])
+        tried = self._unit_parameters(
+            [trial for trial in self.study.get_trials(deepcopy=False) if trial.params]
+        )
         if np.abs(tried - found).max(axis=1).min() > NEW_POINT:
             named = zip(self.calibration.parameters.items(), found, strict=True)
             self.study.enqueue_trial({name: from_unit(each, share) for (name, each), share in named})
@@ -303,8 +328,8 @@ class Search:
 def _journal_of(journal: Any, path: str, lock: Any) -> Any:
     """The journal of Optuna in a file, without damaged lines; `journal`: its module, `lock`: of the file.
 
-    A line that a full disk cuts off is removed before the next one is written: the operation has failed for the worker
-    that wrote it, and no other worker has read it.
+    A line that a full disk cuts off is removed before the next one is written: the operation has failed for
+    the worker that wrote it, and no other worker has read it.
     """
 
     class Journal(journal.JournalFileBackend):
@@ -341,7 +366,8 @@ def _journal_of(journal: Any, path: str, lock: Any) -> Any:
 
 
 def _remove_damaged_lines(path: Path) -> None:
-    """Remove the lines of a journal that are no operations; a whole operation behind a cut-off one is kept."""
+    """Remove the lines of a journal that are no operations; a whole operation behind a cut-off one is
+    kept."""
     lines = path.read_bytes().splitlines(keepends=True)
     kept = []
     for line in lines:
@@ -369,10 +395,13 @@ def _is_operation(line: bytes) -> bool:
 
 
 def _by_target(trials: Sequence[Any], attribute: str) -> np.ndarray:
-    """Numbers of all targets (trials, residuals) in an attribute of trials; nan for a target that a trial lacks."""
+    """Numbers of all targets (trials, residuals) in an attribute of trials; nan for a target that a trial
+    lacks."""
     counts = {name: len(values) for name, values in trials[0].user_attrs["residuals"].items()}
     found = [
-        np.concatenate([trial.user_attrs[attribute].get(name, [np.nan] * count) for name, count in counts.items()])
+        np.concatenate(
+            [trial.user_attrs[attribute].get(name, [np.nan] * count) for name, count in counts.items()]
+        )
         for trial in trials
     ]
     return np.array(found)
@@ -384,13 +413,17 @@ def require_optuna(method: str) -> Any:
         import optuna
         import optuna.storages.journal
     except ImportError:
-        raise GranflowError("Calibration requires Optuna, which is not installed: pip install optuna cmaes") from None
+        raise GranflowError(
+            "Calibration requires Optuna, which is not installed: pip install optuna cmaes"
+        ) from None
     for name, package in (("cma_es", "cmaes"), ("gp", "torch")):
         if method == name:
             try:
                 __import__(package)
             except ImportError:
-                raise GranflowError(f"search.method {name} requires {package}: pip install {package}") from None
+                raise GranflowError(
+                    f"search.method {name} requires {package}: pip install {package}"
+                ) from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
 

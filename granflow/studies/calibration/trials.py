@@ -43,10 +43,11 @@ CURVE_COLUMNS = ("time", "value")
 
 @dataclass(frozen=True)
 class Measured:
-    """A target with its measured values: `time` (n,) [s] of a curve, or None for a single value; `value` (n,).
+    """A target with its measured values: `time` (n,) [s] of a curve, or None for a single value; `value`
+    (n,).
 
-    `unit`: in which the file gives the value; empty: SI. `factor`: SI value of this unit. `position`: of the quantity
-    in the file.
+    `unit`: in which the file gives the value; empty: SI. `factor`: SI value of this unit. `position`: of the
+    quantity in the file.
     """
 
     target: Target
@@ -82,7 +83,9 @@ def read_target(target: Target, folder: Path, position: str) -> Measured:
     try:
         table = read_table(path)
     except OSError as error:
-        raise FileError(f"{position}: curve is {target.curve}, but {path} cannot be read: {error.strerror}.") from None
+        raise FileError(
+            f"{position}: curve is {target.curve}, but {path} cannot be read: {error.strerror}."
+        ) from None
     headings = [split_heading(name) for name in table.names] if table else []
     names = [name for name, _ in headings]
     missing = [name for name in CURVE_COLUMNS if name not in names]
@@ -97,14 +100,18 @@ def read_target(target: Target, folder: Path, position: str) -> Measured:
             unit = f"is in {si_unit}" if si_unit else "has no unit"
             raise FileError(f"{path}:{table.heading_line}: {what} {unit}, and {error}.") from None
     time, value = (table.complete().numbers(names.index(name)) for name in CURVE_COLUMNS)
-    time, value = time * factors[0], value * factors[1]
-    if not (len(time) and np.isfinite(time).all() and np.isfinite(value).all() and (np.diff(time) > 0.0).all()):
+    time = time * factors[0]
+    value = value * factors[1]
+    if not (
+        len(time) and np.isfinite(time).all() and np.isfinite(value).all() and (np.diff(time) > 0.0).all()
+    ):
         raise FileError(f"{path}: the rows must be numbers with increasing time; correct the table.")
     return Measured(target, time, value)
 
 
 def residuals(measured: Measured, directory: Path) -> np.ndarray:
-    """Weighted residuals (n,) of a completed run, whose squares add up to its share of the loss; nan if missing."""
+    """Weighted residuals (n,) of a completed run, whose squares add up to its share of the loss; nan if
+    missing."""
     return (simulated(measured, directory) - measured.value) * measured.scale
 
 
@@ -117,10 +124,11 @@ def simulated(measured: Measured, directory: Path) -> np.ndarray:
 
 
 def standard_errors(measured: Measured, directory: Path) -> np.ndarray:
-    """Standard errors (n,) of the weighted residuals of a completed run; 0 where it gives no error of its values.
+    """Standard errors (n,) of the weighted residuals of a completed run; 0 where it gives no error of its
+    values.
 
-    The error of `angle_of_repose.left` is `angle_of_repose_error.left`, that of `angle_of_repose_mean.left` is
-    `angle_of_repose_error_mean.left`.
+    The error of `angle_of_repose.left` is `angle_of_repose_error.left`, that of `angle_of_repose_mean.left`
+    is `angle_of_repose_error_mean.left`.
     """
     name = error_name(measured.target.quantity)
     named = replace(measured, target=measured.target.model_copy(update={"quantity": name}))
@@ -128,7 +136,8 @@ def standard_errors(measured: Measured, directory: Path) -> np.ndarray:
 
 
 def partial_loss(measured: Measured, directory: Path) -> float:
-    """Share of the loss that a curve has already in the time that the run has simulated; 0 for a single value.
+    """Share of the loss that a curve has already in the time that the run has simulated; 0 for a single
+    value.
 
     The loss at the end is at least as large.
     """
@@ -146,7 +155,8 @@ def _at_times(measured: Measured, series: TimeSeriesTable) -> np.ndarray:
     assert measured.time is not None
     columns = {column.name: column.values for column in series.columns}
     starts = {name: time for time, name in series.stages}
-    stage, name = measured.target.stage, measured.target.quantity
+    stage = measured.target.stage
+    name = measured.target.quantity
     if name not in columns or (stage is not None and stage not in starts):
         return np.full(len(measured.time), np.nan)
     times = measured.time + (0.0 if stage is None else starts[stage])
@@ -154,21 +164,24 @@ def _at_times(measured: Measured, series: TimeSeriesTable) -> np.ndarray:
 
 
 def shown_value(measured: Measured, values: np.ndarray) -> float:
-    """One number for a table: the value, or the root mean square difference of a curve from its measurement."""
+    """One number for a table: the value, or the root mean square difference of a curve from its
+    measurement."""
     if measured.time is None:
         return float(values[0])
     return float(np.sqrt(np.mean((values - measured.value) ** 2)))
 
 
 def deviation(measured: Measured, found: Mapping[str, list[float]], name: str) -> float:
-    """Deviation of a target in tolerances, from the weighted residuals of a trial; infinite without numbers."""
+    """Deviation of a target in tolerances, from the weighted residuals of a trial; infinite without
+    numbers."""
     values = np.array(found.get(name, [np.inf]))
     size = float(np.sqrt((values**2).sum() / measured.target.weight))
     return size if isfinite(size) else float("inf")
 
 
 def given_text(measured: Measured, value: float, quantity: str, digits: int = 5) -> str:
-    """Text of a value [SI] of a target, with the unit in which the calibration gives the target, or its SI unit."""
+    """Text of a value [SI] of a target, with the unit in which the calibration gives the target, or its SI
+    unit."""
     if measured.unit:
         return f"{value / measured.factor:.{digits}g} {measured.unit}"
     return f"{value:.{digits}g} {unit_of(quantity)}".rstrip()
@@ -209,9 +222,11 @@ class TrialRunner:
         return self.search.calibration
 
     def check(self) -> None:
-        """Check all scenes with the middle values of the parameters, and that they are those of all earlier trials.
+        """Check all scenes with the middle values of the parameters, and that they are those of all earlier
+        trials.
 
-        Curves are compared as they were read at the start. Raises GranflowError with the reason of the first refusal.
+        Curves are compared as they were read at the start. Raises GranflowError with the reason of the first
+        refusal.
         """
         middle = {name: from_unit(each, 0.5) for name, each in self._calibration.parameters.items()}
         inputs = {}
@@ -254,7 +269,8 @@ class TrialRunner:
         return f"loss {loss:.4g}"
 
     def _loss(self, trial: Any) -> float:
-        """The loss of a trial; residuals, simulated values and run directories become attributes of the trial."""
+        """The loss of a trial; residuals, simulated values and run directories become attributes of the
+        trial."""
         limit = self._limit()
         found: dict[str, list[float]] = {}
         shown: dict[str, float] = {}
@@ -282,33 +298,43 @@ class TrialRunner:
         return sum(float(np.sum(np.square(each))) for each in found.values())
 
     def _record(
-        self, trial: Any, found: Mapping[str, list[float]], shown: Mapping[str, float],
+        self,
+        trial: Any,
+        found: Mapping[str, list[float]],
+        shown: Mapping[str, float],
         errors: Mapping[str, list[float]],
-    ) -> None:  # fmt: skip
-        """Make the weighted residuals, simulated values and standard errors so far attributes of the trial."""
+    ) -> None:
+        """Make the weighted residuals, simulated values and standard errors so far attributes of the
+        trial."""
         known = [name for name in self.targets if name in found]
         trial.set_user_attr("residuals", {name: found[name] for name in known})
         trial.set_user_attr("simulated", dict(shown))
         trial.set_user_attr("errors", {name: errors[name] for name in known})
 
     def _limit(self) -> float:
-        """Loss above which a trial is stopped: the median of the completed trials; infinite for the first ones."""
+        """Loss above which a trial is stopped: the median of the completed trials; infinite for the first
+        ones."""
         losses = [trial.value for trial in self.search.completed()]
         return median(losses) if len(losses) >= FIRST_RANDOM else float("inf")
 
-    def _carry_out(self, trial: Any, number: int, run: CheckedRun, scene: str, before: float, limit: float) -> None:
+    def _carry_out(
+        self, trial: Any, number: int, run: CheckedRun, scene: str, before: float, limit: float
+    ) -> None:
         """Run a scene to its end, unless the calibration stops or the loss exceeds the limit.
 
-        `before`: loss of the scenes before; `number`: of the scene in the trial. Raises TrialStopped, Unpromising, or
-        TrialFailed.
+        `before`: loss of the scenes before; `number`: of the scene in the trial. Raises TrialStopped,
+        Unpromising, or TrialFailed.
         """
-        checked_at, bound = time.monotonic(), before
+        checked_at = time.monotonic()
+        bound = before
 
         def is_unpromising() -> bool:
             nonlocal checked_at, bound
             if time.monotonic() - checked_at > CHECK_INTERVAL:
                 checked_at = time.monotonic()
-                bound = before + sum(partial_loss(each, run.directory) for each in self._targets_of(scene).values())
+                bound = before + sum(
+                    partial_loss(each, run.directory) for each in self._targets_of(scene).values()
+                )
             return bound > limit
 
         if bound <= limit:
@@ -321,7 +347,9 @@ class TrialRunner:
     def _raise_unless_completed(self, outcome: Outcome) -> None:
         """Raise TrialFailed for a run without a result, and TrialStopped if the calibration stops."""
         if outcome.status == NOT_RUN:
-            if self.stop() or outcome.reason:  # with a reason: an input has changed, which the next check reports
+            if (
+                self.stop() or outcome.reason
+            ):  # with a reason: an input has changed, which the next check reports
                 raise TrialStopped
         elif not outcome.has_numbers:
             raise TrialFailed(f"{outcome.status}: {outcome.reason}")

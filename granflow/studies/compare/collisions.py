@@ -82,12 +82,17 @@ class LawSweep:
 
 
 def subject_of(scene: Scene, reference_velocity: float) -> CollisionSubject | None:
-    """Two equal particles of the scene's first group, of mean diameter; None if their pair has no restitution.
+    """Two equal particles of the scene's first group, of mean diameter; None if their pair has no
+    restitution.
 
-    `reference_velocity` [m/s]. Without a pair of the material with itself, another pair of the material is used.
+    `reference_velocity` [m/s]. Without a pair of the material with itself, another pair of the material is
+    used.
     """
     plan, (name, group) = automatic_plan(scene), next(iter(scene.particles.items()))
-    keys = [scene.pair_key(group.material, group.material), *(key for key in scene.pairs if group.material in key)]
+    keys = [
+        scene.pair_key(group.material, group.material),
+        *(key for key in scene.pairs if group.material in key),
+    ]
     key = next(key for key in keys if key in scene.pairs)
     pair = plan.pair(*key.split("-"))
     if pair.restitution is None:
@@ -106,19 +111,24 @@ def sweeps_of(
 ) -> list[LawSweep]:
     """Run the collisions with every contact model, with a fine time step and one from the reference velocity.
 
-    `steps`: names in STEPS. Fine: FINE_STEPS in the shortest collision; coarse: COARSE_STEPS in an elastic collision at
-    the reference velocity. Rejected combinations are in `LawSweep.refused`.
+    `steps`: names in STEPS. Fine: FINE_STEPS in the shortest collision; coarse: COARSE_STEPS in an elastic
+    collision at the reference velocity. Rejected combinations are in `LawSweep.refused`.
     """
     shortest = min(subject.duration(velocity) for velocity in subject.velocities)
-    elastic = float(theory.duration(1.0, subject.hertz_stiffness, subject.mass_eff, subject.reference_velocity))
+    elastic = float(
+        theory.duration(1.0, subject.hertz_stiffness, subject.mass_eff, subject.reference_velocity)
+    )
     time_steps = {"fine": shortest / FINE_STEPS, "coarse": elastic / COARSE_STEPS}
     found = []
     for variant in variants:
-        outcomes, refused = {}, {}
+        outcomes = {}
+        refused = {}
         for name in steps:
             try:
                 collisions = _collisions(scene, subject, variant)
-                outcomes[name] = collide_all(variant.normal, collisions, time_steps[name], arch, scene.run.precision)
+                outcomes[name] = collide_all(
+                    variant.normal, collisions, time_steps[name], arch, scene.run.precision
+                )
             except (GranflowError, SceneError, ValueError) as error:
                 refused[name] = str(error)
         found.append(LawSweep(variant, outcomes, refused))
@@ -129,14 +139,16 @@ def _collisions(scene: Scene, subject: CollisionSubject, variant: LawVariant) ->
     """Head-on collisions of the subject at all velocities, with the restitution of the variant."""
     material = scene.materials[subject.material].model_dump(by_alias=True, exclude_none=True)
     e = restitution_for(scene, subject.pair_key, str(variant.normal["law"]), subject.reference_velocity)
-    return [HeadOnCollision(material, e, subject.diameter, float(velocity)) for velocity in subject.velocities]
+    return [
+        HeadOnCollision(material, e, subject.diameter, float(velocity)) for velocity in subject.velocities
+    ]
 
 
 def sweep_columns(subject: CollisionSubject, sweeps: Sequence[LawSweep]) -> dict[str, np.ndarray]:
     """Columns of collisions.csv: one row per contact model, time step and velocity, in SI units.
 
-    Exact values: duration and maximum overlap of Zhou (2011), Eqs. 13 and 5, and the target restitution. Empty without
-    any outcome.
+    Exact values: duration and maximum overlap of Zhou (2011), Eqs. 13 and 5, and the target restitution.
+    Empty without any outcome.
     """
     velocity = subject.velocities
     exact = {
@@ -168,7 +180,9 @@ class CollisionDeviation:
     restitution: float
 
 
-def deviation(columns: dict[str, np.ndarray], law: str, step: str, over_reference: float) -> CollisionDeviation | None:
+def deviation(
+    columns: dict[str, np.ndarray], law: str, step: str, over_reference: float
+) -> CollisionDeviation | None:
     """Deviation of a contact model at a multiple of the reference velocity; None without such collisions.
 
     `columns`: from `sweep_columns`; `step`: name in STEPS.
@@ -180,7 +194,9 @@ def deviation(columns: dict[str, np.ndarray], law: str, step: str, over_referenc
     if not is_row.any():
         return None
     names = ("duration", "overlap_max", "restitution")
-    return CollisionDeviation(*(float(columns[n][is_row][0] / columns[f"{n}_exact"][is_row][0] - 1.0) for n in names))
+    return CollisionDeviation(
+        *(float(columns[n][is_row][0] / columns[f"{n}_exact"][is_row][0] - 1.0) for n in names)
+    )
 
 
 def floor_velocity(subject: CollisionSubject) -> float:

@@ -37,7 +37,16 @@ from granflow.studies.compare.runs import (
     variants_of,
 )
 from granflow.studies.compare.springs import Assessment, assess, soft_spring_note
-from granflow.studies.page import COLORS, MARKERS, Drawing, PageTable, stacked, stacked_panels, write_page, write_study
+from granflow.studies.page import (
+    COLORS,
+    MARKERS,
+    Drawing,
+    PageTable,
+    stacked,
+    stacked_panels,
+    write_page,
+    write_study,
+)
 from granflow.visible_text import readable
 
 # Figures of a comparison.
@@ -64,10 +73,14 @@ def drawings(
     figures = {
         "course.png": Drawing(lambda figure: draw_course(figure, runs), 7.0),
         "energies.png": Drawing(lambda figure: draw_energies(figure, runs), 0.8 + 1.6 * len(runs)),
-        "contacts.png": Drawing(lambda figure: draw_contacts(figure, runs), 0.6 + 2.4 * (1 + has_forces(runs))),
+        "contacts.png": Drawing(
+            lambda figure: draw_contacts(figure, runs), 0.6 + 2.4 * (1 + has_forces(runs))
+        ),
     }
     if subject is not None and collisions:
-        figures["collisions.png"] = Drawing(lambda figure: draw_collisions(figure, subject, collisions, runs), 8.0)
+        figures["collisions.png"] = Drawing(
+            lambda figure: draw_collisions(figure, subject, collisions, runs), 8.0
+        )
     return figures
 
 
@@ -90,7 +103,8 @@ def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
     panels = stacked_panels(figure, 4, sharex=True)
     meters = runs[0].meters
     for number, run in enumerate(runs):
-        style, columns = _style(number), run.columns
+        style = _style(number)
+        columns = run.columns
         first = columns[f"flow_mass.{meters[0]}"] if meters else 1e3 * columns["kinetic_energy"]
         panels[0].plot(columns["time"], first, label=run.variant.title, **style)
         panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 1], **style)
@@ -120,7 +134,8 @@ def draw_energies(figure: Any, runs: Sequence[VariantRun]) -> None:
 
 
 def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
-    """Draw the distribution of normal forces and the survival function of the contact duration, if there are any.
+    """Draw the distribution of normal forces and the survival function of the contact duration, if there are
+    any.
 
     The forces are those of the densest stage; the duration is the last panel.
     """
@@ -154,15 +169,26 @@ def _draw_forces(axes: Any, runs: Sequence[VariantRun]) -> None:
 def draw_collisions(
     figure: Any, subject: CollisionSubject, columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]
 ) -> None:
-    """Draw duration, maximum overlap and restitution over the exact values, with the fine and the reference step.
+    """Draw duration, maximum overlap and restitution over the exact values, with the fine and the reference
+    step.
 
-    `columns`: of collisions.csv. Dotted: reference velocity, and the lower velocity limit of Eq. 19 per contact.
+    `columns`: of collisions.csv. Dotted: reference velocity, and the lower velocity limit of Eq. 19 per
+    contact.
     """
     panels = stacked_panels(figure, 4, sharex=True)
-    shown = (("duration", "fine"), ("overlap_max", "fine"), ("restitution", "fine"), ("restitution", "coarse"))
+    shown = (
+        ("duration", "fine"),
+        ("overlap_max", "fine"),
+        ("restitution", "fine"),
+        ("restitution", "coarse"),
+    )
     titles = {run.variant.key: run.variant.title for run in runs}
     for number, law in enumerate(dict.fromkeys(columns["law"].tolist())):
-        style = _style(number) | {"marker": MARKERS[number % len(MARKERS)], "markersize": 3.5, "markerfacecolor": "w"}
+        style = _style(number) | {
+            "marker": MARKERS[number % len(MARKERS)],
+            "markersize": 3.5,
+            "markerfacecolor": "w",
+        }
         for axes, (name, step) in zip(panels, shown, strict=True):
             is_row = (columns["law"] == law) & (columns["step"] == step)
             ratio = columns[name][is_row] / columns[f"{name}_exact"][is_row]
@@ -205,7 +231,9 @@ def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: flo
     vertical = int(np.argmax(np.abs(up))) if up.any() else 2
     horizontal = 0 if vertical != 0 else 1
     depth = 3 - vertical - horizontal
-    shift, axis, view_axis = np.zeros(3), np.zeros(3), np.zeros(3)
+    shift = np.zeros(3)
+    axis = np.zeros(3)
+    view_axis = np.zeros(3)
     shift[horizontal] = (1.0 + GAP) * (high - low)[horizontal]
     axis[vertical] = 1.0 if up[vertical] >= 0.0 else -1.0
     view_axis[depth] = -1.0 if (horizontal, vertical, depth) == (0, 2, 1) else 1.0
@@ -237,7 +265,8 @@ MISSING = "–"
 
 
 class Unit(NamedTuple):
-    """SI unit of a value, unit in the table, and its value in SI units; empty text for dimensionless values."""
+    """SI unit of a value, unit in the table, and its value in SI units; empty text for dimensionless
+    values."""
 
     si: str
     shown: str
@@ -255,8 +284,9 @@ Quantity = tuple[str, Unit, Callable[[VariantRun], float]]
 class SummaryRow:
     """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value.
 
-    The first run is the reference of the ratios. `is_complete`: whether the value refers to a complete run, or does not
-    depend on the run; ratios of other values are nan. `at_stage`: whether the value refers to the densest stage.
+    The first run is the reference of the ratios. `is_complete`: whether the value refers to a complete run,
+    or does not depend on the run; ratios of other values are nan. `at_stage`: whether the value refers to the
+    densest stage.
     """
 
     name: str
@@ -281,7 +311,11 @@ class SummaryRow:
 def _height(stage: str, column: int, run: VariantRun) -> float:
     """Height [m] in the sample nearest to the end of a stage; nan if a run did not complete the stage."""
     time = at_end(stage, "time")(run)
-    return run.heights[np.argmin(np.abs(run.heights[:, 0] - time)), column] if np.isfinite(time) else float("nan")
+    return (
+        run.heights[np.argmin(np.abs(run.heights[:, 0] - time)), column]
+        if np.isfinite(time)
+        else float("nan")
+    )
 
 
 TIME_STEP: Quantity = ("time step", MICROSECOND, lambda run: run.time_step)
@@ -327,7 +361,8 @@ def _bed(stage: str) -> tuple[Quantity, ...]:
 
 
 def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies that are not all zero."""
+    """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies that are not all
+    zero."""
 
     is_complete = tuple(not run.stopped for run in runs)
 
@@ -344,12 +379,17 @@ def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
         *rows(map(_flow, runs[0].meters)),
         *rows(_bed(densest_stage(runs)), at_stage=True),
     ]
-    found += [*rows(CONTACTS), *(row for row in rows(ENERGY_QUANTITIES) if any(row.values)), *rows([ENERGY_ERROR])]
+    found += [
+        *rows(CONTACTS),
+        *(row for row in rows(ENERGY_QUANTITIES) if any(row.values)),
+        *rows([ENERGY_ERROR]),
+    ]
     return [row for row in found if np.isfinite(row.values).any()]
 
 
 def heads(runs: Sequence[VariantRun], is_short: bool = False) -> list[str]:
-    """Column headings of the table, on several lines; `is_short`: those of ratios name the first contact model only."""
+    """Column headings of the table, on several lines; `is_short`: those of ratios name the first contact
+    model only."""
     first, *others = (run.variant.title.replace(" ", "\n", 1) for run in runs)
     pairs = ((title, f"over\n{first}" if is_short else f"{title}\nover {first}") for title in others)
     return ["", "unit", first, *(head for pair in pairs for head in pair)]
@@ -369,7 +409,8 @@ def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
 
 
 def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> dict[str, np.ndarray]:
-    """Columns of compare.csv: one row per quantity and contact model, with values in SI units and their ratios."""
+    """Columns of compare.csv: one row per quantity and contact model, with values in SI units and their
+    ratios."""
     laws = [run.variant.key for run in runs]
     return {
         "quantity": np.repeat([row.name for row in rows], len(laws)),
@@ -397,8 +438,8 @@ Four contact models then run within minutes on two cores.
 class SceneComparison:
     """Settings and results of a comparison.
 
-    `reference_velocity` [m/s]; `reduced`: particle counts of the groups that were reduced; `until` [s]: end of each
-    run; `refused`: reason by title of the variant; `collisions`: columns of collisions.csv.
+    `reference_velocity` [m/s]; `reduced`: particle counts of the groups that were reduced; `until` [s]: end
+    of each run; `refused`: reason by title of the variant; `collisions`: columns of collisions.csv.
     """
 
     scene: Scene
@@ -436,10 +477,11 @@ def compare(
 ) -> SceneComparison:
     """Run the scene with each contact model and write tables, figures, PVD files and the page into `out`.
 
-    `laws`: names of contact models. `reference_velocity` [m/s]: impact velocity for the constant linear spring, by
-    default a tenth of the largest impact velocity. `until` [s] ends each run early. Unless `all_particles`, scenes with
-    more than MOST_PARTICLES particles are reduced. `report` receives progress messages. Runs of an earlier call with
-    the same arguments in `out` are kept, unless `repeat`; `prepare`: called with the directory of each other run.
+    `laws`: names of contact models. `reference_velocity` [m/s]: impact velocity for the constant linear
+    spring, by default a tenth of the largest impact velocity. `until` [s] ends each run early. Unless
+    `all_particles`, scenes with more than MOST_PARTICLES particles are reduced. `report` receives progress
+    messages. Runs of an earlier call with the same arguments in `out` are kept, unless `repeat`; `prepare`:
+    called with the directory of each other run.
 
     Raises GranflowError if no contact model can run the scene.
     """
@@ -458,7 +500,7 @@ def compare(
     columns = sweep_columns(subject, sweeps) if subject is not None else {}
     found = SceneComparison(
         scene, velocity, reduced_counts(scene, most), until, runs, refused, subject, sweeps, columns
-    )  # fmt: skip
+    )
     write_all(found, out, report)
     return found
 
@@ -497,7 +539,8 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
 def _tables(found: SceneComparison) -> dict[str, dict[str, np.ndarray]]:
     """Columns of compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv.
 
-    All in SI units; forces are relative to the mean of their frame. collisions.csv only if collisions were simulated.
+    All in SI units; forces are relative to the mean of their frame. collisions.csv only if collisions were
+    simulated.
     """
     keyed = [(run.variant.key, run) for run in found.runs]
     forces = ("force_over_mean_from", "force_over_mean_to", "density", "contact_count")
@@ -505,16 +548,22 @@ def _tables(found: SceneComparison) -> dict[str, dict[str, np.ndarray]]:
     tables = {
         "compare.csv": summary_columns(found.runs, found.rows),
         "heights.csv": stacked(
-            ("law", "time", "height_of_center", "height_of_surface"), [(key, *run.heights.T) for key, run in keyed]
+            ("law", "time", "height_of_center", "height_of_surface"),
+            [(key, *run.heights.T) for key, run in keyed],
         ),
-        "forces.csv": stacked(("law", "stage", *forces), [
-            (key, stage, *bins, run.forces.density(stage), count[:-1])
-            for key, run in keyed for stage, count in run.forces.counts.items()
-        ]),
+        "forces.csv": stacked(
+            ("law", "stage", *forces),
+            [
+                (key, stage, *bins, run.forces.density(stage), count[:-1])
+                for key, run in keyed
+                for stage, count in run.forces.counts.items()
+            ],
+        ),
         "durations.csv": stacked(
-            ("law", "time_in_contact", "share_lasting_longer"), [(key, *run.duration_survival) for key, run in keyed]
+            ("law", "time_in_contact", "share_lasting_longer"),
+            [(key, *run.duration_survival) for key, run in keyed],
         ),
-    }  # fmt: skip
+    }
     return tables | ({"collisions.csv": found.collisions} if found.collisions else {})
 
 
@@ -537,9 +586,7 @@ def size_note(found: SceneComparison) -> str:
 
 def stage_note(found: SceneComparison) -> str:
     """Sentence on the stage of the starred rows."""
-    return (
-        f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces: all frames of it."
-    )
+    return f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces: all frames of it."
 
 
 def stop_notes(found: SceneComparison) -> list[str]:

@@ -1,7 +1,7 @@
 """Run of one variant to its end or abort, with all compared quantities.
 
-The output of each run is that of `granflow run`, in a separate directory, and a record with the other quantities: a
-comparison that was stopped continues with the missing runs.
+The output of each run is that of `granflow run`, in a separate directory, and a record with the other
+quantities: a comparison that was stopped continues with the missing runs.
 """
 
 import hashlib
@@ -69,8 +69,9 @@ class FollowedContacts:
 class ContactFollower:
     """Tracks contacts with a nonzero force through one burst of samples.
 
-    A contact begins and ends midway between the two samples that bracket the change. Contacts in the first sample are
-    ignored; contacts in the last sample are censored. Contacts shorter than the interval between samples can be missed.
+    A contact begins and ends midway between the two samples that bracket the change. Contacts in the first
+    sample are ignored; contacts in the last sample are censored. Contacts shorter than the interval between
+    samples can be missed.
     """
 
     def __init__(self, followed: FollowedContacts) -> None:
@@ -92,7 +93,9 @@ class ContactFollower:
             self._record(has_ended, middle, has_ended=True)
             since = np.full(len(contacts.keys), middle)
             since[new] = self._since[old]
-        self._contacts, self._since, self._time = contacts, since, snapshot.time
+        self._contacts = contacts
+        self._since = since
+        self._time = snapshot.time
 
     def close(self) -> None:
         """End the burst."""
@@ -107,8 +110,9 @@ class ContactFollower:
 class ActingContacts(NamedTuple):
     """Contacts with a force above zero: integer key (n,) of the two partners, and branch vector (n, 3) [m].
 
-    A pair has several contacts where a particle is in contact with several triangles of one mesh, two clumps with
-    several of their spheres, or two particles directly and across a periodic face; these have equal keys.
+    A pair has several contacts where a particle is in contact with several triangles of one mesh, two clumps
+    with several of their spheres, or two particles directly and across a periodic face; these have equal
+    keys.
     """
 
     keys: np.ndarray
@@ -116,25 +120,30 @@ class ActingContacts(NamedTuple):
 
 
 def acting_contacts(snapshot: Snapshot) -> ActingContacts:
-    """The contacts of a snapshot with a force above zero; keys and branch vectors depend on the two partners only.
+    """The contacts of a snapshot with a force above zero; keys and branch vectors depend on the two partners
+    only.
 
-    Walls have numbers from FIRST_WALL_KEY on, above all ids. The branch vector points from the lower to the higher one.
+    Walls have numbers from FIRST_WALL_KEY on, above all ids. The branch vector points from the lower to the
+    higher one.
     """
     contacts = snapshot.contacts
     assert contacts is not None
     first, second, wall = (contacts[name].astype(np.int64) for name in ("id_i", "id_j", "wall"))
     other = np.where(wall >= 0, FIRST_WALL_KEY + wall, second)
     low, high = np.minimum(first, other), np.maximum(first, other)
-    branch = np.where((first <= other)[:, None], 1.0, -1.0) * (contacts["position_j"] - contacts["position_i"])
+    branch = np.where((first <= other)[:, None], 1.0, -1.0) * (
+        contacts["position_j"] - contacts["position_i"]
+    )
     acting = contacts["normal_force"] > 0.0
     return ActingContacts((low * KEY_BASE + high)[acting], branch[acting])
 
 
 def continued(before: ActingContacts, after: ActingContacts) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (m,) of the contacts that continue from one sample to the next, in the first and in the second one.
+    """Indices (m,) of the contacts that continue from one sample to the next, in the first and in the second
+    one.
 
-    The contact of a pair with one contact in both samples continues. Of a pair with several, those with the nearest
-    branch vectors are the same contact, the nearest two first.
+    The contact of a pair with one contact in both samples continues. Of a pair with several, those with the
+    nearest branch vectors are the same contact, the nearest two first.
     """
     rows_before, rows_after = _rows_by_key(before.keys), _rows_by_key(after.keys)
     found: list[tuple[int, int]] = []
@@ -161,12 +170,13 @@ def _rows_by_key(keys: np.ndarray) -> dict[int, list[int]]:
 
 
 def survival(observed: np.ndarray, has_ended: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Survival function of the contact duration: times (m,) of observed ends [s], and share (m,) that lasts longer.
+    """Survival function of the contact duration: times (m,) of observed ends [s], and share (m,) that lasts
+    longer.
 
         S(t) = product over t_i <= t of (1 - d_i / n_i)
 
-    d_i: ended at t_i, n_i: at risk. Estimator of Kaplan and Meier (1958): a censored contact counts as at risk until
-    its observation ends. `observed` (n,) [s], `has_ended` (n,) bool.
+    d_i: ended at t_i, n_i: at risk. Estimator of Kaplan and Meier (1958): a censored contact counts as at
+    risk until its observation ends. `observed` (n,) [s], `has_ended` (n,) bool.
     """
     times = np.unique(observed[has_ended])
     at_risk = len(observed) - np.searchsorted(np.sort(observed), times)
@@ -175,7 +185,8 @@ def survival(observed: np.ndarray, has_ended: np.ndarray) -> tuple[np.ndarray, n
 
 
 def median_of(times: np.ndarray, share: np.ndarray) -> float:
-    """Median duration [s] of a survival function; nan if more than half of the contacts outlast the observation.
+    """Median duration [s] of a survival function; nan if more than half of the contacts outlast the
+    observation.
 
     `times` (m,) [s], `share` (m,): from `survival`.
     """
@@ -280,7 +291,8 @@ class ForceHistogram:
         return np.asarray(found[:-1] / (found.sum() * np.diff(FORCE_EDGES[:-1])))
 
     def share_above(self, stage: str, multiple: float) -> float:
-        """Share of contacts of a stage with more than this multiple of the mean force, which must be a bin edge.
+        """Share of contacts of a stage with more than this multiple of the mean force, which must be a bin
+        edge.
 
         Between 0 and 1; nan for a stage without frames.
         """
@@ -293,8 +305,8 @@ class ForceHistogram:
 class ContactBursts:
     """Samples all contacts in short bursts at several times of the run; see `ContactFollower`.
 
-    `times`: sample times [s] of each burst, in ascending order; `spacing` [s]: time between the samples of a burst.
-    `followed`: the observed contacts.
+    `times`: sample times [s] of each burst, in ascending order; `spacing` [s]: time between the samples of a
+    burst. `followed`: the observed contacts.
     """
 
     wants = frozenset({"contacts"})
@@ -338,7 +350,8 @@ class ContactBursts:
 # Linear springs have the stiffness of Eq. 19 (Zhou 2011), per contact or at the reference velocity.
 
 LINEAR_KEYS = ("linear_onset", "linear_reference")
-"""Directories of the two variants of the linear contact model: spring per contact, and from the reference velocity."""
+"""Directories of the two variants of the linear contact model: spring per contact, and from the reference
+velocity."""
 TYPICAL_SHARE = 0.1
 """Default reference velocity over the largest expected impact velocity."""
 
@@ -364,11 +377,15 @@ def law_names(given: str) -> tuple[str, ...]:
     """
     names = tuple(part.strip() for part in given.split(",") if part.strip())
     if not names:
-        raise GranflowError("--laws is empty: give at least one contact model, such as --laws zhou,linear,hertz.")
+        raise GranflowError(
+            "--laws is empty: give at least one contact model, such as --laws zhou,linear,hertz."
+        )
     for number, name in enumerate(names):
         if name not in models("normal"):
             remedy = suggestion_or_list(name, models("normal"), "contact models")
-            raise GranflowError(f"Unknown contact model {name}. {remedy if remedy.endswith('?') else remedy + '.'}")
+            raise GranflowError(
+                f"Unknown contact model {name}. {remedy if remedy.endswith('?') else remedy + '.'}"
+            )
         if name in names[:number]:
             raise GranflowError(f"The contact model {name} is repeated: give each once.")
     return names
@@ -389,8 +406,8 @@ def variants_of(
 ) -> list[LawVariant]:
     """The scene with each contact model, `linear` twice: per contact and from the reference velocity [m/s].
 
-    Every variant has its automatic time step and computes the energy budget. `most_particles` reduces the groups
-    without explicit positions in proportion.
+    Every variant has its automatic time step and computes the energy budget. `most_particles` reduces the
+    groups without explicit positions in proportion.
     """
     found = []
     for key, title, normal in _normals(scene, laws, reference_velocity):
@@ -424,8 +441,8 @@ def _normals(scene: Scene, laws: Sequence[str], velocity: float) -> Iterator[tup
 def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: int | None) -> dict[str, Any]:
     """Scene description with the contact model, in the structure of a scene file.
 
-    With an automatic time step, the energy budget and without expectations; `most`: largest number of particles or
-    None.
+    With an automatic time step, the energy budget and without expectations; `most`: largest number of
+    particles or None.
     """
     described = scene.model_dump(by_alias=True, exclude_none=True)
     described["contact"]["normal"] = dict(normal)
@@ -443,12 +460,14 @@ def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: i
 
 
 def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
-    """Restitution of a pair for a contact model: that of the scene, or the value of Eq. 12 at the velocity [m/s].
+    """Restitution of a pair for a contact model: that of the scene, or the value of Eq. 12 at the velocity
+    [m/s].
 
-    `pair`: key in `pairs`. The result is a number or a mapping as in a scene; None if the contact model derives it from
-    the materials, or if the scene does not define it.
+    `pair`: key in `pairs`. The result is a number or a mapping as in a scene; None if the contact model
+    derives it from the materials, or if the scene does not define it.
     """
-    kind, given = models("normal")[law].restitution, scene.pairs[pair].restitution
+    kind = models("normal")[law].restitution
+    given = scene.pairs[pair].restitution
     if kind == "nothing" or given is None or isinstance(given, float):
         return None if kind == "nothing" else given
     if kind == "positive number":
@@ -462,7 +481,11 @@ def reduced_counts(scene: Scene, most: int | None) -> dict[str, int]:
     In proportion, at least 1 per group. Empty without a limit, or if the scene is below it.
     """
     explicit_kinds = ("positions", "file")
-    scalable = {name: group.count for name, group in scene.particles.items() if group.insert.kind not in explicit_kinds}
+    scalable = {
+        name: group.count
+        for name, group in scene.particles.items()
+        if group.insert.kind not in explicit_kinds
+    }
     explicit_count = sum(group.count for group in scene.particles.values()) - sum(scalable.values())
     if most is None or explicit_count + sum(scalable.values()) <= most:
         return {}
@@ -485,8 +508,8 @@ SAMPLES_PER_CONTACT = 8
 class VariantRun:
     """Result of one variant.
 
-    `columns`: columns of timeseries.csv by name without unit, (rows,) each; `time`: simulated time [s]; `time_step` [s]
-    and `step_limit`: time step of the plan, and what limits it.
+    `columns`: columns of timeseries.csv by name without unit, (rows,) each; `time`: simulated time [s];
+    `time_step` [s] and `step_limit`: time step of the plan, and what limits it.
     """
 
     variant: LawVariant
@@ -513,7 +536,8 @@ class VariantRun:
         return [name.partition(".")[2] for name in self.columns if name.startswith("flow_mass.")]
 
     def mass_flow(self, meter: str) -> float:
-        """Steady mass flow rate [kg/s] through a meter, as reported by `granflow run` (`flow_meters.steady_flow`)."""
+        """Steady mass flow rate [kg/s] through a meter, as reported by `granflow run`
+        (`flow_meters.steady_flow`)."""
         columns = (self.columns[name].tolist() for name in ("time", "stage", f"flow_mass.{meter}"))
         return steady_flow(list(zip(*columns, strict=True)))
 
@@ -540,13 +564,15 @@ def run_variant(
 ) -> VariantRun | str:
     """Run a variant with output into `out`; returns the reason if its contact model cannot run the scene.
 
-    `arch`: backend; `reference_velocity` [m/s] determines the interval of contact samples; `until` [s]: end of the run,
-    or None. An aborted run is returned with the message in `stopped`.
+    `arch`: backend; `reference_velocity` [m/s] determines the interval of contact samples; `until` [s]: end
+    of the run, or None. An aborted run is returned with the message in `stopped`.
     """
     assert variant.scene is not None
     scene = variant.scene
-    heights, forces = BedHeights.of(scene), ForceHistogram()
-    end, output = min(scene.longest_duration, until or np.inf), scene.output
+    heights = BedHeights.of(scene)
+    forces = ForceHistogram()
+    end = min(scene.longest_duration, until or np.inf)
+    output = scene.output
     try:
         spacing = hertz_duration(scene, reference_velocity) / SAMPLES_PER_CONTACT
         bursts_observer = ContactBursts(list(bursts(end, BURSTS, SAMPLES, spacing)), spacing)
@@ -599,12 +625,18 @@ def record_start(out: Path, identity: str) -> None:
 def record_run(out: Path, identity: str, run: VariantRun) -> None:
     """Record a run that has ended."""
     numbers = {
-        "identity": identity, "series": file_digest(out / SERIES), "time_step": run.time_step,
+        "identity": identity,
+        "series": file_digest(out / SERIES),
+        "time_step": run.time_step,
         "step_limit": run.step_limit,
-        "step_count": run.step_count, "time": run.time, "seconds": run.seconds,
-        "compile_seconds": run.compile_seconds, "stopped": run.stopped, "typical_speed": run.typical_speed,
+        "step_count": run.step_count,
+        "time": run.time,
+        "seconds": run.seconds,
+        "compile_seconds": run.compile_seconds,
+        "stopped": run.stopped,
+        "typical_speed": run.typical_speed,
         "stages": list(run.forces.counts),
-    }  # fmt: skip
+    }
     observed, has_ended = run.followed.arrays()
     counts = {f"force_counts_{k}": each for k, each in enumerate(run.forces.counts.values())}
     _write_record(out, numbers, heights=run.heights, observed=observed, has_ended=has_ended, **counts)
@@ -633,19 +665,38 @@ def has_begun(variant: LawVariant, out: Path, identity: str) -> bool:
 
 
 def kept_run(variant: LawVariant, out: Path, identity: str) -> VariantRun | None:
-    """The run with this identity that has ended in a directory; None without, or if its files have changed."""
+    """The run with this identity that has ended in a directory; None without, or if its files have
+    changed."""
     found = _record(out)
-    if found is None or found[0].get("identity") != identity or found[0].get("series") != file_digest(out / SERIES):
+    if (
+        found is None
+        or found[0].get("identity") != identity
+        or found[0].get("series") != file_digest(out / SERIES)
+    ):
         return None
     numbers, arrays = found
-    forces, followed = ForceHistogram(), FollowedContacts([arrays["observed"]], [arrays["has_ended"]])
+    forces = ForceHistogram()
+    followed = FollowedContacts([arrays["observed"]], [arrays["has_ended"]])
     forces.counts = {stage: arrays[f"force_counts_{k}"] for k, stage in enumerate(numbers["stages"])}
-    keys = ("time_step", "step_limit", "step_count", "time", "seconds", "compile_seconds", "stopped", "typical_speed")
+    keys = (
+        "time_step",
+        "step_limit",
+        "step_count",
+        "time",
+        "seconds",
+        "compile_seconds",
+        "stopped",
+        "typical_speed",
+    )
     columns = dict(read_run(out).timeseries_arrays)
     return VariantRun(
-        variant, **{key: numbers[key] for key in keys}, columns=columns, heights=arrays["heights"], forces=forces,
+        variant,
+        **{key: numbers[key] for key in keys},
+        columns=columns,
+        heights=arrays["heights"],
+        forces=forces,
         followed=followed,
-    )  # fmt: skip
+    )
 
 
 def _record(out: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
@@ -660,7 +711,8 @@ def _record(out: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
 
 
 def hertz_duration(scene: Scene, velocity: float) -> float:
-    """Duration [s] of the shortest elastic collision in the scene at an approach velocity [m/s] (Eq. 13, e = 1)."""
+    """Duration [s] of the shortest elastic collision in the scene at an approach velocity [m/s] (Eq. 13, e =
+    1)."""
     durations = []
     for pair_case in automatic_plan(scene).pair_cases:
         k = theory.hertz_stiffness(pair_case.pair.modulus_eff, pair_case.radius_eff)
@@ -669,16 +721,24 @@ def hertz_duration(scene: Scene, velocity: float) -> float:
 
 
 def run_all(
-    variants: Sequence[LawVariant], directories: Sequence[Path], arch: str, reference_velocity: float,
-    until: float | None, report: Callable[[str], None], prepare: Callable[[Path], None], repeat: bool,
-) -> tuple[list[VariantRun], dict[str, str]]:  # fmt: skip
+    variants: Sequence[LawVariant],
+    directories: Sequence[Path],
+    arch: str,
+    reference_velocity: float,
+    until: float | None,
+    report: Callable[[str], None],
+    prepare: Callable[[Path], None],
+    repeat: bool,
+) -> tuple[list[VariantRun], dict[str, str]]:
     """Run every variant, each into the directory at the same position; runs of an earlier call are kept.
 
-    `prepare`: called before the first run with each directory that does not contain the run of its variant, which may
-    be a stopped one; it raises an error for other results. `repeat`: no run is kept.
-    Returns the runs, and the reasons of rejected variants by title. Raises GranflowError if no variant can run.
+    `prepare`: called before the first run with each directory that does not contain the run of its variant,
+    which may be a stopped one; it raises an error for other results. `repeat`: no run is kept.
+    Returns the runs, and the reasons of rejected variants by title. Raises GranflowError if no variant can
+    run.
     """
-    ran, refused = [], {each.title: each.refused for each in variants if each.scene is None}
+    ran = []
+    refused = {each.title: each.refused for each in variants if each.scene is None}
     planned = []
     for variant, out in zip(variants, directories, strict=True):
         if variant.scene is None:
@@ -710,17 +770,21 @@ def run_all(
 def densest_stage(runs: Sequence[VariantRun]) -> str:
     """Stage at the end of which the first complete run has the most contacts.
 
-    Only stages with rows in all complete runs qualify: a stage that waits for rest may end before its first row.
+    Only stages with rows in all complete runs qualify: a stage that waits for rest may end before its first
+    row.
     """
     finished = [run for run in runs if not run.stopped] or list(runs[:1])
     columns = finished[0].columns
-    ends = {stage: count for stage, count in zip(columns["stage"].tolist(), columns["contact_count"], strict=True)}
+    ends = {
+        stage: count for stage, count in zip(columns["stage"].tolist(), columns["contact_count"], strict=True)
+    }
     shared = [stage for stage in ends if all(stage in run.columns["stage"] for run in finished)]
     return max(shared or list(ends), key=lambda stage: ends[stage])
 
 
 def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:
-    """Function that returns the value of a column at the end of a stage; nan if a run did not complete the stage."""
+    """Function that returns the value of a column at the end of a stage; nan if a run did not complete the
+    stage."""
 
     def number(run: VariantRun) -> float:
         row = run.at_end_of(stage)

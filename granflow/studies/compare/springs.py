@@ -35,19 +35,24 @@ class Assessment:
 
 
 def drift(columns: Mapping[str, np.ndarray], law: str, over_reference: float) -> CollisionDeviation | None:
-    """Relative change of the ratio of simulated to exact values from the reference velocity to a multiple of it.
+    """Relative change of the ratio of simulated to exact values from the reference velocity to a multiple of
+    it.
 
         (s / s_exact at over_reference * v) / (s / s_exact at v) - 1
 
     None if the columns lack these collisions.
     """
-    at_multiple, at_reference = (deviation(dict(columns), law, "fine", multiple) for multiple in (over_reference, 1.0))
+    at_multiple, at_reference = (
+        deviation(dict(columns), law, "fine", multiple) for multiple in (over_reference, 1.0)
+    )
     if at_multiple is None or at_reference is None:
         return None
-    return CollisionDeviation(*(
-        (1.0 + getattr(at_multiple, name)) / (1.0 + getattr(at_reference, name)) - 1.0
-        for name in ("duration", "overlap_max", "restitution")
-    ))  # fmt: skip
+    return CollisionDeviation(
+        *(
+            (1.0 + getattr(at_multiple, name)) / (1.0 + getattr(at_reference, name)) - 1.0
+            for name in ("duration", "overlap_max", "restitution")
+        )
+    )
 
 
 def assess(columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]) -> list[Assessment]:
@@ -68,16 +73,20 @@ def assess_collisions(columns: Mapping[str, np.ndarray]) -> list[Assessment]:
 
 def _worst(*drifts: CollisionDeviation) -> float:
     """Largest magnitude of the relative changes of contact duration and maximum overlap."""
-    return max(abs(number) for per_contact in drifts for number in (per_contact.duration, per_contact.overlap_max))
+    return max(
+        abs(number) for per_contact in drifts for number in (per_contact.duration, per_contact.overlap_max)
+    )
 
 
 def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
     """Assess the accuracy of the spring from one velocity a decade away from it.
 
-    Theory: relative to those of Hertz, duration and overlap change by the factor 10^0.2 per decade of velocity.
+    Theory: relative to those of Hertz, duration and overlap change by the factor 10^0.2 per decade of
+    velocity.
     """
     part = "A spring from one velocity is wrong an order of magnitude away from it"
-    slow, fast = drift(columns, ONE_SPRING, 1.0 / DECADE), drift(columns, ONE_SPRING, DECADE)
+    slow = drift(columns, ONE_SPRING, 1.0 / DECADE)
+    fast = drift(columns, ONE_SPRING, DECADE)
     if slow is None or fast is None:
         return Assessment(part, None, "The comparison does not include linear.")
     worst = _worst(slow, fast)
@@ -93,10 +102,12 @@ def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
 def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
     """Assess the accuracy of Eq. 19 per contact over both decades.
 
-    The changes must be below TOLERANCE; constant deviations result from the linear spring and are only reported.
+    The changes must be below TOLERANCE; constant deviations result from the linear spring and are only
+    reported.
     """
     part = "Eq. 19 per contact corrects it"
-    slow, fast = drift(columns, PER_CONTACT, 1.0 / DECADE), drift(columns, PER_CONTACT, DECADE)
+    slow = drift(columns, PER_CONTACT, 1.0 / DECADE)
+    fast = drift(columns, PER_CONTACT, DECADE)
     at_reference = deviation(dict(columns), PER_CONTACT, "fine", 1.0)
     if slow is None or fast is None or at_reference is None:
         return Assessment(part, None, "The comparison does not include linear.")
@@ -153,7 +164,8 @@ def _assess_scene(runs: Sequence[VariantRun]) -> list[Assessment]:
 
     A deviation above TOLERANCE counts as wrong.
     """
-    one_spring_part, per_contact_part = "In this scene one spring fails", "In this scene Eq. 19 per contact corrects it"
+    one_spring_part = "In this scene one spring fails"
+    per_contact_part = "In this scene Eq. 19 per contact corrects it"
     one_spring, per_contact = (
         next((run for run in runs if run.variant.key == key), None) for key in (ONE_SPRING, PER_CONTACT)
     )
@@ -165,7 +177,9 @@ def _assess_scene(runs: Sequence[VariantRun]) -> list[Assessment]:
         off, text = _bed_overlap(run, runs)
         is_wrong = bool(run.stopped) or abs(off) > TOLERANCE
         measured = bool(run.stopped) or bool(np.isfinite(off))
-        found.append(Assessment(part, (is_wrong if run is one_spring else not is_wrong) if measured else None, text))
+        found.append(
+            Assessment(part, (is_wrong if run is one_spring else not is_wrong) if measured else None, text)
+        )
     return found
 
 
@@ -177,11 +191,15 @@ def _bed_overlap(run: VariantRun, runs: Sequence[VariantRun]) -> tuple[float, st
     stage = densest_stage(runs)
     finished = [other for other in runs if not other.stopped] or list(runs)
     reference = next((other for other in finished if other.variant.key == "hertz"), finished[0])
-    off, count = float("nan"), at_end(stage, "contact_count")(reference)
+    off = float("nan")
+    count = at_end(stage, "contact_count")(reference)
     if count >= MIN_CONTACTS:
         off = at_end(stage, "overlap_mean")(run) / at_end(stage, "overlap_mean")(reference) - 1.0
     if run.stopped:
-        return off, f"The run was aborted at {run.time:.4g} s: {run.stopped.partition(': ')[2].partition('. ')[0]}."
+        return (
+            off,
+            f"The run was aborted at {run.time:.4g} s: {run.stopped.partition(': ')[2].partition('. ')[0]}.",
+        )
     if not np.isfinite(off):
         return (
             off,
@@ -207,14 +225,15 @@ def _percent(share: float, signed: bool = True) -> str:
 # Sentence on a spring from one velocity that is softer than the contacts of the scene require.
 
 MARGIN = 1.5
-"""Velocity over the reference velocity above which the spring counts as too soft: at a wall of the same material, the
-overlap of an impact is that of two particles at 1.2 times the velocity."""
+"""Velocity over the reference velocity above which the spring counts as too soft: at a wall of the same
+material, the overlap of an impact is that of two particles at 1.2 times the velocity."""
 
 
 def soft_spring_note(runs: Sequence[VariantRun], subject: CollisionSubject | None) -> str:
     """The sentence, if the largest overlap is that of an impact above the reference velocity; otherwise "".
 
-    The overlap is that of the first complete run without this spring. It determines a velocity by Eq. 5 of Zhou (2011):
+    The overlap is that of the first complete run without this spring. It determines a velocity by Eq. 5 of
+    Zhou (2011):
 
         d / d0 = (v / v0)^(4/5)        K / K0 = (v / v0)^(2/5)        (Eq. 19)
     """

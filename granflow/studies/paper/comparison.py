@@ -37,7 +37,8 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
 
 @dataclass(frozen=True)
 class CandidateModel:
-    """A contact model with its settings and the matched parameter of each material: restitution or yield strength [Pa].
+    """A contact model with its settings and the matched parameter of each material: restitution or yield
+    strength [Pa].
 
     One entry per case of PAPER_CASES; None for the parameter that the model does not use.
     """
@@ -63,7 +64,9 @@ class CandidateModel:
             text_parts.append("Eq. 12 with sigma and psi of the paper")
         if any(self.yield_strengths):
             text_parts.append(
-                "yield strength " + " and ".join(f"{(y or 0.0) / 1e9:.3g}" for y in self.yield_strengths) + " GPa"
+                "yield strength "
+                + " and ".join(f"{(y or 0.0) / 1e9:.3g}" for y in self.yield_strengths)
+                + " GPa"
             )
         return "; ".join(text_parts)
 
@@ -75,7 +78,8 @@ def _as_text(value: Any) -> str:
 
 
 def candidate_model(name: str) -> CandidateModel:
-    """Contact model matched to Eq. 12 at the reference velocity for both materials, by its single free parameter.
+    """Contact model matched to Eq. 12 at the reference velocity for both materials, by its single free
+    parameter.
 
     Raises KeyError for an unknown name, ValueError if the model rejects the materials.
     """
@@ -108,9 +112,12 @@ def theoretical_restitution(law: Any, case: PaperCase, pair: PairMaterial, veloc
 
 
 def _matched_number(law: Any, case: PaperCase, e: float) -> float:
-    """Restitution number of the pair for which the contact model has restitution e at the reference velocity."""
+    """Restitution number of the pair for which the contact model has restitution e at the reference
+    velocity."""
     return _root(
-        lambda number: theoretical_restitution(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0
+        lambda number: theoretical_restitution(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e,
+        0.05,
+        1.0,
     )
 
 
@@ -118,7 +125,9 @@ def _matched_strength(law: Any, case: PaperCase, e: float) -> float:
     """Yield strength [Pa] for which the contact model has restitution e at the reference velocity."""
     low, high = 1e-3 * case.modulus_eff, 0.1 * case.modulus_eff
     return _root(
-        lambda y: theoretical_restitution(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e, low, high
+        lambda y: theoretical_restitution(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e,
+        low,
+        high,
     )
 
 
@@ -142,11 +151,13 @@ class LawComparison:
 def compare(velocities: np.ndarray = VELOCITIES) -> LawComparison:
     """Simulate collisions of both materials at all velocities (n,) [m/s] with all contact models.
 
-    The time step is the shortest collision duration of Zhou's model over STEPS_PER_CONTACT. Models that reject the
-    materials or the time step are in `LawComparison.refused`.
+    The time step is the shortest collision duration of Zhou's model over STEPS_PER_CONTACT. Models that
+    reject the materials or the time step are in `LawComparison.refused`.
     """
     comparison = LawComparison()
-    shortest = min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in PAPER_CASES)
+    shortest = min(
+        float(case.durations(restitution_of(case, velocities), velocities).min()) for case in PAPER_CASES
+    )
     for name in models("normal"):
         try:
             model = candidate_model(name)
@@ -173,21 +184,36 @@ def comparison_figure(comparison: LawComparison, velocities: np.ndarray = VELOCI
 
     `velocities` (n,) [m/s]: those of `compare`. One deviation per model that ran.
     """
-    count, rows, deviations = len(velocities), [], []
+    count = len(velocities)
+    rows = []
+    deviations = []
     for name, (model, outcomes) in comparison.ran.items():
         requested_values = []
         for number, case in enumerate(PAPER_CASES):
             given = case.fit if isinstance(model.restitutions[number], dict) else model.restitutions[number]
             pair = pair_of(case, given, model.yield_strengths[number])
             requested_values += [theoretical_restitution(model.law, case, pair, float(v)) for v in velocities]
-        materials, titles = (np.repeat([getattr(c, n) for c in PAPER_CASES], count) for n in ("name", "title"))
+        materials, titles = (
+            np.repeat([getattr(c, n) for c in PAPER_CASES], count) for n in ("name", "title")
+        )
         speeds = np.tile(velocities, len(PAPER_CASES))
         laws = np.repeat(name, len(speeds))
-        rows.append((laws, materials, speeds, np.array(requested_values), outcomes.restitution, outcomes.duration))
+        rows.append(
+            (laws, materials, speeds, np.array(requested_values), outcomes.restitution, outcomes.duration)
+        )
         where = [f"{v:.3g} m/s ({m})" for v, m in zip(speeds, titles, strict=True)]
         text = f"simulated e with {name} from its theoretical value"
-        deviations.append(relative_deviation(text, outcomes.restitution, np.array(requested_values), where.__getitem__))
-    names = ("law", "material", "velocity", "restitution_promised", "restitution_simulated", "duration_simulated")
+        deviations.append(
+            relative_deviation(text, outcomes.restitution, np.array(requested_values), where.__getitem__)
+        )
+    names = (
+        "law",
+        "material",
+        "velocity",
+        "restitution_promised",
+        "restitution_simulated",
+        "duration_simulated",
+    )
     columns = {key: np.concatenate(parts) for key, parts in zip(names, zip(*rows, strict=True), strict=True)}
     caption = (
         "Restitution coefficient (above) and collision duration (below) of simulated collisions of two spheres of "
@@ -206,9 +232,14 @@ def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
         for number, law in enumerate(laws):
             mine = (columns["law"] == law) & (columns["material"] == case.name)
             style = {
-                "color": COLORS[number % len(COLORS)], "marker": MARKERS[number % len(MARKERS)], "label": law,
-                "markersize": 6.0 - 0.5 * number, "markerfacecolor": "white", "markeredgewidth": 0.8, "linewidth": 0.9,
-            }  # fmt: skip
+                "color": COLORS[number % len(COLORS)],
+                "marker": MARKERS[number % len(MARKERS)],
+                "label": law,
+                "markersize": 6.0 - 0.5 * number,
+                "markerfacecolor": "white",
+                "markeredgewidth": 0.8,
+                "linewidth": 0.9,
+            }
             velocity = columns["velocity"][mine]
             panels[0, column].plot(velocity, columns["restitution_simulated"][mine], **style)
             panels[1, column].plot(velocity, 1e6 * columns["duration_simulated"][mine], **style)
@@ -287,26 +318,38 @@ def _simulation(model: CandidateModel) -> Simulation:
 
     SIDE^3 particles at CLOSENESS diameters; loading and unloading contacts occur with equal frequency.
     """
-    case, strength, restitution = PAPER_CASES[0], model.yield_strengths[0], model.restitutions[0]
-    count, reach = SIDE**3, case.diameter * (SIDE + 1)
+    case = PAPER_CASES[0]
+    strength = model.yield_strengths[0]
+    restitution = model.restitutions[0]
+    count = SIDE**3
+    reach = case.diameter * (SIDE + 1)
     low, high = [-case.diameter] * 3, [reach] * 3
-    scene = Scene.from_dict({
-        "title": "Lattice for timing of contacts",
-        "gravity": [0, 0, 0],
-        "materials": {"steel": {**case.material, **({"yield_strength": strength} if strength else {})}},
-        "pairs": {"steel-steel": {"friction": 0} | ({} if restitution is None else {"restitution": restitution})},
-        "contact": {"normal": model.normal, "tangential": "none", "rolling": "none"},
-        "particles": {"lattice": {
-            "material": "steel", "diameter": case.diameter, "count": count,
-            "insert": {"kind": "lattice", "region": {"box": {"min": low, "max": high}}},
-        }},
-        "domain": {"min": low, "max": high, "on_exit": "error"},
-        "run": {"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 1.0, "precision": "f64"},
-        "output": {"interval": 1.0},
-    })  # fmt: skip
+    scene = Scene.from_dict(
+        {
+            "title": "Lattice for timing of contacts",
+            "gravity": [0, 0, 0],
+            "materials": {"steel": {**case.material, **({"yield_strength": strength} if strength else {})}},
+            "pairs": {
+                "steel-steel": {"friction": 0} | ({} if restitution is None else {"restitution": restitution})
+            },
+            "contact": {"normal": model.normal, "tangential": "none", "rolling": "none"},
+            "particles": {
+                "lattice": {
+                    "material": "steel",
+                    "diameter": case.diameter,
+                    "count": count,
+                    "insert": {"kind": "lattice", "region": {"box": {"min": low, "max": high}}},
+                }
+            },
+            "domain": {"min": low, "max": high, "on_exit": "error"},
+            "run": {"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 1.0, "precision": "f64"},
+            "output": {"interval": 1.0},
+        }
+    )
     axis = CLOSENESS * case.diameter * np.arange(SIDE)
     positions = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     velocities = np.random.default_rng(1).uniform(-1.0, 1.0, positions.shape)
-    numbers, radii = np.zeros(count, dtype=np.int32), np.full(count, 0.5 * case.diameter)
+    numbers = np.zeros(count, dtype=np.int32)
+    radii = np.full(count, 0.5 * case.diameter)
     particles = ParticleData(positions, velocities, np.zeros_like(positions), radii, numbers, numbers)
     return Simulation(scene, particles=particles)

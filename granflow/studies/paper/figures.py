@@ -31,8 +31,8 @@ STEPS_PER_CONTACT = 200
 class PaperCase:
     """Two equal spheres of one solid.
 
-    `material` as in a scene; `fit`: e(v) of Zhou (2011), Eq. 12; `yield_velocity` [m/s] for Thornton's e(v); `diameter`
-    [m].
+    `material` as in a scene; `fit`: e(v) of Zhou (2011), Eq. 12; `yield_velocity` [m/s] for Thornton's e(v);
+    `diameter` [m].
     """
 
     name: str
@@ -57,19 +57,23 @@ class PaperCase:
         return float(theory.hertz_stiffness(self.modulus_eff, 0.25 * (diameter or self.diameter)))
 
     def duration(self, e: float, velocity: float, diameter: float | None = None) -> float:
-        """Collision duration [s] for a restitution `e`, an approach velocity [m/s] and a diameter [m] (Eq. 13)."""
+        """Collision duration [s] for a restitution `e`, an approach velocity [m/s] and a diameter [m] (Eq.
+        13)."""
         return float(theory.duration(e, self.stiffness(diameter), self.mass_eff(diameter), velocity))
 
     def durations(self, e: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Collision durations (n,) [s] at the diameter of the case, for restitutions (n,) and velocities (n,) [m/s]."""
+        """Collision durations (n,) [s] at the diameter of the case, for restitutions (n,) and velocities (n,)
+        [m/s]."""
         return np.array([self.duration(float(a), float(v)) for a, v in zip(e, velocity, strict=True)])
 
     def springs(self, velocity: np.ndarray) -> np.ndarray:
-        """Stiffness (n,) [N/m] of the linear spring with the same energy at velocities (n,) [m/s] (Eq. 19)."""
+        """Stiffness (n,) [N/m] of the linear spring with the same energy at velocities (n,) [m/s] (Eq.
+        19)."""
         return np.asarray(theory.equivalent_spring(self.stiffness(), self.mass_eff(), velocity))
 
     def diameter_lasting(self, duration: float, e: float, velocity: float) -> float:
-        """Diameter [m] of spheres with the given collision duration [s], which is proportional to the diameter."""
+        """Diameter [m] of spheres with the given collision duration [s], which is proportional to the
+        diameter."""
         return self.diameter * duration / self.duration(e, velocity)
 
     def head_on(self, restitution: Any, velocity: float, diameter: float | None = None) -> HeadOnCollision:
@@ -97,7 +101,8 @@ PAPER_CASES = (
 
 
 def small_soft_case() -> PaperCase:
-    """Spheres of the estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; no Poisson ratio is given, 0.3 is chosen."""
+    """Spheres of the estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; no Poisson ratio is given, 0.3 is
+    chosen."""
     solid = Solid(1e8, 0.3, 1e3)
     material = {"young_modulus": 1e8, "poisson_ratio": 0.3, "density": 1e3}
     return PaperCase("estimate", "R = 0.1 mm, E = 0.1 GPa", solid, material, diameter=2e-4)
@@ -181,13 +186,15 @@ TARGET_RESTITUTION, TARGET_DURATION = 1e-3, 5e-3
 
 
 def residual_run(restitutions: np.ndarray = RESIDUAL_RESTITUTIONS) -> Outcomes:
-    """Simulate one pair per restitution (n,), with a diameter such that each collision takes exactly 200 steps.
+    """Simulate one pair per restitution (n,), with a diameter such that each collision takes exactly 200
+    steps.
 
     The duration is that of Zhou (2011), Eq. 13.
     """
     duration = CASE.duration(1.0, VELOCITY)
     pairs = [
-        CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in restitutions
+        CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY))
+        for e in restitutions
     ]
     return collide_all("zhou", pairs, duration / STEPS_PER_CONTACT)
 
@@ -200,36 +207,51 @@ def residual_figure(outcomes: Outcomes, e: np.ndarray = RESIDUAL_RESTITUTIONS) -
     exact = 1.0 - theory.recovery(e)
     simulated = outcomes.overlap_residual / outcomes.overlap_max
     whole = np.full_like(e, STEPS_PER_CONTACT * outcomes.time_step)
-    plain, clear = slice(None), e >= RESOLVED - 1e-9
+    plain = slice(None)
+    clear = e >= RESOLVED - 1e-9
 
     def at(chosen: Any) -> Any:
         return lambda index: f"e = {e[chosen][index]:.3g}"
 
     deviations = (
-        relative_deviation("x from Eq. 8, relative to δmax", 1.0 + simulated - exact, np.ones_like(e), at(plain)),
+        relative_deviation(
+            "x from Eq. 8, relative to δmax", 1.0 + simulated - exact, np.ones_like(e), at(plain)
+        ),
         relative_deviation("T from Eq. 13", outcomes.duration, whole, at(plain), TARGET_DURATION),
         relative_deviation(
             f"simulated from given e, for e from {RESOLVED:g} on",
-            outcomes.restitution[clear], e[clear], at(clear), TARGET_RESTITUTION,
+            outcomes.restitution[clear],
+            e[clear],
+            at(clear),
+            TARGET_RESTITUTION,
         ),
         relative_deviation(
-            "simulated from given e, for all e", outcomes.restitution, e, at(plain), TARGET_RESTITUTION, _few_steps()
+            "simulated from given e, for all e",
+            outcomes.restitution,
+            e,
+            at(plain),
+            TARGET_RESTITUTION,
+            _few_steps(),
         ),
-    )  # fmt: skip
+    )
     columns = {
         "restitution": e,
         "residual_exact": exact,
         "residual_equation9": theory.residual_closed_form(e),
         "residual_simulated": simulated,
         "restitution_simulated": outcomes.restitution,
-        "duration_over_ts_theory": np.array([theory.LOADING_DURATION + theory.unloading_duration(float(a)) for a in e]),
+        "duration_over_ts_theory": np.array(
+            [theory.LOADING_DURATION + theory.unloading_duration(float(a)) for a in e]
+        ),
         "duration_simulated_over_theory": outcomes.duration / whole,
     }
     caption = (
         "Ratio of residual to maximum overlap, x = δ*/δmax, against the restitution coefficient: exact root of Eq. 8 "
         "(line), Eq. 9 of the paper (dashed), and simulated collisions of 200 time steps each (circles)."
     )
-    return FigureData("figure1_residual", "Fig. 1: residual overlap", caption, columns, deviations, draw_residual, 3.4)
+    return FigureData(
+        "figure1_residual", "Fig. 1: residual overlap", caption, columns, deviations, draw_residual, 3.4
+    )
 
 
 def _few_steps() -> str:
@@ -252,8 +274,17 @@ def draw_residual(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
     axes = figure.subplots()
     axes.plot(e, 1.0 - theory.recovery(e), color=COLORS[0], label="exact (Eq. 8)")
     axes.plot(e, theory.residual_closed_form(e), "--", color=COLORS[1], label="closed form (Eq. 9)")
-    axes.plot(columns["restitution"], columns["residual_simulated"], "o", color=COLORS[6], label="simulated", **POINTS)
-    axes.set(xlabel="restitution coefficient $e$", ylabel=r"residual overlap $x = \delta^{*}\!/\delta_{\max}$")
+    axes.plot(
+        columns["restitution"],
+        columns["residual_simulated"],
+        "o",
+        color=COLORS[6],
+        label="simulated",
+        **POINTS,
+    )
+    axes.set(
+        xlabel="restitution coefficient $e$", ylabel=r"residual overlap $x = \delta^{*}\!/\delta_{\max}$"
+    )
     axes.set(xlim=(0, 1.01), ylim=(-0.01, 1.02))
     axes.legend(loc="lower left")
 
@@ -267,8 +298,12 @@ def error_figure(e: np.ndarray | None = None) -> FigureData:
         "x by Eq. 9 from the exact root", closed_form, exact, lambda index: f"e = {e[index]:.4g}"
     )
     columns = {"restitution": e, "error": closed_form / exact - 1.0}
-    caption = "Relative error of the closed form of the paper, Eq. 9, with respect to the exact root of Eq. 8."
-    return FigureData("figure2_error", "Fig. 2: error of the closed form", caption, columns, (worst,), draw_error, 2.8)
+    caption = (
+        "Relative error of the closed form of the paper, Eq. 9, with respect to the exact root of Eq. 8."
+    )
+    return FigureData(
+        "figure2_error", "Fig. 2: error of the closed form", caption, columns, (worst,), draw_error, 2.8
+    )
 
 
 def draw_error(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
@@ -293,8 +328,8 @@ PHASES = 8
 def accuracy_run() -> tuple[Outcomes, np.ndarray, np.ndarray]:
     """Simulate all restitutions, steps and phases in one scene.
 
-    Returns outcomes, restitution (n,) and steps per contact (n,) of the collisions. The diameters make the duration of
-    each collision equal to its number of steps times the common time step.
+    Returns outcomes, restitution (n,) and steps per contact (n,) of the collisions. The diameters make the
+    duration of each collision equal to its number of steps times the common time step.
     """
     steps, e = (np.repeat(each.ravel(), PHASES) for each in np.meshgrid(STEPS, ACCURACY_RESTITUTIONS))
     time_step = CASE.duration(1.0, VELOCITY) / STEPS.max()
@@ -326,8 +361,11 @@ def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Fig
         values = 1.0 + columns[name][chosen]
         return relative_deviation(
             f"{text} at {STEPS_PER_CONTACT} steps, from e = {RESOLVED:g} on",
-            values, np.ones_like(values), lambda index: f"e = {e_there[index]:g}", target,
-        )  # fmt: skip
+            values,
+            np.ones_like(values),
+            lambda index: f"e = {e_there[index]:g}",
+            target,
+        )
 
     deviations = (
         worst("restitution_deviation", "e", TARGET_RESTITUTION),
@@ -339,22 +377,35 @@ def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Fig
         f"{STEPS_PER_CONTACT} steps. With 50 steps e = 0.05 is not reachable because of the bound on the unloading "
         "tangent."
     )
-    return FigureData("accuracy", "Accuracy by number of steps", caption, columns, deviations, draw_accuracy, 5.2)
+    return FigureData(
+        "accuracy", "Accuracy by number of steps", caption, columns, deviations, draw_accuracy, 5.2
+    )
 
 
 def draw_accuracy(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
     """Panels for e and T, with a line for each number of steps."""
     panels = stacked_panels(figure, 2, sharex=True)
-    shown = (("restitution_deviation", TARGET_RESTITUTION, "$e$"), ("duration_deviation", TARGET_DURATION, "$T$"))
+    shown = (
+        ("restitution_deviation", TARGET_RESTITUTION, "$e$"),
+        ("duration_deviation", TARGET_DURATION, "$T$"),
+    )
     for letter, axes, (name, target, symbol) in zip("ab", panels, shown, strict=True):
         for steps, color, marker in zip(STEPS, COLORS, MARKERS, strict=False):
             mine = columns["steps_per_contact"] == steps
             axes.plot(
-                columns["restitution"][mine], 100.0 * columns[name][mine], marker=marker, color=color,
-                label=f"{steps} steps", **(POINTS | {"linestyle": "-", "linewidth": 0.8}),
-            )  # fmt: skip
+                columns["restitution"][mine],
+                100.0 * columns[name][mine],
+                marker=marker,
+                color=color,
+                label=f"{steps} steps",
+                **(POINTS | {"linestyle": "-", "linewidth": 0.8}),
+            )
         axes.axhline(100.0 * target, linestyle=":", color="0.4", linewidth=0.9)
-        axes.set(yscale="log", xlim=(0, 1.02), title=f"({letter}) {'restitution' if symbol == '$e$' else 'duration'}")
+        axes.set(
+            yscale="log",
+            xlim=(0, 1.02),
+            title=f"({letter}) {'restitution' if symbol == '$e$' else 'duration'}",
+        )
         axes.set_ylabel(f"largest deviation of {symbol} (%)")
     panels[-1].set_xlabel("restitution coefficient $e$")
     panels[0].legend(loc="upper right")
@@ -393,10 +444,11 @@ def loop_force(share: np.ndarray, e: float) -> np.ndarray:
 
 
 def loop_rows(outcomes: Outcomes, index: int) -> np.ndarray:
-    """Columns (m, 4) of all steps with a force: given restitution, overlap, simulated force, theoretical force.
+    """Columns (m, 4) of all steps with a force: given restitution, overlap, simulated force, theoretical
+    force.
 
-    Overlap and forces are divided by their theoretical maxima. At e = 0 unloading is a vertical line, on which any last
-    force between 0 and the maximum lies, and the theoretical force is then the simulated one.
+    Overlap and forces are divided by their theoretical maxima. At e = 0 unloading is a vertical line, on
+    which any last force between 0 and the maximum lies, and the theoretical force is then the simulated one.
     """
     e = float(LOOP_RESTITUTIONS[index])
     diameter = _diameter(outcomes, index)
@@ -406,7 +458,8 @@ def loop_rows(outcomes: Outcomes, index: int) -> np.ndarray:
     acting = np.flatnonzero(force)
     share = outcomes.overlap[acting, index] / largest
     loading = acting <= np.argmax(outcomes.overlap[:, index])
-    simulated, expected = force[acting] / (k * largest**1.5), np.abs(share) ** 1.5
+    simulated = force[acting] / (k * largest**1.5)
+    expected = np.abs(share) ** 1.5
     if e == 0.0:
         expected[-1] = np.clip(simulated[-1], 0.0, 1.0)
     else:
@@ -419,8 +472,11 @@ def enclosed_share(rows: np.ndarray) -> float:
 
     `rows` (m, 4): from `loop_rows`, in the order of the steps.
     """
-    share, force = np.pad(rows[:, 1], 1), np.pad(rows[:, 2], 1)
-    share[-1] = rows[-1, 1]  # vertical line from the last force; the overlap changes by at most one step there
+    share = np.pad(rows[:, 1], 1)
+    force = np.pad(rows[:, 2], 1)
+    share[-1] = rows[
+        -1, 1
+    ]  # vertical line from the last force; the overlap changes by at most one step there
     work = 0.5 * (force[1:] + force[:-1]) * np.diff(share)
     return float(work.sum() / work[work > 0.0].sum())
 
@@ -433,13 +489,18 @@ def loop_figure(outcomes: Outcomes) -> FigureData:
     loops = [loop_rows(outcomes, index) for index in range(len(LOOP_RESTITUTIONS))]
     force_error = [float(np.abs(rows[:, 2] - rows[:, 3]).max()) for rows in loops]
     energy_error = [
-        abs(enclosed_share(rows) - (1.0 - float(e) ** 2)) for rows, e in zip(loops, LOOP_RESTITUTIONS, strict=True)
+        abs(enclosed_share(rows) - (1.0 - float(e) ** 2))
+        for rows, e in zip(loops, LOOP_RESTITUTIONS, strict=True)
     ]
     deviations = (
         FigureDeviation(
-            "the force from Eq. 4, relative to the maximum force", max(force_error), f"e = {_worst(force_error)}"
+            "the force from Eq. 4, relative to the maximum force",
+            max(force_error),
+            f"e = {_worst(force_error)}",
         ),
-        FigureDeviation("the fraction of energy lost from 1 − e²", max(energy_error), f"e = {_worst(energy_error)}"),
+        FigureDeviation(
+            "the fraction of energy lost from 1 − e²", max(energy_error), f"e = {_worst(energy_error)}"
+        ),
     )
     caption = (
         "Force against overlap in one collision, both divided by their maxima, for restitution coefficients from 0 "
@@ -468,7 +529,9 @@ def draw_loops(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
             axes.plot([1.0, 1.0], [0.0, 1.0], color=color)
         share, force = (columns[name][mine][::DRAWN_EVERY] for name in ("overlap_over_max", "force_over_max"))
         axes.plot(share, force, marker, color=color, label=f"$e$ = {e:g}", **POINTS)
-    axes.set(xlabel=r"overlap $\delta/\delta_{\max}$", ylabel=r"force $F/F_{\max}$", xlim=(0, 1.04), ylim=(0, 1.06))
+    axes.set(
+        xlabel=r"overlap $\delta/\delta_{\max}$", ylabel=r"force $F/F_{\max}$", xlim=(0, 1.04), ylim=(0, 1.06)
+    )
     axes.legend(loc="upper left", title="unloading with")
 
 
@@ -476,7 +539,8 @@ def draw_loops(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def thornton_restitution(velocity: np.ndarray, yield_velocity: float) -> np.ndarray:
-    """Restitution at approach velocities [m/s], with r = yield velocity / velocity; 1 up to the yield velocity.
+    """Restitution at approach velocities [m/s], with r = yield velocity / velocity; 1 up to the yield
+    velocity.
 
         e^2 = (6 sqrt(3) / 5) (1 - r^2 / 6) sqrt(r / (r + 2 sqrt(6/5 - r^2 / 5)))     (Thornton 1997)
 
@@ -500,7 +564,8 @@ Columns = Mapping[str, np.ndarray]
 
 
 def velocity_run(velocities: np.ndarray = VELOCITIES) -> Outcomes:
-    """Simulate both materials at all velocities (n,) [m/s] in one scene; the shortest collision takes 200 steps."""
+    """Simulate both materials at all velocities (n,) [m/s] in one scene; the shortest collision takes 200
+    steps."""
     pairs = [case.head_on({"preset": case.name}, float(v)) for case in PAPER_CASES for v in velocities]
     return collide_all("zhou", pairs, _shortest(PAPER_CASES, velocities) / STEPS_PER_CONTACT)
 
@@ -527,7 +592,9 @@ def velocity_columns(outcomes: Outcomes, velocities: np.ndarray = VELOCITIES) ->
     """
     e = [restitution_of(case, velocities) for case in PAPER_CASES]
     yields = [thornton_restitution(velocities, case.yield_velocity or np.inf) for case in PAPER_CASES]
-    durations = np.concatenate([case.durations(a, velocities) for case, a in zip(PAPER_CASES, e, strict=True)])
+    durations = np.concatenate(
+        [case.durations(a, velocities) for case, a in zip(PAPER_CASES, e, strict=True)]
+    )
     return {
         "material": np.repeat([case.name for case in PAPER_CASES], len(velocities)),
         "velocity": np.tile(velocities, len(PAPER_CASES)),
@@ -558,7 +625,7 @@ def _compared(columns: Columns, quantity: str, text: str, target: float | None =
 
     return relative_deviation(
         text, columns[f"{quantity}_simulated"], columns[f"{quantity}_theory"], where, target
-    )  # fmt: skip
+    )
 
 
 def _steps(columns: Columns) -> str:
@@ -591,7 +658,9 @@ def draw_restitution(figure: Any, columns: Columns) -> None:
         axes.plot(fine, restitution_of(case, fine), color=COLORS[0], label="Eq. 12")
         thornton = thornton_restitution(fine, case.yield_velocity or np.inf)
         axes.plot(fine, thornton, "--", color=COLORS[1], label="Thornton (1997)")
-        axes.plot(v, columns["restitution_simulated"][mine], "o", color=COLORS[6], label="simulated", **POINTS)
+        axes.plot(
+            v, columns["restitution_simulated"][mine], "o", color=COLORS[6], label="simulated", **POINTS
+        )
         axes.set(xscale="log", ylim=(0, 1.04), title=f"({letter}) {case.title}")
         axes.set_ylabel("restitution coefficient $e$")
     panels[-1].set_xlabel("approach velocity (m/s)")
@@ -607,7 +676,9 @@ def duration_figure(columns: Columns) -> FigureData:
     names = ("duration_theory", "duration_simulated", "steps_per_contact")
     deviation = _compared(columns, "duration", "the duration T from Eq. 13", TARGET_DURATION)
     title = "Fig. 4: collision duration against velocity"
-    return FigureData("figure4_duration", title, caption, _chosen(columns, *names), (deviation,), draw_duration, 3.4)
+    return FigureData(
+        "figure4_duration", title, caption, _chosen(columns, *names), (deviation,), draw_duration, 3.4
+    )
 
 
 def draw_duration(figure: Any, columns: Columns) -> None:
@@ -619,10 +690,14 @@ def draw_duration(figure: Any, columns: Columns) -> None:
         fine = np.geomspace(v.min(), v.max(), 200)
         axes.plot(fine, 1e6 * case.durations(restitution_of(case, fine), fine), color=color)
         axes.plot(fine, 1e6 * case.durations(np.ones_like(fine), fine), ":", color=color, linewidth=0.9)
-        axes.plot(v, 1e6 * columns["duration_simulated"][mine], marker, color=color, label=case.title, **POINTS)
+        axes.plot(
+            v, 1e6 * columns["duration_simulated"][mine], marker, color=color, label=case.title, **POINTS
+        )
     axes.plot([], [], color="0.3", label="Eqs. 13$-$16")
     axes.plot([], [], ":", color="0.3", linewidth=0.9, label="elastic Hertz contact")
-    axes.set(xscale="log", yscale="log", xlabel="approach velocity (m/s)", ylabel=r"collision duration $T$ (µs)")
+    axes.set(
+        xscale="log", yscale="log", xlabel="approach velocity (m/s)", ylabel=r"collision duration $T$ (µs)"
+    )
     axes.set_yticks([20, 50, 100, 200], ["20", "50", "100", "200"])
     axes.set_yticks([30, 40, 60, 70, 80, 90], [], minor=True)
     axes.legend(loc="lower left")
@@ -633,7 +708,8 @@ def estimate_run(velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
 
     The restitution, 0.9, has no effect up to the maximum overlap.
     """
-    case, e = small_soft_case(), 0.9
+    case = small_soft_case()
+    e = 0.9
     pairs = [case.head_on(e, float(v)) for v in velocities]
     shortest = case.duration(e, float(velocities.max()))
     return collide_all("zhou", pairs, shortest / STEPS_PER_CONTACT)
@@ -645,7 +721,8 @@ def spring_figure(columns: Columns, estimate: Outcomes) -> FigureData:
     `columns`: from `velocity_columns`; `estimate`: from `estimate_run`.
     """
     case = small_soft_case()
-    springs, count = case.springs(ESTIMATE_VELOCITIES), len(ESTIMATE_VELOCITIES)
+    springs = case.springs(ESTIMATE_VELOCITIES)
+    count = len(ESTIMATE_VELOCITIES)
     combined = {
         "material": np.concatenate([columns["material"], np.repeat(case.name, count)]),
         "velocity": np.concatenate([columns["velocity"], ESTIMATE_VELOCITIES]),
@@ -669,7 +746,9 @@ def spring_figure(columns: Columns, estimate: Outcomes) -> FigureData:
             lambda index: f"{ESTIMATE_VELOCITIES[index]:.3g} m/s",
         ),
     )
-    return FigureData("equation19_spring", "Eq. 19: equivalent spring", caption, combined, deviations, draw_spring, 5.2)
+    return FigureData(
+        "equation19_spring", "Eq. 19: equivalent spring", caption, combined, deviations, draw_spring, 5.2
+    )
 
 
 def draw_spring(figure: Any, columns: Columns) -> None:

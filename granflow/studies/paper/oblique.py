@@ -1,4 +1,5 @@
-"""Oblique and spinning impacts of spheres on a plate: tests 4, 5, 6 and 8 of Chung & Ooi, and measured rebounds.
+"""Oblique and spinning impacts of spheres on a plate: tests 4, 5, 6 and 8 of Chung & Ooi, and measured
+rebounds.
 
 Chung & Ooi 2011, Granular Matter 13:643, doi 10.1007/s10035-011-0277-0; Kharaz, Gorham & Salman 2001, doi
 10.1016/S0032-5910(01)00283-2. The published data are in `published/`.
@@ -22,7 +23,8 @@ from granflow.studies.paper.figures import FigureData, FigureDeviation, relative
 SAFETY = 0.005
 """Time step over the shortest loading or unloading time."""
 LONGEST = 2.0
-"""Length of the simulation in elastic contact durations; all spheres, including damped ones, have separated then."""
+"""Length of the simulation in elastic contact durations; all spheres, including damped ones, have separated
+then."""
 CLOSE = 0.01
 """Initial gap over the distance traveled in one elastic contact duration."""
 SLIDING = 1.05
@@ -35,7 +37,11 @@ STEEL = {"young_modulus": 208e9, "poisson_ratio": 0.30, "density": 7850.0}
 ALLOY = {"young_modulus": 70e9, "poisson_ratio": 0.33, "density": 2700.0}
 RIGIDITY = 1e10
 """Ratio of Young's modulus of a rigid plate to that of the sphere."""
-HEAVY = {"young_modulus": 1e3 * ALLOY["young_modulus"], "poisson_ratio": 0.33, "density": 1e3 * ALLOY["density"]}
+HEAVY = {
+    "young_modulus": 1e3 * ALLOY["young_modulus"],
+    "poisson_ratio": 0.33,
+    "density": 1e3 * ALLOY["density"],
+}
 """Partner sphere of test 8: 1000 times the modulus and density of the alloy."""
 
 
@@ -55,7 +61,8 @@ class ImpactSetup:
 
     @property
     def reduced(self) -> tuple[float, float]:
-        """Hertz stiffness k [N/m^1.5] and effective mass [kg] of the contact; a plate has infinite mass and radius."""
+        """Hertz stiffness k [N/m^1.5] and effective mass [kg] of the contact; a plate has infinite mass and
+        radius."""
         solids = (self.sphere, self.plate)
         compliance = sum((1.0 - each["poisson_ratio"] ** 2) / each["young_modulus"] for each in solids)
         mass = sphere_mass(self.radius, self.sphere["density"])
@@ -76,14 +83,16 @@ KHARAZ = ImpactSetup(ALUMINA, GLASS, 2.5e-3, 0.98, 0.092)
 TEST_5 = ImpactSetup(STEEL, rigid(STEEL), 1e-5, 1.0, 0.3)
 TEST_6 = ImpactSetup(ALLOY, rigid(ALLOY), 0.1, 0.5, 0.4)
 TEST_8 = ImpactSetup(ALLOY, HEAVY, 0.1, 0.5, 0.4, partner_radius=0.5)
-"""Spheres, plates and coefficients of the tests: radii [m], restitution, friction (Chung & Ooi; Kharaz et al.)."""
+"""Spheres, plates and coefficients of the tests: radii [m], restitution, friction (Chung & Ooi; Kharaz et
+al.)."""
 SPEED_4, SPEED_5, SPEED_6 = 3.9, 5.0, 0.2
 """Impact speeds of tests 4, 5 and 6 [m/s]."""
 
 
 @dataclass(frozen=True)
 class ImpactMotion:
-    """Motion of n spheres above a plate: velocity away from the plate and along it [m/s], angular velocity [rad/s].
+    """Motion of n spheres above a plate: velocity away from the plate and along it [m/s], angular velocity
+    [rad/s].
 
     Friction on a positive velocity along the plate generates a positive angular velocity.
     """
@@ -93,25 +102,30 @@ class ImpactMotion:
     spin: np.ndarray
 
     def slip(self, radius: float) -> np.ndarray:
-        """Tangential velocity (n,) [m/s] of the lowest point of a sphere of the given radius [m]: v_t - R w."""
+        """Tangential velocity (n,) [m/s] of the lowest point of a sphere of the given radius [m]: v_t - R
+        w."""
         return self.along - radius * self.spin
 
 
 def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
     """Motion after the impact, simulated with one plate and spheres far apart; `before.normal` is negative.
 
-    `law`: contact model. With `setup.partner_radius`, each sphere hits a separate partner sphere instead of the plate.
+    `law`: contact model. With `setup.partner_radius`, each sphere hits a separate partner sphere instead of
+    the plate.
     """
     speeds = -before.normal
     elastic = theory.duration(1.0, *setup.reduced, speeds)
-    partner, pair = setup.partner_radius, {"restitution": setup.restitution, "friction": setup.friction}
+    partner = setup.partner_radius
+    pair = {"restitution": setup.restitution, "friction": setup.friction}
     bench = CollisionBench(
         materials={"sphere": setup.sphere, "plate": setup.plate},
         pairs=dict.fromkeys(("sphere-sphere", "sphere-plate", "plate-plate"), pair),
         contact={"normal": law, "tangential": "mindlin"},
         collisions=[
             Collision("sphere", "plate", setup.radius, partner, *motion)
-            for motion in np.stack([speeds, np.ones_like(speeds), before.along, before.spin, CLOSE * elastic], axis=1)
+            for motion in np.stack(
+                [speeds, np.ones_like(speeds), before.along, before.spin, CLOSE * elastic], axis=1
+            )
         ],
         run={"duration": LONGEST * float(np.max(elastic)), "velocity_max": float(np.max(speeds))},
         numerics={"time_step_fraction": SAFETY, "rayleigh_fraction": 1.0},
@@ -131,29 +145,33 @@ def mean_overlap_share(e: float) -> float:
     """
     from scipy.integrate import quad
 
-    y, slope = float(theory.recovery(e)), float(theory.unloading_slope(e))
+    y = float(theory.recovery(e))
+    slope = float(theory.unloading_slope(e))
 
     def rate(s: float) -> float:
         return float(np.sqrt(max(1.25 * slope * (y**2 - s**2) + e**3 * (y**2.5 - s**2.5), 0.0)))
 
-    unloading = quad(lambda angle: rate(y * np.sin(angle)) * y * np.cos(angle), 0.0, 0.5 * np.pi, epsabs=1e-14)[0]
+    unloading = quad(
+        lambda angle: rate(y * np.sin(angle)) * y * np.cos(angle), 0.0, 0.5 * np.pi, epsabs=1e-14
+    )[0]
     return (theory.LOADING_DURATION / 1.8 + e * (1.0 - y) + unloading) / (1.0 + e)
 
 
 def sliding_solution(setup: ImpactSetup, before: ImpactMotion) -> ImpactMotion:
     """Motion after an impact that slides throughout, with Zhou's model.
 
-    v_n' = e v,  v_t' = v_t - mu (1 + e) v,  R w' = R w + (5/2) mu (1 + e) v (1 - <d>/(2 R)). The tangential impulse is
-    mu (1 + e) m v, its lever arm the radius minus half of the overlap; textbook relations use R.
+    v_n' = e v,  v_t' = v_t - mu (1 + e) v,  R w' = R w + (5/2) mu (1 + e) v (1 - <d>/(2 R)). The tangential
+    impulse is mu (1 + e) m v, its lever arm the radius minus half of the overlap; textbook relations use R.
     """
-    speed, direction = -before.normal, np.sign(before.slip(setup.radius))
+    speed = -before.normal
+    direction = np.sign(before.slip(setup.radius))
     k, mass = setup.reduced
     overlap = mean_overlap_share(setup.restitution) * theory.overlap_max(k, mass, speed)
     change = direction * setup.friction * (1.0 + setup.restitution) * speed
     arm = 1.0 - 0.5 * overlap / setup.radius
     return ImpactMotion(
         setup.restitution * speed, before.along - change, before.spin + 2.5 * change * arm / setup.radius
-    )  # fmt: skip
+    )
 
 
 def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
@@ -168,7 +186,9 @@ def published(source: str) -> dict[str, np.ndarray]:
     table = table_in(text, Path(source))
     assert table is not None
     rows = [cells for _, cells in table.rows]
-    return {name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows}
+    return {
+        name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows
+    }
 
 
 def at_angles(angle: np.ndarray) -> ImpactMotion:
@@ -179,7 +199,9 @@ def at_angles(angle: np.ndarray) -> ImpactMotion:
 
 def with_slip(ratio: np.ndarray) -> ImpactMotion:
     """Motion of test 5 (n,); `ratio` (n,) is the tangential velocity over friction times normal velocity."""
-    return ImpactMotion(np.full(len(ratio), -SPEED_5), ratio * TEST_5.friction * SPEED_5, np.zeros(len(ratio)))
+    return ImpactMotion(
+        np.full(len(ratio), -SPEED_5), ratio * TEST_5.friction * SPEED_5, np.zeros(len(ratio))
+    )
 
 
 def with_spin(ratio: np.ndarray) -> ImpactMotion:
@@ -208,15 +230,17 @@ class ImpactSweep:
 def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, ImpactSweep]:
     """Simulate all impacts of the figure; fewer points take less time.
 
-    `angles`, `ratios`: number of points of each curve. The keys consist of the plate or test and the contact model,
-    such as test5_zhou.
+    `angles`, `ratios`: number of points of each curve. The keys consist of the plate or test and the contact
+    model, such as test5_zhou.
     """
     angle = np.linspace(2.0, 88.0, angles)
-    slip, spin = np.linspace(0.25, 20.0, ratios), np.geomspace(0.15, 12.0, ratios)
+    slip = np.linspace(0.25, 20.0, ratios)
+    spin = np.geomspace(0.15, 12.0, ratios)
     cases: dict[str, tuple[ImpactSetup, str, np.ndarray, ImpactMotion]] = {
         f"{name}_{law}": (setup, law, angle, at_angles(angle))
-        for name, setup in (("glass", KHARAZ), ("test4", TEST_4)) for law in ("hertz", "zhou")
-    }  # fmt: skip
+        for name, setup in (("glass", KHARAZ), ("test4", TEST_4))
+        for law in ("hertz", "zhou")
+    }
     cases["test5_zhou"] = (TEST_5, "zhou", slip, with_slip(slip))
     cases["test6_zhou"] = (TEST_6, "zhou", spin, with_spin(spin))
     cases["test6_hertz"] = (TEST_6, "hertz", spin, with_spin(spin))
@@ -229,7 +253,9 @@ def plotted_quantities(sweep: ImpactSweep, kind: str) -> dict[str, np.ndarray]:
 
     Angles [deg], angular velocities [rad/s], all others dimensionless.
     """
-    before, after, radius = sweep.before, sweep.after, sweep.setup.radius
+    before = sweep.before
+    after = sweep.after
+    radius = sweep.setup.radius
     slip = after.slip(radius)
     if kind == "test4":
         return {
@@ -247,12 +273,19 @@ def plotted_quantities(sweep: ImpactSweep, kind: str) -> dict[str, np.ndarray]:
 
 TARGET = 1e-3
 """Target of the relative deviation for contacts that slide throughout."""
-TITLES = {"glass": "oxide on glass", "test4": "test 4", "test5": "test 5", "test6": "test 6", "test8": "test 8"}
+TITLES = {
+    "glass": "oxide on glass",
+    "test4": "test 4",
+    "test5": "test 5",
+    "test6": "test 6",
+    "test8": "test 8",
+}
 """Titles of the tests in the deviations."""
 
 
 def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
-    """Figure of oblique impacts, with measured points and the deviations of contacts that slide throughout."""
+    """Figure of oblique impacts, with measured points and the deviations of contacts that slide
+    throughout."""
     return FigureData(
         name="oblique_impacts",
         title="Oblique impacts: Chung & Ooi, tests 4 to 8, and Kharaz, Gorham & Salman",
@@ -283,7 +316,8 @@ def _columns(run: Mapping[str, ImpactSweep]) -> dict[str, np.ndarray]:
             columns |= {f"{source}_{quantity}_x": points[:, 0], f"{source}_{quantity}": points[:, 1]}
     longest = max(len(values) for values in columns.values())
     return {
-        name: np.pad(values, (0, longest - len(values)), constant_values=np.nan) for name, values in columns.items()
+        name: np.pad(values, (0, longest - len(values)), constant_values=np.nan)
+        for name, values in columns.items()
     }
 
 
@@ -292,7 +326,8 @@ def _kind(name: str) -> str:
 
 
 def _deviations(run: Mapping[str, ImpactSweep]) -> tuple[FigureDeviation, ...]:
-    """Deviations of contacts that slide throughout from the closed forms, with Zhou's model, in the order of tests."""
+    """Deviations of contacts that slide throughout from the closed forms, with Zhou's model, in the order of
+    tests."""
     found = []
     for name, sweep in run.items():
         if sweep.law == "zhou":
@@ -306,7 +341,9 @@ def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
     Only for impacts that slide throughout, for which `sliding_solution` holds.
     """
     sliding = slides(sweep.setup, sweep.before)
-    closed_form, after, radius = sliding_solution(sweep.setup, sweep.before), sweep.after, sweep.setup.radius
+    closed_form = sliding_solution(sweep.setup, sweep.before)
+    after = sweep.after
+    radius = sweep.setup.radius
     title = TITLES[name.split("_")[0]]
     axis = {"test4": "the impact angle", "test5": "the slip ratio", "test6": "the ratio"}[_kind(name)]
     x = sweep.x[sliding]
@@ -319,13 +356,21 @@ def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
     expected = (closed_form.spin - sweep.before.spin)[sliding]
     return [
         relative_deviation(
-            f"the change of tangential velocity, sliding ({title})", (after.along - sweep.before.along)[sliding],
-            (closed_form.along - sweep.before.along)[sliding], lambda n: f"{axis} {x[n]:.3g}", TARGET,
+            f"the change of tangential velocity, sliding ({title})",
+            (after.along - sweep.before.along)[sliding],
+            (closed_form.along - sweep.before.along)[sliding],
+            lambda n: f"{axis} {x[n]:.3g}",
+            TARGET,
         ),
         relative_deviation(
-            f"the change of spin, sliding ({title})", change, expected, lambda n: f"{axis} {x[n]:.3g}", TARGET, remark
+            f"the change of spin, sliding ({title})",
+            change,
+            expected,
+            lambda n: f"{axis} {x[n]:.3g}",
+            TARGET,
+            remark,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _draw(figure: Any, run: Mapping[str, ImpactSweep]) -> None:
@@ -339,18 +384,24 @@ def _draw(figure: Any, run: Mapping[str, ImpactSweep]) -> None:
 
 def _draw_angles(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
     """Draw test 4 and the measurements: Hertz with damping, and Zhou's model."""
-    measured, curves = published("kharaz_2001"), published("chung_ooi_2011")
+    measured = published("kharaz_2001")
+    curves = published("chung_ooi_2011")
     labels = {
-        "tangential_restitution": r"tangential restitution $v_t'/v_t$", "spin": r"spin $\omega'$ [rad/s]",
+        "tangential_restitution": r"tangential restitution $v_t'/v_t$",
+        "spin": r"spin $\omega'$ [rad/s]",
         "rebound_angle": "rebound angle of the patch [deg]",
-    }  # fmt: skip
+    }
     for panel, (quantity, label) in zip(panels, labels.items(), strict=True):
         for plate, line in (("glass", "-"), ("test4", "--")):
             for number, law in enumerate(("hertz", "zhou")):
                 sweep = run[f"{plate}_{law}"]
                 text = {"glass": f"{law}, glass", "test4": f"{law}, rigid"}[plate]
                 panel.plot(
-                    sweep.x, plotted_quantities(sweep, "test4")[quantity], line, color=COLORS[number], label=text
+                    sweep.x,
+                    plotted_quantities(sweep, "test4")[quantity],
+                    line,
+                    color=COLORS[number],
+                    label=text,
                 )
         panel.plot(*curves[f"test4_{quantity}"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, rigid")
         panel.plot(*measured[quantity].T, marker="o", color="black", label="measured, glass", **POINTS)
@@ -360,10 +411,14 @@ def _draw_angles(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
 
 def _draw_test_5(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
     """Draw final slip and spin against initial slip, and the lines of a contact that slides throughout."""
-    sweep, curves = run["test5_zhou"], published("chung_ooi_2011")
+    sweep = run["test5_zhou"]
+    curves = published("chung_ooi_2011")
     sliding = np.array([7.0, 20.0])
     lines = {"slip": sliding - 7.0, "spin": np.full(2, -5.0)}
-    labels = {"slip": r"test 5: slip after $V_s'/(\mu V_n)$", "spin": r"test 5: spin after $r\omega'/(\mu V_n)$"}
+    labels = {
+        "slip": r"test 5: slip after $V_s'/(\mu V_n)$",
+        "spin": r"test 5: spin after $r\omega'/(\mu V_n)$",
+    }
     for panel, quantity in zip(panels, labels, strict=True):
         panel.plot(sweep.x, plotted_quantities(sweep, "test5")[quantity], color=COLORS[1], label="zhou")
         panel.plot(*curves[f"test5_{quantity}"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi")
@@ -378,7 +433,9 @@ def _draw_test_6(panel: Any, run: Mapping[str, ImpactSweep]) -> None:
     for name, line, color in (("test6_hertz", "-", 0), ("test6_zhou", "-", 1), ("test8_zhou", ":", 2)):
         sweep = run[name]
         label = {"test6_hertz": "hertz", "test6_zhou": "zhou", "test8_zhou": "zhou, test 8"}[name]
-        panel.semilogx(sweep.x, plotted_quantities(sweep, "test6")["slip"], line, color=COLORS[color], label=label)
+        panel.semilogx(
+            sweep.x, plotted_quantities(sweep, "test6")["slip"], line, color=COLORS[color], label=label
+        )
     curves = published("chung_ooi_2011")
     panel.plot(*curves["test6_slip"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, 6")
     panel.plot(*curves["test8_slip"].T, "+", color="0.45", ms=3.5, label="Chung & Ooi, 8")

@@ -37,8 +37,8 @@ TABULATED = (0.2, 0.5, 0.7, 0.9, 1.0)
 def write_paper(out: Path, report: Callable[[str], None] = lambda text: None) -> Path:
     """Write all figures (PNG and CSV) and the page to `out`; return the path of the page.
 
-    Runs on the CPU in double precision. `report` is called with progress messages. Raises GranflowError if matplotlib
-    is not installed.
+    Runs on the CPU in double precision. `report` is called with progress messages. Raises GranflowError if
+    matplotlib is not installed.
     """
     require_plotting()
     report("collisions for the figures of the paper")
@@ -102,28 +102,53 @@ def _model(figure_data: FigureData) -> PageTable:
     for e in TABULATED:
         index = int(abs(columns["restitution"] - e).argmin())
         scaled = columns["duration_over_ts_theory"][index]
-        rows.append((
-            f"{e:g}", f"{columns['restitution_simulated'][index]:.5f}",
-            f"{columns['residual_exact'][index]:.6f}", f"{columns['residual_simulated'][index]:.6f}",
-            f"{float(theory.unloading_slope(e)):.5g}", f"{theory.unloading_duration(e):.4f}",
-            f"{scaled:.4f}", f"{scaled * columns['duration_simulated_over_theory'][index]:.4f}",
-        ))  # fmt: skip
-    heads = ("e given", "e simulated", "x theory", "x simulated", "Λ(e)", "η₂", "T/Ts theory", "T/Ts simulated")
+        rows.append(
+            (
+                f"{e:g}",
+                f"{columns['restitution_simulated'][index]:.5f}",
+                f"{columns['residual_exact'][index]:.6f}",
+                f"{columns['residual_simulated'][index]:.6f}",
+                f"{float(theory.unloading_slope(e)):.5g}",
+                f"{theory.unloading_duration(e):.4f}",
+                f"{scaled:.4f}",
+                f"{scaled * columns['duration_simulated_over_theory'][index]:.4f}",
+            )
+        )
+    heads = (
+        "e given",
+        "e simulated",
+        "x theory",
+        "x simulated",
+        "Λ(e)",
+        "η₂",
+        "T/Ts theory",
+        "T/Ts simulated",
+    )
     return PageTable(heads, rows)
 
 
 def _materials() -> tuple[PageTable, float]:
     """Table of the materials, and the ratio of E/Y of the two, which the paper gives as well."""
-    rows, ratios = [], []
+    rows = []
+    ratios = []
     for case in PAPER_CASES:
-        solid, fit = case.solid, case.fit
+        solid = case.solid
+        fit = case.fit
         strength = solid.yield_strength or float("nan")
         ratios.append(case.modulus_eff / strength)
-        rows.append((
-            case.title, f"{solid.young_modulus / 1e9:g}", f"{solid.poisson_ratio:g}", f"{solid.density:g}",
-            f"{strength / 1e9:g}", f"{fit.sigma:g}" if fit else "", f"{fit.psi:g}" if fit else "",
-            f"{limit_velocity(solid, solid):.1f}", f"{case.yield_velocity:g}",
-        ))  # fmt: skip
+        rows.append(
+            (
+                case.title,
+                f"{solid.young_modulus / 1e9:g}",
+                f"{solid.poisson_ratio:g}",
+                f"{solid.density:g}",
+                f"{strength / 1e9:g}",
+                f"{fit.sigma:g}" if fit else "",
+                f"{fit.psi:g}" if fit else "",
+                f"{limit_velocity(solid, solid):.1f}",
+                f"{case.yield_velocity:g}",
+            )
+        )
     heads = ("", "E (GPa)", "ν", "ρ (kg/m³)", "Y (GPa)", "σ", "ψ", "v limit (m/s), Eq. 11", "v yield (m/s)")
     return PageTable(heads, rows), ratios[0] / ratios[1]
 
@@ -136,12 +161,22 @@ def _costs(figure_data: FigureData, comparison: LawComparison, costs: dict[str, 
         spread = "" if name == cost.BASE else f"{found.low:.2f}–{found.high:.2f}"
         history = str(model.law.history_count)
         rows.append((name, history, f"{found.median:.2f}", spread, percent(deviation.largest), model.text()))
-    heads = ("model", "history fields", "cost", "quartiles", "deviation of e", "parameters, SI (316 and 52100)")
+    heads = (
+        "model",
+        "history fields",
+        "cost",
+        "quartiles",
+        "deviation of e",
+        "parameters, SI (316 and 52100)",
+    )
     return PageTable(heads, rows)
 
 
 def _limitations(comparison: LawComparison) -> PageTable:
-    """Table of source and limitations of each contact model, and of the reason of those that could not run."""
+    """Table of source and limitations of each contact model, and of the reason of those that could not
+    run."""
     rows = [(name, model.law.source, model.law.limits) for name, (model, _) in comparison.ran.items()]
     rows += [(name, "", f"not compared: {reason}") for name, reason in comparison.refused.items()]
-    return PageTable(("model", "source", "limitations"), rows, "Sources and limitations of the contact models.")
+    return PageTable(
+        ("model", "source", "limitations"), rows, "Sources and limitations of the contact models."
+    )

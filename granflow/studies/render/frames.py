@@ -23,7 +23,8 @@ VIEWS = ("iso", "front", "side", "top")
 ISO = (0.6, -1.0, 0.45)
 """Direction toward the viewer of the view `iso`, in the axes right, into and up."""
 OPENING = np.radians(24.0)
-"""Vertical field of view of a perspective picture; small, so that near and far particles have similar sizes."""
+"""Vertical field of view of a perspective picture; small, so that near and far particles have similar
+sizes."""
 MARGIN = 1.05
 """Relative margin around the shown points."""
 CENTERINGS = 6
@@ -44,7 +45,8 @@ class HalfSpace:
 
 @dataclass(frozen=True)
 class View:
-    """View of a picture: perpendicular unit vectors `toward` the viewer and `up` (3,), perspective or parallel.
+    """View of a picture: perpendicular unit vectors `toward` the viewer and `up` (3,), perspective or
+    parallel.
 
     The vectors `right`, `up` and `toward` form a right-handed frame.
     """
@@ -86,8 +88,8 @@ class Camera:
 def view_of(text: str, gravity: np.ndarray | None = None) -> View:
     """View by name: iso, front, side, top, or the direction to the viewer as three numbers "1,-2,0.8".
 
-    Up is the axis opposite to `gravity` (z without gravity); front, side and top are parallel projections, the others
-    perspective. Raises GranflowError for another text.
+    Up is the axis opposite to `gravity` (z without gravity); front, side and top are parallel projections,
+    the others perspective. Raises GranflowError for another text.
     """
     up = upward(gravity)
     right = np.array([0.0, 1.0, 0.0]) if up[0] else np.array([1.0, 0.0, 0.0])
@@ -128,7 +130,8 @@ def _direction(text: str) -> np.ndarray:
 
 
 def _upright(toward: np.ndarray, up: np.ndarray, into: np.ndarray) -> View:
-    """Perspective view from `toward` with `up` vertical in the picture; for a view along `up`, `into` is vertical."""
+    """Perspective view from `toward` with `up` vertical in the picture; for a view along `up`, `into` is
+    vertical."""
     toward = toward / np.linalg.norm(toward)
     axis = up if abs(toward @ up) < np.cos(np.radians(1.0)) else into
     upright = axis - (axis @ toward) * toward
@@ -148,7 +151,8 @@ def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0)
     """
     seen = view.projected(points)
     low, high = seen.min(axis=0), seen.max(axis=0)
-    middle, size = 0.5 * (low + high), np.maximum(high - low, 1e-12)
+    middle = 0.5 * (low + high)
+    size = np.maximum(high - low, 1e-12)
     half_height = 0.5 * MARGIN * max(size[1], size[0] / aspect) / zoom
     tangent = np.tan(0.5 * OPENING) * np.array([aspect, 1.0]) / MARGIN
     distance = half_height / tangent[1] + size[2]
@@ -168,7 +172,8 @@ def _camera_distance(seen: np.ndarray, tangent: np.ndarray) -> float:
 
 
 def _off_center(seen: np.ndarray, distance: float) -> np.ndarray:
-    """Offset (2,) [m] of the middle of the shown points from the center of the picture, in the plane of the focus."""
+    """Offset (2,) [m] of the middle of the shown points from the center of the picture, in the plane of the
+    focus."""
     depth = np.maximum(distance - seen[:, 2:], 1e-3 * distance)
     shown = seen[:, :2] / depth
     return 0.5 * (shown.min(axis=0) + shown.max(axis=0)) * distance
@@ -190,7 +195,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class FrameParticles:
-    """Particles of one frame: `position` (n, 3) [m], `radius` (n,) [m], and all arrays of the file by name."""
+    """Particles of one frame: `position` (n, 3) [m], `radius` (n,) [m], and all arrays of the file by
+    name."""
 
     position: np.ndarray
     radius: np.ndarray
@@ -220,21 +226,32 @@ class FrameWalls:
 
     def selected(self, walls: Sequence[int]) -> "FrameWalls":
         """The walls with the given numbers, with all points."""
-        parts = [(cells, wall, np.isin(wall, walls)) for cells, wall in zip(self.polygons, self.walls, strict=True)]
-        chosen = [(cells[is_chosen], wall[is_chosen]) for cells, wall, is_chosen in parts if np.any(is_chosen)]
+        parts = [
+            (cells, wall, np.isin(wall, walls)) for cells, wall in zip(self.polygons, self.walls, strict=True)
+        ]
+        chosen = [
+            (cells[is_chosen], wall[is_chosen]) for cells, wall, is_chosen in parts if np.any(is_chosen)
+        ]
         return FrameWalls(self.points, tuple(cells for cells, _ in chosen), tuple(wall for _, wall in chosen))
 
     def same_as(self, other: "FrameWalls | None") -> bool:
         """Whether both contain the same walls in the same pose."""
-        if other is None or self.points.shape != other.points.shape or len(self.polygons) != len(other.polygons):
+        if (
+            other is None
+            or self.points.shape != other.points.shape
+            or len(self.polygons) != len(other.polygons)
+        ):
             return False
-        mine, theirs = (self.points, *self.polygons), (other.points, *other.polygons)
+        mine = (self.points, *self.polygons)
+        theirs = (other.points, *other.polygons)
         return all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
 
     def points_of(self, walls: Sequence[int]) -> np.ndarray:
         """Corners (m, 3) [m] of the walls with the given numbers."""
         corners = [cells[np.isin(wall, walls)] for cells, wall in zip(self.polygons, self.walls, strict=True)]
-        return self.points[np.unique(np.concatenate([np.zeros(0, np.int64), *(cells.ravel() for cells in corners)]))]
+        return self.points[
+            np.unique(np.concatenate([np.zeros(0, np.int64), *(cells.ravel() for cells in corners)]))
+        ]
 
 
 @dataclass(frozen=True)
@@ -248,7 +265,8 @@ class ForceChains:
 def frames_of(directory: Path) -> list[Frame]:
     """Particle frames of a run in order, each with its walls and contacts at the same time.
 
-    Raises GranflowError if the directory does not exist or contains no frames, or if a PVD file cannot be read.
+    Raises GranflowError if the directory does not exist or contains no frames, or if a PVD file cannot be
+    read.
     """
     require_directory(directory)
     series = listed_frames(directory, "particles")
@@ -257,7 +275,8 @@ def frames_of(directory: Path) -> list[Frame]:
         if any((directory / name).exists() for name in ("run.log", "scene_as_run.yaml")):
             why = "the scene writes none (output.particles), or the run ended before the first one"
         raise GranflowError(f"{directory} contains no particle frames (particles.pvd is missing): {why}.")
-    walls, contacts = listed_frames(directory, "walls"), listed_frames(directory, "contacts")
+    walls = listed_frames(directory, "walls")
+    contacts = listed_frames(directory, "contacts")
     return [
         Frame(int(path.stem.rpartition("_")[2]), time, path, file_at(walls, time), file_at(contacts, time))
         for time, path in series
@@ -265,7 +284,8 @@ def frames_of(directory: Path) -> list[Frame]:
 
 
 def selected_frames(frames: Sequence[Frame], text: str) -> list[Frame]:
-    """Frames selected by last, first, all, a number as in the file names, a time such as 0.4s, or several of these.
+    """Frames selected by last, first, all, a number as in the file names, a time such as 0.4s, or several of
+    these.
 
     Raises GranflowError for other text, and for a number or a time without a frame.
     """
@@ -289,19 +309,24 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
     try:
         time = to_si(word, "time")
     except UnitError as error:
-        raise GranflowError(f"--frame {word}: {error}; or give last, first, all, or the number of a frame.") from None
+        raise GranflowError(
+            f"--frame {word}: {error}; or give last, first, all, or the number of a frame."
+        ) from None
     return nearest_frame(frames, time, word)
 
 
 def nearest_frame(frames: Sequence[Frame], time: float, word: str) -> Frame:
     """Frame nearest to a time [s], given as `word`.
 
-    Raises GranflowError for a time before the first frame or after the last by more than half the mean interval.
+    Raises GranflowError for a time before the first frame or after the last by more than half the mean
+    interval.
     """
     first, last = frames[0].time, frames[-1].time
     margin = 0.5 * (last - first) / max(len(frames) - 1, 1)
     if not first - margin <= time <= last + margin:
-        raise GranflowError(f"--frame {word}: the frames are from {first:g} s to {last:g} s; give a time between them.")
+        raise GranflowError(
+            f"--frame {word}: the frames are from {first:g} s to {last:g} s; give a time between them."
+        )
     return min(frames, key=lambda frame: abs(frame.time - time))
 
 
@@ -320,11 +345,14 @@ def read_walls(frame: Frame) -> FrameWalls | None:
     mesh = read_mesh(frame.walls)
     numbers = mesh.cell_data.get("wall", [np.zeros(len(block.data), np.int32) for block in mesh.cells])
     blocks = [(block.data, wall) for block, wall in zip(mesh.cells, numbers, strict=True) if len(block.data)]
-    return FrameWalls(mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks))
+    return FrameWalls(
+        mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks)
+    )
 
 
 def read_force_chains(frame: Frame) -> ForceChains | None:
-    """Contacts of a frame; None if it has no contact file. Raises GranflowError if the file cannot be read."""
+    """Contacts of a frame; None if it has no contact file. Raises GranflowError if the file cannot be
+    read."""
     if frame.contacts is None:
         return None
     mesh = read_mesh(frame.contacts)
@@ -337,7 +365,8 @@ def read_force_chains(frame: Frame) -> ForceChains | None:
 # Points that the camera must show: the outermost points of particles and walls, or the domain.
 
 SAMPLED_FRAMES = 12
-"""Number of frames of the whole run that determine the camera, so that all pictures of a run have the same camera."""
+"""Number of frames of the whole run that determine the camera, so that all pictures of a run have the same
+camera."""
 PLANE_MARGIN = 0.5
 """Largest distance of a shown plane from the particles, relative to their largest extent."""
 PLANE_OVERHANG = 0.05
@@ -361,17 +390,21 @@ def sampled(frames: Sequence[Frame], count: int) -> list[Frame]:
 
 
 def particle_points(frames: Sequence[Frame]) -> np.ndarray:
-    """Outermost points (n, 3) [m] of the particles of at most SAMPLED_FRAMES frames; (0, 3) without particles."""
-    return np.concatenate([outermost_points(read_particles(frame)) for frame in sampled(frames, SAMPLED_FRAMES)])
+    """Outermost points (n, 3) [m] of the particles of at most SAMPLED_FRAMES frames; (0, 3) without
+    particles."""
+    return np.concatenate(
+        [outermost_points(read_particles(frame)) for frame in sampled(frames, SAMPLED_FRAMES)]
+    )
 
 
 def bounding_points(
     fit: str, scene: Scene | None, frames: Sequence[Frame], domain: np.ndarray | None, particles: np.ndarray
 ) -> np.ndarray:
-    """Points (n, 3) [m] that the camera must show: the domain, or the outermost points of particles and walls.
+    """Points (n, 3) [m] that the camera must show: the domain, or the outermost points of particles and
+    walls.
 
-    `fit`: "all", "particles" or "domain"; `domain` (2, 3) [m], or None; `particles` (k, 3) [m]: see `particle_points`.
-    At most SAMPLED_FRAMES frames are read. Never empty.
+    `fit`: "all", "particles" or "domain"; `domain` (2, 3) [m], or None; `particles` (k, 3) [m]: see
+    `particle_points`. At most SAMPLED_FRAMES frames are read. Never empty.
     """
     if fit == "domain" and domain is not None:
         return corners_of(domain)
@@ -394,14 +427,18 @@ def outermost_points(particles: FrameParticles) -> np.ndarray:
     return particles.position[farthest] + particles.radius[farthest, None] * directions
 
 
-def wall_points(walls: FrameWalls, scene: Scene | None, particles: np.ndarray, domain: np.ndarray | None) -> np.ndarray:
+def wall_points(
+    walls: FrameWalls, scene: Scene | None, particles: np.ndarray, domain: np.ndarray | None
+) -> np.ndarray:
     """Corners (n, 3) [m] of the walls, clipped to the domain; unbounded planes are clipped to the particles.
 
     `particles` (k, 3) [m]: outermost points of the particles; `domain` (2, 3) [m], or None.
     """
     planes = planes_of(walls, scene)
     corners = [walls.points_of([number for number in walls.numbers if number not in planes])]
-    corners += [np.clip(each, *plane_box(each, particles)) for each in map(walls.points_of, ([k] for k in planes))]
+    corners += [
+        np.clip(each, *plane_box(each, particles)) for each in map(walls.points_of, ([k] for k in planes))
+    ]
     points = np.concatenate(corners)
     return points if domain is None else np.clip(points, *domain)
 
@@ -415,8 +452,8 @@ def planes_of(walls: FrameWalls, scene: Scene | None) -> list[int]:
 def plane_box(plane: np.ndarray, particles: np.ndarray) -> np.ndarray:
     """Box (2, 3) [m] of the shown part of a plane: around the particles, wider along the normal of the plane.
 
-    `plane` (m, 3) [m]: its corners in the frame; `particles` (k, 3) [m]: outermost points of the particles. All of the
-    plane without particles.
+    `plane` (m, 3) [m]: its corners in the frame; `particles` (k, 3) [m]: outermost points of the particles.
+    All of the plane without particles.
     """
     if not len(particles) or not len(plane):
         return np.array([[-np.inf] * 3, [np.inf] * 3])

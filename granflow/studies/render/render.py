@@ -106,8 +106,8 @@ def scale_for(
 ) -> Scale:
     """Color scale of an array from all shown values, or from given `limits` [SI].
 
-    `values`: arrays (n,) of the frames; values that are not finite are ignored. `names`: names of the materials and
-    groups of the scene, by array name.
+    `values`: arrays (n,) of the frames; values that are not finite are ignored. `names`: names of the
+    materials and groups of the scene, by array name.
     """
     finite = np.concatenate([np.zeros(0), *values])
     finite = finite[np.isfinite(finite)]
@@ -116,7 +116,9 @@ def scale_for(
         return Scale(color, name, "", 1.0, (0.0, 1.0), _categories(name, finite, names or {}))
     low, high = limits or _range(finite, signed=bool(axis))
     quantity = PARTICLE_QUANTITIES.get(name) or CONTACT_QUANTITIES.get(name)
-    factor, unit = prefixed("" if quantity is None or quantity.unit == "1" else quantity.unit, max(abs(low), abs(high)))
+    factor, unit = prefixed(
+        "" if quantity is None or quantity.unit == "1" else quantity.unit, max(abs(low), abs(high))
+    )
     title = name.replace("_", " ") + (f", {axis}" if axis else "\nmagnitude" if is_vector else "")
     out_of_range = (bool(np.any(finite < low)), bool(np.any(finite > high)))
     return Scale(color, title, unit, factor, (low, high), out_of_range=out_of_range)
@@ -130,7 +132,8 @@ def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]
 
 
 def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
-    """Range that contains most values (PERCENTILES); symmetric for components, from 0 if the lower limit is near 0.
+    """Range that contains most values (PERCENTILES); symmetric for components, from 0 if the lower limit is
+    near 0.
 
     `values` (n,) [SI], all finite; (0, 1) without values.
     """
@@ -148,7 +151,8 @@ def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
 
 
 def prefixed(unit: str, largest: float) -> tuple[float, str]:
-    """Value in SI of the unit with the prefix that suits the largest number, and that unit; powers have no prefix.
+    """Value in SI of the unit with the prefix that suits the largest number, and that unit; powers have no
+    prefix.
 
     For example, 1e-3 and "mN" for "N" and 0.02.
     """
@@ -176,9 +180,11 @@ def missing_for_film() -> str | None:
 
 
 def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
-    """Write one or more pictures (height, width, 3), 0 to 255, of one even size as MP4 with `rate` pictures per second.
+    """Write one or more pictures (height, width, 3), 0 to 255, of one even size as MP4 with `rate` pictures
+    per second.
 
-    The file is replaced when it is complete. Raises ImportError without imageio-ffmpeg; see `missing_for_film`.
+    The file is replaced when it is complete. Raises ImportError without imageio-ffmpeg; see
+    `missing_for_film`.
     """
     from imageio_ffmpeg import write_frames
 
@@ -186,9 +192,14 @@ def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
         remaining = iter(pictures)
         first = next(remaining)
         writer = write_frames(
-            str(temporary), first.shape[1::-1], fps=rate, quality=None, macro_block_size=2,
-            output_params=list(OUTPUT), ffmpeg_log_level="error",
-        )  # fmt: skip
+            str(temporary),
+            first.shape[1::-1],
+            fps=rate,
+            quality=None,
+            macro_block_size=2,
+            output_params=list(OUTPUT),
+            ffmpeg_log_level="error",
+        )
         with closing(writer):
             writer.send(None)
             for picture in chain([first], remaining):
@@ -200,7 +211,8 @@ def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
 DPI = 100
 """Dots per inch; font sizes are proportional to the height of the picture."""
 WIDTH = 0.27
-"""Width of the strip over the height of the picture; all lengths below are relative to that height as well."""
+"""Width of the strip over the height of the picture; all lengths below are relative to that height as
+well."""
 LETTERS = 0.03
 """Font size over the height of the picture."""
 TITLE_LETTERS = 13
@@ -214,7 +226,8 @@ NO_VALUE = (0.6, 0.6, 0.6)
 
 
 def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
-    """Colors (n, 3) uint8 of values (n,) [SI]; gray for nan. Values outside the limits get the color of the limit."""
+    """Colors (n, 3) uint8 of values (n,) [SI]; gray for nan. Values outside the limits get the color of the
+    limit."""
     from matplotlib import colormaps, colors
 
     if scale.names is not None:
@@ -230,8 +243,8 @@ def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
 def legend_strip(scale: Scale, time: str, height: int, shown_height: float, speed: str = "") -> np.ndarray:
     """The strip as an image (height, width, 3), 0 to 255.
 
-    `time`, `speed`: text at the top; `height` [pixels]; the width is WIDTH times the height. `shown_height` [m]: length
-    that the height of the picture shows, for the scale bar.
+    `time`, `speed`: text at the top; `height` [pixels]; the width is WIDTH times the height. `shown_height`
+    [m]: length that the height of the picture shows, for the scale bar.
     """
     letters = LETTERS * height * 72.0 / DPI
     size = (WIDTH * height / DPI, height / DPI)
@@ -258,7 +271,9 @@ def _bar(figure: Any, scale: Scale, letters: float) -> None:
     low, high = (limit / scale.factor for limit in scale.limits)
     ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
     bar = figure.colorbar(
-        ScalarMappable(Normalize(low, high), scale.map_name), cax=figure.add_axes(BAR), extend=ends[scale.out_of_range]
+        ScalarMappable(Normalize(low, high), scale.map_name),
+        cax=figure.add_axes(BAR),
+        extend=ends[scale.out_of_range],
     )
     bar.ax.locator_params(nbins=6)
     bar.ax.minorticks_off()
@@ -278,8 +293,14 @@ def _scale_bar(figure: Any, shown_height: float, letters: float) -> None:
 
     length = round_length(SCALE_BAR[0] * WIDTH * shown_height)
     factor, unit = prefixed("m", length)
-    right, bottom = BAR[0] + length / (WIDTH * shown_height), SCALE_BAR[1]
-    line: dict[str, Any] = {"color": "black", "linewidth": 0.09 * letters, "marker": "|", "markersize": 0.5 * letters}
+    right = BAR[0] + length / (WIDTH * shown_height)
+    bottom = SCALE_BAR[1]
+    line: dict[str, Any] = {
+        "color": "black",
+        "linewidth": 0.09 * letters,
+        "marker": "|",
+        "markersize": 0.5 * letters,
+    }
     figure.add_artist(Line2D([BAR[0], right], [bottom, bottom], **line))
     figure.text(BAR[0], bottom + 0.015, f"{length / factor:g} {unit}", va="bottom", fontsize=0.9 * letters)
 
@@ -288,7 +309,8 @@ def _legend(figure: Any, names: Mapping[int, str], letters: float) -> None:
     """A colored dot and a name for each material or group, as many as fit."""
     line = 1.5 * letters / (72.0 * figure.get_figheight())
     for row, (number, name) in enumerate(list(names.items())[: int(BAR[3] / line)]):
-        height, color = BAR[1] + BAR[3] - (row + 0.5) * line, COLORS[number % len(COLORS)]
+        height = BAR[1] + BAR[3] - (row + 0.5) * line
+        color = COLORS[number % len(COLORS)]
         figure.text(BAR[0], height, "\N{BLACK CIRCLE}", color=color, va="center", family="DejaVu Sans")
         figure.text(BAR[0] + 0.13, height, name, va="center")
 
@@ -314,7 +336,8 @@ TUBE_SIDES = 10
 GRAY = (205, 205, 205)
 """Color of particles in pictures of force chains (red, green, blue; 0 to 255)."""
 NEAR = 0.02
-"""Ratio of radius to distance from the eye above which a sphere is drawn as triangles (a tenth of the height)."""
+"""Ratio of radius to distance from the eye above which a sphere is drawn as triangles (a tenth of the
+height)."""
 FACETS = 80
 """Number of facets of such a sphere, around the axis and from pole to pole."""
 
@@ -336,14 +359,17 @@ def require_pyvista() -> Any:
 class Renderer:
     """Renders frames with a fixed camera; spheres are exact to the pixel.
 
-    `size`: width and height [pixels]. Raises GranflowError if pyvista is not installed. Call `close` after use.
+    `size`: width and height [pixels]. Raises GranflowError if pyvista is not installed. Call `close` after
+    use.
     """
 
     def __init__(self, size: tuple[int, int], camera: Camera) -> None:
         self._pyvista = require_pyvista()
         self._plotter = self._pyvista.Plotter(off_screen=True, window_size=[FINER * side for side in size])
         self._plotter.set_background("white")
-        self._plotter.ren_win.SetMultiSamples(0)  # multisampling would show the edges of transparent triangles
+        self._plotter.ren_win.SetMultiSamples(
+            0
+        )  # multisampling would show the edges of transparent triangles
         self._walls: FrameWalls | None = None
         self._wall_actors: list[str] = []
         self._set_camera(camera)
@@ -362,11 +388,15 @@ class Renderer:
         self._plotter.close()
 
     def set_particles(self, particles: FrameParticles, colors: np.ndarray, faint: bool = False) -> None:
-        """Show particles in `colors` (n, 3), 0 to 255, or transparent and gray; replaces those shown before."""
+        """Show particles in `colors` (n, 3), 0 to 255, or transparent and gray; replaces those shown
+        before."""
         colors = np.full_like(colors, GRAY) if faint else colors
         distance = np.linalg.norm(particles.position - self._plotter.camera.position, axis=1)
         is_near = particles.radius > NEAR * distance
-        for name, chosen, add in (("particles", ~is_near, self._add_many), ("near particles", is_near, self._add_near)):
+        for name, chosen, add in (
+            ("particles", ~is_near, self._add_many),
+            ("near particles", is_near, self._add_near),
+        ):
             self._plotter.remove_actor(name, render=False)
             if np.any(chosen):
                 points = self._pyvista.PolyData(particles.position[chosen])
@@ -375,11 +405,13 @@ class Renderer:
                 add(points, name, FAINT if faint else 1.0)
 
     def _add_many(self, points: Any, name: str, opacity: float) -> None:
-        """Add spheres that a shader computes per pixel: fast, but clipped if a sphere fills much of the picture."""
+        """Add spheres that a shader computes per pixel: fast, but clipped if a sphere fills much of the
+        picture."""
         from vtkmodules.vtkRenderingCore import vtkActor
         from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLSphereMapper
 
-        mapper, actor = vtkOpenGLSphereMapper(), vtkActor()
+        mapper = vtkOpenGLSphereMapper()
+        actor = vtkActor()
         mapper.SetInputData(points)
         mapper.SetScaleArray("radius")
         mapper.SetScalarModeToUsePointFieldData()
@@ -410,8 +442,8 @@ class Renderer:
     ) -> None:
         """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the half space `cut`.
 
-        `plane_boxes` (2, 3) [m]: boxes to which unbounded planes are clipped as well, by number. Walls that have not
-        moved since the last frame are kept.
+        `plane_boxes` (2, 3) [m]: boxes to which unbounded planes are clipped as well, by number. Walls that
+        have not moved since the last frame are kept.
         """
         if walls is not None and walls.same_as(self._walls):
             return
@@ -421,7 +453,9 @@ class Renderer:
         self._wall_actors = []
         if walls is None:
             return
-        self._add_wall("walls", walls.selected([k for k in walls.numbers if k not in plane_boxes]), [box], cut, WALL)
+        self._add_wall(
+            "walls", walls.selected([k for k in walls.numbers if k not in plane_boxes]), [box], cut, WALL
+        )
         for number, plane_box in plane_boxes.items():
             self._add_wall(f"plane {number}", walls.selected([number]), [box, plane_box], cut, PLANE)
 
@@ -433,7 +467,8 @@ class Renderer:
         cut: HalfSpace | None,
         style: Mapping[str, Any],
     ) -> None:
-        """Add walls and their edges, clipped to the boxes and the half space, as actors with a common `name`."""
+        """Add walls and their edges, clipped to the boxes and the half space, as actors with a common
+        `name`."""
         if not walls.polygons:
             return
         surface = self._surface(walls)
@@ -461,14 +496,18 @@ class Renderer:
 
     def _set_camera(self, camera: Camera) -> None:
         vtk_camera = self._plotter.camera
-        vtk_camera.position, vtk_camera.focal_point, vtk_camera.up = camera.eye, camera.focus, camera.view.up
+        vtk_camera.position = camera.eye
+        vtk_camera.focal_point = camera.focus
+        vtk_camera.up = camera.view.up
         vtk_camera.view_angle = float(np.degrees(OPENING))
         vtk_camera.parallel_scale = camera.half_height
         vtk_camera.parallel_projection = not camera.view.perspective
 
     def _surface(self, walls: FrameWalls) -> Any:
         """Surface of the walls with merged points, so that edges between polygons are found."""
-        faces = [np.column_stack([np.full(len(each), each.shape[1]), each]).ravel() for each in walls.polygons]
+        faces = [
+            np.column_stack([np.full(len(each), each.shape[1]), each]).ravel() for each in walls.polygons
+        ]
         return self._pyvista.PolyData(walls.points, np.concatenate(faces)).clean(
             lines_to_points=False, polys_to_lines=False
         )
@@ -498,7 +537,8 @@ ASPECTS = (0.5, 1.9)
 COLOR_FRAMES = 40
 """Maximum number of frames that determine the color range."""
 THICKEST, THINNEST = 0.5, 0.04
-"""Radius of the tube of the largest force over the mean particle radius, and the smallest radius that is shown."""
+"""Radius of the tube of the largest force over the mean particle radius, and the smallest radius that is
+shown."""
 CHAIN_COLOR = "normal_force"
 """Array of contacts that determines color and thickness of force chains."""
 
@@ -507,9 +547,10 @@ CHAIN_COLOR = "normal_force"
 class PictureStyle:
     """Content and view of a picture.
 
-    `color`: an array of the particles; with `chains`, contacts are shown instead, colored by normal force. `fit`:
-    shown region, "all", "particles" or "domain". `cut`: hide the front half. `limits`: limits of the color scale [SI].
-    `size`: (width, height) in pixels, including the legend strip.
+    `color`: an array of the particles; with `chains`, contacts are shown instead, colored by normal force.
+    `fit`:
+    shown region, "all", "particles" or "domain". `cut`: hide the front half. `limits`: limits of the color
+    scale [SI]. `size`: (width, height) in pixels, including the legend strip.
     """
 
     color: str = "velocity"
@@ -531,9 +572,9 @@ class PictureStyle:
 class PictureSetup:
     """Common properties of all pictures of a run.
 
-    `size`: width and height [pixels], including the legend strip; `domain` (2, 3) [m] to which walls are clipped, or
-    None; `particles` (k, 3) [m]: outermost points of the particles, around which planes are clipped; `cut`: outside
-    this half space, nothing is drawn.
+    `size`: width and height [pixels], including the legend strip; `domain` (2, 3) [m] to which walls are
+    clipped, or None; `particles` (k, 3) [m]: outermost points of the particles, around which planes are
+    clipped; `cut`: outside this half space, nothing is drawn.
     """
 
     style: PictureStyle
@@ -557,8 +598,8 @@ def write_pictures(
 
     Files are written atomically and replace earlier ones of the same name.
 
-    Raises GranflowError if the extra `plot` is not installed, if files cannot be read, or if the style requires data
-    that the run did not write.
+    Raises GranflowError if the extra `plot` is not installed, if files cannot be read, or if the style
+    requires data that the run did not write.
     """
     require_pyvista()
     from PIL import Image
@@ -599,7 +640,9 @@ def pictures(
         renderer.close()
 
 
-def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle, rate: float | None = None) -> PictureSetup:
+def setup_for(
+    directory: Path, frames: Sequence[Frame], style: PictureStyle, rate: float | None = None
+) -> PictureSetup:
     """Camera, color scale and size for all frames, so that pictures of one run are comparable.
 
     `rate`: pictures per second of a film, or None.
@@ -649,7 +692,9 @@ def _strip_width(height: int) -> int:
 def _cut(view: View, points: np.ndarray) -> HalfSpace:
     """Half space behind the center, normal to the axis closest to the direction of the viewer."""
     axis = int(np.argmax(np.abs(view.toward)))
-    return HalfSpace(0.5 * (points.min(axis=0) + points.max(axis=0)), np.sign(view.toward[axis]) * np.eye(3)[axis])
+    return HalfSpace(
+        0.5 * (points.min(axis=0) + points.max(axis=0)), np.sign(view.toward[axis]) * np.eye(3)[axis]
+    )
 
 
 def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) -> Scale:
@@ -694,7 +739,8 @@ def _picture(renderer: Renderer, setup: PictureSetup, frame: Frame) -> np.ndarra
     else:
         values = values_of(particles.arrays, setup.style.color) if len(particles.radius) else np.zeros(0)
         renderer.set_particles(particles, colors_of(values, setup.scale))
-    time, shown_height = f"{frame.time:.{setup.decimals}f} s", setup.camera.shown_height
+    time = f"{frame.time:.{setup.decimals}f} s"
+    shown_height = setup.camera.shown_height
     strip = legend_strip(setup.scale, time, setup.size[1], shown_height, setup.speed)
     return np.concatenate([renderer.draw(), strip], axis=1)
 
@@ -709,6 +755,7 @@ def _draw_chains(
     is_shown = share > THINNEST / THICKEST
     if setup.cut is not None:
         is_shown &= setup.cut.contains(chains.ends).all(axis=1)
-    chains, share = ForceChains(chains.ends[is_shown], chains.normal_force[is_shown]), share[is_shown]
+    chains = ForceChains(chains.ends[is_shown], chains.normal_force[is_shown])
+    share = share[is_shown]
     mean_radius = float(np.mean(particles.radius)) if len(particles.radius) else 0.0
     renderer.set_chains(chains, THICKEST * mean_radius * share, colors_of(chains.normal_force, setup.scale))

@@ -31,8 +31,8 @@ class PlotGroup:
 def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
     """Group columns of one unit by quantity, or by a common last or first word.
 
-    `flow_mass.a` and `flow_mass.b` are one quantity; `kinetic_energy` and `elastic_energy` share the last word,
-    `overlap_mean` and `overlap_largest` the first. The grouping depends on names and units only.
+    `flow_mass.a` and `flow_mass.b` are one quantity; `kinetic_energy` and `elastic_energy` share the last
+    word, `overlap_mean` and `overlap_largest` the first. The grouping depends on names and units only.
     """
     kinds: dict[tuple[str, str], list[SeriesColumn]] = {}
     for column in columns:
@@ -41,9 +41,12 @@ def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
 
 
 def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
-    """Common property of a column and others of its unit: quantity, last word or first word; else its own name."""
+    """Common property of a column and others of its unit: quantity, last word or first word; else its own
+    name."""
     quantity = column.name.partition(".")[0]
-    other_quantities = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
+    other_quantities = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {
+        quantity
+    }
     text = quantity.split("_")
     if any(other.split("_")[-1] == text[-1] for other in other_quantities):
         return text[-1]
@@ -99,7 +102,8 @@ DASHES = ("solid", "dash", "dot", "dashdot")
 DIGITS = 6
 """Significant digits of a number in the page."""
 AXIS = {"showline": True, "zeroline": False, "exponentformat": "SI"}
-"""Style of axes in the format of plotly; the script of the page adds its colors, also to text and background."""
+"""Style of axes in the format of plotly; the script of the page adds its colors, also to text and
+background."""
 HEIGHT = 340
 """Height of a plot without its legend [pixels]."""
 STANDOFF = 6
@@ -107,7 +111,8 @@ STANDOFF = 6
 LEGEND = {"orientation": "h", "x": 0, "y": -0.25, "yanchor": "top", "maxheight": 1.0}
 """Legend below the plot; the script of the page makes room for its rows."""
 STAGE_ROW, NEAR = 14, 0.1
-"""Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the run."""
+"""Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the
+run."""
 
 
 class Plot(NamedTuple):
@@ -142,8 +147,13 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
         for look, column in zip(_looks(group.columns), group.columns, strict=True)
     ]
     unit = f" ({shown})" if shown else ""
-    layout = {**curve_layout("time (s)", escaped(group.title + unit), len(curves) > 1), **_stage_marks(series)}
-    return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
+    layout = {
+        **curve_layout("time (s)", escaped(group.title + unit), len(curves) > 1),
+        **_stage_marks(series),
+    }
+    return Plot(
+        f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout}
+    )
 
 
 def curve_layout(x_title: str, y_title: str, has_legend: bool) -> dict[str, Any]:
@@ -168,17 +178,23 @@ def curve_layout(x_title: str, y_title: str, has_legend: bool) -> dict[str, Any]
 def _looks(columns: Sequence[SeriesColumn]) -> list[dict[str, Any]]:
     """Color, line style and legend group of each column in the format of plotly.
 
-    Several quantities of several parts, such as components of forces on walls: a color per part, a line style per
-    quantity, and a click on a name hides the part. Otherwise a color per column.
+    Several quantities of several parts, such as components of forces on walls: a color per part, a line style
+    per quantity, and a click on a name hides the part. Otherwise a color per column.
     """
     names = [column.name.partition(".") for column in columns]
     quantities, parts = (list(dict.fromkeys(name[k] for name in names)) for k in (0, 2))
     if len(quantities) > 1 and len(parts) > 1 and "" not in parts:
-        places = [(parts.index(part), quantities.index(quantity), {"legendgroup": part}) for quantity, _, part in names]
+        places = [
+            (parts.index(part), quantities.index(quantity), {"legendgroup": part})
+            for quantity, _, part in names
+        ]
     else:
         places = [(number, number // len(COLORS), {}) for number in range(len(columns))]
     return [
-        {"line": {"color": COLORS[color % len(COLORS)], "width": 1.8, "dash": DASHES[dash % len(DASHES)]}, **group}
+        {
+            "line": {"color": COLORS[color % len(COLORS)], "width": 1.8, "dash": DASHES[dash % len(DASHES)]},
+            **group,
+        }
         for color, dash, group in places
     ]
 
@@ -186,7 +202,8 @@ def _looks(columns: Sequence[SeriesColumn]) -> list[dict[str, Any]]:
 def _curve(
     look: dict[str, Any], column: SeriesColumn, series: TimeSeriesTable, per_unit: float, unit: str
 ) -> dict[str, Any]:
-    """One curve in the format of plotly, with at most `series.MOST_POINTS` points, in `per_unit` of its unit."""
+    """One curve in the format of plotly, with at most `series.MOST_POINTS` points, in `per_unit` of its
+    unit."""
     time, values = thinned(series.time, per_unit * column.values)
     return {
         "type": "scatter",
@@ -220,11 +237,20 @@ def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
             for time, _ in stages
         ],
         "annotations": [
-            {"x": time, "y": 1, "yref": "paper", "text": escaped(name), "showarrow": False, "xanchor": "left",
-             "yanchor": "bottom", "font": {"size": 11}, "yshift": STAGE_ROW * row}
+            {
+                "x": time,
+                "y": 1,
+                "yref": "paper",
+                "text": escaped(name),
+                "showarrow": False,
+                "xanchor": "left",
+                "yanchor": "bottom",
+                "font": {"size": 11},
+                "yshift": STAGE_ROW * row,
+            }
             for (time, name), row in zip(stages, rows, strict=True)
         ],
-    }  # fmt: skip
+    }
 
 
 def _rows(times: Sequence[float], span: float) -> list[int]:

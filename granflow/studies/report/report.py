@@ -55,10 +55,11 @@ class GridFrame(NamedTuple):
 def field_content(directory: Path, with_plots: bool) -> tuple[list[PageTable], list[Plot]]:
     """Tables and plots of all fields of a run.
 
-    A grid with several cells along one axis only has plots of its last frames, unless `with_plots` is False; another
-    has a table of its last frame. Raises GranflowError if a file cannot be read.
+    A grid with several cells along one axis only has plots of its last frames, unless `with_plots` is False;
+    another has a table of its last frame. Raises GranflowError if a file cannot be read.
     """
-    tables, plots = [], []
+    tables = []
+    plots = []
     for listing in sorted(directory.glob("fields_*.pvd")):
         series = listed_frames(directory, listing.stem)
         chosen = np.unique(np.linspace(0, len(series) - 1, PROFILES + 1).astype(int)[1:]) if series else ()
@@ -75,9 +76,13 @@ def field_content(directory: Path, with_plots: bool) -> tuple[list[PageTable], l
 def _frame(time: float, path: Path) -> GridFrame:
     """Frame of a file; vectors and tensors by their magnitude."""
     mesh = read_mesh(path)
-    centers = np.concatenate([np.zeros((0, 3)), *(mesh.points[block.data].mean(axis=1) for block in mesh.cells)])
+    centers = np.concatenate(
+        [np.zeros((0, 3)), *(mesh.points[block.data].mean(axis=1) for block in mesh.cells)]
+    )
     arrays = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()}
-    scalars = {name: np.linalg.norm(each, axis=1) if each.ndim == 2 else each for name, each in arrays.items()}
+    scalars = {
+        name: np.linalg.norm(each, axis=1) if each.ndim == 2 else each for name, each in arrays.items()
+    }
     return GridFrame(time, centers, scalars)
 
 
@@ -97,9 +102,15 @@ def _profile(name: str, quantity: str, axis: int, frames: Sequence[GridFrame]) -
         values = frame.values[quantity][order]
         is_number = np.isfinite(values)
         curves.append(
-            {"type": "scatter", "mode": "lines", "name": f"{frame.time:.4g} s", "y": plain(values[is_number]),
-             "x": plain(frame.centers[order, axis][is_number]), "line": {"color": COLORS[len(curves) % len(COLORS)]}}
-        )  # fmt: skip
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": f"{frame.time:.4g} s",
+                "y": plain(values[is_number]),
+                "x": plain(frame.centers[order, axis][is_number]),
+                "line": {"color": COLORS[len(curves) % len(COLORS)]},
+            }
+        )
     layout = curve_layout(f"{AXES[axis]} (m)", title + unit, len(curves) > 1)
     return Plot(f"Field {name}: {title}{unit} over {AXES[axis]}", {"data": curves, "layout": layout})
 
@@ -132,7 +143,8 @@ class Topic(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """Topic of metrics, flow meters or walls: its quantities, its key in result.json, and the caption of its table."""
+    """Topic of metrics, flow meters or walls: its quantities, its key in result.json, and the caption of its
+    table."""
 
     quantities: Iterable[str]
     key: str
@@ -141,9 +153,7 @@ class Readings(NamedTuple):
 
 METRIC_CAPTION = "Metrics of the bed at the end of the run."
 FLOW_CAPTION = "Flow meters at the end of the run; the mass flow rate is the steady one."
-FORCE_CAPTION = (
-    "Forces of the particles on the walls: means over the last stage, and the largest value of a row in the run."
-)
+FORCE_CAPTION = "Forces of the particles on the walls: means over the last stage, and the largest value of a row in the run."
 EXPECTED, FORCES, ENERGIES, OTHERS = "Expectations", "Wall forces", "Energy budget", "Over time"
 READINGS = {
     "Metrics": Readings(METRIC_QUANTITIES, "metrics", METRIC_CAPTION),
@@ -170,7 +180,11 @@ def expected_topic(record: Run, with_plots: bool) -> Topic:
     ]
     table = PageTable(("", "result"), rows, "Expectations of the scene (expect).")
     columns = [each for each in _expected_columns(record) if not is_zero(each)]
-    plots = [plot_of(group, record.series) for group in groups_of(columns)] if record.series and with_plots else []
+    plots = (
+        [plot_of(group, record.series) for group in groups_of(columns)]
+        if record.series and with_plots
+        else []
+    )
     return Topic(EXPECTED, [table] if rows else [], [], plots)
 
 
@@ -199,9 +213,9 @@ def topic_of(column: SeriesColumn, has_budget: bool = True) -> str:
 def topics(record: Run, with_plots: bool) -> Iterator[Topic]:
     """Sections of metrics, flow, wall forces, energy budget, and all other quantities over time.
 
-    Columns of zeros are listed instead of plotted, a plot of expected quantities only is not repeated, and small
-    components of forces and torques are folded. Without an energy budget, energies are among the other quantities.
-    `with_plots`: whether the plot library is available.
+    Columns of zeros are listed instead of plotted, a plot of expected quantities only is not repeated, and
+    small components of forces and torques are folded. Without an energy budget, energies are among the other
+    quantities. `with_plots`: whether the plot library is available.
     """
     series = record.series
     if series is None:
@@ -216,7 +230,9 @@ def topics(record: Run, with_plots: bool) -> Iterator[Topic]:
         groups = groups_of([each for each in columns if each not in small])
         groups = [group for group in groups if not {each.name for each in group.columns} <= shown_before]
         plots = [plot_of(group, series) for group in groups] if with_plots else []
-        sentences = _sentences(record, title, bool(tables)) + ([NO_LIBRARY] if columns and not with_plots else [])
+        sentences = _sentences(record, title, bool(tables)) + (
+            [NO_LIBRARY] if columns and not with_plots else []
+        )
         if tables or sentences or plots:
             yield Topic(title, tables, sentences, plots, folded)
 
@@ -238,11 +254,15 @@ def _sentences(record: Run, title: str, has_table: bool) -> list[str]:
     error = record.result_sections.get("totals", {}).get("energy_error")
     if title == ENERGIES and has_table and error is not None:
         return [f"Energy error: {error:.3g} of the largest energy input."]
-    zero_columns = [column.text for column in record.series.columns if is_zero(column)] if record.series else []
+    zero_columns = (
+        [column.text for column in record.series.columns if is_zero(column)] if record.series else []
+    )
     return [f"Always zero: {', '.join(zero_columns)}."] if title == OTHERS and zero_columns else []
 
 
-def _folded(tables: Sequence[PageTable], small: Sequence[SeriesColumn]) -> tuple[list[PageTable], list[PageTable]]:
+def _folded(
+    tables: Sequence[PageTable], small: Sequence[SeriesColumn]
+) -> tuple[list[PageTable], list[PageTable]]:
     """The tables without rows of small columns, and a table of the largest values of those that are not zero.
 
     A row is removed if it is a quantity whose column is small for every wall.
@@ -250,9 +270,15 @@ def _folded(tables: Sequence[PageTable], small: Sequence[SeriesColumn]) -> tuple
     names = {column.name for column in small}
     kept = []
     for table in tables:
-        kept.append(table._replace(rows=[row for row in table.rows if not _is_small(row[0], table.heads[1:], names)]))
-    caption = f"Components below {SMALL:.0%} of the largest force or torque of a row: largest absolute values."
-    rows = [(column.text, f"{largest_of(column):.3g}", column.unit) for column in small if not is_zero(column)]
+        kept.append(
+            table._replace(rows=[row for row in table.rows if not _is_small(row[0], table.heads[1:], names)])
+        )
+    caption = (
+        f"Components below {SMALL:.0%} of the largest force or torque of a row: largest absolute values."
+    )
+    rows = [
+        (column.text, f"{largest_of(column):.3g}", column.unit) for column in small if not is_zero(column)
+    ]
     return kept, [PageTable(("", "", ""), rows, caption)] if rows else []
 
 
@@ -263,8 +289,10 @@ def _is_small(head: str, parts: Sequence[str], small: set[str]) -> bool:
 
 
 def _readings(record: Run, title: str) -> list[PageTable]:
-    """Final values of metrics, flow meters or walls; from the last row of the time series if there is no result."""
-    readings, caption = record.result_sections.get(READINGS[title].key, {}), READINGS[title].caption
+    """Final values of metrics, flow meters or walls; from the last row of the time series if there is no
+    result."""
+    readings = record.result_sections.get(READINGS[title].key, {})
+    caption = READINGS[title].caption
     if not readings and record.series is not None:
         caption = "The last row of timeseries.csv."
         for column in record.series.columns:
@@ -277,13 +305,19 @@ def _readings(record: Run, title: str) -> list[PageTable]:
 def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
     """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity.
 
-    With more than MOST_COLUMNS quantities and fewer parts, the rows are the quantities and the columns the parts.
+    With more than MOST_COLUMNS quantities and fewer parts, the rows are the quantities and the columns the
+    parts.
     """
     names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
     units = [unit_of(name + ".x") for name in names]
-    heads = [name.replace("_", " ") + (f" ({unit})" if unit else "") for name, unit in zip(names, units, strict=True)]
+    heads = [
+        name.replace("_", " ") + (f" ({unit})" if unit else "")
+        for name, unit in zip(names, units, strict=True)
+    ]
     columns = list(zip(names, units, strict=True))
-    rows = [[part, *(shown(numbers.get(name), unit) for name, unit in columns)] for part, numbers in parts.items()]
+    rows = [
+        [part, *(shown(numbers.get(name), unit) for name, unit in columns)] for part, numbers in parts.items()
+    ]
     if len(parts) < MOST_COLUMNS < len(names):
         return PageTable(["", *parts], list(zip(heads, *(row[1:] for row in rows), strict=True)), caption)
     return PageTable(["", *heads], rows, caption)
@@ -297,7 +331,8 @@ def shown(number: Any, unit: str = "") -> str:
 
 
 def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
-    """Each energy at the start and at the end, and its largest absolute value [J]; NEGLIGIBLE shares of it are 0."""
+    """Each energy at the start and at the end, and its largest absolute value [J]; NEGLIGIBLE shares of it
+    are 0."""
     rows = []
     for column in columns:
         if column.unit == "J" and not is_zero(column):
@@ -305,7 +340,9 @@ def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
             values = column.values[np.isfinite(column.values)]
             numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
             kept = (number if abs(number) > NEGLIGIBLE * abs(numbers[-1]) else 0.0 for number in numbers)
-            rows.append([column.text, *(f"{number + 0.0:.4g}" for number in kept), known.meaning if known else ""])
+            rows.append(
+                [column.text, *(f"{number + 0.0:.4g}" for number in kept), known.meaning if known else ""]
+            )
     return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
 
 
@@ -401,12 +438,20 @@ def _number_row(item: tuple[str, Any]) -> tuple[str, str, str]:
     """Name, number and unit."""
     name, number = item
     unit = unit_of(name)
-    return name.replace("_", " "), shown(number), unit + (in_degrees(number, unit) if number is not None else "")
+    return (
+        name.replace("_", " "),
+        shown(number),
+        unit + (in_degrees(number, unit) if number is not None else ""),
+    )
 
 
 def timings(record: Run) -> PageTable | None:
     """Wall-clock time by phase [s], in descending order; None if the run has no timings."""
-    seconds = {name: number for name, number in record.result_sections.get("timings", {}).items() if number is not None}
+    seconds = {
+        name: number
+        for name, number in record.result_sections.get("timings", {}).items()
+        if number is not None
+    }
     total = max(record.result_sections.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
     if not seconds or not total > 0.0:
         return None
@@ -419,7 +464,8 @@ def timings(record: Run) -> PageTable | None:
 
 
 def plan_and_problem(record: Run) -> tuple[str, str]:
-    """Decisions of the plan with their reasons, from the log, or recomputed from the resolved scene; or the problem."""
+    """Decisions of the plan with their reasons, from the log, or recomputed from the resolved scene; or the
+    problem."""
     text = explanation(record.log)
     if not text and not record.scene_problem:
         try:
@@ -432,10 +478,17 @@ def plan_and_problem(record: Run) -> tuple[str, str]:
 def machine(record: Run) -> PageTable:
     """Versions, backend and machine of each session."""
     rows = [
-        (each.started, each.arch, each.precision, each.threads, each.compiled and f"{each.compiled} s", each.versions,
-         each.resumed_from)
+        (
+            each.started,
+            each.arch,
+            each.precision,
+            each.threads,
+            each.compiled and f"{each.compiled} s",
+            each.versions,
+            each.resumed_from,
+        )
         for each in sessions(record.log)
-    ]  # fmt: skip
+    ]
     header = ("start", "backend", "precision", "threads", "compilation", "versions and system", "")
     return PageTable(header, rows, FROM_LOG)
 
@@ -464,7 +517,9 @@ def remaining_numbers(record: Run) -> list[PageTable]:
 def _unless_negligible(record: Run, name: str, number: Any) -> Any:
     """The last value of a quantity, 0 if it is a NEGLIGIBLE share of its largest value in the time series."""
     columns = record.series.columns if record.series is not None else ()
-    largest = max((np.nanmax(np.abs(each.values), initial=0.0) for each in columns if each.name == name), default=0.0)
+    largest = max(
+        (np.nanmax(np.abs(each.values), initial=0.0) for each in columns if each.name == name), default=0.0
+    )
     return 0.0 if isinstance(number, float) and abs(number) < NEGLIGIBLE * largest else number
 
 
@@ -473,8 +528,8 @@ def write_report(
 ) -> Path:
     """Write the report page of a run to its directory or to `out`; return its path.
 
-    `pictures`: include pictures, and render some if there are none. `report` is called with a message about missing
-    packages. Raises GranflowError if the directory is not that of a run, or if files cannot be read.
+    `pictures`: include pictures, and render some if there are none. `report` is called with a message about
+    missing packages. Raises GranflowError if the directory is not that of a run, or if files cannot be read.
     """
     record = read_run(directory)
     script = library()
@@ -489,7 +544,8 @@ def write_report(
 
 
 def report_text(record: Run, script: str, pictures: RunPictures | None) -> str:
-    """The page: results first, then the computation. `script` is the plot library; empty for a page without plots."""
+    """The page: results first, then the computation. `script` is the plot library; empty for a page without
+    plots."""
     plan, problem = plan_and_problem(record)
     fields = field_content(record.directory, bool(script))
     return page_text(

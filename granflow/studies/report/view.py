@@ -1,7 +1,7 @@
 """The interactive 3D view of the page: particles and walls of chosen frames, as compressed arrays.
 
-Positions and radii are integers: multiples of a fraction of the smallest radius, 16 bits each. Values that are
-displayed as colors have 8 bits.
+Positions and radii are integers: multiples of a fraction of the smallest radius, 16 bits each. Values that
+are displayed as colors have 8 bits.
 """
 
 import re
@@ -36,7 +36,15 @@ from granflow.studies.render.frames import (
     upward,
     view_of,
 )
-from granflow.studies.render.render import CATEGORIES, SIGNED, PictureStyle, Scale, picture_path, scale_for, values_of
+from granflow.studies.render.render import (
+    CATEGORIES,
+    SIGNED,
+    PictureStyle,
+    Scale,
+    picture_path,
+    scale_for,
+    values_of,
+)
 from granflow.visible_text import readable
 
 # Compressed data in a page: base64 text of deflated bytes, which the script of the page inflates.
@@ -124,8 +132,9 @@ class RunPictures(NamedTuple):
 def pictures_for(directory: Path, scratch: Path) -> RunPictures:
     """Pictures and films for the page, scaled down in `scratch`, and a sentence about them.
 
-    First those of the course of the run, rendered if they are not newer than its last frame; then at most MOST_PICTURES
-    others and one film of at most FILM_BYTES. Raises GranflowError if the list of frames is damaged.
+    First those of the course of the run, rendered if they are not newer than its last frame; then at most
+    MOST_PICTURES others and one film of at most FILM_BYTES. Raises GranflowError if the list of frames is
+    damaged.
     """
     if not listed_frames(directory, "particles"):
         return RunPictures((), "The run has no frames to render.")
@@ -157,7 +166,8 @@ def filled_frames(frames: Sequence[Frame]) -> Sequence[Frame]:
 
 
 def course_pictures(directory: Path, frames: Sequence[Frame]) -> list[CoursePicture]:
-    """Pictures of the course of a run: evenly spaced frames with particles, and the one with the most contacts."""
+    """Pictures of the course of a run: evenly spaced frames with particles, and the one with the most
+    contacts."""
     filled = filled_frames(frames)
     indices = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
     chosen = [filled[index] for index in indices]
@@ -213,7 +223,9 @@ def _caption(path: Path, frames: Sequence[Frame]) -> str:
         return path.stem.replace("_", " ")
     color, view, cut, number = match.groups()
     times = [f"{frame.time:.4g} s" for frame in frames if number and frame.number == int(number)]
-    return ", ".join([color.replace("_", " "), view.replace("_", " "), *(["cut"] if cut else []), *times]) + "."
+    return (
+        ", ".join([color.replace("_", " "), view.replace("_", " "), *(["cut"] if cut else []), *times]) + "."
+    )
 
 
 # Triangles and visible edges of walls for the 3D view.
@@ -239,15 +251,20 @@ def geometry_of(walls: FrameWalls) -> WallGeometry:
     points, index = np.unique(walls.points[corners].astype(np.float32), axis=0, return_inverse=True)
     ends = np.cumsum([each.size for each in walls.polygons])
     parts = np.split(index.reshape(-1), ends[:-1])
-    polygons = [_with_area(part.reshape(each.shape)) for part, each in zip(parts, walls.polygons, strict=True)]
+    polygons = [
+        _with_area(part.reshape(each.shape)) for part, each in zip(parts, walls.polygons, strict=True)
+    ]
     fans = [each[:, [0, k, k + 1]] for each in polygons for k in range(1, each.shape[1] - 1)]
     sides = [each[:, [k, (k + 1) % each.shape[1]]] for each in polygons for k in range(each.shape[1])]
     normals = [_normals(points, each) for each in polygons for _ in range(each.shape[1])]
-    return WallGeometry(points, np.concatenate(fans), _sharp_edges(np.concatenate(sides), np.concatenate(normals)))
+    return WallGeometry(
+        points, np.concatenate(fans), _sharp_edges(np.concatenate(sides), np.concatenate(normals))
+    )
 
 
 def _with_area(polygons: np.ndarray) -> np.ndarray:
-    """The polygons (k, n) with at least three different corners; a disc without a hole has others at its center."""
+    """The polygons (k, n) with at least three different corners; a disc without a hole has others at its
+    center."""
     found: np.ndarray = polygons[np.array([len(set(each)) > 2 for each in polygons.tolist()], dtype=bool)]
     return found
 
@@ -256,18 +273,22 @@ def _normals(points: np.ndarray, polygons: np.ndarray) -> np.ndarray:
     """Unit normals (k, 3) of polygons (k, n); zero for a polygon without area."""
     corners = points[polygons].astype(np.float64)
     corners -= corners[:, :1]
-    normal = np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1)  # twice the area, also with equal corners
+    normal = np.cross(corners, np.roll(corners, -1, axis=1)).sum(
+        axis=1
+    )  # twice the area, also with equal corners
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
 
 
 def _sharp_edges(sides: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Edges (e, 2) of sides (s, 2) of polygons with their normals (s, 3): borders, and bends above EDGE_ANGLE.
+    """Edges (e, 2) of sides (s, 2) of polygons with their normals (s, 3): borders, and bends above
+    EDGE_ANGLE.
 
     The winding of polygons is arbitrary, so that the sign of a normal does not matter.
     """
     sides = np.sort(sides, axis=1)
     order = np.lexsort((sides[:, 1], sides[:, 0]))
-    sides, normals = sides[order], normals[order]
+    sides = sides[order]
+    normals = normals[order]
     repeats = np.all(sides[1:] == sides[:-1], axis=1)
     is_flat = repeats & (np.abs(np.sum(normals[1:] * normals[:-1], axis=1)) > np.cos(EDGE_ANGLE))
     hidden = np.append(is_flat, False) | np.append(False, is_flat)
@@ -283,7 +304,14 @@ FEWEST_FRAMES, MOST_FRAMES = 3, 40
 """Smallest and largest number of frames in the view."""
 MOST_COLORS = 4
 """Maximum number of quantities that can be displayed as colors."""
-FIRST_COLORS = (*reversed(CATEGORIES), "velocity", "coordination_number", "diameter", "angular_velocity", "force")
+FIRST_COLORS = (
+    *reversed(CATEGORIES),
+    "velocity",
+    "coordination_number",
+    "diameter",
+    "angular_velocity",
+    "force",
+)
 """Quantities in the order of the menu, before the others of the frames."""
 NO_COLORS = ("id", "radius", "wall_contact_count", "kinetic_energy")
 """Arrays of a frame that the menu omits."""
@@ -295,14 +323,35 @@ LARGEST_INTEGER = 65535
 """Largest integer of 16 bits."""
 LARGEST_COLOR = 255
 """Integer of the upper limit of a color scale."""
-UNSIGNED_PALETTE = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
+UNSIGNED_PALETTE = (
+    "#440154",
+    "#472d7b",
+    "#3b528b",
+    "#2c728e",
+    "#21918c",
+    "#28ae80",
+    "#5ec962",
+    "#addc30",
+    "#fde725",
+)
 """Colors of matplotlib's `viridis` at equal distances."""
-SIGNED_PALETTE = ("#053061", "#327cb7", "#90c4dd", "#e1edf3", "#f7f7f7", "#fae7dc", "#f7b799", "#ca4842", "#67001f")
+SIGNED_PALETTE = (
+    "#053061",
+    "#327cb7",
+    "#90c4dd",
+    "#e1edf3",
+    "#f7f7f7",
+    "#fae7dc",
+    "#f7b799",
+    "#ca4842",
+    "#67001f",
+)
 """Colors of matplotlib's `RdBu_r` at nearly equal distances."""
 
 
 class View(NamedTuple):
-    """Content of the view: `header` in the format of the script of the page, compressed arrays, and a sentence."""
+    """Content of the view: `header` in the format of the script of the page, compressed arrays, and a
+    sentence."""
 
     header: Mapping[str, Any]
     data: str
@@ -317,7 +366,9 @@ class Grid(NamedTuple):
 
     def indices(self, points: np.ndarray) -> np.ndarray:
         """Integers (n, 3) of points (n, 3) [m]; points outside the grid are on its border."""
-        rounded: np.ndarray = np.clip(np.round((points - self.low) / self.step), 0, LARGEST_INTEGER).astype(np.uint16)
+        rounded: np.ndarray = np.clip(np.round((points - self.low) / self.step), 0, LARGEST_INTEGER).astype(
+            np.uint16
+        )
         return rounded
 
     def header(self) -> dict[str, Any]:
@@ -326,7 +377,8 @@ class Grid(NamedTuple):
 
 
 def interactive_view(record: Run) -> View | None:
-    """The 3D view of a run; None if it has no frames with particles. Raises GranflowError if a file cannot be read."""
+    """The 3D view of a run; None if it has no frames with particles. Raises GranflowError if a file cannot be
+    read."""
     if not listed_frames(record.directory, "particles"):
         return None
     filled = filled_frames(frames_of(record.directory))
@@ -338,7 +390,8 @@ def interactive_view(record: Run) -> View | None:
     frame_count = min(max(PARTICLE_FRAMES * stride // count, FEWEST_FRAMES), MOST_FRAMES)
     frames = sampled(filled, frame_count)
     particles = [_every(stride, read_particles(frame)) for frame in frames]
-    arrays, scene = PackedArrays(), None if record.scene_problem else record.scene
+    arrays = PackedArrays()
+    scene = None if record.scene_problem else record.scene
     header = _particle_header(frames, particles, scene, arrays)
     outermost = np.concatenate([*map(outermost_points, particles), np.array(header["extent"])])
     points = bounding_points("all", scene, frames, domain_of(scene), outermost)
@@ -358,7 +411,9 @@ def _statement(shown: int, frame_count: int, count: int, stride: int, has_all_wa
     text = f"{shown} of {frame_count} frames" if shown < frame_count else f"All {shown} frames"
     if stride > 1:
         text += f"; of up to {readable(count)} particles, those whose id is a multiple of {stride}"
-    return text + ("." if has_all_walls else f"; without walls, which have more than {MOST_WALL_POINTS} points.")
+    return text + (
+        "." if has_all_walls else f"; without walls, which have more than {MOST_WALL_POINTS} points."
+    )
 
 
 def _particle_header(
@@ -369,24 +424,32 @@ def _particle_header(
     positions = np.concatenate([each.position for each in particles])
     extent = np.array([(positions - radii[:, None]).min(axis=0), (positions + radii[:, None]).max(axis=0)])
     fine = float(radii.min()) / PER_RADIUS
-    grid = Grid(positions.min(axis=0), max(float(np.ptp(positions, axis=0).max()) / LARGEST_INTEGER, fine) or 1.0)
+    grid = Grid(
+        positions.min(axis=0), max(float(np.ptp(positions, axis=0).max()) / LARGEST_INTEGER, fine) or 1.0
+    )
     radius_step = max(float(radii.max()) / LARGEST_INTEGER, fine) or 1.0
     scales = list(_scales(particles, scene))
     gravity = None if scene is None else np.array(scene.gravity)
     entries = [
         {
-            "time": f"{frame.time:.4g} s", "count": len(each.radius), "walls": [],
+            "time": f"{frame.time:.4g} s",
+            "count": len(each.radius),
+            "walls": [],
             "position": arrays.add(grid.indices(each.position)),
             "radius": arrays.add(np.round(each.radius / radius_step).astype(np.uint16)),
             "colors": [arrays.add(_levels(values_of(each.arrays, scale.color), scale)) for scale in scales],
         }
         for frame, each in zip(frames, particles, strict=True)
-    ]  # fmt: skip
+    ]
     return {
-        "grid": grid.header(), "radiusStep": radius_step, "extent": extent.tolist(), "frames": entries,
-        "up": upward(gravity).tolist(), "toward": view_of("iso", gravity).toward.tolist(),
+        "grid": grid.header(),
+        "radiusStep": radius_step,
+        "extent": extent.tolist(),
+        "frames": entries,
+        "up": upward(gravity).tolist(),
+        "toward": view_of("iso", gravity).toward.tolist(),
         "quantities": [_quantity_header(scale) for scale in scales],
-    }  # fmt: skip
+    }
 
 
 def _scales(particles: Sequence[FrameParticles], scene: Scene | None) -> Iterable[Scale]:
@@ -406,12 +469,15 @@ def _scales(particles: Sequence[FrameParticles], scene: Scene | None) -> Iterabl
 
 
 def _levels(values: np.ndarray, scale: Scale) -> np.ndarray:
-    """Integers (n,) of 8 bits: number of a category, or position between the limits; nan is at the lower limit."""
+    """Integers (n,) of 8 bits: number of a category, or position between the limits; nan is at the lower
+    limit."""
     if scale.names is not None:
         levels = values % len(COLORS)
     else:
         low, high = scale.limits
-        levels = np.round(LARGEST_COLOR * np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0))
+        levels = np.round(
+            LARGEST_COLOR * np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0)
+        )
     return levels.astype(np.uint8)
 
 
@@ -427,9 +493,12 @@ def _quantity_header(scale: Scale) -> dict[str, Any]:
 
 
 def _add_walls(
-    entries: Sequence[dict[str, Any]], frames: Sequence[Frame], particles: Sequence[FrameParticles],
-    scene: Scene | None, arrays: PackedArrays,
-) -> bool:  # fmt: skip
+    entries: Sequence[dict[str, Any]],
+    frames: Sequence[Frame],
+    particles: Sequence[FrameParticles],
+    scene: Scene | None,
+    arrays: PackedArrays,
+) -> bool:
     """Add the walls of each frame to its entry; False if they have too many points for the page."""
     walls = [read_walls(frame) for frame in frames]
     if sum(len(each.points) for each in walls if each is not None) > MOST_WALL_POINTS:
@@ -443,25 +512,32 @@ def _add_walls(
 def _wall_headers(
     walls: FrameWalls, scene: Scene | None, outermost: np.ndarray, arrays: PackedArrays
 ) -> list[dict[str, Any]]:
-    """Parts of the walls: each unbounded plane, and all others together, with the box (2, 3) [m] that is shown."""
+    """Parts of the walls: each unbounded plane, and all others together, with the box (2, 3) [m] that is
+    shown."""
     domain = domain_of(scene)
     whole = np.array([[-np.inf] * 3, [np.inf] * 3]) if domain is None else domain
     planes = planes_of(walls, scene)
     parts = [(walls.selected([number for number in walls.numbers if number not in planes]), whole)]
     for number in planes:
         low, high = drawn_box(walls.points_of([number]), outermost)
-        parts.append((walls.selected([number]), np.array([np.maximum(low, whole[0]), np.minimum(high, whole[1])])))
+        parts.append(
+            (walls.selected([number]), np.array([np.maximum(low, whole[0]), np.minimum(high, whole[1])]))
+        )
     return [_wall_header(part, box, arrays) for part, box in parts if part.polygons]
 
 
 def _wall_header(walls: FrameWalls, box: np.ndarray, arrays: PackedArrays) -> dict[str, Any]:
-    """Triangles and edges of walls on their own grid, and the part of the shown box that cuts them (finite numbers)."""
+    """Triangles and edges of walls on their own grid, and the part of the shown box that cuts them (finite
+    numbers)."""
     found = geometry_of(walls)
     low, high = found.points.min(axis=0), found.points.max(axis=0)
     margin = 1e-3 * float(np.max(high - low))
     shown = np.array([np.maximum(box[0], low) - margin, np.minimum(box[1], high) + margin])
     grid = Grid(low.astype(np.float64), float(np.max(high - low)) / LARGEST_INTEGER or 1.0)
     return {
-        "grid": grid.header(), "box": shown.tolist(), "points": arrays.add(grid.indices(found.points)),
-        "triangles": arrays.add(found.triangles.astype(np.uint32)), "edges": arrays.add(found.edges.astype(np.uint32)),
-    }  # fmt: skip
+        "grid": grid.header(),
+        "box": shown.tolist(),
+        "points": arrays.add(grid.indices(found.points)),
+        "triangles": arrays.add(found.triangles.astype(np.uint32)),
+        "edges": arrays.add(found.edges.astype(np.uint32)),
+    }

@@ -92,9 +92,11 @@ def run_case(case: StabilityCase) -> CaseOutcome:
         case_result = case.run()
         kind, assessment = assess(case_result)
     except GranflowError as refusal:
-        kind, assessment = "refused", f"refused: {' '.join(str(refusal).split())}"
+        kind = "refused"
+        assessment = f"refused: {' '.join(str(refusal).split())}"
     except Exception as failure:  # any failure is a defect of the case and must not end the study
-        kind, assessment = "defect", f"defect: {type(failure).__name__}: {failure}"
+        kind = "defect"
+        assessment = f"defect: {type(failure).__name__}: {failure}"
     return case_outcome(case, case_result, clock.perf_counter() - began, kind, assessment)
 
 
@@ -103,9 +105,20 @@ def case_outcome(
 ) -> CaseOutcome:
     """Combine a case, its result and its assessment."""
     return CaseOutcome(
-        case.family, case.row, case.column, case.precision, case.reference, case_result.quantity, case_result.expected,
-        case_result.reached, case_result.error, case_result.time_step, seconds, kind, assessment,
-    )  # fmt: skip
+        case.family,
+        case.row,
+        case.column,
+        case.precision,
+        case.reference,
+        case_result.quantity,
+        case_result.expected,
+        case_result.reached,
+        case_result.error,
+        case_result.time_step,
+        seconds,
+        kind,
+        assessment,
+    )
 
 
 def assess(case_result: CaseResult) -> tuple[Kind, str]:
@@ -119,7 +132,10 @@ def assess(case_result: CaseResult) -> tuple[Kind, str]:
         return "accurate", "stable and accurate"
     statement = f" ({case_result.quantity} {case_result.reached:.4g} for {case_result.expected:.4g})"
     if case_result.warnings:
-        return "error", f"stable, error {percent(case_result.error)}{statement}, warning: {case_result.warnings[0]}"
+        return (
+            "error",
+            f"stable, error {percent(case_result.error)}{statement}, warning: {case_result.warnings[0]}",
+        )
     if case_result.error > SILENT_LIMIT:
         return "defect", f"defect: silent error {percent(case_result.error)}{statement}"
     return "error", f"stable, error {percent(case_result.error)}{statement}"
@@ -132,7 +148,11 @@ RADIUS, DENSITY, YOUNG, POISSON, GRAVITY = 1e-3, 2500.0, 5e7, 0.25, 9.81
 """Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio, gravity [m/s2]."""
 DIAMETER = 2.0 * RADIUS
 """Diameter of the particles [m]."""
-LAWS: Mapping[str, Any] = {"zhou": "zhou", "hertz": "hertz", "linear": {"law": "linear", "stiffness": "onset"}}
+LAWS: Mapping[str, Any] = {
+    "zhou": "zhou",
+    "hertz": "hertz",
+    "linear": {"law": "linear", "stiffness": "onset"},
+}
 """Settings of `contact.normal` by name; every pair has restitution 0.5."""
 ROW = 4
 """Particles along each edge of a bed."""
@@ -145,27 +165,30 @@ REST_STEPS = 20_000
 def scene_with(law: str, particles: Mapping[str, Any], duration: float, **changes: Any) -> Scene:
     """Scene with particles of the materials `light` and `heavy`, and walls of `light`.
 
-    `law`: key of LAWS; `particles`: groups by name; `duration` [s]. `changes` replace defaults: friction, gravity
-    [m/s2], walls, numerics, run, young_modulus [Pa], density of `heavy` [kg/m3], reach [m].
+    `law`: key of LAWS; `particles`: groups by name; `duration` [s]. `changes` replace defaults: friction,
+    gravity [m/s2], walls, numerics, run, young_modulus [Pa], density of `heavy` [kg/m3], reach [m].
     """
     solid = {"young_modulus": changes.get("young_modulus", YOUNG), "poisson_ratio": POISSON}
     pair = {"restitution": 0.5, "friction": changes.get("friction", 0.3)}
     reach = changes.get("reach", 10.0 * SIDE)
-    return Scene.from_dict({
-        "title": "Many particles in an extreme case",
-        "gravity": [0, 0, -changes.get("gravity", GRAVITY)],
-        "materials": {
-            "light": {**solid, "density": DENSITY}, "heavy": {**solid, "density": changes.get("density", DENSITY)}
-        },
-        "pairs": {"light-light": pair, "light-heavy": pair, "heavy-heavy": pair},
-        "contact": {"normal": LAWS[law], "tangential": "mindlin", "rolling": "none"},
-        "walls": changes.get("walls", {"floor": _plane([0, 0, 0], [0, 0, 1])}),
-        "particles": particles,
-        "domain": {"min": [-reach, -reach, -0.1 * reach], "max": [reach] * 3, "on_exit": "error"},
-        "run": {"duration": duration, **changes.get("run", {})},
-        "numerics": changes.get("numerics", {}),
-        "output": {"interval": 1e9, "energy_budget": True},
-    })  # fmt: skip
+    return Scene.from_dict(
+        {
+            "title": "Many particles in an extreme case",
+            "gravity": [0, 0, -changes.get("gravity", GRAVITY)],
+            "materials": {
+                "light": {**solid, "density": DENSITY},
+                "heavy": {**solid, "density": changes.get("density", DENSITY)},
+            },
+            "pairs": {"light-light": pair, "light-heavy": pair, "heavy-heavy": pair},
+            "contact": {"normal": LAWS[law], "tangential": "mindlin", "rolling": "none"},
+            "walls": changes.get("walls", {"floor": _plane([0, 0, 0], [0, 0, 1])}),
+            "particles": particles,
+            "domain": {"min": [-reach, -reach, -0.1 * reach], "max": [reach] * 3, "on_exit": "error"},
+            "run": {"duration": duration, **changes.get("run", {})},
+            "numerics": changes.get("numerics", {}),
+            "output": {"interval": 1e9, "energy_budget": True},
+        }
+    )
 
 
 def _plane(point: list[float], normal: list[float], motion: Any = ()) -> dict[str, Any]:
@@ -178,17 +201,21 @@ def box_walls(motion: Any = (), spread: float = 0.0) -> dict[str, Any]:
     low, high = -0.5 * SIDE * (1.0 + spread), 0.5 * SIDE * (1.0 + spread)
     return {
         "floor": _plane([0, 0, 0], [0, 0, 1], motion),
-        "west": _plane([low, 0, 0], [1, 0, 0]), "east": _plane([high, 0, 0], [-1, 0, 0]),
-        "south": _plane([0, low, 0], [0, 1, 0]), "north": _plane([0, high, 0], [0, -1, 0]),
-    }  # fmt: skip
+        "west": _plane([low, 0, 0], [1, 0, 0]),
+        "east": _plane([high, 0, 0], [-1, 0, 0]),
+        "south": _plane([0, low, 0], [0, 1, 0]),
+        "north": _plane([0, high, 0], [0, -1, 0]),
+    }
 
 
 def particles_at(positions: Any, velocity: Any = (0.0, 0.0, 0.0), material: str = "light") -> dict[str, Any]:
     """A group of particles at positions (n, 3) [m]."""
     return {
-        "material": material, "diameter": DIAMETER, "velocity": np.asarray(velocity, float).tolist(),
+        "material": material,
+        "diameter": DIAMETER,
+        "velocity": np.asarray(velocity, float).tolist(),
         "insert": {"kind": "positions", "positions": np.asarray(positions, float).tolist()},
-    }  # fmt: skip
+    }
 
 
 def bed_positions(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
@@ -228,8 +255,8 @@ def energy_budget_result_of(
 def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float) -> CaseResult:
     """Column of particles at rest, lowest first: the floor force must remain equal to the weight.
 
-    `densities` [kg/m3] from bottom to top; `young_modulus` [Pa]. The initial overlaps are those of the equilibrium; the
-    error is that of the force on the floor after REST_STEPS steps, relative to the weight.
+    `densities` [kg/m3] from bottom to top; `young_modulus` [Pa]. The initial overlaps are those of the
+    equilibrium; the error is that of the force on the floor after REST_STEPS steps, relative to the weight.
     """
     weights = GRAVITY * sphere_volume(RADIUS) * np.array(densities)
     heavy = max(densities)
@@ -248,7 +275,9 @@ def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float)
     plan = plan_for(scene(touching))
     supported_weights = np.cumsum(weights[::-1])[::-1]
     masses = np.append(np.inf, weights / GRAVITY)
-    overlaps = [_overlap_for_load(plan, index, supported_weights[index], masses) for index in range(len(densities))]
+    overlaps = [
+        _overlap_for_load(plan, index, supported_weights[index], masses) for index in range(len(densities))
+    ]
     simulation = Simulation(scene(touching - np.cumsum(overlaps)))
     simulation.run(until=REST_STEPS * simulation.plan.time_step)
     contacts = simulation.snapshot(contacts=True).contacts
@@ -257,7 +286,9 @@ def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float)
     step = simulation.plan.step
     simulation.free()
     weight = float(weights.sum())
-    return CaseResult("force on the floor [N]", weight, floor, abs(floor / weight - 1.0), step.value, step.warnings)
+    return CaseResult(
+        "force on the floor [N]", weight, floor, abs(floor / weight - 1.0), step.value, step.warnings
+    )
 
 
 def _overlap_for_load(plan: Plan, index: int, load: float, masses: np.ndarray) -> float:
@@ -314,7 +345,9 @@ class ParticlePair:
     @property
     def masses(self) -> np.ndarray:
         """Masses of both particles (2,) [kg]."""
-        return sphere_mass(self.radius, self.density) * np.array([1.0, self.radius_ratio**3 * self.density_ratio])
+        return sphere_mass(self.radius, self.density) * np.array(
+            [1.0, self.radius_ratio**3 * self.density_ratio]
+        )
 
     @property
     def requested(self) -> float:
@@ -339,17 +372,20 @@ class Rebound:
 
 @cache
 def rebound(pairs: tuple[ParticlePair, ...], precision: str = "f64", share: float | None = None) -> Rebound:
-    """Collide the pairs with Zhou's model, at `share` of the largest permitted time step, or at the default one.
+    """Collide the pairs with Zhou's model, at `share` of the largest permitted time step, or at the default
+    one.
 
-    Cached: cases with the same pairs share one run. Raises SceneError if the time step is refused, RunError if the run
-    aborts.
+    Cached: cases with the same pairs share one run. Raises SceneError if the time step is refused, RunError
+    if the run aborts.
     """
     step = None if share is None else share * _largest_step(pairs)
     bench = _bench(pairs, precision, step)
     bench.rebound()
-    velocity, chosen = bench.motions()[0][:, :, 0], bench.plan.step
+    velocity = bench.motions()[0][:, :, 0]
+    chosen = bench.plan.step
     bench.free()
-    masses, speeds = np.array([pair.masses for pair in pairs]), np.array([pair.velocity for pair in pairs])
+    masses = np.array([pair.masses for pair in pairs])
+    speeds = np.array([pair.velocity for pair in pairs])
     momentum_error = np.abs(np.sum(masses * velocity, axis=1)) / (masses.min(axis=1) * speeds)
     return Rebound((velocity[:, 1] - velocity[:, 0]) / speeds, momentum_error, chosen.value, chosen.warnings)
 
@@ -361,28 +397,47 @@ def _largest_step(pairs: tuple[ParticlePair, ...]) -> float:
 
 
 def _bench(pairs: Sequence[ParticlePair], precision: str, time_step: float | None = None) -> CollisionBench:
-    """Bench with all pairs; `time_step` [s]: automatic if None. The materials of pair 0 are a0 and b0, and so on."""
-    materials, pairs_of_materials, collisions = {}, {}, []
+    """Bench with all pairs; `time_step` [s]: automatic if None. The materials of pair 0 are a0 and b0, and so
+    on."""
+    materials = {}
+    pairs_of_materials = {}
+    collisions = []
     for index, pair in enumerate(pairs):
-        names, masses = (f"a{index}", f"b{index}"), pair.masses
+        names = (f"a{index}", f"b{index}")
+        masses = pair.masses
         for name, ratio in zip(names, (1.0, pair.density_ratio), strict=True):
             density = pair.density * ratio
-            materials[name] = {"young_modulus": pair.young_modulus, "poisson_ratio": PAIR_POISSON, "density": density}
+            materials[name] = {
+                "young_modulus": pair.young_modulus,
+                "poisson_ratio": PAIR_POISSON,
+                "density": density,
+            }
         pairs_of_materials["-".join(names)] = {"restitution": _restitution_setting(pair), "friction": 0}
         gap = GAP * pair.radius * min(pair.radius_ratio, 1.0)
-        collisions.append(Collision(
-            *names, pair.radius, pair.radius * pair.radius_ratio, pair.velocity, share=masses[1] / masses.sum(),
-            first_contact=gap / pair.velocity,
-        ))  # fmt: skip
+        collisions.append(
+            Collision(
+                *names,
+                pair.radius,
+                pair.radius * pair.radius_ratio,
+                pair.velocity,
+                share=masses[1] / masses.sum(),
+                first_contact=gap / pair.velocity,
+            )
+        )
     smallest = min(pair.radius * min(pair.radius_ratio, 1.0) for pair in pairs)
     return CollisionBench(
-        materials, pairs_of_materials, {"normal": "zhou"}, collisions,
+        materials,
+        pairs_of_materials,
+        {"normal": "zhou"},
+        collisions,
         run={
-            "precision": precision, "velocity_max": max(pair.velocity for pair in pairs),
-            "duration": 1.0 + 10.0 * max(each.first_contact for each in collisions), "time_step": time_step or "auto",
+            "precision": precision,
+            "velocity_max": max(pair.velocity for pair in pairs),
+            "duration": 1.0 + 10.0 * max(each.first_contact for each in collisions),
+            "time_step": time_step or "auto",
         },
         numerics={"skin": SKIN * smallest, "max_overlap": MAX_OVERLAP},
-    )  # fmt: skip
+    )
 
 
 def _restitution_setting(pair: ParticlePair) -> Any:
@@ -400,8 +455,10 @@ def rebound_result(
 
     `index`: of the pair; warnings about other pairs are omitted. Raises the errors of `rebound`.
     """
-    found, requested = rebound(pairs, precision, share), pairs[index].requested
-    reached, momentum_error = float(found.restitution[index]), float(found.momentum[index])
+    found = rebound(pairs, precision, share)
+    requested = pairs[index].requested
+    reached = float(found.restitution[index])
+    momentum_error = float(found.momentum[index])
     others = [f"a{other}-b{other}:" for other in range(len(pairs)) if other != index]
     warnings = tuple(text for text in found.warnings if not text.startswith(tuple(others)))
     if momentum_error > abs(reached - requested):
@@ -448,9 +505,13 @@ def all_cases(full: bool = False) -> list[StabilityCase]:
     stride = 1 if full else 2
     moduli = MODULI if full else (1e5, 1e7, 1e9, 1e12)
     return [
-        *_bound_cases(), *_many_cases(), *_step_cases(), *_stiffness_cases(moduli),
-        *_size_cases(RADII[::stride]), *_unequal_cases(RATIOS[::stride]),
-    ]  # fmt: skip
+        *_bound_cases(),
+        *_many_cases(),
+        *_step_cases(),
+        *_stiffness_cases(moduli),
+        *_size_cases(RADII[::stride]),
+        *_unequal_cases(RATIOS[::stride]),
+    ]
 
 
 def _step_cases() -> Iterator[StabilityCase]:
@@ -476,7 +537,9 @@ def _size_cases(radii: tuple[float, ...]) -> Iterator[StabilityCase]:
     for precision in PRECISIONS:
         for radius in radii:
             run = partial(rebound_result, (ParticlePair(radius=radius),), 0, precision)
-            yield StabilityCase(SIZES, precision, f"R = {radius:g} m", "the target restitution", run, precision)
+            yield StabilityCase(
+                SIZES, precision, f"R = {radius:g} m", "the target restitution", run, precision
+            )
 
 
 def _unequal_cases(ratios: tuple[float, ...]) -> Iterator[StabilityCase]:
@@ -492,10 +555,18 @@ def _many_cases() -> Iterator[StabilityCase]:
     """Columns and beds of many particles."""
     for law in LAWS:
         yield StabilityCase(
-            MANY, law, "heavy on light", "the weight on the floor", partial(column_at_rest, law, (2.5e3, 2.5e9), 1e11)
+            MANY,
+            law,
+            "heavy on light",
+            "the weight on the floor",
+            partial(column_at_rest, law, (2.5e3, 2.5e9), 1e11),
         )
         yield StabilityCase(
-            MANY, law, "column of 100", "the weight on the floor", partial(column_at_rest, law, (2.5e3,) * 100, 5e7)
+            MANY,
+            law,
+            "column of 100",
+            "the weight on the floor",
+            partial(column_at_rest, law, (2.5e3,) * 100, 5e7),
         )
         for column, (particles, duration, changes) in _beds().items():
             run = partial(energy_budget_result_of, law, particles, duration, changes)
@@ -513,9 +584,16 @@ def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
         "left": particles_at(bed_positions(0.0) + [-0.6 * SIDE, 0, 0], [1.0, 0, 0]),
         "right": particles_at(bed_positions(0.3 * RADIUS) + [0.6 * SIDE, 0, 0], [-1.0, 0, 0]),
     }
-    speed, depth = 0.05, 5 * 0.05 * RADIUS
+    speed = 0.05
+    depth = 5 * 0.05 * RADIUS
     piston = {"kind": "translation", "velocity": [0, 0, -speed], "end": depth / speed}
-    lid = {"shape": "plane", "point": [0, 0, SIDE], "normal": [0, 0, -1], "material": "light", "motion": [piston]}
+    lid = {
+        "shape": "plane",
+        "point": [0, 0, SIDE],
+        "normal": [0, 0, -1],
+        "material": "light",
+        "motion": [piston],
+    }
     vibration = {"kind": "vibration", "direction": [0, 0, 1], "frequency": 50.0, "gamma": 100.0}
     no_limit = {"numerics": {"max_overlap": LARGEST_OVERLAP}}
     wide = box_walls(spread=SPREAD)
@@ -544,7 +622,9 @@ def _bound_cases() -> Iterator[StabilityCase]:
             for lattice in LATTICES:
                 column = lattice + WITH_FRICTION * friction
                 reference = "1 to 2 times the limit of the check"
-                yield StabilityCase(BOUNDS, law, column, reference, partial(bound_result, law, friction, lattice))
+                yield StabilityCase(
+                    BOUNDS, law, column, reference, partial(bound_result, law, friction, lattice)
+                )
 
 
 def bound_result(law: str, friction: bool, lattice: str) -> CaseResult:
@@ -554,8 +634,10 @@ def bound_result(law: str, friction: bool, lattice: str) -> CaseResult:
     `time_step_bounds.LAWS`; `lattice`: key of LATTICES.
     """
     bound = _bounds_by_lattice(law, friction)[lattice]
-    ratio, inside = bound.ratio, float(np.clip(bound.ratio, 1.0, 2.0))
-    too_large, too_small = ratio * RESOLUTION < 1.0, ratio > 2.0 * RESOLUTION
+    ratio = bound.ratio
+    inside = float(np.clip(bound.ratio, 1.0, 2.0))
+    too_large = ratio * RESOLUTION < 1.0
+    too_small = ratio > 2.0 * RESOLUTION
     error = 1.0 if too_large else ratio / 2.0 - 1.0 if too_small else 0.0
     warnings = (CONSERVATIVE_WARNING,) if too_small else ()
     return CaseResult("measured limit over that of the check", inside, ratio, error, bound.allowed, warnings)

@@ -93,7 +93,8 @@ def _panel(axis: Any, outcomes: Sequence[CaseOutcome]) -> None:
 
 def _split(label: str) -> str:
     """Split a long label into two lines."""
-    words, middle = label.split(" "), len(label) // 2
+    words = label.split(" ")
+    middle = len(label) // 2
     if len(label) < 12 or len(words) == 1:
         return label
     cuts = range(1, len(words))
@@ -133,8 +134,8 @@ Report = Callable[[CaseOutcome], None]
 def run_cases(cases: Sequence[StabilityCase], report: Report, timeout: float = TIMEOUT) -> list[CaseOutcome]:
     """Outcomes of all cases, in the order of the cases; `report` receives each outcome on completion.
 
-    Cases of one family and precision run in one process and share cached results. `timeout` [s] applies to each case. A
-    crash or timeout is a defect of its case and does not end the study.
+    Cases of one family and precision run in one process and share cached results. `timeout` [s] applies to
+    each case. A crash or timeout is a defect of its case and does not end the study.
     """
     with ThreadPoolExecutor(WORKER_COUNT) as executor:
         parts = executor.map(lambda batch: _run_batch(batch, report, timeout), _batches(cases))
@@ -165,7 +166,9 @@ def _run_batch(batch: list[StabilityCase], report: Report, timeout: float) -> li
     return found
 
 
-def _receive(pipe: Connection, cases: list[StabilityCase], report: Report, timeout: float) -> list[CaseOutcome]:
+def _receive(
+    pipe: Connection, cases: list[StabilityCase], report: Report, timeout: float
+) -> list[CaseOutcome]:
     """Receive outcomes up to the first case without a result."""
     found: list[CaseOutcome] = []
     for case in cases:
@@ -178,7 +181,9 @@ def _receive(pipe: Connection, cases: list[StabilityCase], report: Report, timeo
             except EOFError:
                 reason = "the process ended without a result"
         if reason:
-            found.append(case_outcome(case, CaseResult("", nan, nan, nan, nan), timeout, "defect", f"defect: {reason}"))
+            found.append(
+                case_outcome(case, CaseResult("", nan, nan, nan, nan), timeout, "defect", f"defect: {reason}")
+            )
         report(found[-1])
         if reason:
             break
@@ -221,7 +226,8 @@ EXPLANATIONS = {
 
 
 def stability(out: Path, full: bool, report: Report) -> tuple[list[CaseOutcome], str]:
-    """Run all cases and write all files; returns the outcomes, and a sentence if the figure is missing, else ""."""
+    """Run all cases and write all files; returns the outcomes, and a sentence if the figure is missing, else
+    ""."""
     outcomes = run_cases(all_cases(full), report)
     return outcomes, write_stability(out, outcomes)
 
@@ -229,7 +235,8 @@ def stability(out: Path, full: bool, report: Report) -> tuple[list[CaseOutcome],
 def write_stability(out: Path, outcomes: Sequence[CaseOutcome]) -> str:
     """Write CSV, heat map and page; without matplotlib, skip the heat map and return a sentence.
 
-    The CSV has one row per case and one column per field of CaseOutcome; the assessment is in the column `verdict`.
+    The CSV has one row per case and one column per field of CaseOutcome; the assessment is in the column
+    `verdict`.
     """
     columns = attribute_columns(outcomes, (field.name for field in fields(CaseOutcome)))
     columns["verdict"] = columns.pop("assessment")  # the name of the column in earlier versions
@@ -271,8 +278,15 @@ def _summary(name: str, outcomes: Sequence[CaseOutcome]) -> tuple[str, ...]:
 def _families(outcomes: Sequence[CaseOutcome]) -> Iterator[tuple[str, str, PageTable]]:
     """Title, explanation and table of each family."""
     for family, group in _by_family(outcomes).items():
-        rows = [(each.row, each.column, *map(_shown, (each.expected, each.reached, each.time_step)), each.assessment)
-                for each in group]  # fmt: skip
+        rows = [
+            (
+                each.row,
+                each.column,
+                *map(_shown, (each.expected, each.reached, each.time_step)),
+                each.assessment,
+            )
+            for each in group
+        ]
         is_common = len({each.reference for each in group}) == 1
         reference = group[0].reference if is_common else "the reference of each case"
         heads = ("", "case", "expected", "reached", "time step (s)", "assessment")
@@ -288,7 +302,9 @@ def _shown(number: float) -> str:
 def defects(outcomes: Sequence[CaseOutcome]) -> list[str]:
     """One line per defect."""
     return [
-        f"{each.family}: {each.row}, {each.column}: {each.assessment}" for each in outcomes if each.kind == "defect"
+        f"{each.family}: {each.row}, {each.column}: {each.assessment}"
+        for each in outcomes
+        if each.kind == "defect"
     ]
 
 

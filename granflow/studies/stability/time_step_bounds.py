@@ -1,7 +1,7 @@
 """Measured stability limit of the time step: the largest step at which confined particles do not gain energy.
 
-Particles with the overlap that the check assumes get a small perturbation; a bisection finds the time step at which
-the perturbation grows. The limit of `check` for the same particles is the reference.
+Particles with the overlap that the check assumes get a small perturbation; a bisection finds the time step at
+which the perturbation grows. The limit of `check` for the same particles is the reference.
 """
 
 from collections.abc import Mapping
@@ -55,7 +55,9 @@ def _confined_particle(directions: np.ndarray) -> TestLattice:
 def _chain() -> TestLattice:
     """Straight chain along z with an anchor at each end."""
     place = np.arange(CHAIN_LENGTH + 2)
-    return TestLattice(place[:, None] * np.array([[0.0, 0.0, 1.0]]), (place == 0) | (place == CHAIN_LENGTH + 1))
+    return TestLattice(
+        place[:, None] * np.array([[0.0, 0.0, 1.0]]), (place == 0) | (place == CHAIN_LENGTH + 1)
+    )
 
 
 def _block() -> TestLattice:
@@ -75,20 +77,24 @@ LATTICES: Mapping[str, TestLattice] = {
     "chain of 10": _chain(),
     "densest packing": _block(),
 }
-"""Lattices by name: one particle between anchors, a straight chain, and a block with 12 contacts per particle."""
+"""Lattices by name: one particle between anchors, a straight chain, and a block with 12 contacts per
+particle."""
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
-"""Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio and yield strength [Pa] of the particles."""
+"""Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio and yield strength [Pa] of the
+particles."""
 ANCHOR = 1e9
 """Density of an anchor over that of a free particle."""
 VELOCITY = 1e-3
-"""Approach velocity [m/s] whose maximum overlap the particles get; small enough to avoid buckling of chains."""
+"""Approach velocity [m/s] whose maximum overlap the particles get; small enough to avoid buckling of
+chains."""
 SPRING = 1e3
 """Stiffness [N/m] of the linear springs."""
 PERTURBATION = 1e-3
 """Speed of the perturbation over VELOCITY."""
 GROWTH_LIMIT = 1e4
-"""Kinetic energy over that of the perturbation that counts as growth: a hundredth of the energy of a collision.
+"""Kinetic energy over that of the perturbation that counts as growth: a hundredth of the energy of a
+collision.
 
 A contact that reverses for the first time within a step releases up to a fiftieth of that, once.
 """
@@ -111,14 +117,10 @@ LAWS: Mapping[str, tuple[Any, float | None]] = {
     "linear, e 0.5": ({"law": "linear", "stiffness": {"value": SPRING}}, 0.5),
     "linear, e 0.05": ({"law": "linear", "stiffness": {"value": SPRING}}, 0.05),
     "thornton": ({"law": "thornton", "yield_ratio": 1.6}, None),
-    "walton_braun": (
-        {"law": "walton_braun", "stiffness": {"value": SPRING}, "unloading": "constant"}, 0.5
-    ),
-    "luding": (
-        {"law": "luding", "stiffness": {"value": SPRING}, "plasticity_depth": 0.01}, 0.5
-    ),
+    "walton_braun": ({"law": "walton_braun", "stiffness": {"value": SPRING}, "unloading": "constant"}, 0.5),
+    "luding": ({"law": "luding", "stiffness": {"value": SPRING}, "plasticity_depth": 0.01}, 0.5),
     "kuwabara_kono": ({"law": "kuwabara_kono", "reference_velocity": VELOCITY}, 0.5),
-}  # fmt: skip
+}
 """`contact.normal` and restitution by name."""
 
 
@@ -146,11 +148,12 @@ class Bound:
 def real_bounds(law: str, friction: bool) -> list[Bound]:
     """Measured stability limits on every lattice with one contact model.
 
-    `law`: key of LAWS; `friction`: with the friction coefficient FRICTION, which prevents sliding. All lattices share
-    one engine.
+    `law`: key of LAWS; `friction`: with the friction coefficient FRICTION, which prevents sliding. All
+    lattices share one engine.
     """
     first = _particles(next(iter(LATTICES.values())), 0.0, friction)
-    simulation, bounds = Simulation(_scene(law, FRICTION if friction else 0.0), particles=first), []
+    simulation = Simulation(_scene(law, FRICTION if friction else 0.0), particles=first)
+    bounds = []
     plan = simulation.plan
     for name, lattice in LATTICES.items():
         pair_case = _pair_case(plan, lattice)
@@ -177,7 +180,8 @@ def _pair_case(plan: Plan, lattice: TestLattice) -> Any:
 
 
 def _scene(law: str, friction: float) -> Scene:
-    """Scene with free particles and anchors of equal elasticity, without gravity; particles are inserted later.
+    """Scene with free particles and anchors of equal elasticity, without gravity; particles are inserted
+    later.
 
     `law`: key of LAWS; `friction`: coefficient. The groups provide the capacity for the largest lattice.
     """
@@ -185,21 +189,27 @@ def _scene(law: str, friction: float) -> Scene:
     solid = {"young_modulus": YOUNG, "poisson_ratio": POISSON, "yield_strength": YIELD}
     pair = {"friction": friction} | ({} if restitution is None else {"restitution": restitution})
     names = ("light", "heavy")
-    side, count = 100 * RADIUS, max(len(lattice.centers) for lattice in LATTICES.values())
+    side = 100 * RADIUS
+    count = max(len(lattice.centers) for lattice in LATTICES.values())
     region = {"box": {"min": [-side] * 3, "max": [side] * 3}}
     group = {"count": count, "diameter": 2 * RADIUS, "insert": {"kind": "lattice", "region": region}}
-    return Scene.from_dict({
-        "title": "Stability limit of the time step",
-        "gravity": [0, 0, 0],
-        "materials": {"light": {**solid, "density": DENSITY}, "heavy": {**solid, "density": DENSITY * ANCHOR}},
-        "pairs": {f"{a}-{b}": pair for a, b in (names[:1] * 2, names, names[1:] * 2)},
-        "contact": {"normal": normal, "tangential": "mindlin" if friction else "none", "rolling": "none"},
-        "particles": {"free": {"material": "light", **group}, "anchors": {"material": "heavy", **group}},
-        "domain": {"min": [-side] * 3, "max": [side] * 3, "on_exit": "delete"},
-        "run": {"duration": 1.0, "velocity_max": VELOCITY},
-        "numerics": {"max_overlap": LARGEST_OVERLAP, "skin": RADIUS},
-        "output": {"interval": 1.0},
-    })  # fmt: skip
+    return Scene.from_dict(
+        {
+            "title": "Stability limit of the time step",
+            "gravity": [0, 0, 0],
+            "materials": {
+                "light": {**solid, "density": DENSITY},
+                "heavy": {**solid, "density": DENSITY * ANCHOR},
+            },
+            "pairs": {f"{a}-{b}": pair for a, b in (names[:1] * 2, names, names[1:] * 2)},
+            "contact": {"normal": normal, "tangential": "mindlin" if friction else "none", "rolling": "none"},
+            "particles": {"free": {"material": "light", **group}, "anchors": {"material": "heavy", **group}},
+            "domain": {"min": [-side] * 3, "max": [side] * 3, "on_exit": "delete"},
+            "run": {"duration": 1.0, "velocity_max": VELOCITY},
+            "numerics": {"max_overlap": LARGEST_OVERLAP, "skin": RADIUS},
+            "output": {"interval": 1.0},
+        }
+    )
 
 
 def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> ParticleData:
@@ -215,7 +225,9 @@ def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> Par
         * ~lattice.is_anchor[:, None]
     )
     if not with_friction:
-        perturbation *= np.abs(lattice.centers).max(axis=0) > 0.0  # chains are laterally unstable at any time step
+        perturbation *= (
+            np.abs(lattice.centers).max(axis=0) > 0.0
+        )  # chains are laterally unstable at any time step
     kind = lattice.is_anchor.astype(np.int32)
     return ParticleData(
         position=lattice.centers * (2 * RADIUS - overlap),

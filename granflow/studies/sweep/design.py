@@ -20,7 +20,8 @@ from granflow.units import Fault, GivenQuantity, Number, bound_faults, in_si, mi
 # Schema of sweep files.
 
 MOST_RUNS = 100_000
-"""Largest number of runs of a sweep. Each is checked before the first one begins, which takes some milliseconds."""
+"""Largest number of runs of a sweep. Each is checked before the first one begins, which takes some
+milliseconds."""
 Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[walls.plug.radius, walls.floor.hole_radius]")]
 AnyValues = Annotated[tuple[Any, ...], ListOf(some="[0.1, 0.3, 0.5]")]
 SeedCount = Annotated[int, Number(noun="a number of seeds", at_least=1, at_most=1000, whole=True)]
@@ -33,10 +34,13 @@ class ValueRange(Model):
     stop: GivenQuantity = Field(alias="to", description="upper bound")
     count: q.Count | None = Field(None, description="number of values, both bounds included; only in a grid")
     scale: Literal["linear", "log"] = Field("linear", description="spacing of the values: linear or log")
-    keys: Keys | None = Field(None, description="keys of the scene that get the value; default: the parameter name")
+    keys: Keys | None = Field(
+        None, description="keys of the scene that get the value; default: the parameter name"
+    )
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the upper bound is larger, both have one unit, and those of a logarithm are positive."""
+        """Yield a fault unless the upper bound is larger, both have one unit, and those of a logarithm are
+        positive."""
         yield from bound_faults(self.start, self.stop, self.scale)
 
 
@@ -44,13 +48,18 @@ class ValueList(Model):
     """Listed values of a parameter, and values of other keys that change with it."""
 
     values: AnyValues = Field(description="values of the parameter")
-    keys: Keys | None = Field(None, description="keys of the scene that get the value; default: the parameter name")
+    keys: Keys | None = Field(
+        None, description="keys of the scene that get the value; default: the parameter name"
+    )
     along: dict[Text, AnyValues] = Field(
-        {}, alias="with", description="other keys of the scene, each with one value for each value of the parameter"
+        {},
+        alias="with",
+        description="other keys of the scene, each with one value for each value of the parameter",
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault for values of different dimensions, and for each list of other values of another length."""
+        """Yield a fault for values of different dimensions, and for each list of other values of another
+        length."""
         if reason := mixed_units(self.values):
             yield Fault(("values",), reason)
         for key, values in self.along.items():
@@ -71,7 +80,9 @@ def _form(value: Any) -> str | None:
 
 
 Variation = Annotated[
-    Annotated[AnyValues, Tag("<list>")] | Annotated[ValueRange, Tag("<from>")] | Annotated[ValueList, Tag("<values>")],
+    Annotated[AnyValues, Tag("<list>")]
+    | Annotated[ValueRange, Tag("<from>")]
+    | Annotated[ValueList, Tag("<values>")],
     choose_by(_form, "a list of values or a range is expected, such as {from: 0.1, to: 0.7, count: 7}"),
 ]
 
@@ -91,7 +102,8 @@ class LatinHypercube(Model):
 
 
 class SobolSampling(Model):
-    """Saltelli's design on a Sobol sequence, for sensitivity indices: count (d + 2) points for d parameters."""
+    """Saltelli's design on a Sobol sequence, for sensitivity indices: count (d + 2) points for d
+    parameters."""
 
     kind: Literal["sobol"]
     count: q.Count = Field(description="number of base points, a power of 2")
@@ -102,7 +114,8 @@ class SobolSampling(Model):
         if self.count & (self.count - 1):
             below = 1 << (self.count.bit_length() - 1)
             yield Fault(
-                ("count",), f"a Sobol sequence is balanced for powers of 2 only, such as {below} or {2 * below}"
+                ("count",),
+                f"a Sobol sequence is balanced for powers of 2 only, such as {below} or {2 * below}",
             )
 
 
@@ -112,7 +125,9 @@ Sampling = Annotated[Grid | LatinHypercube | SobolSampling, choose_by_key("kind"
 class Repeat(Model):
     """Repetition of each point with other random numbers."""
 
-    seeds: SeedCount = Field(description="number of runs of each point, with the seed of the scene and those after it")
+    seeds: SeedCount = Field(
+        description="number of runs of each point, with the seed of the scene and those after it"
+    )
 
 
 class SweepInput(Model):
@@ -121,8 +136,12 @@ class SweepInput(Model):
     title: Text | None = Field(None, description="title of the sweep, one line")
     description: Text | None = Field(None, description="description of the sweep and its expected result")
     scene: FileName = Field(description="scene file, relative to the folder of this file")
-    settings: dict[Text, Any] = Field({}, alias="set", description="values of other keys of the scene in all runs")
-    vary: dict[Text, Variation] = Field(description="values of each parameter; its name is a key path of the scene")
+    settings: dict[Text, Any] = Field(
+        {}, alias="set", description="values of other keys of the scene in all runs"
+    )
+    vary: dict[Text, Variation] = Field(
+        description="values of each parameter; its name is a key path of the scene"
+    )
     sampling: Sampling = Field(Grid(), description="grid, latin_hypercube or sobol")
     repeat: Repeat = Field(Repeat(seeds=1), description="repetition of each point with other seeds")
     read: Annotated[tuple[Text, ...], ListOf(one=True, some="[mass_flow.outlet]")] = Field(
@@ -132,7 +151,9 @@ class SweepInput(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield faults between the parts: counts that are missing or have no effect, keys given twice."""
         if not self.vary:
-            yield missing(("vary",), "at least one parameter, such as pairs.glass-glass.friction: [0.1, 0.3, 0.5]")
+            yield missing(
+                ("vary",), "at least one parameter, such as pairs.glass-glass.friction: [0.1, 0.3, 0.5]"
+            )
         gridded = isinstance(self.sampling, Grid)
         for name, variation in self.vary.items():
             if isinstance(variation, tuple) and (reason := mixed_units(variation)):
@@ -142,11 +163,16 @@ class SweepInput(Model):
             if gridded and variation.count is None:
                 yield missing(("vary", name, "count"), "the number of values of this parameter in the grid")
             if not gridded and variation.count is not None:
-                yield whole(("vary", name, "count"), "has no effect: sampling.count is the number of points; remove it")
+                yield whole(
+                    ("vary", name, "count"),
+                    "has no effect: sampling.count is the number of points; remove it",
+                )
         yield from self._repeated_keys()
         if self.run_count > MOST_RUNS:
             path = ("vary",) if gridded else ("sampling", "count")
-            yield whole(path, f"gives {self.run_count} runs, but a sweep has at most {MOST_RUNS}; give fewer values")
+            yield whole(
+                path, f"gives {self.run_count} runs, but a sweep has at most {MOST_RUNS}; give fewer values"
+            )
 
     @property
     def run_count(self) -> int:
@@ -183,7 +209,8 @@ def keys_of(name: str, variation: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class DesignPoint:
-    """One point: value of each parameter by its name, SI, and value of each key of the scene, which may have a unit."""
+    """One point: value of each parameter by its name, SI, and value of each key of the scene, which may have
+    a unit."""
 
     values: Mapping[str, Any]
     settings: Mapping[str, Any]
@@ -199,15 +226,17 @@ class _Level(NamedTuple):
 def design_points(sweep: SweepInput) -> list[DesignPoint]:
     """All points in a fixed order; of a grid, the last parameter varies fastest.
 
-    Values of parameters are SI numbers where the text is a number with a unit; the scene gets values with units, so
-    that it refuses those of another dimension. The points of a Sobol sampling are in the order of SALib without
-    second-order indices: for each base point A, each A with one value of B, and B.
+    Values of parameters are SI numbers where the text is a number with a unit; the scene gets values with
+    units, so that it refuses those of another dimension. The points of a Sobol sampling are in the order of
+    SALib without second-order indices: for each base point A, each A with one value of B, and B.
     """
     if isinstance(sweep.sampling, Grid):
         levels = [list(_grid_levels(name, variation)) for name, variation in sweep.vary.items()]
         return [_point(sweep, combination) for combination in product(*levels)]
     return [
-        _point(sweep, [_level_at(*entry, share) for entry, share in zip(sweep.vary.items(), row, strict=True)])
+        _point(
+            sweep, [_level_at(*entry, share) for entry, share in zip(sweep.vary.items(), row, strict=True)]
+        )
         for row in unit_samples(sweep.sampling, len(sweep.vary)).tolist()
     ]
 
@@ -223,13 +252,15 @@ def _point(sweep: SweepInput, levels: Any) -> DesignPoint:
 def unit_samples(sampling: LatinHypercube | SobolSampling, parameters: int) -> np.ndarray:
     """Samples (points, parameters) in [0, 1).
 
-    Saltelli's design (Saltelli et al., Comput. Phys. Commun. 181 (2010) 259): rows A_i, AB_i1, ..., AB_id, B_i for each
-    base point i, where AB_ij is A_i with component j of B_i; A and B are the halves of a Sobol sequence.
+    Saltelli's design (Saltelli et al., Comput. Phys. Commun. 181 (2010) 259): rows A_i, AB_i1, ..., AB_id,
+    B_i for each base point i, where AB_ij is A_i with component j of B_i; A and B are the halves of a Sobol
+    sequence.
     """
     if isinstance(sampling, LatinHypercube):
         return np.asarray(qmc.LatinHypercube(parameters, seed=sampling.seed).random(sampling.count))
     both = qmc.Sobol(2 * parameters, scramble=True, seed=sampling.seed).random(sampling.count)
-    first, second = both[:, :parameters], both[:, parameters:]
+    first = both[:, :parameters]
+    second = both[:, parameters:]
     mixed = np.repeat(first[:, None, :], parameters + 2, axis=1)
     for j in range(parameters):
         mixed[:, 1 + j, j] = second[:, j]
@@ -248,7 +279,8 @@ def _grid_levels(name: str, variation: Any) -> Iterator[_Level]:
 
 
 def _level_at(name: str, variation: Any, share: float | Fraction) -> _Level:
-    """The value at a fraction `share` of the range, or of the list, in which all values are equally probable."""
+    """The value at a fraction `share` of the range, or of the list, in which all values are equally
+    probable."""
     if isinstance(variation, ValueRange):
         value = value_at(variation, share)
         given = in_si(value, variation.start.unit or variation.stop.unit)
@@ -264,8 +296,8 @@ SHORT = 9
 def value_at(bounds: ValueRange, share: float | Fraction) -> float:
     """The value at a fraction of a range; fractions 0 and 1 give the bounds exactly.
 
-    Linear values are those of exact arithmetic with the decimals of the bounds: 0.3, not 0.30000000000000004, and
-    between 10 deg and 30 deg the same number as for 20 deg.
+    Linear values are those of exact arithmetic with the decimals of the bounds: 0.3, not 0.30000000000000004,
+    and between 10 deg and 30 deg the same number as for 20 deg.
     Logarithmic values that differ from a decimal of SHORT digits by rounding only are that decimal.
     """
     if share in (0.0, 1.0):

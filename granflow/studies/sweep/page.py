@@ -37,7 +37,8 @@ RESAMPLES = 1000
 class SobolIndices(NamedTuple):
     """Indices of one quantity, each (parameters,), with the half widths of their 95 % confidence intervals.
 
-    `first`: share of the variance that each parameter explains alone; `total`: share including its interactions.
+    `first`: share of the variance that each parameter explains alone; `total`: share including its
+    interactions.
     """
 
     quantity: str
@@ -52,7 +53,8 @@ def sobol_indices(sweep: SweepInput, table: SweepTable) -> tuple[list[SobolIndic
 
     Neither for other samplings than Saltelli's design.
 
-    (I. M. Sobol, Math. Comput. Simul. 55 (2001) 271; A. Saltelli et al., Comput. Phys. Commun. 181 (2010) 259.)
+    (I. M. Sobol, Math. Comput. Simul. 55 (2001) 271; A. Saltelli et al., Comput. Phys. Commun. 181 (2010)
+    259.)
     """
     if not isinstance(sweep.sampling, SobolSampling):
         return [], ""
@@ -61,18 +63,23 @@ def sobol_indices(sweep: SweepInput, table: SweepTable) -> tuple[list[SobolIndic
     except ImportError:
         return [], "Sobol indices require SALib, which is not installed: pip install SALib"
     problem = {"num_vars": len(table.parameters), "names": list(table.parameters)}
-    found, missing = [], []
+    found = []
+    missing = []
     for name in table.quantities:
         values = np.array([row.mean(name) for row in table.rows])
         if not np.isfinite(values).all():
-            missing.append(f"{name} is missing at {int((~np.isfinite(values)).sum())} of {len(values)} points.")
+            missing.append(
+                f"{name} is missing at {int((~np.isfinite(values)).sum())} of {len(values)} points."
+            )
         elif values.std() == 0.0:
             missing.append(f"{name} is the same at all points.")
         else:
             indices = sobol.analyze(
                 problem, values, calc_second_order=False, num_resamples=RESAMPLES, seed=sweep.sampling.seed
             )
-            found.append(SobolIndices(name, *(np.asarray(indices[key]) for key in ("S1", "S1_conf", "ST", "ST_conf"))))
+            found.append(
+                SobolIndices(name, *(np.asarray(indices[key]) for key in ("S1", "S1_conf", "ST", "ST_conf")))
+            )
     return found, " ".join(missing)
 
 
@@ -83,7 +90,8 @@ MOST_LEVELS = 12
 """Largest number of values of a parameter with a mean of their own; more are combined in BINS intervals."""
 BINS = 8
 EDGE_ROUNDING = 1e-4
-"""A value on the common edge of two intervals is in the upper one, also if rounding puts it below by this share."""
+"""A value on the common edge of two intervals is in the upper one, also if rounding puts it below by this
+share."""
 MOST_LINES = 500
 """Largest number of runs in the parallel coordinates."""
 MOST_HEAT_MAPS = 6
@@ -94,7 +102,10 @@ HEIGHT, MATRIX_CELL = 340, 150
 
 def hover(row: PointRow, table: ShownTable) -> str:
     """Text at the pointer: parameters, quantities and run directories."""
-    lines = [f"{table.parameter_label(name)} = {level_text(table.value(row, name), 4)}" for name in table.parameters]
+    lines = [
+        f"{table.parameter_label(name)} = {level_text(table.value(row, name), 4)}"
+        for name in table.parameters
+    ]
     lines += [f"{table.label(name)} = {plain(table.mean(row, name), 4)}" for name in table.quantities]
     return "<br>".join([*lines, *(f"runs/{name}" for name in row.directories)])
 
@@ -113,10 +124,17 @@ def main_effects(table: ShownTable, quantity: str) -> Plot:
         axes = {"xaxis": f"x{k + 1}" if k else "x", "yaxis": f"y{k + 1}" if k else "y"}
         values = [plain(table.value(row, name)) for row in rows]
         data.append(
-            {"type": "scatter", "mode": "markers", "x": values, "y": [plain(table.mean(row, quantity)) for row in rows],
-             "marker": {"color": COLORS[5], "size": 5, "opacity": 0.6}, "hoverinfo": "text",
-             "hovertext": [hover(row, table) for row in rows], **axes}
-        )  # fmt: skip
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "x": values,
+                "y": [plain(table.mean(row, quantity)) for row in rows],
+                "marker": {"color": COLORS[5], "size": 5, "opacity": 0.6},
+                "hoverinfo": "text",
+                "hovertext": [hover(row, table) for row in rows],
+                **axes,
+            }
+        )
         groups = _groups(values, name in table.logarithmic)
         data.append({**_mean_line(table, groups, values, rows, quantity), **axes})
         binned = binned or len(groups) < len(set(values))
@@ -146,9 +164,12 @@ def _mean_line(
 ) -> dict[str, Any]:
     """Means with standard errors over the values of one parameter, for each of the `groups`.
 
-    The error of a mean follows from the scatter over the seeds; within an interval, from the scatter of its points.
+    The error of a mean follows from the scatter over the seeds; within an interval, from the scatter of its
+    points.
     """
-    means, errors, positions = [], [], []
+    means = []
+    errors = []
+    positions = []
     for position, members in groups:
         numbers = np.array([table.mean(rows[k], quantity) for k in members])
         seeds = np.array([table.standard_error(rows[k], quantity) for k in members])
@@ -159,10 +180,15 @@ def _mean_line(
         means.append(plain(float(numbers.mean())))
         errors.append(plain(float(scatter if binned else from_seeds)) or 0.0)
     return {
-        "type": "scatter", "mode": "lines+markers", "x": positions, "y": means, "hoverinfo": "x+y",
-        "error_y": {"type": "data", "array": errors, "color": COLORS[0]}, "line": {"color": COLORS[0], "width": 2},
+        "type": "scatter",
+        "mode": "lines+markers",
+        "x": positions,
+        "y": means,
+        "hoverinfo": "x+y",
+        "error_y": {"type": "data", "array": errors, "color": COLORS[0]},
+        "line": {"color": COLORS[0], "width": 2},
         "marker": {"size": 7},
-    }  # fmt: skip
+    }
 
 
 def _groups(values: Sequence[Any], logarithmic: bool) -> list[tuple[Any, list[int]]]:
@@ -170,7 +196,9 @@ def _groups(values: Sequence[Any], logarithmic: bool) -> list[tuple[Any, list[in
 
     logarithmic:  whether the intervals have equal ratios, and the means are geometric
     """
-    distinct = sorted(set(values)) if all(isinstance(v, float) for v in values) else list(dict.fromkeys(values))
+    distinct = (
+        sorted(set(values)) if all(isinstance(v, float) for v in values) else list(dict.fromkeys(values))
+    )
     if len(distinct) <= MOST_LEVELS or not all(isinstance(v, float) for v in distinct):
         return [(value, [k for k, each in enumerate(values) if each == value]) for value in distinct]
     scaled = np.log(values) if logarithmic else np.array(values)
@@ -188,23 +216,39 @@ def scatter_matrix(table: ShownTable) -> Plot | None:
     if len(table.parameters) + len(table.quantities) <= 2:
         return None
     dimensions = [
-        {"label": in_lines(table.parameter_label(name)), "values": [plain(table.value(row, name)) for row in rows]}
+        {
+            "label": in_lines(table.parameter_label(name)),
+            "values": [plain(table.value(row, name)) for row in rows],
+        }
         for name in table.parameters
     ] + [
         {"label": in_lines(table.label(name)), "values": [plain(table.mean(row, name)) for row in rows]}
         for name in table.quantities
     ]
     data = {
-        "type": "splom", "dimensions": dimensions, "text": [hover(row, table) for row in rows], "hoverinfo": "text",
-        "marker": {"color": COLORS[0], "size": 4, "opacity": 0.7}, "diagonal": {"visible": False},
+        "type": "splom",
+        "dimensions": dimensions,
+        "text": [hover(row, table) for row in rows],
+        "hoverinfo": "text",
+        "marker": {"color": COLORS[0], "size": 4, "opacity": 0.7},
+        "diagonal": {"visible": False},
         "showupperhalf": False,
-    }  # fmt: skip
+    }
     look = layout(MATRIX_CELL * len(dimensions) + 110)
     look |= {"margin": look["margin"] | {"b": 100}, "font": look["font"] | {"size": 10}}
-    for k, (name, dimension) in enumerate(zip((*table.parameters, *table.quantities), dimensions, strict=True)):
-        title = {"text": dimension["label"], "standoff": STANDOFF}  # with a standoff, all lines are outside the ticks
+    for k, (name, dimension) in enumerate(
+        zip((*table.parameters, *table.quantities), dimensions, strict=True)
+    ):
+        title = {
+            "text": dimension["label"],
+            "standoff": STANDOFF,
+        }  # with a standoff, all lines are outside the ticks
         for along in "xy":
-            look[f"{along}axis{k + 1 if k else ''}"] = {"automargin": True, "title": title, **_scale(table, name)}
+            look[f"{along}axis{k + 1 if k else ''}"] = {
+                "automargin": True,
+                "title": title,
+                **_scale(table, name),
+            }
     return Plot("All parameters and quantities against each other", {"data": [data], "layout": look})
 
 
@@ -221,14 +265,17 @@ def in_lines(text: str, width: int = 14) -> str:
 def heat_maps(table: ShownTable) -> list[Plot]:
     """Each quantity over each two parameters of a grid, averaged over the other parameters."""
     levels = {
-        name: list(dict.fromkeys(plain(table.value(row, name)) for row in table.rows)) for name in table.parameters
+        name: list(dict.fromkeys(plain(table.value(row, name)) for row in table.rows))
+        for name in table.parameters
     }
     pairs = list(combinations(table.parameters, 2))[:MOST_HEAT_MAPS]
     small = [pair for pair in pairs if len(levels[pair[0]]) * len(levels[pair[1]]) <= len(table.rows)]
     return [_heat_map(table, quantity, *pair, levels) for quantity in table.quantities for pair in small]
 
 
-def _heat_map(table: ShownTable, quantity: str, first: str, second: str, levels: dict[str, list[Any]]) -> Plot:
+def _heat_map(
+    table: ShownTable, quantity: str, first: str, second: str, levels: dict[str, list[Any]]
+) -> Plot:
     """One quantity over two parameters."""
     cells: dict[tuple[Any, Any], list[PointRow]] = {}
     for row in table.rows:
@@ -245,11 +292,17 @@ def _heat_map(table: ShownTable, quantity: str, first: str, second: str, levels:
     means = [[mean(x, y) for x in levels[first]] for y in levels[second]]
     names = [[level_text(each) for each in levels[name]] for name in (first, second)]
     data = {
-        "type": "heatmap", "x": names[0], "y": names[1], "colorscale": COLOR_SCALE, "hoverinfo": "text+z",
+        "type": "heatmap",
+        "x": names[0],
+        "y": names[1],
+        "colorscale": COLOR_SCALE,
+        "hoverinfo": "text+z",
         "z": means,
         "text": [[text(x, y) for x in levels[first]] for y in levels[second]],
-        "colorbar": _color_bar(table.label(quantity), [value for line in means for value in line if value is not None]),
-    }  # fmt: skip
+        "colorbar": _color_bar(
+            table.label(quantity), [value for line in means for value in line if value is not None]
+        ),
+    }
     axes = {
         "xaxis": axis(table.parameter_label(first), type="category"),
         "yaxis": axis(table.parameter_label(second), type="category"),
@@ -267,32 +320,43 @@ def _color_bar(title: str, values: Sequence[float]) -> dict[str, Any]:
 
 
 def parallel_coordinates(table: ShownTable) -> Plot:
-    """One line per point over all parameters and quantities, each scaled to its range; color: the first quantity."""
+    """One line per point over all parameters and quantities, each scaled to its range; color: the first
+    quantity."""
     rows = usable_rows(table)
     shown = rows[:: -(-len(rows) // MOST_LINES)]
-    columns = {table.parameter_label(name): [table.value(row, name) for row in rows] for name in table.parameters}
+    columns = {
+        table.parameter_label(name): [table.value(row, name) for row in rows] for name in table.parameters
+    }
     columns |= {table.label(name): [table.mean(row, name) for row in rows] for name in table.quantities}
     logarithmic = {table.parameter_label(name) for name in table.logarithmic}
     shares = {
-        name: dict(zip(map(id, rows), _shares(np.log(values) if name in logarithmic else values), strict=True))
+        name: dict(
+            zip(map(id, rows), _shares(np.log(values) if name in logarithmic else values), strict=True)
+        )
         for name, values in columns.items()
     }
-    names, color = list(columns), table.label(table.quantities[0])
+    names = list(columns)
+    color = table.label(table.quantities[0])
     data = [
-        {"type": "scatter", "mode": "lines+markers", "x": names, "y": [shares[name][id(row)] for name in names],
-         "line": {"color": _color(shares[color][id(row)]), "width": 1.5}, "marker": {"size": 5},
-         "hovertext": hover(row, table), "hoverinfo": "text"}
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "x": names,
+            "y": [shares[name][id(row)] for name in names],
+            "line": {"color": _color(shares[color][id(row)]), "width": 1.5},
+            "marker": {"size": 5},
+            "hovertext": hover(row, table),
+            "hoverinfo": "text",
+        }
         for row in shown
-    ]  # fmt: skip
+    ]
     ends = [
         f"{name.replace('.', '.<br>')}<br>{_end(values, min)} to {_end(values, max)}"
         for name, values in columns.items()
     ]
     x_axis = axis("", tickvals=names, ticktext=ends)
     y_axis = axis("share of the range")
-    caption = (
-        f"Each line is a point; {len(shown)} of {len(rows)} points, colored from low (blue) to high (orange) {color}"
-    )
+    caption = f"Each line is a point; {len(shown)} of {len(rows)} points, colored from low (blue) to high (orange) {color}"
     return Plot(caption, {"data": data, "layout": layout(HEIGHT + 60, xaxis=x_axis, yaxis=y_axis)})
 
 
@@ -325,15 +389,26 @@ def _color(share: float | None) -> str:
 def sobol_plot(table: ShownTable, indices: SobolIndices) -> Plot:
     """First-order and total indices of one quantity, with their 95 % confidence intervals."""
     names = [table.short_name(name) for name in table.parameters]
-    bars = (("first order", indices.first, indices.first_interval), ("total", indices.total, indices.total_interval))
+    bars = (
+        ("first order", indices.first, indices.first_interval),
+        ("total", indices.total, indices.total_interval),
+    )
     data = [
-        {"type": "bar", "name": name, "x": names, "y": [plain(float(v)) for v in values],
-         "error_y": {"type": "data", "array": [plain(float(v)) for v in interval]}, "marker": {"color": COLORS[k]}}
+        {
+            "type": "bar",
+            "name": name,
+            "x": names,
+            "y": [plain(float(v)) for v in values],
+            "error_y": {"type": "data", "array": [plain(float(v)) for v in interval]},
+            "marker": {"color": COLORS[k]},
+        }
         for k, (name, values, interval) in enumerate(bars)
-    ]  # fmt: skip
+    ]
     caption = f"Sobol indices of {table.label(indices.quantity)} with 95 % confidence intervals"
     axes = {"xaxis": axis(""), "yaxis": axis("share of the variance")}
-    return Plot(caption, {"data": data, "layout": layout(HEIGHT, barmode="group", **axes) | {"showlegend": True}})
+    return Plot(
+        caption, {"data": data, "layout": layout(HEIGHT, barmode="group", **axes) | {"showlegend": True}}
+    )
 
 
 # Time series of several runs in one plot; a menu selects the quantity, the legend the runs.
@@ -357,8 +432,9 @@ class NamedRun(NamedTuple):
 def series_overlay(runs: Sequence[NamedRun], first: Sequence[str], named_by: str) -> Plot | None:
     """Time series of the runs; None if none of them has rows.
 
-    `first`: quantities that are shown first; the others follow in the order of the files; `named_by`: what the names of
-    the runs contain. A click on a name in the legend hides a run, a double click shows only this run.
+    `first`: quantities that are shown first; the others follow in the order of the files; `named_by`: what
+    the names of the runs contain. A click on a name in the legend hides a run, a double click shows only this
+    run.
     """
     shown = runs[:: -(-len(runs) // MOST_RUNS)] if runs else ()
     found = {run: series for run in shown if (series := read_series(run.directory / "timeseries.csv"))}
@@ -367,11 +443,18 @@ def series_overlay(runs: Sequence[NamedRun], first: Sequence[str], named_by: str
     columns = _columns(list(found.values()), first)
     curves = {column.name: [_curve(series, column.name) for series in found.values()] for column in columns}
     data = [
-        {"type": "scatter", "mode": "lines", "name": run.name, "x": x, "y": y,
-         "line": {"color": COLORS[k % len(COLORS)], "dash": DASHES[k // len(COLORS) % len(DASHES)]},
-         "hovertext": run.hover, "hovertemplate": "%{y:.4~g}<br>%{hovertext}<extra></extra>"}
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": run.name,
+            "x": x,
+            "y": y,
+            "line": {"color": COLORS[k % len(COLORS)], "dash": DASHES[k // len(COLORS) % len(DASHES)]},
+            "hovertext": run.hover,
+            "hovertemplate": "%{y:.4~g}<br>%{hovertext}<extra></extra>",
+        }
         for k, (run, (x, y)) in enumerate(zip(found, curves[columns[0].name], strict=True))
-    ]  # fmt: skip
+    ]
     menu = {
         "buttons": [_button(column, curves[column.name]) for column in columns],
         "x": 0,
@@ -405,7 +488,11 @@ def _curve(series: TimeSeriesTable, name: str) -> tuple[list[Any], list[Any]]:
 def _button(column: SeriesColumn, curves: Sequence[tuple[list[Any], list[Any]]]) -> dict[str, Any]:
     """Entry of the menu: shows the curves of one column."""
     data = {"x": [x for x, _ in curves], "y": [y for _, y in curves]}
-    return {"method": "update", "label": escaped(column.text), "args": [data, {"yaxis.title.text": _title(column)}]}
+    return {
+        "method": "update",
+        "label": escaped(column.text),
+        "args": [data, {"yaxis.title.text": _title(column)}],
+    }
 
 
 def _title(column: SeriesColumn) -> str:
@@ -450,7 +537,8 @@ def _named_runs(table: ShownTable) -> list[NamedRun]:
     for row in table.rows:
         values = [level_text(table.value(row, name), 4) for name in table.parameters]
         texts = [
-            f"{table.parameter_label(name)} = {value}" for name, value in zip(table.parameters, values, strict=True)
+            f"{table.parameter_label(name)} = {value}"
+            for name, value in zip(table.parameters, values, strict=True)
         ]
         for each in row.runs:
             if each.run is not None and each.run.directory.is_dir():
@@ -468,18 +556,24 @@ def _named_by(table: ShownTable) -> str:
 def _statuses(table: SweepTable) -> PageTable:
     """Number of points with each status."""
     statuses = [row.outcome.status for row in table.rows]
-    return PageTable(("status", "points"), [(each, str(statuses.count(each))) for each in dict.fromkeys(statuses)])
+    return PageTable(
+        ("status", "points"), [(each, str(statuses.count(each))) for each in dict.fromkeys(statuses)]
+    )
 
 
 def _points(table: ShownTable) -> PageTable:
-    """All points: parameters, status, quantities with standard errors, run directories, reasons and warnings if any."""
+    """All points: parameters, status, quantities with standard errors, run directories, reasons and warnings
+    if any."""
     rows = []
     for row in table.rows:
         values = [level_text(table.value(row, name)) for name in table.parameters]
-        numbers = [with_error(table.mean(row, name), table.standard_error(row, name)) for name in table.quantities]
+        numbers = [
+            with_error(table.mean(row, name), table.standard_error(row, name)) for name in table.quantities
+        ]
         ends = (" ".join(row.directories), row.outcome.reason, row.warnings)
         rows.append([*values, row.outcome.status, *numbers, *ends])
-    parameters, quantities = map(table.parameter_label, table.parameters), map(table.label, table.quantities)
+    parameters = map(table.parameter_label, table.parameters)
+    quantities = map(table.label, table.quantities)
     return without_empty_ends([*parameters, "status", *quantities, "runs", "reason", "warnings"], rows)
 
 
@@ -488,7 +582,8 @@ FIXED_POINT = (1e-4, 1e3)
 
 
 def with_error(value: float, error: float) -> str:
-    """A number and its standard error with two digits, if there is one: 19.1 ± 4.1; a dash without a number."""
+    """A number and its standard error with two digits, if there is one: 19.1 ± 4.1; a dash without a
+    number."""
     if value != value:
         return "–"
     if error != error:

@@ -14,7 +14,14 @@ from granflow.errors import FileError, GranflowError, SceneError
 from granflow.io.files import locked
 from granflow.scene.validated_file import validated_file, validated_mapping
 from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for
-from granflow.studies.run_process import CheckedRun, Outcome, RunSettings, checked_run, naming_write_errors, relocated
+from granflow.studies.run_process import (
+    CheckedRun,
+    Outcome,
+    RunSettings,
+    checked_run,
+    naming_write_errors,
+    relocated,
+)
 from granflow.studies.sweep.design import DesignPoint, SweepInput, design_points, keys_of
 from granflow.studies.sweep.page import write_sweep_page
 from granflow.studies.sweep.table import SweepTable, run_texts, shown, table_of, write_tables
@@ -54,23 +61,29 @@ class SweepFile:
 def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any]) -> SweepFile:
     """Read a sweep from a YAML file, or from a mapping with the same keys.
 
-    The path of the scene is relative to the folder of the file, or to the present one. Raises FileError with all
-    problems.
+    The path of the scene is relative to the folder of the file, or to the present one. Raises FileError with
+    all problems.
     """
-    refuse_other("source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys")
+    refuse_other(
+        "source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys"
+    )
     if isinstance(source, Mapping):
         content, document = validated_mapping(source, SweepInput)
-        folder, name = Path(), "sweep"
+        folder = Path()
+        name = "sweep"
     else:
         content, document = validated_file(Path(source), SweepInput, "sweep")
-        folder, name = Path(source).parent, Path(source).stem
+        folder = Path(source).parent
+        name = Path(source).stem
     scene = folder / content.scene
     if not scene.is_file():
         position = document.value_position(("scene",))
         raise FileError(f"{position}: scene is {content.scene}, but there is no file {scene}.")
     positions = {key: str(document.key_position(("set", key))) for key in content.settings}
     for parameter, variation in content.vary.items():
-        positions |= dict.fromkeys(keys_of(parameter, variation), str(document.key_position(("vary", parameter))))
+        positions |= dict.fromkeys(
+            keys_of(parameter, variation), str(document.key_position(("vary", parameter)))
+        )
     read = {each: str(document.value_position(("read", k))) for k, each in enumerate(content.read)}
     return SweepFile(content, scene, name, positions, read)
 
@@ -83,8 +96,8 @@ def checked_points(
 ) -> Points:
     """All points with their checked runs, one for each seed; a reason in place of a refused run.
 
-    `announce` receives a line each CHECK_REPORT. Raises FileError if every run is refused, with the different reasons,
-    at their positions in the sweep file, and SweepStopped as soon as `is_stopping` returns True.
+    `announce` receives a line each CHECK_REPORT. Raises FileError if every run is refused, with the different
+    reasons, at their positions in the sweep file, and SweepStopped as soon as `is_stopping` returns True.
     """
     points = design_points(sweep.content)
     found: list[tuple[DesignPoint, Sequence[CheckedRun | str]]] = []
@@ -93,7 +106,9 @@ def checked_points(
         checked = []
         for offset in range(sweep.content.repeat.seeds):
             if is_stopping():
-                raise SweepStopped(f"stopped: {number} of {len(points)} points are checked, and no run has begun.")
+                raise SweepStopped(
+                    f"stopped: {number} of {len(points)} points are checked, and no run has begun."
+                )
             checked.append(_checked(sweep, point, common, offset))
         found.append((point, checked))
         if time.monotonic() - told > CHECK_REPORT:
@@ -126,9 +141,10 @@ def run_sweep(
 ) -> SweepTable:
     """Carry out the runs of a sweep that have not ended, and write `sweep.csv`, `runs.csv` and `sweep.html`.
 
-    `stop`: stops all runs, each with a checkpoint, when it is set; `report` receives the progress of the runs,
-    `announce` lines before them. Raises GranflowError if the sweep or the workers are not valid, or if another process
-    runs a sweep in `out`, SweepStopped for a stop before the first run, OutputError for files that cannot be written.
+    `stop`: stops all runs, each with a checkpoint, when it is set; `report` receives the progress of the
+    runs, `announce` lines before them. Raises GranflowError if the sweep or the workers are not valid, or if
+    another process runs a sweep in `out`, SweepStopped for a stop before the first run, OutputError for files
+    that cannot be written.
     """
     stop = stop or Event()
     with naming_write_errors(out, REMEDY), locked(out):
@@ -154,8 +170,12 @@ def run_sweep(
 class _Updates:
     """Updates the tables during the runs, at most every TABLE_INTERVAL."""
 
-    def __init__(self, out: Path, table: Callable[[Mapping[str, Outcome]], SweepTable], report: Report) -> None:
-        self._out, self._table, self._report = out, table, report
+    def __init__(
+        self, out: Path, table: Callable[[Mapping[str, Outcome]], SweepTable], report: Report
+    ) -> None:
+        self._out = out
+        self._table = table
+        self._report = report
         self._written = time.monotonic()
         self.outcomes: Mapping[str, Outcome] = {}
 
@@ -163,7 +183,9 @@ class _Updates:
         """Report the progress, and write the tables if they are old."""
         self._report(progress, event)
         if time.monotonic() - self._written > TABLE_INTERVAL:
-            with suppress(OSError):  # a full disk is reported at the end, when the runs have ended in an orderly way
+            with suppress(
+                OSError
+            ):  # a full disk is reported at the end, when the runs have ended in an orderly way
                 write_tables(self._out, self._table(self.outcomes))
             self._written = time.monotonic()
 
@@ -180,12 +202,14 @@ def sweep(
 
         table = granflow.sweep("sweep.yaml", jobs=2)
 
-    source:     sweep file (YAML), or a mapping with the same keys, where paths are relative to the working directory
+    source:     sweep file (YAML), or a mapping with the same keys, where paths are relative to the working
+                directory
     out:        directory of the results; default: out/NAME. Runs in it that have ended are not repeated
     jobs:       simultaneous runs; default: cores / threads, or as many as the workers of the scheduler take
     threads:    CPU threads of each run
     scheduler:  address of a Dask scheduler, such as tcp://10.0.0.1:8786; default: processes on this machine
-    Returns:    columns as in sweep.csv: parameters, status, reason, seconds [s], quantities [SI], run directories
+    Returns:    columns as in sweep.csv: parameters, status, reason, seconds [s], quantities [SI], run
+                directories
     Raises:     GranflowError with all problems of the sweep, or if pandas (pip install pandas) is missing
     """
     study = read_sweep(source)

@@ -39,10 +39,14 @@ CELL_WIDTH, GAP = 1.0, 0.28
 def layout(height: int, **more: Any) -> dict[str, Any]:
     """Layout of a plot with the style of all pages; `height` [pixels]."""
     return {
-        "height": height, "margin": {"l": 70, "r": 20, "t": 30, "b": 55}, "font": FONT,
-        "showlegend": False, "legend": LEGEND, "hovermode": "closest",
+        "height": height,
+        "margin": {"l": 70, "r": 20, "t": 30, "b": 55},
+        "font": FONT,
+        "showlegend": False,
+        "legend": LEGEND,
+        "hovermode": "closest",
         **more,
-    }  # fmt: skip
+    }
 
 
 def axis(title: str, **more: Any) -> dict[str, Any]:
@@ -57,14 +61,20 @@ def axis(title: str, **more: Any) -> dict[str, Any]:
 
 
 def row_of_axes(titles: Sequence[str], y_title: str) -> dict[str, Any]:
-    """Axes of plots side by side: xaxis, yaxis, xaxis2, yaxis2, ...; the first one has the title `y_title`."""
+    """Axes of plots side by side: xaxis, yaxis, xaxis2, yaxis2, ...; the first one has the title
+    `y_title`."""
     count = len(titles)
     unit = 1.0 / (count * CELL_WIDTH + (count - 1) * GAP)
     axes: dict[str, Any] = {}
     for k, title in enumerate(titles):
-        start, number = k * (CELL_WIDTH + GAP) * unit, str(k + 1) if k else ""
-        axes[f"xaxis{number}"] = axis(title, domain=[start, min(start + CELL_WIDTH * unit, 1.0)], anchor=f"y{number}")
-        axes[f"yaxis{number}"] = axis("" if k else y_title, anchor=f"x{number}", **({"matches": "y"} if k else {}))
+        start = k * (CELL_WIDTH + GAP) * unit
+        number = str(k + 1) if k else ""
+        axes[f"xaxis{number}"] = axis(
+            title, domain=[start, min(start + CELL_WIDTH * unit, 1.0)], anchor=f"y{number}"
+        )
+        axes[f"yaxis{number}"] = axis(
+            "" if k else y_title, anchor=f"x{number}", **({"matches": "y"} if k else {})
+        )
     return axes
 
 
@@ -82,7 +92,8 @@ def level_text(value: Any, digits: int = 6) -> str:
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
-    """Short name of each parameter for an axis: the last two keys of its path, or as many as make all different."""
+    """Short name of each parameter for an axis: the last two keys of its path, or as many as make all
+    different."""
     endings = distinct_endings([name.split(".") for name in names], least=2)
     return {name: ".".join(parts) for name, parts in zip(names, endings, strict=True)}
 
@@ -93,7 +104,8 @@ STANDARD_ERROR = "standard_error"
 
 @dataclass(frozen=True)
 class RunRow:
-    """One run of a point: `run` is None if the point was refused before; numbers and warnings, if the run has ended."""
+    """One run of a point: `run` is None if the point was refused before; numbers and warnings, if the run has
+    ended."""
 
     run: CheckedRun | None
     outcome: Outcome
@@ -124,12 +136,14 @@ class PointRow:
         return float(np.mean(values)) if values else nan
 
     def standard_error(self, name: str) -> float:
-        """Standard error of the mean over the seeds; nan for fewer than two values without errors of their own.
+        """Standard error of the mean over the seeds; nan for fewer than two values without errors of their
+        own.
 
-        The larger one of s / sqrt(n) and sqrt(sum e^2) / n: the scatter s between seeds contains the errors e that the
-        runs give (`angle_of_repose_error`), but few seeds may agree by chance.
+        The larger one of s / sqrt(n) and sqrt(sum e^2) / n: the scatter s between seeds contains the errors e
+        that the runs give (`angle_of_repose_error`), but few seeds may agree by chance.
         """
-        values, own = self._values(name), self._values(error_name(name))
+        values = self._values(name)
+        own = self._values(error_name(name))
         scatter = float(np.std(values, ddof=1) / sqrt(len(values))) if len(values) > 1 else nan
         combined = float(np.linalg.norm(own) / len(own)) if own else nan
         return float(np.fmax(scatter, combined))
@@ -160,11 +174,13 @@ class SweepTable:
     def columns(self) -> dict[str, list[Any]]:
         """Columns of `sweep.csv`: parameters, status, reason, warnings, seconds, quantities, run directories.
 
-        With several seeds, each quantity is the mean, followed by its standard error; with one seed, the standard error
-        follows the quantities of which the runs give one. None for missing numbers.
+        With several seeds, each quantity is the mean, followed by its standard error; with one seed, the
+        standard error follows the quantities of which the runs give one. None for missing numbers.
         """
         outcomes = [row.outcome for row in self.rows]
-        found: dict[str, list[Any]] = {name: [row.point.values[name] for row in self.rows] for name in self.parameters}
+        found: dict[str, list[Any]] = {
+            name: [row.point.values[name] for row in self.rows] for name in self.parameters
+        }
         found["status"] = [each.status for each in outcomes]
         found["reason"] = [each.reason for each in outcomes]
         found["warnings"] = [row.warnings for row in self.rows]
@@ -178,9 +194,12 @@ class SweepTable:
         return found
 
     def run_columns(self) -> dict[str, list[Any]]:
-        """Columns of `runs.csv`: parameters, seed, status, reason, warnings, seconds, quantities, run directory."""
+        """Columns of `runs.csv`: parameters, seed, status, reason, warnings, seconds, quantities, run
+        directory."""
         pairs = [(row.point, each) for row in self.rows for each in row.runs]
-        found: dict[str, list[Any]] = {name: [point.values[name] for point, _ in pairs] for name in self.parameters}
+        found: dict[str, list[Any]] = {
+            name: [point.values[name] for point, _ in pairs] for name in self.parameters
+        }
         found["seed"] = [each.run.seed if each.run else None for _, each in pairs]
         found["status"] = [each.outcome.status for _, each in pairs]
         found["reason"] = [each.outcome.reason for _, each in pairs]
@@ -257,8 +276,9 @@ def _cell(value: float) -> float | None:
 class ShownTable:
     """A sweep whose numbers are in the units of the page.
 
-    `units`: unit in which the sweep file gives the values of each parameter; empty: SI. `logarithmic`: parameters with
-    `scale: log`. `in_plots`: names and values are escaped, because plotly reads markup; tables of a page are not.
+    `units`: unit in which the sweep file gives the values of each parameter; empty: SI. `logarithmic`:
+    parameters with `scale: log`. `in_plots`: names and values are escaped, because plotly reads markup;
+    tables of a page are not.
     """
 
     table: SweepTable
@@ -322,7 +342,9 @@ def run_texts(table: ShownTable) -> dict[str, str]:
     """Parameter values and name of each run, and its seed if there are several, by its directory."""
     found = {}
     for row in table.rows:
-        values = {table.parameter_label(name): level_text(table.value(row, name), 4) for name in table.parameters}
+        values = {
+            table.parameter_label(name): level_text(table.value(row, name), 4) for name in table.parameters
+        }
         for run in (each.run for each in row.runs if each.run is not None):
             own = values | ({"seed": str(run.seed)} if table.table.seed_count > 1 else {})
             text = ", ".join(f"{name} = {value}" for name, value in own.items())

@@ -19,21 +19,26 @@ MASS = 0.5 * sphere_mass(RADIUS, SOLID["density"])
 """Effective mass [kg] of two spheres."""
 WORK = 0.05
 """Work of adhesion [J/m2]."""
-PULL_OFF = {"jkr": (1.5, "Johnson, Kendall & Roberts 1971, doi 10.1098/rspa.1971.0141: 3/2 pi w R"),
-            "dmt": (2.0, "Derjaguin, Muller & Toporov 1975, doi 10.1016/0021-9797(75)90018-1: 2 pi w R")}  # fmt: skip
+PULL_OFF = {
+    "jkr": (1.5, "Johnson, Kendall & Roberts 1971, doi 10.1098/rspa.1971.0141: 3/2 pi w R"),
+    "dmt": (2.0, "Derjaguin, Muller & Toporov 1975, doi 10.1016/0021-9797(75)90018-1: 2 pi w R"),
+}
 """Pull-off force over pi w R, and its source."""
 JKR_WORK = 7.09
 """Energy that a contact of JKR dissipates, over (w^5 R^4 / E^2)^(1/3) (Thornton & Ning 1998)."""
 DIGITS = 0.005 / JKR_WORK
 """Relative rounding error of this coefficient."""
 SPEEDS = (0.05, 0.1)
-"""Approach velocities [m/s] of adhesive spheres, above the velocity of 0.037 m/s at which spheres of JKR stick."""
+"""Approach velocities [m/s] of adhesive spheres, above the velocity of 0.037 m/s at which spheres of JKR
+stick."""
 FRACTION = 0.002
 """Time step over the shorter of loading and unloading time."""
 PULL_OFF_ERROR = (0.5 * math.pi * FRACTION) ** 2
-"""Relative error of the largest of the forces at all steps, (w dt)^2; a phase of a contact is a quarter of a period."""
+"""Relative error of the largest of the forces at all steps, (w dt)^2; a phase of a contact is a quarter of a
+period."""
 JUMPS = (8.0 / 9.0, 5.0 / 9.0)
-"""Tension at first contact and at separation over the pull-off force; both begin or end within a time step."""
+"""Tension at first contact and at separation over the pull-off force; both begin or end within a time
+step."""
 
 VISCOELASTIC_REFERENCE = (0.95, 1.0)
 """Restitution at a velocity [m/s], from which the others follow."""
@@ -62,17 +67,24 @@ def cohesion_cases(name: str) -> list[ValidationCase]:
         run={"duration": 0.01, "velocity_max": max(SPEEDS), "precision": "f64"},
         numerics={"time_step_fraction": FRACTION},
     )
-    samples, time_step = bench.run(), bench.simulation.time_step
+    samples = bench.run()
+    time_step = bench.simulation.time_step
     bench.free()
     factor, source = PULL_OFF[name]
     reason = f"(w dt)^2 of a time step of {100 * FRACTION:g} % of a quarter period"
     pull_off = factor * math.pi * WORK * RADIUS / 2.0
     cases = [
         ValidationCase(
-            "Adhesion", f"{name}: pull-off force", pull_off, source, _pull_off(name, samples[:, :, 0]), "N",
-            PULL_OFF_ERROR, reason,
+            "Adhesion",
+            f"{name}: pull-off force",
+            pull_off,
+            source,
+            _pull_off(name, samples[:, :, 0]),
+            "N",
+            PULL_OFF_ERROR,
+            reason,
         )
-    ]  # fmt: skip
+    ]
     if name == "jkr":
         for speed, value in zip(SPEEDS, -samples[-1, 1], strict=True):
             cases.append(_rebound_case(speed, float(value), pull_off * time_step))
@@ -93,16 +105,21 @@ def _pull_off(name: str, samples: np.ndarray) -> float:
 
 
 def _rebound_case(speed: float, value: float, impulse: float) -> ValidationCase:
-    """Velocity of rebound [m/s] after an approach at `speed` [m/s]; `impulse` [N s]: pull-off force times time step."""
+    """Velocity of rebound [m/s] after an approach at `speed` [m/s]; `impulse` [N s]: pull-off force times
+    time step."""
     loss = JKR_WORK * (WORK**5 * (RADIUS / 2.0) ** 4 / MODULUS**2) ** (1.0 / 3.0)
     rebound = math.sqrt(speed**2 - 2.0 * loss / MASS)
     error = impulse * (JUMPS[0] * speed + JUMPS[1] * rebound)
     return ValidationCase(
-        "Adhesion", f"jkr: rebound velocity at {speed:g} m/s", rebound,
+        "Adhesion",
+        f"jkr: rebound velocity at {speed:g} m/s",
+        rebound,
         "Thornton & Ning 1998, doi 10.1016/S0032-5910(98)00099-0: loss 7.09 (w^5 R^4 / E^2)^(1/3)",
-        value, "m/s", (error + DIGITS * loss) / (MASS * rebound**2),
+        value,
+        "m/s",
+        (error + DIGITS * loss) / (MASS * rebound**2),
         "work of the tension in one time step at first contact and at separation, and the digits of 7.09",
-    )  # fmt: skip
+    )
 
 
 def viscoelastic_cases() -> list[ValidationCase]:
@@ -127,11 +144,16 @@ def viscoelastic_cases() -> list[ValidationCase]:
         allowed = REMAINDER * (g**2.5 + g_reference**1.5 * g)
         cases.append(
             ValidationCase(
-                "Viscoelastic spheres", f"restitution at {speed:g} m/s, {e:g} at {reference_velocity:g} m/s",
+                "Viscoelastic spheres",
+                f"restitution at {speed:g} m/s, {e:g} at {reference_velocity:g} m/s",
                 1.0 - first * g + second * g**2,
                 "Ramirez, Poeschel, Brilliantov & Schwager 1999, doi 10.1103/PhysRevE.60.4465",
-                float(value) / speed, "1", allowed, "remainder of the series, below g^(5/2) / 2, at both velocities",
-                scale=1.0, remark="The contact ends at zero force (Schwager & Poeschel 2008).",
+                float(value) / speed,
+                "1",
+                allowed,
+                "remainder of the series, below g^(5/2) / 2, at both velocities",
+                scale=1.0,
+                remark="The contact ends at zero force (Schwager & Poeschel 2008).",
             )
-        )  # fmt: skip
+        )
     return cases

@@ -1,4 +1,5 @@
-"""Validation cases of attractions: SJKR, liquid bridges and van der Waals forces between two equal elastic spheres.
+"""Validation cases of attractions: SJKR, liquid bridges and van der Waals forces between two equal elastic
+spheres.
 
     SJKR:           2 pi w R d during overlap, w the cohesion energy density
     liquid bridge:  4 pi R g cos(t) / (1 + 1.05 u + 2.5 u^2),  u = s sqrt(2 R / V),  up to (1 + t/2) V^(1/3)
@@ -40,25 +41,40 @@ CUTOFF = 30.0
 """Cut-off over the separation of the van der Waals force."""
 
 
-def approach(cohesion: Any, pair: Mapping[str, float], gap: float = GAP, **group: Any) -> tuple[np.ndarray, float]:
-    """Samples (n, 3) of overlap [m], overlap rate [m/s] and repulsion [N] of each step, and the time step [s].
+def approach(
+    cohesion: Any, pair: Mapping[str, float], gap: float = GAP, **group: Any
+) -> tuple[np.ndarray, float]:
+    """Samples (n, 3) of overlap [m], overlap rate [m/s] and repulsion [N] of each step, and the time step
+    [s].
 
     The samples end when the spheres have been without force for 50 steps after they have touched.
     """
     distance = 2.0 * RADIUS + gap
     spheres = {
-        "material": "ball", "diameter": 2.0 * RADIUS, "velocity": [[0.5 * SPEED, 0.0, 0.0], [-0.5 * SPEED, 0.0, 0.0]],
-        "insert": {"kind": "positions", "positions": [[0.0, 0.0, 0.0], [distance, 0.0, 0.0]]}, **group,
-    }  # fmt: skip
-    simulation = Simulation(Scene.from_dict({
-        "title": "Two spheres", "gravity": [0, 0, 0], "materials": {"ball": SOLID},
-        "pairs": {"ball-ball": {"restitution": 1.0, "friction": 0.0, **pair}}, "particles": {"balls": spheres},
-        "contact": {"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": cohesion},
-        "domain": {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "error"},
-        "run": {"duration": 1.0, "velocity_max": SPEED, "precision": "f64"},
-        "numerics": {"time_step_fraction": FRACTION, "max_overlap": 0.5}, "output": {"interval": 1.0},
-    }))  # fmt: skip
-    rows, quiet = [], 0
+        "material": "ball",
+        "diameter": 2.0 * RADIUS,
+        "velocity": [[0.5 * SPEED, 0.0, 0.0], [-0.5 * SPEED, 0.0, 0.0]],
+        "insert": {"kind": "positions", "positions": [[0.0, 0.0, 0.0], [distance, 0.0, 0.0]]},
+        **group,
+    }
+    simulation = Simulation(
+        Scene.from_dict(
+            {
+                "title": "Two spheres",
+                "gravity": [0, 0, 0],
+                "materials": {"ball": SOLID},
+                "pairs": {"ball-ball": {"restitution": 1.0, "friction": 0.0, **pair}},
+                "particles": {"balls": spheres},
+                "contact": {"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": cohesion},
+                "domain": {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "error"},
+                "run": {"duration": 1.0, "velocity_max": SPEED, "precision": "f64"},
+                "numerics": {"time_step_fraction": FRACTION, "max_overlap": 0.5},
+                "output": {"interval": 1.0},
+            }
+        )
+    )
+    rows = []
+    quiet = 0
     while quiet < 50:
         simulation.step(1)
         state = simulation.snapshot().particles
@@ -77,13 +93,16 @@ def attraction_cases() -> list[ValidationCase]:
 
 def sjkr_cases() -> list[ValidationCase]:
     """Maximum overlap, duration and attraction of a collision with SJKR."""
-    k, slope = PAIR.k, 2.0 * math.pi * DENSITY * PAIR.radius
+    k = PAIR.k
+    slope = 2.0 * math.pi * DENSITY * PAIR.radius
     length = PAIR.largest_overlap(SPEED)
     expected = collide(PAIR.mass, SPEED, length, lambda d, _: k * signed_power(d, 1.5) - slope * d)
     samples, time_step = approach("sjkr", {"cohesion_energy_density": DENSITY})
     overlap, _, force = samples.T
     touches = np.flatnonzero(overlap > 0.0)
-    first, last, deep = int(touches[0]), int(touches[-1]), overlap[touches]
+    first = int(touches[0])
+    last = int(touches[-1])
+    deep = overlap[touches]
     begin = first - overlap[first] / (overlap[first] - overlap[first - 1])
     end = last + overlap[last] / (overlap[last] - overlap[last + 1])
     rows = (
@@ -93,15 +112,22 @@ def sjkr_cases() -> list[ValidationCase]:
     )
     return [
         ValidationCase(
-            "Attractions", f"sjkr: {name}", reference, "k d^(3/2) - 2 pi w R d, integrated", value, unit, STEP_ERROR,
+            "Attractions",
+            f"sjkr: {name}",
+            reference,
+            "k d^(3/2) - 2 pi w R d, integrated",
+            value,
+            unit,
+            STEP_ERROR,
             STEP_REASON,
         )
         for name, reference, value, unit in rows
-    ]  # fmt: skip
+    ]
 
 
 def bridge_cases() -> list[ValidationCase]:
-    """Attraction in contact and at a distance, rupture distance and rebound velocity of both models of bridges."""
+    """Attraction in contact and at a distance, rupture distance and rebound velocity of both models of
+    bridges."""
     pair = {"surface_tension": TENSION, "contact_angle": ANGLE}
     # L_i = V_i / 2 (1 - sqrt(1 - R_j^2 / (R_i + R_j)^2)) of both films (Shi & McCarthy 2008)
     film = CONTENT * sphere_volume(RADIUS)
@@ -110,17 +136,22 @@ def bridge_cases() -> list[ValidationCase]:
     return [
         *bridge_model_cases("capillary", "capillary", pair | {"liquid_volume": VOLUME}, VOLUME, WILLETT),
         *bridge_model_cases(
-            "capillary_transfer", transfer, pair, shared,
-            f"{WILLETT}; volume: Shi & McCarthy 2008, doi 10.1016/j.powtec.2007.08.011", liquid_content=CONTENT,
+            "capillary_transfer",
+            transfer,
+            pair,
+            shared,
+            f"{WILLETT}; volume: Shi & McCarthy 2008, doi 10.1016/j.powtec.2007.08.011",
+            liquid_content=CONTENT,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def bridge_model_cases(
     name: str, cohesion: Any, pair: Mapping[str, float], volume: float, source: str, **group: Any
 ) -> list[ValidationCase]:
     """Cases of one model whose bridge has this volume [m3]."""
-    rupture, touching = (1.0 + 0.5 * ANGLE) * volume ** (1.0 / 3.0), 4.0 * math.pi * PAIR.radius * TENSION
+    rupture = (1.0 + 0.5 * ANGLE) * volume ** (1.0 / 3.0)
+    touching = 4.0 * math.pi * PAIR.radius * TENSION
     touching *= math.cos(ANGLE)
     scale = math.sqrt(2.0 * PAIR.radius / volume)
 
@@ -134,17 +165,28 @@ def bridge_model_cases(
     samples, time_step = approach(cohesion, pair, **group)
     cases = force_cases(name, samples, attraction, touching, rupture, source)
     rebound = math.sqrt(SPEED**2 - 2.0 * work / PAIR.mass)
-    gap, attracted = -samples[:, 0], samples[:, 2] < 0.0
+    gap = -samples[:, 0]
+    attracted = samples[:, 2] < 0.0
     # the bridge forms and breaks within a step
     impulse = (touching * SPEED + float(attraction(np.array(rupture))) * rebound) * time_step
     rows = (
-        ("rupture distance", rupture, float(gap[attracted].max()), "m", rebound * time_step / rupture, "one time step"),
         (
-            "rebound velocity", rebound, float(-samples[-1, 1]), "m/s",
+            "rupture distance",
+            rupture,
+            float(gap[attracted].max()),
+            "m",
+            rebound * time_step / rupture,
+            "one time step",
+        ),
+        (
+            "rebound velocity",
+            rebound,
+            float(-samples[-1, 1]),
+            "m/s",
             impulse / (PAIR.mass * rebound**2) + STEP_ERROR,
             f"work of the attraction in one step at formation and at rupture, and {STEP_REASON}",
         ),
-    )  # fmt: skip
+    )
     return cases + [
         ValidationCase("Attractions", f"{name}: {quantity}", reference, source, value, unit, allowed, reason)
         for quantity, reference, value, unit, allowed, reason in rows
@@ -165,12 +207,18 @@ def van_der_waals_cases() -> list[ValidationCase]:
 
 
 def force_cases(
-    name: str, samples: np.ndarray, attraction: Callable[[np.ndarray], np.ndarray], touching: float, reach: float,
+    name: str,
+    samples: np.ndarray,
+    attraction: Callable[[np.ndarray], np.ndarray],
+    touching: float,
+    reach: float,
     source: str,
-) -> list[ValidationCase]:  # fmt: skip
-    """Attraction besides the Hertz force during overlap, and its sum over that of the formula after separation."""
+) -> list[ValidationCase]:
+    """Attraction besides the Hertz force during overlap, and its sum over that of the formula after
+    separation."""
     overlap, rate, force = samples.T
-    touches, separated = overlap > 0.0, (rate < 0.0) & (-overlap > DISTANT[0] * reach) & (-overlap < DISTANT[1] * reach)
+    touches = overlap > 0.0
+    separated = (rate < 0.0) & (-overlap > DISTANT[0] * reach) & (-overlap < DISTANT[1] * reach)
     in_contact = float(np.mean(PAIR.k * overlap[touches] ** 1.5 - force[touches]))
     ratio = float(np.sum(-force[separated]) / np.sum(attraction(-overlap[separated])))
     rounding = 1e-6

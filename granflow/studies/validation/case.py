@@ -15,7 +15,8 @@ class ValidationCase:
     allowed:     largest allowed deviation, relative to `scale`; `derivation` gives its reason
     scale:       value to which the deviation is relative; None for the reference
     remark:      what holds of a formula and what lies beyond its range, or empty
-    in_range:    False if the reference is used beyond its range; a larger deviation is then shown, but does not fail
+    in_range:    False if the reference is used beyond its range; a larger deviation is then shown, but does
+                 not fail
     """
 
     kind: str
@@ -37,7 +38,8 @@ class ValidationCase:
 
     @property
     def status(self) -> str:
-        """`pass` if the deviation is at most the allowed one, otherwise `fail`, or `miss` beyond the reference's range.
+        """`pass` if the deviation is at most the allowed one, otherwise `fail`, or `miss` beyond the
+        reference's range.
 
         A value that is not finite fails.
         """

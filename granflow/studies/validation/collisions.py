@@ -47,7 +47,8 @@ HALF_DIGIT = 6e-4
 FRACTION = 0.01
 """Time step over the shorter of loading and unloading time of a collision."""
 STEP_ERROR = (0.5 * math.pi * FRACTION) ** 2
-"""Relative error of an integration of second order, (w dt)^2; a phase of a contact is a quarter of a period, pi/2."""
+"""Relative error of an integration of second order, (w dt)^2; a phase of a contact is a quarter of a period,
+pi/2."""
 STEP_REASON = "(w dt)^2 of a time step of 1 % of a quarter period"
 
 RESTITUTIONS = (0.3, 0.5, 0.7, 0.9)
@@ -65,13 +66,17 @@ STEELS = {
 """sigma and psi, yield strength [Pa] and density [kg/m3] of the steels of Zhou 2011, Figs. 3 and 4."""
 MIXED = ("stainless_316-chrome_52100", 1.0, 0.5)
 """A pair of both steels, whose limit velocity is that of the softer one, with a chosen sigma and psi."""
-STEEL_SPEEDS, LIMIT_SHARES = (0.01, 0.1, 1.0, 10.0), {"stainless_316": 0.3, "chrome_52100": 0.7, MIXED[0]: 0.4}
+STEEL_SPEEDS, LIMIT_SHARES = (
+    (0.01, 0.1, 1.0, 10.0),
+    {"stainless_316": 0.3, "chrome_52100": 0.7, MIXED[0]: 0.4},
+)
 """Approach velocities [m/s] of the steels, and those over the limit velocity from which it is computed."""
 STEEL_RADIUS = 0.0127
 """Radius [m] of the spheres in Zhou 2011."""
 ZHOU_2011 = "Zhou 2011, doi 10.1063/2.1104106"
 STATED = (("stainless_316", 0.4, 1.0), ("chrome_52100", 0.8, 5.0))
-"""Material, restitution and approach velocity [m/s] of collisions whose closed forms `granflow collide` states."""
+"""Material, restitution and approach velocity [m/s] of collisions whose closed forms `granflow collide`
+states."""
 
 
 def elastic_cases() -> list[ValidationCase]:
@@ -82,25 +87,36 @@ def elastic_cases() -> list[ValidationCase]:
         for (quantity, unit), reference, value in zip(QUANTITIES, published, simulated, strict=True):
             found.append(
                 ValidationCase(
-                    "Chung & Ooi", f"{name}: {quantity}", reference,
+                    "Chung & Ooi",
+                    f"{name}: {quantity}",
+                    reference,
                     "Hertz's closed forms with the materials of Chung & Ooi 2011, doi 10.1007/s10035-011-0277-0",
-                    value, unit, HALF_DIGIT, f"digits of the reference, and {STEPS} steps per collision",
+                    value,
+                    unit,
+                    HALF_DIGIT,
+                    f"digits of the reference, and {STEPS} steps per collision",
                 )
-            )  # fmt: skip
+            )
     return found
 
 
 def elastic_collision(
     solid: Solid, radius: float, other: float | None, speed: float, duration: float
 ) -> tuple[float, float, float]:
-    """Maximum overlap [m] and force [N], and duration [s], of an elastic collision that lasts about `duration` [s]."""
+    """Maximum overlap [m] and force [N], and duration [s], of an elastic collision that lasts about
+    `duration` [s]."""
     second = "rigid" if other is None else "solid"
     bench = CollisionBench(
         materials={"solid": solid, "rigid": RIGID},
         pairs=dict.fromkeys(("solid-solid", "solid-rigid"), {"restitution": 1.0, "friction": 0.0}),
         contact={"normal": "zhou"},
         collisions=[Collision("solid", second, radius, other, speed, 1.0 if other is None else 0.5)],
-        run={"duration": 20.0 * duration, "velocity_max": speed, "precision": "f64", "time_step": duration / STEPS},
+        run={
+            "duration": 20.0 * duration,
+            "velocity_max": speed,
+            "precision": "f64",
+            "time_step": duration / STEPS,
+        },
     )
     overlap, _, force = bench.run()[:, :, 0].T
     bench.free()
@@ -113,7 +129,8 @@ def restitution_cases() -> list[ValidationCase]:
     """Restitution and duration of Zhou's model for each of PAIRS, and maximum overlap and force."""
     pairs: dict[str, Any] = {}
     materials: dict[str, Solid] = {}
-    collisions, expected = [], []
+    collisions = []
+    expected = []
     for (number, (_, one, other, speed)), e in product(enumerate(PAIRS), RESTITUTIONS):
         first, second = (f"{side}_{number}_{round(10 * e)}" for side in ("one", "other"))
         materials |= {first: one[0], second: other[0]}
@@ -124,15 +141,20 @@ def restitution_cases() -> list[ValidationCase]:
         )
         expected.append(zhou_collision(Pair(Partner(*one), Partner(*other)), e, speed))
     bench = CollisionBench(
-        materials=materials, pairs=pairs, contact={"normal": "zhou"}, collisions=collisions,
+        materials=materials,
+        pairs=pairs,
+        contact={"normal": "zhou"},
+        collisions=collisions,
         run={"duration": 0.1, "velocity_max": max(each[3] for each in PAIRS), "precision": "f64"},
         numerics={"time_step_fraction": FRACTION},
-    )  # fmt: skip
-    samples, time_step = bench.run(), bench.simulation.time_step
+    )
+    samples = bench.run()
+    time_step = bench.simulation.time_step
     bench.free()
     cases = []
     for number, ((name, *_, speed), e) in enumerate(product(PAIRS, RESTITUTIONS)):
-        found, of = measured(samples[:, :, number], time_step), expected[number]
+        found = measured(samples[:, :, number], time_step)
+        of = expected[number]
         rows = [("restitution", e, found.velocity / speed, "1", f"{ZHOU_2011}, Eq. 8")]
         rows.append(("duration", of.duration, found.duration, "s", f"{ZHOU_2011}, Eqs. 13 to 17, integrated"))
         if e == RESTITUTIONS[0]:
@@ -140,19 +162,27 @@ def restitution_cases() -> list[ValidationCase]:
             rows.append(("maximum force", of.force, found.force, "N", f"{ZHOU_2011}, Eqs. 4 and 5"))
         cases += [
             ValidationCase(
-                "Collisions of Zhou's model", f"{name}, e = {e:g}: {quantity}", reference, source, value, unit,
-                STEP_ERROR, STEP_REASON,
+                "Collisions of Zhou's model",
+                f"{name}, e = {e:g}: {quantity}",
+                reference,
+                source,
+                value,
+                unit,
+                STEP_ERROR,
+                STEP_REASON,
             )
             for quantity, reference, value, unit, source in rows
-        ]  # fmt: skip
+        ]
     return cases
 
 
 def measured(samples: np.ndarray, time_step: float) -> Rebound:
-    """Maximum overlap and force, durations and velocity of separation from overlap, rate and force (samples, 3).
+    """Maximum overlap and force, durations and velocity of separation from overlap, rate and force (samples,
+    3).
 
-    The maximum is that of a parabola through three samples. The contact ends at the zero of a parabola through three
-    forces, of which the last is not the last one of the contact: it is a mean over a step that the contact leaves.
+    The maximum is that of a parabola through three samples. The contact ends at the zero of a parabola
+    through three forces, of which the last is not the last one of the contact: it is a mean over a step that
+    the contact leaves.
     """
     overlap, rate, force = samples.T
     top = int(np.argmax(overlap))
@@ -162,17 +192,21 @@ def measured(samples: np.ndarray, time_step: float) -> Rebound:
     roots = np.roots(np.polyfit(steps, force[last - 3 : last], 2))
     end = last + float(min((each.real for each in roots), key=abs))
     before = (top + turn) * time_step
-    return Rebound(largest, _extreme(force[top - 1 : top + 2])[0], before, end * time_step - before, float(-rate[-1]))
+    return Rebound(
+        largest, _extreme(force[top - 1 : top + 2])[0], before, end * time_step - before, float(-rate[-1])
+    )
 
 
 def _extreme(values: np.ndarray) -> tuple[float, float]:
     """Maximum of the parabola through three values, and its place in steps from the second one."""
-    slope, curvature = 0.5 * (values[2] - values[0]), values[2] - 2.0 * values[1] + values[0]
+    slope = 0.5 * (values[2] - values[0])
+    curvature = values[2] - 2.0 * values[1] + values[0]
     return float(values[1] - 0.5 * slope**2 / curvature), float(-slope / curvature)
 
 
 def steel_cases() -> list[ValidationCase]:
-    """Restitution over velocity of both steels of Zhou 2011, and the limit velocity that fast collisions imply."""
+    """Restitution over velocity of both steels of Zhou 2011, and the limit velocity that fast collisions
+    imply."""
     fits = {name: (*fit[:2], zhou_limit_velocity(*fit[2:])) for name, fit in STEELS.items()}
     softer = min(STEELS.values(), key=lambda fit: fit[2])
     fits[MIXED[0]] = (*MIXED[1:], zhou_limit_velocity(*softer[2:]))
@@ -181,44 +215,60 @@ def steel_cases() -> list[ValidationCase]:
     partners = {name: (name.partition("-")[0], name.rpartition("-")[2]) for name in fits}
     pairs = {
         "-".join(partners[name]): {
-            "restitution": {"preset": name} if name in STEELS else {"sigma": sigma, "psi": psi}, "friction": 0.0
+            "restitution": {"preset": name} if name in STEELS else {"sigma": sigma, "psi": psi},
+            "friction": 0.0,
         }
         for name, (sigma, psi, _) in fits.items()
-    }  # fmt: skip
-    cases, rebounds = [], {}
+    }
+    cases = []
+    rebounds = {}
     for place in ("impact", "max_overlap"):
         bench = CollisionBench(
-            materials={name: {"preset": name} for name in STEELS}, pairs=pairs,
+            materials={name: {"preset": name} for name in STEELS},
+            pairs=pairs,
             contact={"normal": {"law": "zhou", "restitution_at": place}},
-            collisions=[Collision(*partners[name], STEEL_RADIUS, STEEL_RADIUS, speed) for name, speed in given],
+            collisions=[
+                Collision(*partners[name], STEEL_RADIUS, STEEL_RADIUS, speed) for name, speed in given
+            ],
             run={"duration": 0.1, "velocity_max": max(speed for _, speed in given), "precision": "f64"},
             numerics={"time_step_fraction": FRACTION, "rayleigh_fraction": 1.0},
-        )  # fmt: skip
+        )
         rebounds[place] = bench.rebound()
         bench.free()
     rows = zip(given * 2, [*rebounds["impact"], *rebounds["max_overlap"]], strict=True)
     for number, ((name, speed), velocity) in enumerate(rows):
         at = "" if number < len(given) else ", restitution_at: max_overlap"
         sigma, psi, limit = fits[name]
-        e, found = zhou_restitution(sigma, psi, limit, speed), float(velocity) / speed
+        e = zhou_restitution(sigma, psi, limit, speed)
+        found = float(velocity) / speed
         if name not in STEELS or speed not in STEEL_SPEEDS:
             loss = -math.log(e)
             share = speed / limit
             cases.append(
                 ValidationCase(
-                    "Restitution over velocity", f"{name}: limit velocity from the rebound at {share:g} of it{at}",
+                    "Restitution over velocity",
+                    f"{name}: limit velocity from the rebound at {share:g} of it{at}",
                     limit,
-                    f"{ZHOU_2011}, Eqs. 11 and 12", speed * (1.0 + (sigma / -math.log(found)) ** (1.0 / psi)), "m/s",
-                    STEP_ERROR * (1.0 - share) / (psi * loss), f"{STEP_REASON} in e, times d ln vlim / d ln e",
+                    f"{ZHOU_2011}, Eqs. 11 and 12",
+                    speed * (1.0 + (sigma / -math.log(found)) ** (1.0 / psi)),
+                    "m/s",
+                    STEP_ERROR * (1.0 - share) / (psi * loss),
+                    f"{STEP_REASON} in e, times d ln vlim / d ln e",
                 )
-            )  # fmt: skip
+            )
             continue
         cases.append(
             ValidationCase(
-                "Restitution over velocity", f"{name}: e at {speed:g} m/s{at}", e, f"{ZHOU_2011}, Eqs. 11 and 12",
-                found, "1", STEP_ERROR, STEP_REASON,
+                "Restitution over velocity",
+                f"{name}: e at {speed:g} m/s{at}",
+                e,
+                f"{ZHOU_2011}, Eqs. 11 and 12",
+                found,
+                "1",
+                STEP_ERROR,
+                STEP_REASON,
             )
-        )  # fmt: skip
+        )
     return cases
 
 
@@ -237,9 +287,15 @@ def stated_cases() -> list[ValidationCase]:
         )
         cases += [
             ValidationCase(
-                "Collisions of Zhou's model", f"{name}, e = {e:g} at {speed:g} m/s: {quantity} that collide states",
-                reference, f"{ZHOU_2011}, {source}", stated[key], unit, INTEGRATION_ERROR, "error of the integration",
+                "Collisions of Zhou's model",
+                f"{name}, e = {e:g} at {speed:g} m/s: {quantity} that collide states",
+                reference,
+                f"{ZHOU_2011}, {source}",
+                stated[key],
+                unit,
+                INTEGRATION_ERROR,
+                "error of the integration",
             )
             for quantity, reference, key, unit, source in rows
-        ]  # fmt: skip
+        ]
     return cases

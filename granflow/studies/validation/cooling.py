@@ -1,8 +1,9 @@
 """Validation cases of cooling gases: Haff's law against Enskog's theory, and viscoelastic spheres.
 
-The spheres of the theory are rigid. Two corrections of soft spheres are computed from collisions of two particles
-(`gas_runs.softness`): oblique impacts dissipate less, because the normal turns during the contact (Mueller & Poeschel
-2012, doi 10.1007/s10035-012-0324-5), and contacts last for a share of the time between collisions.
+The spheres of the theory are rigid. Two corrections of soft spheres are computed from collisions of two
+particles (`gas_runs.softness`): oblique impacts dissipate less, because the normal turns during the contact
+(Mueller & Poeschel 2012, doi 10.1007/s10035-012-0324-5), and contacts last for a share of the time between
+collisions.
 """
 
 from collections.abc import Sequence
@@ -11,11 +12,19 @@ import numpy as np
 
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.gas import Gas, cooling_curve, haff_slope, loss_of, viscoelastic_restitution
-from granflow.studies.validation.gas_runs import RESTITUTION, START, THETA, gas_of, gas_scene, softness, temperatures
+from granflow.studies.validation.gas_runs import (
+    RESTITUTION,
+    START,
+    THETA,
+    gas_of,
+    gas_scene,
+    softness,
+    temperatures,
+)
 
 COUNT, QUICK_COUNT, SEEDS = 4000, 1000, (1, 2, 3)
-"""Particles of each run and its seeds. The box of 4000 particles, 38 mm, is smaller than the wavelength above which
-shear waves grow, about 18 mean free paths or 49 mm."""
+"""Particles of each run and its seeds. The box of 4000 particles, 38 mm, is smaller than the wavelength above
+which shear waves grow, about 18 mean free paths or 49 mm."""
 HAFF_END, VISCOELASTIC_END = 0.06, 0.25
 """Durations [s]: about a fifth and a twelfth of the energy is left."""
 MODULI = (5e6, 50e6, 500e6)
@@ -31,8 +40,9 @@ HAFF = (
 def six_directions() -> float:
     """Dissipation of a gas with one speed and six directions over that of a Maxwell gas of equal energy.
 
-    The dissipation is proportional to the mean of g^3 over relative velocities g: for unit speed, g is 0, 2 and sqrt(2)
-    for 1, 1 and 4 of 6 pairs of directions; with Maxwell's distribution, the mean is 8 sqrt(2 / pi) (2 / 3)^(3/2).
+    The dissipation is proportional to the mean of g^3 over relative velocities g: for unit speed, g is 0, 2
+    and sqrt(2) for 1, 1 and 4 of 6 pairs of directions; with Maxwell's distribution, the mean is 8 sqrt(2 /
+    pi) (2 / 3)^(3/2).
     """
     return float((8.0 + 4.0 * 2.0**1.5) / 6.0 / (8.0 * np.sqrt(2.0 / np.pi) * (2.0 / 3.0) ** 1.5))
 
@@ -40,7 +50,8 @@ def six_directions() -> float:
 def scatter(gas: Gas, collisions: float) -> float:
     """Relative standard deviation of a cooling rate from `collisions` per particle.
 
-    The number of collisions is random, and so is the energy of each, with an exponential distribution: sqrt(2 / K).
+    The number of collisions is random, and so is the energy of each, with an exponential distribution: sqrt(2
+    / K).
     """
     return float(np.sqrt(2.0 / (0.5 * gas.count * collisions)))
 
@@ -49,7 +60,8 @@ def haff_cases(
     moduli: Sequence[float] = MODULI, count: int = COUNT, seeds: Sequence[int] = SEEDS
 ) -> list[ValidationCase]:
     """Cooling rate over that of rigid spheres for several stiffnesses, and its limit for rigid spheres."""
-    cases, points = [], []
+    cases = []
+    points = []
     for modulus in moduli:
         ratio, sigma, typical = haff_ratio(modulus, count, seeds)
         soft = softness(modulus, "zhou", typical, lambda speed: np.full_like(speed, RESTITUTION))
@@ -64,7 +76,10 @@ def haff_ratio(modulus: float, count: int, seeds: Sequence[int]) -> tuple[float,
 
     The means over several gases with Young's modulus [Pa], one for each seed.
     """
-    gas, ratios, typical, collisions = gas_of(count), [], [], 0.0
+    gas = gas_of(count)
+    ratios = []
+    typical = []
+    collisions = 0.0
     for seed in seeds:
         time, theta = temperatures(gas_scene(count, modulus, "zhou", HAFF_END, seed))
         line = np.sqrt(THETA / theta)
@@ -77,15 +92,20 @@ def haff_ratio(modulus: float, count: int, seeds: Sequence[int]) -> tuple[float,
 def haff_case(modulus: float, ratio: float, sigma: float, oblique: float, share: float) -> ValidationCase:
     """Case of one stiffness from the cooling rate over that of rigid spheres and the two corrections."""
     return ValidationCase(
-        "Gas of inelastic spheres", f"Haff's law, E = {1e-6 * modulus:g} MPa: cooling rate over that of rigid spheres",
-        oblique * (1.0 - share), f"{HAFF}, times the loss in oblique soft impacts of two particles, "
+        "Gas of inelastic spheres",
+        f"Haff's law, E = {1e-6 * modulus:g} MPa: cooling rate over that of rigid spheres",
+        oblique * (1.0 - share),
+        f"{HAFF}, times the loss in oblique soft impacts of two particles, "
         "minus the share of time in contact",
-        ratio, "1", share + SIGMAS * sigma,
+        ratio,
+        "1",
+        share + SIGMAS * sigma,
         "100 % of the correction for the contact time, and three standard deviations sqrt(2 / K) of K collisions",
-        scale=1.0, remark=f"Corrections: oblique impacts {100 * (oblique - 1):+.2g} %, contact time "
+        scale=1.0,
+        remark=f"Corrections: oblique impacts {100 * (oblique - 1):+.2g} %, contact time "
         f"{-100 * share:+.2g} %. The gas starts with random velocities; six directions of equal speed, as in the "
         f"shipped scene, dissipate {100 * (six_directions() - 1):.2g} % until they are isotropic, after 3 of 60 ms",
-    )  # fmt: skip
+    )
 
 
 def rigid_case(points: np.ndarray) -> ValidationCase:
@@ -98,11 +118,16 @@ def rigid_case(points: np.ndarray) -> ValidationCase:
     covariance = np.linalg.inv(design.T @ design)
     limit = float((covariance @ design.T @ (ratio / sigma))[0])
     return ValidationCase(
-        "Gas of inelastic spheres", "Haff's law: cooling rate over that of rigid spheres, limit of large E",
-        1.0, HAFF, limit, "1", SIGMAS * float(np.sqrt(covariance[0, 0])),
+        "Gas of inelastic spheres",
+        "Haff's law: cooling rate over that of rigid spheres, limit of large E",
+        1.0,
+        HAFF,
+        limit,
+        "1",
+        SIGMAS * float(np.sqrt(covariance[0, 0])),
         "three standard deviations of the extrapolation in E^(-2/5), from sqrt(2 / K) of each run",
         remark="Terms of second order in E^(-2/5) are not fitted.",
-    )  # fmt: skip
+    )
 
 
 def viscoelastic_gas_cases(count: int = COUNT, end: float = VISCOELASTIC_END) -> list[ValidationCase]:
@@ -117,30 +142,44 @@ def viscoelastic_gas_cases(count: int = COUNT, end: float = VISCOELASTIC_END) ->
     after, curve = cooling_curve(gas, restitution, theta[0], time[-1] - time[0], soft.oblique * (1.0 - share))
     middle = len(time) // 2
     collisions = [
-        3.0 / loss_of(restitution, typical) * float(np.log(theta[i] / theta[j])) for i, j in ((0, middle), (middle, -1))
+        3.0 / loss_of(restitution, typical) * float(np.log(theta[i] / theta[j]))
+        for i, j in ((0, middle), (middle, -1))
     ]
-    sigma, halves = scatter(gas, sum(collisions)), np.array([scatter(gas, each) for each in collisions])
+    sigma = scatter(gas, sum(collisions))
+    halves = np.array([scatter(gas, each) for each in collisions])
     slope = abs(float((curve[-1] - curve[-2]) / (after[-1] - after[-2]) / curve[-1] * (time[-1] - time[0])))
-    source = "Brilliantov & Poeschel 2000, doi 10.1103/PhysRevE.61.5573: Enskog's theory with e(v), integrated"
+    source = (
+        "Brilliantov & Poeschel 2000, doi 10.1103/PhysRevE.61.5573: Enskog's theory with e(v), integrated"
+    )
     exact = exponent(time - time[0], np.interp(time - time[0], after, curve))
     span = float(np.log(theta[0] / theta[-1])) / 2.0
     return [
         ValidationCase(
-            "Gas of viscoelastic spheres", f"share of the energy at {1e3 * time[-1]:.0f} ms, {1e3 * START:g} ms = 1",
-            float(curve[-1] / curve[0]), f"{source}, with the corrections for soft spheres",
-            float(theta[-1] / theta[0]), "1", slope * (share + SIGMAS * sigma),
+            "Gas of viscoelastic spheres",
+            f"share of the energy at {1e3 * time[-1]:.0f} ms, {1e3 * START:g} ms = 1",
+            float(curve[-1] / curve[0]),
+            f"{source}, with the corrections for soft spheres",
+            float(theta[-1] / theta[0]),
+            "1",
+            slope * (share + SIGMAS * sigma),
             "d ln T / d ln t times the correction for the contact time and three standard deviations sqrt(2 / K)",
             remark=f"Corrections: oblique impacts {100 * (soft.oblique - 1):+.2g} %, contact time "
             f"{-100 * share:+.2g} %.",
         ),
         ValidationCase(
-            "Gas of viscoelastic spheres", "exponent q in cooling rate ~ T^q", exact, source,
-            exponent(time, theta), "1", SIGMAS * float(np.linalg.norm(halves)) / span,
-            "three standard deviations sqrt(2 / K) of the cooling rates of both halves", scale=1.0,
+            "Gas of viscoelastic spheres",
+            "exponent q in cooling rate ~ T^q",
+            exact,
+            source,
+            exponent(time, theta),
+            "1",
+            SIGMAS * float(np.linalg.norm(halves)) / span,
+            "three standard deviations sqrt(2 / K) of the cooling rates of both halves",
+            scale=1.0,
             remark="T ~ t^(-1/q): leading order q = 3/5, t^(-5/3), for weak dissipation; constant restitution q = 1/2, "
             "t^(-2). Higher orders of e(v) lower q.",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def exponent(time: np.ndarray, theta: np.ndarray) -> float:

@@ -1,8 +1,8 @@
 """Kinetic theory of cooling gases of smooth hard spheres, in the approximation of Enskog.
 
-Temperature theta [m2/s2]: a third of the mean square velocity. With n particles of diameter s per volume and the pair
-correlation chi at contact, each particle has w collisions per second, and a collision with the normal velocity v
-dissipates m v^2 (1 - e^2) / 4:
+Temperature theta [m2/s2]: a third of the mean square velocity. With n particles of diameter s per volume and
+the pair correlation chi at contact, each particle has w collisions per second, and a collision with the
+normal velocity v dissipates m v^2 (1 - e^2) / 4:
 
     w = 4 n s^2 chi sqrt(pi theta),   chi = (1 - phi/2) / (1 - phi)^3       (Carnahan & Starling)
     d(theta)/dt = -w theta <u (1 - e(v)^2)> / 3,   v^2 = 4 theta u,   u exponentially distributed
@@ -50,20 +50,24 @@ def kurtosis(e: float) -> float:
 
 
 def haff_slope(gas: Gas, e: float, theta: float) -> float:
-    """d(sqrt(theta_0 / theta))/dt [1/s] of Haff's law, (1 - e^2) w / 6, times 1 + 3 a_2 / 16; theta_0 = theta."""
+    """d(sqrt(theta_0 / theta))/dt [1/s] of Haff's law, (1 - e^2) w / 6, times 1 + 3 a_2 / 16; theta_0 =
+    theta."""
     return (1.0 - e**2) * gas.collision_rate(theta) / 6.0 * (1.0 + 3.0 * kurtosis(e) / 16.0)
 
 
 def loss_of(restitution: Restitution, theta: float) -> float:
-    """<u (1 - e(v)^2)> over the normal velocities v = sqrt(4 theta u) of collisions at the temperature [m2/s2]."""
+    """<u (1 - e(v)^2)> over the normal velocities v = sqrt(4 theta u) of collisions at the temperature
+    [m2/s2]."""
     return float(np.sum(WEIGHTS * NODES * (1.0 - restitution(np.sqrt(4.0 * theta * NODES)) ** 2)))
 
 
 def cooling_curve(
     gas: Gas, restitution: Restitution, theta: float, end: float, factor: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) [s] to `end` and temperatures (n,) [m2/s2] from theta, with the cooling rate times `factor`."""
-    time, found = np.linspace(0.0, end, TIMES + 1), [theta]
+    """Times (n,) [s] to `end` and temperatures (n,) [m2/s2] from theta, with the cooling rate times
+    `factor`."""
+    time = np.linspace(0.0, end, TIMES + 1)
+    found = [theta]
     for step in np.diff(time):
         half = found[-1] + 0.5 * step * _rate(gas, restitution, found[-1], factor)
         found.append(found[-1] + step * _rate(gas, restitution, half, factor))
@@ -78,8 +82,8 @@ def _rate(gas: Gas, restitution: Restitution, theta: float, factor: float) -> fl
 def viscoelastic_restitution(e: float, velocity: float) -> Restitution:
     """Restitution of viscoelastic spheres that have e at a velocity [m/s], over the velocity.
 
-    In units of the undamped collision, x'' = -x^(3/2) - g x^(1/2) x' with g ~ v^(1/5), until the force is zero
-    (Schwager & Poeschel 2008, doi 10.1103/PhysRevE.78.051304).
+    In units of the undamped collision, x'' = -x^(3/2) - g x^(1/2) x' with g ~ v^(1/5), until the force is
+    zero (Schwager & Poeschel 2008, doi 10.1103/PhysRevE.78.051304).
     """
     g = np.linspace(0.0, 1.0, 41)
     table = np.array([_rebound(each) for each in g])
@@ -102,6 +106,7 @@ def _rebound(g: float) -> float:
     def force(_: float, state: np.ndarray) -> float:
         return float(state[0] + g * state[1])
 
-    force.terminal, force.direction = True, -1.0  # type: ignore[attr-defined]
+    force.terminal = True
+    force.direction = -1.0  # type: ignore[attr-defined]
     run = solve_ivp(motion, (0.0, 10.0), (1e-9, 1.0), events=force, rtol=1e-10, atol=1e-12)
     return float(-run.y_events[0][0][1])

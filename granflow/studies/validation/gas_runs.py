@@ -1,7 +1,7 @@
 """Runs of cooling gases, and collisions of two of their particles.
 
-The gases are the periodic box of the shipped scene `verification/haff_periodic`, with more particles and with random
-velocities.
+The gases are the periodic box of the shipped scene `verification/haff_periodic`, with more particles and with
+random velocities.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,8 @@ START = 0.003
 FASTEST = 4.0
 """Largest relative velocity [m/s] for which the time step is chosen."""
 FRACTION, PAIR_FRACTION = 0.1, 0.01
-"""Time step over the shorter of loading and unloading time, of gases (0.1 % less loss) and of two particles."""
+"""Time step over the shorter of loading and unloading time, of gases (0.1 % less loss) and of two
+particles."""
 SAMPLES = 100
 """Temperatures of each run."""
 IMPACTS, SPEEDS = 16, 4
@@ -49,14 +50,18 @@ def gas_of(count: int) -> Gas:
 
 
 def gas_scene(count: int, modulus: float, normal: Any, end: float, seed: int = 1) -> Scene:
-    """A gas like that of the shipped scene, with Young's modulus [Pa], normal contact model and duration [s]."""
+    """A gas like that of the shipped scene, with Young's modulus [Pa], normal contact model and duration
+    [s]."""
     half = 0.5 * gas_of(count).volume ** (1.0 / 3.0)
     corners = {"min": [-half] * 3, "max": [half] * 3}
     pack = {"kind": "pack", "region": {"box": corners}}
     group = {
-        "material": "ball", "count": count, "diameter": DIAMETER, "insert": pack,
+        "material": "ball",
+        "count": count,
+        "diameter": DIAMETER,
+        "insert": pack,
         "thermal": {"velocity_rms": (3.0 * THETA) ** 0.5},
-    }  # fmt: skip
+    }
     domain = corners | {"periodic": ["x", "y", "z"], "on_exit": "error"}
     return changed_scene(modulus, normal, end, {"gas": group}, domain, seed)
 
@@ -70,15 +75,23 @@ def changed_scene(
     seed: int = 1,
     time_step_fraction: float = FRACTION,
 ) -> Scene:
-    """The shipped scene with other particles, Young's modulus [Pa], normal contact model, duration [s] and domain."""
+    """The shipped scene with other particles, Young's modulus [Pa], normal contact model, duration [s] and
+    domain."""
     data = shipped_scene("verification/haff_periodic").to_dict()
     data["materials"]["ball"]["young_modulus"] = modulus
     data["contact"]["normal"] = normal
     data["numerics"] = {"time_step_fraction": time_step_fraction, "max_overlap": 0.5}
-    return Scene.from_dict({
-        **data, "seed": seed, "particles": groups, "domain": domain, "expect": [], "output": {"interval": end},
-        "run": {"duration": end, "velocity_max": FASTEST, "precision": "f64"},
-    })  # fmt: skip
+    return Scene.from_dict(
+        {
+            **data,
+            "seed": seed,
+            "particles": groups,
+            "domain": domain,
+            "expect": [],
+            "output": {"interval": end},
+            "run": {"duration": end, "velocity_max": FASTEST, "precision": "f64"},
+        }
+    )
 
 
 def temperatures(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +100,9 @@ def temperatures(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
     def record(snapshot: Any) -> None:
         velocity = snapshot.particles["velocity"]
-        rows.append((snapshot.time, float(np.mean(np.sum((velocity - velocity.mean(axis=0)) ** 2, axis=1))) / 3.0))
+        rows.append(
+            (snapshot.time, float(np.mean(np.sum((velocity - velocity.mean(axis=0)) ** 2, axis=1))) / 3.0)
+        )
 
     observer = on_interval((scene.run.duration or 1.0) / SAMPLES, record, ("particles",))
     simulation = Simulation(scene, observers=[observer])
@@ -98,9 +113,11 @@ def temperatures(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def softness(modulus: float, normal: Any, theta: float, restitution: Restitution) -> Softness:
-    """Collisions of two particles with all impact parameters, averaged over the collisions of a gas at theta [m2/s2].
+    """Collisions of two particles with all impact parameters, averaged over the collisions of a gas at theta
+    [m2/s2].
 
-    With g^2 = 4 theta u, collisions have the weight u exp(-u) du, and equal weight for equal intervals of b^2.
+    With g^2 = 4 theta u, collisions have the weight u exp(-u) du, and equal weight for equal intervals of
+    b^2.
     """
     from scipy.special import roots_genlaguerre
 
@@ -116,7 +133,8 @@ def softness(modulus: float, normal: Any, theta: float, restitution: Restitution
 def collide_pairs(
     modulus: float, normal: Any, speed: np.ndarray, cosine: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass [kg], dissipated energies (n,) [J] and durations (n,) [s] of separate collisions of two equal particles.
+    """Mass [kg], dissipated energies (n,) [J] and durations (n,) [s] of separate collisions of two equal
+    particles.
 
     speed, cosine:  (n,) relative velocity [m/s], and cosine between it and the normal at first contact
     """
@@ -127,13 +145,21 @@ def collide_pairs(
     approach = np.zeros((count, 3))
     approach[:, 0] = 0.5 * speed
     gap = 1.0 + 1e-9
-    position = np.concatenate([places - 0.5 * gap * DIAMETER * normals, places + 0.5 * gap * DIAMETER * normals])
+    position = np.concatenate(
+        [places - 0.5 * gap * DIAMETER * normals, places + 0.5 * gap * DIAMETER * normals]
+    )
     group = {
-        "material": "ball", "diameter": DIAMETER, "velocity": np.concatenate([approach, -approach]).tolist(),
+        "material": "ball",
+        "diameter": DIAMETER,
+        "velocity": np.concatenate([approach, -approach]).tolist(),
         "insert": {"kind": "positions", "positions": position.tolist()},
-    }  # fmt: skip
+    }
     reach = 20.0 * DIAMETER
-    domain = {"min": [-reach, -reach, -reach], "max": [reach, reach, places[-1, 2] + reach], "on_exit": "error"}
+    domain = {
+        "min": [-reach, -reach, -reach],
+        "max": [reach, reach, places[-1, 2] + reach],
+        "on_exit": "error",
+    }
     end = 40.0 * (5e7 / modulus) ** 0.4 * 5e-5 / min(1.0, float(speed.min())) ** 0.2
     times: list[float] = []
     rows: list[np.ndarray] = []
@@ -149,6 +175,7 @@ def collide_pairs(
         simulation.run(duration=end / 40)
     particles = simulation.snapshot().particles
     simulation.free()
-    mass, after = float(particles["mass"][0]), particles["velocity"]
+    mass = float(particles["mass"][0])
+    after = particles["velocity"]
     relative = after[:count] - after[count:]
     return mass, 0.25 * mass * (speed**2 - np.sum(relative**2, axis=1)), np.gradient(times) @ np.array(rows)

@@ -1,4 +1,5 @@
-"""Validation cases of the normal models besides Zhou's: head-on collisions against integrations and closed forms."""
+"""Validation cases of the normal models besides Zhou's: head-on collisions against integrations and closed
+forms."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -50,7 +51,12 @@ class Model:
     material: Mapping[str, float] | None = None
 
 
-NAMES = {"velocity": "restitution", "duration": "duration", "overlap": "maximum overlap", "force": "maximum force"}
+NAMES = {
+    "velocity": "restitution",
+    "duration": "duration",
+    "overlap": "maximum overlap",
+    "force": "maximum force",
+}
 """Quantities by attribute of `Rebound`."""
 
 
@@ -63,7 +69,9 @@ def equal_energy_spring(e: float) -> Callable[[Pair, float], Rebound]:
     """Collisions of a linear spring with the stiffness of Eq. 19 at the approach velocity."""
 
     def expected(pair: Pair, v: float) -> Rebound:
-        return collide(pair.mass, v, pair.largest_overlap(v), linear_dashpot(zhou_spring(pair, v), pair.mass, e))
+        return collide(
+            pair.mass, v, pair.largest_overlap(v), linear_dashpot(zhou_spring(pair, v), pair.mass, e)
+        )
 
     return expected
 
@@ -73,7 +81,8 @@ def bilinear(e: float) -> Callable[[Pair, float], Rebound]:
 
     def expected(pair: Pair, v: float) -> Rebound:
         stiffness = zhou_spring(pair, v)
-        largest, quarter = v * math.sqrt(pair.mass / stiffness), 0.5 * math.pi * math.sqrt(pair.mass / stiffness)
+        largest = v * math.sqrt(pair.mass / stiffness)
+        quarter = 0.5 * math.pi * math.sqrt(pair.mass / stiffness)
         return Rebound(largest, stiffness * largest, quarter, e * quarter, e * v)
 
     return expected
@@ -86,7 +95,8 @@ def luding(e: float) -> Callable[[Pair, float], Rebound]:
     """
 
     def expected(pair: Pair, v: float) -> Rebound:
-        largest, quarter = v * math.sqrt(pair.mass / GIVEN), 0.5 * math.pi * math.sqrt(pair.mass / GIVEN)
+        largest = v * math.sqrt(pair.mass / GIVEN)
+        quarter = 0.5 * math.pi * math.sqrt(pair.mass / GIVEN)
         limit = 2.0 * pair.radius * DEPTH / (1.0 - e**2)
         restitution = 1.0 / math.sqrt(1.0 + (1.0 / e**2 - 1.0) * largest / limit)
         return Rebound(largest, GIVEN * largest, quarter, restitution * quarter, restitution * v)
@@ -96,7 +106,9 @@ def luding(e: float) -> Callable[[Pair, float], Rebound]:
 
 def plastic(pair: Pair, v: float) -> Rebound:
     """Restitution of Thornton's collision; the other numbers have no closed form."""
-    return Rebound(math.nan, math.nan, math.nan, math.nan, v * thornton_restitution(pair, YIELD_RATIO * STRENGTH, v))
+    return Rebound(
+        math.nan, math.nan, math.nan, math.nan, v * thornton_restitution(pair, YIELD_RATIO * STRENGTH, v)
+    )
 
 
 TSUJI = "Tsuji et al. 1992 and Antypov & Elliott 2011, doi 10.1209/0295-5075/94/50004, integrated"
@@ -104,27 +116,45 @@ MODELS = {
     "hertz, e = 0.5": Model("hertz", 0.5, viscous_hertz(0.5), TSUJI, ("velocity", "duration", "overlap")),
     "hertz, e = 0.9": Model("hertz", 0.9, viscous_hertz(0.9), TSUJI, ("velocity", "duration", "overlap")),
     "linear, e = 1": Model(
-        {"law": "linear", "stiffness": "onset"}, 1.0, equal_energy_spring(1.0), "Zhou 2011, Eq. 19",
-        ("velocity", "duration", "overlap", "force"), SPEEDS,
+        {"law": "linear", "stiffness": "onset"},
+        1.0,
+        equal_energy_spring(1.0),
+        "Zhou 2011, Eq. 19",
+        ("velocity", "duration", "overlap", "force"),
+        SPEEDS,
     ),
     "linear, e = 0.6": Model(
-        {"law": "linear", "stiffness": "onset"}, 0.6, equal_energy_spring(0.6), f"Zhou 2011, Eq. 19; {SCHWAGER}",
+        {"law": "linear", "stiffness": "onset"},
+        0.6,
+        equal_energy_spring(0.6),
+        f"Zhou 2011, Eq. 19; {SCHWAGER}",
         ("velocity", "duration", "overlap"),
     ),
     "walton_braun, e = 0.7": Model(
-        {"law": "walton_braun", "stiffness": "onset", "unloading": "constant"}, 0.7, bilinear(0.7),
+        {"law": "walton_braun", "stiffness": "onset", "unloading": "constant"},
+        0.7,
+        bilinear(0.7),
         "Walton & Braun 1986, doi 10.1122/1.549893, with the spring of Zhou 2011, Eq. 19",
         ("velocity", "duration", "overlap", "force"),
     ),
     "luding, limit e = 0.5": Model(
-        {"law": "luding", "stiffness": {"value": GIVEN}, "plasticity_depth": DEPTH}, 0.5, luding(0.5),
-        "Luding 2008, doi 10.1007/s10035-008-0099-x", ("velocity", "duration", "overlap"), SPEEDS,
+        {"law": "luding", "stiffness": {"value": GIVEN}, "plasticity_depth": DEPTH},
+        0.5,
+        luding(0.5),
+        "Luding 2008, doi 10.1007/s10035-008-0099-x",
+        ("velocity", "duration", "overlap"),
+        SPEEDS,
     ),
     "thornton": Model(
-        {"law": "thornton", "yield_ratio": YIELD_RATIO}, math.nan, plastic, "Thornton 1997, doi 10.1115/1.2787319",
-        ("velocity",), SPEEDS, material=GLASS | {"yield_strength": STRENGTH},
+        {"law": "thornton", "yield_ratio": YIELD_RATIO},
+        math.nan,
+        plastic,
+        "Thornton 1997, doi 10.1115/1.2787319",
+        ("velocity",),
+        SPEEDS,
+        material=GLASS | {"yield_strength": STRENGTH},
     ),
-}  # fmt: skip
+}
 """Models by name in the table."""
 
 
@@ -139,25 +169,35 @@ def model_cases(name: str, model: Model) -> list[ValidationCase]:
     has_restitution = not math.isnan(model.restitution)
     bench = CollisionBench(
         materials={"glass": solid},
-        pairs={"glass-glass": {"friction": 0.0} | ({"restitution": model.restitution} if has_restitution else {})},
+        pairs={
+            "glass-glass": {"friction": 0.0} | ({"restitution": model.restitution} if has_restitution else {})
+        },
         contact={"normal": model.contact},
         collisions=[Collision("glass", "glass", RADIUS, RADIUS, speed) for speed in model.speeds],
         run={"duration": 0.1, "velocity_max": max(model.speeds), "precision": "f64"},
         numerics={"time_step_fraction": FRACTION},
     )
-    samples, time_step = bench.run(), bench.simulation.time_step
+    samples = bench.run()
+    time_step = bench.simulation.time_step
     bench.free()
-    pair, cases = Pair(Partner(solid, RADIUS), Partner(solid, RADIUS)), []
+    pair = Pair(Partner(solid, RADIUS), Partner(solid, RADIUS))
+    cases = []
     for number, speed in enumerate(model.speeds):
-        found, expected = measured(samples[:, :, number], time_step), model.expected(pair, speed)
+        found = measured(samples[:, :, number], time_step)
+        expected = model.expected(pair, speed)
         for quantity in model.quantities:
             unit = {"velocity": "1", "duration": "s", "overlap": "m", "force": "N"}[quantity]
             scale = speed if quantity == "velocity" else 1.0
             cases.append(
                 ValidationCase(
-                    "Other normal models", f"{name}, {speed:g} m/s: {NAMES[quantity]}",
-                    getattr(expected, quantity) / scale, model.source, getattr(found, quantity) / scale, unit,
-                    STEP_ERROR, STEP_REASON,
+                    "Other normal models",
+                    f"{name}, {speed:g} m/s: {NAMES[quantity]}",
+                    getattr(expected, quantity) / scale,
+                    model.source,
+                    getattr(found, quantity) / scale,
+                    unit,
+                    STEP_ERROR,
+                    STEP_REASON,
                 )
-            )  # fmt: skip
+            )
     return cases

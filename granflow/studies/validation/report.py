@@ -75,25 +75,32 @@ HEADS = ("case", "reference", "granflow", "deviation", "allowed", "status", "not
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the page: table of cases, and numbered notes with source, reason of the allowed deviation, remark."""
+    """Section of the page: table of cases, and numbered notes with source, reason of the allowed deviation,
+    remark."""
 
     table: PageTable
     notes: tuple[str, ...]
 
 
 def peer_families(peers: Stored) -> dict[str, Family]:
-    """Functions that simulate the cases of LIGGGHTS and LAMMPS; stored figures stand for codes missing in `peers`."""
+    """Functions that simulate the cases of LIGGGHTS and LAMMPS; stored figures stand for codes missing in
+    `peers`."""
     return {f"{name} of LIGGGHTS and LAMMPS": partial(peer_cases, name, peers) for name in CASES}
 
 
 def write_validation(
-    out: Path, quick: bool = False, report: Callable[[str], None] = lambda text: None, with_peers: bool = False
+    out: Path,
+    quick: bool = False,
+    report: Callable[[str], None] = lambda text: None,
+    with_peers: bool = False,
 ) -> list[ValidationCase]:
-    """Simulate the cases; write validation.html, validation.md and validation.json to `out`, which is created.
+    """Simulate the cases; write validation.html, validation.md and validation.json to `out`, which is
+    created.
 
     quick:       only the cases of QUICK
     report:      called with the name of each family
-    with_peers:  run LIGGGHTS and LAMMPS in `out`/peers, if they are installed, instead of showing their stored figures
+    with_peers:  run LIGGGHTS and LAMMPS in `out`/peers, if they are installed, instead of showing their
+                 stored figures
 
     Returns the cases. Raises OSError if a file cannot be written, GranflowError if no other code can be run.
     """
@@ -104,9 +111,11 @@ def write_validation(
         report(name)
         cases += family()
     stored = {
-        "version": __version__, "date": date.today().isoformat(), "quick": quick,
+        "version": __version__,
+        "date": date.today().isoformat(),
+        "quick": quick,
         "cases": [each.as_dict() for each in cases],
-    }  # fmt: skip
+    }
     write_text(out / "validation.json", json.dumps(stored, indent=1, ensure_ascii=False) + "\n")
     write_text(out / "validation.html", rendered("validation.html", stored))
     write_text(out / "validation.md", rendered("validation.md.jinja", stored))
@@ -136,11 +145,15 @@ def section_of(cases: Sequence[ValidationCase]) -> Section:
     rows = [
         (
             each.name if each.unit == "1" else f"{each.name} [{each.unit}]",
-            f"{each.reference:.6g}", f"{each.value:.6g}", f"{100.0 * each.deviation:+.2g} %",
-            f"{100.0 * each.allowed:.2g} %", each.status, str(notes.index(_note(each)) + 1),
+            f"{each.reference:.6g}",
+            f"{each.value:.6g}",
+            f"{100.0 * each.deviation:+.2g} %",
+            f"{100.0 * each.allowed:.2g} %",
+            each.status,
+            str(notes.index(_note(each)) + 1),
         )
         for each in cases
-    ]  # fmt: skip
+    ]
     return Section(PageTable(HEADS, rows), tuple(notes))
 
 

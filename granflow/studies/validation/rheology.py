@@ -2,8 +2,8 @@
 
     mu(I) = mu_1 + (mu_2 - mu_1) / (1 + I_0 / I),   I = shear rate d / sqrt(P / density)
 
-with mu_1 = tan 20.9 deg, mu_2 = tan 32.76 deg, I_0 = 0.279 (Jop, Forterre & Pouliquen 2006), and the solid fraction
-0.6 - 0.1 I (Pouliquen, Cassar, Jop, Forterre & Nicolas 2006).
+with mu_1 = tan 20.9 deg, mu_2 = tan 32.76 deg, I_0 = 0.279 (Jop, Forterre & Pouliquen 2006), and the solid
+fraction 0.6 - 0.1 I (Pouliquen, Cassar, Jop, Forterre & Nicolas 2006).
 """
 
 import math
@@ -75,7 +75,8 @@ def stress_of(fields: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def layer_shear(fields: Mapping[str, np.ndarray]) -> Shear:
     """Means over the bulk of the layer on the slope."""
-    height, stress = fields["position"][:, 2], stress_of(fields)
+    height = fields["position"][:, 2]
+    stress = stress_of(fields)
     bulk = (height > BULK[0]) & (height < BULK[1])
     normal = -stress[:, 2, 2]
     rate = np.gradient(fields["velocity"][:, 0], height)
@@ -93,10 +94,13 @@ def cell_shear(fields: Mapping[str, np.ndarray]) -> Shear:
 
 
 def layer_balance(frames: Sequence[Mapping[str, np.ndarray]]) -> tuple[float, float, float]:
-    """Shear over normal stress in the bulk of the layer from the balance of forces, from the stresses, and its error.
+    """Shear over normal stress in the bulk of the layer from the balance of forces, from the stresses, and
+    its error.
 
-    The particles above a height have the mean acceleration a = (V_last - V_first) / T, where V is their mean velocity:
-    shear over normal stress is tan 25 deg - a / (g cos 25 deg). The error is three standard errors of the stresses.
+    The particles above a height have the mean acceleration a = (V_last - V_first) / T, where V is their mean
+    velocity:
+    shear over normal stress is tan 25 deg - a / (g cos 25 deg). The error is three standard errors of the
+    stresses.
     """
     height = frames[0]["position"][:, 2]
     bulk = (height > BULK[0]) & (height < BULK[1])
@@ -123,10 +127,15 @@ def layer_cases(overrides: Sequence[str] = ()) -> list[ValidationCase]:
     frames = frames_of(shipped_scene("sheared_layer", overrides), "profile")
     expected, found, error = layer_balance(frames)
     balance = ValidationCase(
-        "Sheared flows", "layer on a slope of 25 deg: shear over normal stress", expected,
-        "balance of forces: tan 25 deg minus the measured acceleration over g cos 25 deg", found, "1",
-        error / expected, "three standard errors of the stresses, from five intervals",
-    )  # fmt: skip
+        "Sheared flows",
+        "layer on a slope of 25 deg: shear over normal stress",
+        expected,
+        "balance of forces: tan 25 deg minus the measured acceleration over g cos 25 deg",
+        found,
+        "1",
+        error / expected,
+        "three standard errors of the stresses, from five intervals",
+    )
     return [balance, *shear_cases("layer on a slope of 25 deg", layer_shear(mean_of(frames)))]
 
 
@@ -138,21 +147,38 @@ def cell_cases(overrides: Sequence[str] = ()) -> list[ValidationCase]:
 
 def shear_cases(name: str, found: Shear) -> list[ValidationCase]:
     """Friction and solid fraction of a flow against the published laws at its inertial number."""
-    number, in_range = found.inertial_number, found.inertial_number <= LARGEST_I
+    number = found.inertial_number
+    in_range = found.inertial_number <= LARGEST_I
     remark = "Laws of glass beads; the parameters depend on friction and size distribution"
     if not in_range:
         remark += f". Dense flows, for which they hold, have I below about {LARGEST_I:g}: beyond the range"
-    low, middle, high = (np.tan(np.radians(np.degrees(np.arctan(friction_at(number))) + each)) for each in (-2, 0, 2))
+    low, middle, high = (
+        np.tan(np.radians(np.degrees(np.arctan(friction_at(number))) + each)) for each in (-2, 0, 2)
+    )
     return [
         ValidationCase(
-            "Sheared flows", f"{name}, I = {number:.3g}: friction", friction_at(number), JOP, found.friction, "1",
+            "Sheared flows",
+            f"{name}, I = {number:.3g}: friction",
+            friction_at(number),
+            JOP,
+            found.friction,
+            "1",
             0.5 * float(high - low) / float(middle),
-            f"{ANGLE_ERROR:g} deg between the angles of different spheres", remark=remark, in_range=in_range,
+            f"{ANGLE_ERROR:g} deg between the angles of different spheres",
+            remark=remark,
+            in_range=in_range,
         ),
         ValidationCase(
-            "Sheared flows", f"{name}, I = {number:.3g}: solid fraction", 0.6 - 0.1 * number, POULIQUEN,
-            found.solid_fraction, "1", FRACTION_ERROR,
-            f"{FRACTION_ERROR:g} between random packings of 0.57 to 0.63 of different spheres", scale=1.0,
-            remark=remark, in_range=in_range,
+            "Sheared flows",
+            f"{name}, I = {number:.3g}: solid fraction",
+            0.6 - 0.1 * number,
+            POULIQUEN,
+            found.solid_fraction,
+            "1",
+            FRACTION_ERROR,
+            f"{FRACTION_ERROR:g} between random packings of 0.57 to 0.63 of different spheres",
+            scale=1.0,
+            remark=remark,
+            in_range=in_range,
         ),
-    ]  # fmt: skip
+    ]

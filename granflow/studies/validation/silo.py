@@ -1,7 +1,7 @@
 """Validation cases of silos: Janssen's law of the pressure in a narrow silo, Beverloo's law of discharge.
 
-Janssen: where wall friction is fully mobilized, the vertical stress in a cylinder of the radius R saturates over a
-length l = R / (2 mu K), with the ratio K of horizontal to vertical stress:
+Janssen: where wall friction is fully mobilized, the vertical stress in a cylinder of the radius R saturates
+over a length l = R / (2 mu K), with the ratio K of horizontal to vertical stress:
 
     F(h) = pi R^2 rho g l (1 - exp(-h / l))
 """
@@ -18,7 +18,8 @@ from granflow.studies.validation.shipped import shipped_scene
 
 GRAVITY, DIAMETER, DENSITY = 9.81, 4e-3, 2500.0
 FRICTION, INNER_FRICTION = 0.2, 0.5
-"""Friction of the wall, and of the particles with each other, which prevents that they roll along the wall."""
+"""Friction of the wall, and of the particles with each other, which prevents that they roll along the
+wall."""
 SILO_RADIUS = 5.0 * DIAMETER
 COUNT, QUICK_COUNT = 2400, 1200
 """Particles in the silo; 2400 of them are about 27 diameters, 5.5 radii, high."""
@@ -44,51 +45,65 @@ BULK_DENSITY, C, K = 1450.0, 0.58, 1.4
 PARAMETER_ERROR = 0.1
 """Relative error of both parameters (scene `flat_silo`)."""
 SMALLEST_ORIFICE, SILO_OVER_ORIFICE, SILO_MARGIN = 5.0, 2.5, 30.0
-"""Range of the law: orifice in particle diameters, silo in orifices, difference of silo and orifice in diameters."""
+"""Range of the law: orifice in particle diameters, silo in orifices, difference of silo and orifice in
+diameters."""
 WIDTHS = "Mankoc et al. 2007, doi 10.1007/s10035-007-0062-2"
 """Source of the widths of the silo."""
 BEVERLOO = "Beverloo, Leniger & van de Velde 1961, doi 10.1016/0009-2509(61)85030-6"
 
 
 def silo_scene(count: int) -> Scene:
-    """A narrow silo that is filled, and whose wall then moves slowly upward, so that all of its friction carries."""
+    """A narrow silo that is filled, and whose wall then moves slowly upward, so that all of its friction
+    carries."""
     height = 0.6 * count * DIAMETER**3 / SILO_RADIUS**2
     inside = {"from": [0, 0, 0], "to": [0, 0, height], "radius": SILO_RADIUS}
     lift = {"kind": "translation", "velocity": [0, 0, WALL_SPEED], "stages": ["lift"]}
-    return Scene.from_dict({
-        "title": "Narrow silo", "gravity": [0, 0, -GRAVITY],
-        "materials": dict.fromkeys(
-            ("glass", "wall"), {"young_modulus": 5e6, "poisson_ratio": 0.2, "density": DENSITY}
-        ),
-        "pairs": {
-            "glass-glass": {"restitution": 0.5, "friction": INNER_FRICTION},
-            "glass-wall": {"restitution": 0.5, "friction": FRICTION},
-        },
-        "contact": {"normal": "hertz", "tangential": "mindlin", "rolling": "none"},
-        "walls": {
-            "floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "glass"},
-            "wall": inside | {"shape": "cylinder", "from": [0, 0, -0.1], "material": "wall", "motion": lift},
-        },
-        "particles": {
-            "beads": {
-                "material": "glass", "count": count,
-                "diameter": {"distribution": "uniform", "min": 0.95 * DIAMETER, "max": 1.05 * DIAMETER},
-                "insert": {"kind": "pack", "region": {"cylinder": inside}},
-            }
-        },
-        "domain": {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 2.0 * height], "on_exit": "error"},
-        "stages": [{"name": "fill", "duration": FILL}, {"name": "lift", "duration": LIFT}],
-        "run": {"velocity_max": 2.0, "precision": "f64"},
-        "numerics": {"time_step_fraction": 0.12, "max_overlap": 0.3}, "output": {"interval": 10.0},
-    })  # fmt: skip
+    return Scene.from_dict(
+        {
+            "title": "Narrow silo",
+            "gravity": [0, 0, -GRAVITY],
+            "materials": dict.fromkeys(
+                ("glass", "wall"), {"young_modulus": 5e6, "poisson_ratio": 0.2, "density": DENSITY}
+            ),
+            "pairs": {
+                "glass-glass": {"restitution": 0.5, "friction": INNER_FRICTION},
+                "glass-wall": {"restitution": 0.5, "friction": FRICTION},
+            },
+            "contact": {"normal": "hertz", "tangential": "mindlin", "rolling": "none"},
+            "walls": {
+                "floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "glass"},
+                "wall": inside
+                | {"shape": "cylinder", "from": [0, 0, -0.1], "material": "wall", "motion": lift},
+            },
+            "particles": {
+                "beads": {
+                    "material": "glass",
+                    "count": count,
+                    "diameter": {"distribution": "uniform", "min": 0.95 * DIAMETER, "max": 1.05 * DIAMETER},
+                    "insert": {"kind": "pack", "region": {"cylinder": inside}},
+                }
+            },
+            "domain": {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 2.0 * height], "on_exit": "error"},
+            "stages": [{"name": "fill", "duration": FILL}, {"name": "lift", "duration": LIFT}],
+            "run": {"velocity_max": 2.0, "precision": "f64"},
+            "numerics": {"time_step_fraction": 0.12, "max_overlap": 0.3},
+            "output": {"interval": 10.0},
+        }
+    )
 
 
 def contact_forces(snapshot: Snapshot) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-    """Force [N] on the floor, and heights [m], normal and vertical forces [N] (c,) of the particles on the wall."""
+    """Force [N] on the floor, and heights [m], normal and vertical forces [N] (c,) of the particles on the
+    wall."""
     contacts = snapshot.contacts
     assert contacts is not None
-    of_floor, of_wall = contacts["wall"] == 0, contacts["wall"] == 1
-    forces = (contacts["position_j"][of_wall, 2], contacts["normal_force"][of_wall], contacts["force"][of_wall, 2])
+    of_floor = contacts["wall"] == 0
+    of_wall = contacts["wall"] == 1
+    forces = (
+        contacts["position_j"][of_wall, 2],
+        contacts["normal_force"][of_wall],
+        contacts["force"][of_wall, 2],
+    )
     return float(contacts["force"][of_floor, 2].sum()), *forces
 
 
@@ -116,20 +131,32 @@ def evaluate_silo(snapshots: Sequence[Snapshot]) -> list[ValidationCase]:
     end = DIAMETER / height
     return [
         ValidationCase(
-            "Narrow silo", "weight carried by floor and wall over the weight", 1.0, "balance of forces",
-            float(np.mean(whole)), "1", 3.0 * block_error(whole) + WALL_SPEED / (GRAVITY * 0.5 * LIFT),
+            "Narrow silo",
+            "weight carried by floor and wall over the weight",
+            1.0,
+            "balance of forces",
+            float(np.mean(whole)),
+            "1",
+            3.0 * block_error(whole) + WALL_SPEED / (GRAVITY * 0.5 * LIFT),
             "three standard errors of the mean of five intervals, and a change of the velocity of the bed by that of "
-            "the wall, v / (g t)", scale=1.0,
+            "the wall, v / (g t)",
+            scale=1.0,
         ),
         ValidationCase(
-            "Narrow silo", f"share of the weight on the floor, height {height / SILO_RADIUS:.3g} R, K = {ratio:.3g}",
-            share, JANSSEN, float(np.mean(floor)), "1", 3.0 * block_error(floor) + 2.0 * end,
+            "Narrow silo",
+            f"share of the weight on the floor, height {height / SILO_RADIUS:.3g} R, K = {ratio:.3g}",
+            share,
+            JANSSEN,
+            float(np.mean(floor)),
+            "1",
+            3.0 * block_error(floor) + 2.0 * end,
             "three standard errors of five intervals, and the weight of a layer of one diameter at each end, where the "
-            "stresses are not those of the middle", scale=1.0,
+            "stresses are not those of the middle",
+            scale=1.0,
             remark=f"K and the share of the friction limit at the wall, {friction / FRICTION:.2g}, are measured in the "
             "middle third of the height; the law predicts the rest of the profile.",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def block_error(values: np.ndarray) -> float:
@@ -139,16 +166,23 @@ def block_error(values: np.ndarray) -> float:
 
 
 def middle_stresses(
-    snapshots: Sequence[Snapshot], forces: Sequence[tuple[float, np.ndarray, np.ndarray, np.ndarray]], height: float
+    snapshots: Sequence[Snapshot],
+    forces: Sequence[tuple[float, np.ndarray, np.ndarray, np.ndarray]],
+    height: float,
 ) -> tuple[float, float]:
-    """Horizontal over vertical stress, and vertical over normal force of the wall, in the middle third of the height.
+    """Horizontal over vertical stress, and vertical over normal force of the wall, in the middle third of the
+    height.
 
-    The wall gives the horizontal stress; the vertical one is the weight above minus the force of the wall above.
+    The wall gives the horizontal stress; the vertical one is the weight above minus the force of the wall
+    above.
     """
     low, high = height / 3.0, 2.0 * height / 3.0
-    normal_sums, vertical_sums, vertical = [], [], []
+    normal_sums = []
+    vertical_sums = []
+    vertical = []
     for snapshot, (_, z, normal, upward) in zip(snapshots, forces, strict=True):
-        inside, particles = (z > low) & (z < high), snapshot.particles
+        inside = (z > low) & (z < high)
+        particles = snapshot.particles
         normal_sums.append(normal[inside].sum())
         vertical_sums.append(upward[inside].sum())
         for level in np.linspace(low, high, 9):
@@ -171,16 +205,23 @@ def in_range(orifice: float, silo: float) -> bool:
 
 
 def discharge(radius: float, silo: float) -> list[float]:
-    """Steady mass flow rates [kg/s] through an orifice in a silo of these radii [m], one for each of SEEDS."""
+    """Steady mass flow rates [kg/s] through an orifice in a silo of these radii [m], one for each of
+    SEEDS."""
     return [discharge_of(radius, silo, seed) for seed in SEEDS]
 
 
 def discharge_of(radius: float, silo: float, seed: int) -> float:
-    """Steady mass flow rate [kg/s] of the shipped silo with these radii [m], filled with a seed to the same height."""
+    """Steady mass flow rate [kg/s] of the shipped silo with these radii [m], filled with a seed to the same
+    height."""
     orifice = ("walls.plug.radius", "walls.floor.hole_radius", "output.flow_meters.outlet.radius")
-    overrides = [*(f"{key}={radius}" for key in orifice), f"stages.1.duration={FLOW_ORIFICES[radius]}", f"seed={seed}"]
+    overrides = [
+        *(f"{key}={radius}" for key in orifice),
+        f"stages.1.duration={FLOW_ORIFICES[radius]}",
+        f"seed={seed}",
+    ]
     if silo != NARROW:
-        side, region = silo + DIAMETER, "particles.beads.insert.region.cylinder.radius"
+        side = silo + DIAMETER
+        region = "particles.beads.insert.region.cylinder.radius"
         overrides += [f"{key}={silo}" for key in ("walls.floor.radius", "walls.bin.radius", region)]
         overrides += [f"domain.min=[{-side}, {-side}, -0.02]", f"domain.max=[{side}, {side}, 0.14]"]
         overrides.append(f"particles.beads.count={round(FLAT_COUNT * (silo / NARROW) ** 2)}")
@@ -195,12 +236,16 @@ def discharge_cases(
     wide: bool = True,
     flows_of: Callable[[float, float], Sequence[float]] = discharge,
 ) -> list[ValidationCase]:
-    """Flow through each orifice of the shipped silo, for three and more the fitted exponent and k; and a wide silo.
+    """Flow through each orifice of the shipped silo, for three and more the fitted exponent and k; and a wide
+    silo.
 
     flows_of:  flow rates [kg/s] of several fillings, by the radii [m] of orifice and silo
     """
     flows = [flows_of(each, NARROW) for each in radii]
-    found = [discharge_case(2.0 * radius, 2.0 * NARROW, values) for radius, values in zip(radii, flows, strict=True)]
+    found = [
+        discharge_case(2.0 * radius, 2.0 * NARROW, values)
+        for radius, values in zip(radii, flows, strict=True)
+    ]
     if wide:
         found.append(discharge_case(2.0 * WIDE_ORIFICE, 2.0 * WIDE, flows_of(WIDE_ORIFICE, WIDE)))
     means = np.mean(flows, axis=1)
@@ -212,8 +257,10 @@ def discharge_case(orifice: float, silo: float, flows: Sequence[float]) -> Valid
 
     The reference is Beverloo's law with the published parameters.
     """
-    share, is_in_range = 2.5 * K * DIAMETER / (orifice - K * DIAMETER), in_range(orifice, silo)
-    reference, error = beverloo_flow(orifice), float(np.std(flows, ddof=1)) / math.sqrt(len(flows))
+    share = 2.5 * K * DIAMETER / (orifice - K * DIAMETER)
+    is_in_range = in_range(orifice, silo)
+    reference = beverloo_flow(orifice)
+    error = float(np.std(flows, ddof=1)) / math.sqrt(len(flows))
     beyond = (
         f". The law holds for silos wider than {SILO_OVER_ORIFICE:g} orifices and wider than the orifice plus "
         f"{SILO_MARGIN:g} diameters ({WIDTHS}): beyond the range"
@@ -221,7 +268,10 @@ def discharge_case(orifice: float, silo: float, flows: Sequence[float]) -> Valid
     return ValidationCase(
         "Discharge of a flat-bottomed silo",
         f"silo of {1e3 * silo:g} mm, flow through {1e3 * orifice:g} mm, {orifice / DIAMETER:.3g} diameters",
-        reference, BEVERLOO, float(np.mean(flows)), "kg/s",
+        reference,
+        BEVERLOO,
+        float(np.mean(flows)),
+        "kg/s",
         3.0 * error / reference + PARAMETER_ERROR * math.hypot(1.0, share),
         f"three standard errors of the mean of {len(flows)} fillings, and 10 % of C and 10 % of k, independent of each "
         "other",
@@ -229,7 +279,7 @@ def discharge_case(orifice: float, silo: float, flows: Sequence[float]) -> Valid
         "The bulk density, 1450 kg/m3, is the mean of the filled bed; with that in its middle, 1500, flows are another "
         "3 % below the law" + ("" if is_in_range else beyond),
         in_range=is_in_range,
-    )  # fmt: skip
+    )
 
 
 def fitted_cases(data: Discharge) -> list[ValidationCase]:
@@ -239,15 +289,28 @@ def fitted_cases(data: Discharge) -> list[ValidationCase]:
     shift = abs(exponent_at(data, (1.0 + PARAMETER_ERROR) * K)[0] - exponent)
     rows = (
         ("k at the exponent 5/2", K, fit.k, 3.0 * fit.k_error + PARAMETER_ERROR * K, "10 % of k"),
-        ("exponent at k = 1.4", 2.5, exponent, 3.0 * error + shift, "the change of the exponent for 10 % of k"),
+        (
+            "exponent at k = 1.4",
+            2.5,
+            exponent,
+            3.0 * error + shift,
+            "the change of the exponent for 10 % of k",
+        ),
     )
     return [
         ValidationCase(
-            "Discharge of a flat-bottomed silo", name, reference, BEVERLOO, value, "1", allowed,
-            f"three standard errors of the fit, and {published}", scale=1.0,
+            "Discharge of a flat-bottomed silo",
+            name,
+            reference,
+            BEVERLOO,
+            value,
+            "1",
+            allowed,
+            f"three standard errors of the fit, and {published}",
+            scale=1.0,
         )
         for name, reference, value, allowed, published in rows
-    ]  # fmt: skip
+    ]
 
 
 def exponent_at(data: Discharge, k: float) -> tuple[float, float]:

@@ -1,9 +1,10 @@
-"""Validation cases of tangential models: oblique impacts that stick, against an integration of the published forces.
+"""Validation cases of tangential models: oblique impacts that stick, against an integration of the published
+forces.
 
     m vt' = T,   I w' = -a T,   u = vt - a w,   a = R - d/2,   T = -kt s - c u,   |T| <= mu F
 
-for a sphere on a wall: slip velocity u, elastic displacement s, tangential stiffness kt (Mindlin 1949: 8 G sqrt(R d)).
-Nothing is imported from `granflow.contact`.
+for a sphere on a wall: slip velocity u, elastic displacement s, tangential stiffness kt (Mindlin 1949: 8 G
+sqrt(R d)). Nothing is imported from `granflow.contact`.
 """
 
 import math
@@ -14,7 +15,13 @@ from typing import Any
 from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.collisions import GLASS
-from granflow.studies.validation.theory_of_collisions import Pair, Partner, hertz_dashpot, zhou_collision, zhou_recovery
+from granflow.studies.validation.theory_of_collisions import (
+    Pair,
+    Partner,
+    hertz_dashpot,
+    zhou_collision,
+    zhou_recovery,
+)
 
 RADIUS, SPEED = 0.005, 0.5
 """Radius [m] of the sphere, and approach velocity [m/s]."""
@@ -22,9 +29,7 @@ FRACTION = 0.002
 """Time step over the shorter of loading and unloading time."""
 STEP_ERROR = 0.5 * math.pi * FRACTION
 """Error w dt: increments of the force have the stiffness at the end of each step, a rule of first order."""
-STEP_REASON = (
-    "w dt of a time step of 0.2 % of a quarter period: each increment has the stiffness at the end of its step"
-)
+STEP_REASON = "w dt of a time step of 0.2 % of a quarter period: each increment has the stiffness at the end of its step"
 STEPS = 20000
 """Steps of the integration, whose error is a tenth of STEP_ERROR."""
 SOURCE = "Mindlin 1949; Thornton, Cummins & Cleary 2013, doi 10.1016/j.powtec.2012.08.012, integrated"
@@ -40,8 +45,8 @@ class Impact:
     restitution:         of the pair
     friction:            coefficient
     along:               tangential over approach velocity
-    spring:              rate of change of the displacement by the change of the stiffness: a function of s and of the
-                         relative rate kt'/kt, or None for a spring of constant stiffness
+    spring:              rate of change of the displacement by the change of the stiffness: a function of s
+                         and of the relative rate kt'/kt, or None for a spring of constant stiffness
     damping:             tangential over normal dashpot
     """
 
@@ -82,7 +87,9 @@ IMPACTS: Mapping[str, Impact] = {
     "mindlin, e = 0.5": Impact("zhou", "mindlin", 0.5, 0.3, 0.4, force_rescaled),
     "mindlin, e = 0.8, steeper": Impact("zhou", "mindlin", 0.8, 0.3, 0.8, force_rescaled),
     "mindlin, unloading kept": Impact("zhou", FORCE_KEPT, 0.5, 0.3, 0.4, force_kept),
-    "mindlin, increments of displacement, rescaled": Impact("zhou", RESCALED, 0.5, 0.3, 0.4, displacement_rescaled),
+    "mindlin, increments of displacement, rescaled": Impact(
+        "zhou", RESCALED, 0.5, 0.3, 0.4, displacement_rescaled
+    ),
     "mindlin, increments of displacement, kept": Impact("zhou", KEPT, 0.5, 0.3, 0.4, displacement_kept),
     "mindlin with dashpot, hertz, e = 0.8": Impact(
         "hertz", {"law": "mindlin", "damping": 1.0}, 0.8, 0.3, 0.4, force_rescaled, 1.0
@@ -118,30 +125,39 @@ def impact_cases(name: str, impact: Impact) -> list[ValidationCase]:
     expected = (along - RADIUS * rotation, RADIUS * rotation)
     return [
         ValidationCase(
-            "Impacts that stick", f"{name}: {quantity} over that before", reference / (impact.along * SPEED), SOURCE,
-            float(value) / (impact.along * SPEED), "1", STEP_ERROR, STEP_REASON, scale=1.0,
+            "Impacts that stick",
+            f"{name}: {quantity} over that before",
+            reference / (impact.along * SPEED),
+            SOURCE,
+            float(value) / (impact.along * SPEED),
+            "1",
+            STEP_ERROR,
+            STEP_REASON,
+            scale=1.0,
         )
         for (quantity, _, value), reference in zip(rows, expected, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def rebound(impact: Impact) -> tuple[float, float]:
-    """Tangential [m/s] and angular velocity [rad/s] after the impact, by the leapfrog method with STEPS steps."""
+    """Tangential [m/s] and angular velocity [rad/s] after the impact, by the leapfrog method with STEPS
+    steps."""
     pair = Pair(Partner(GLASS, RADIUS), Partner(GLASS, math.inf))
-    k, mass, inertia = pair.k, pair.mass, 0.4 * pair.mass * RADIUS**2
-    e, y = impact.restitution, zhou_recovery(impact.restitution)
+    k = pair.k
+    mass = pair.mass
+    inertia = 0.4 * pair.mass * RADIUS**2
+    e = impact.restitution
+    y = zhou_recovery(impact.restitution)
     viscous = impact.normal == "hertz"
     dashpot = hertz_dashpot(pair, e) if viscous else None
     step = 1.5 * zhou_collision(pair, 1.0, SPEED).duration / STEPS
-    d, rate, along, rotation, s, largest, kt_before = (
-        0.5 * step * SPEED,
-        SPEED,
-        impact.along * SPEED,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    )
+    d = 0.5 * step * SPEED
+    rate = SPEED
+    along = impact.along * SPEED
+    rotation = 0.0
+    s = 0.0
+    largest = 0.0
+    kt_before = 0.0
     for _ in range(STEPS):
         if d <= 0.0:
             break
@@ -168,5 +184,6 @@ def rebound(impact: Impact) -> tuple[float, float]:
         rate -= step * force / mass
         along += step * tangential / mass
         rotation -= step * arm * tangential / inertia
-        d, kt_before = d + step * rate, kt
+        d = d + step * rate
+        kt_before = kt
     return along, rotation

@@ -1,7 +1,8 @@
 """Collisions of two spheres integrated from the published forces, independently of the contact models.
 
-Every formula is written from its publication; nothing is imported from `granflow.contact`. Symbols: E, G effective
-moduli [Pa], R effective radius [m], M effective mass [kg], k = (4/3) E sqrt(R) [N/m^1.5], d overlap [m].
+Every formula is written from its publication; nothing is imported from `granflow.contact`. Symbols: E, G
+effective moduli [Pa], R effective radius [m], M effective mass [kg], k = (4/3) E sqrt(R) [N/m^1.5], d overlap
+[m].
 """
 
 import math
@@ -79,7 +80,8 @@ class Pair:
 
 @dataclass(frozen=True)
 class Rebound:
-    """Maximum overlap [m] and force [N], durations of loading and unloading [s], and velocity of separation [m/s]."""
+    """Maximum overlap [m] and force [N], durations of loading and unloading [s], and velocity of separation
+    [m/s]."""
 
     overlap: float
     force: float
@@ -94,7 +96,11 @@ class Rebound:
 
 
 def collide(
-    mass: float, velocity: float, length: float, loading: Force, unloading: Callable[[float], Force] | None = None
+    mass: float,
+    velocity: float,
+    length: float,
+    loading: Force,
+    unloading: Callable[[float], Force] | None = None,
 ) -> Rebound:
     """Integrate M d'' = -F(d, d') from first contact until the force is zero.
 
@@ -112,24 +118,30 @@ def collide(
     def rate(_: float, state: tuple[float, float]) -> float:
         return state[1]
 
-    rate.terminal, rate.direction = True, -1.0  # type: ignore[attr-defined]
+    rate.terminal = True
+    rate.direction = -1.0  # type: ignore[attr-defined]
     options = {"method": "DOP853", "rtol": ACCURACY, "atol": 1e-13, "max_step": 0.01}
     up = solve_ivp(motion(loading), (0.0, 100.0), (0.0, 1.0), events=rate, dense_output=False, **options)
-    turn, largest = float(up.t[-1]), length * float(up.y[0, -1])
+    turn = float(up.t[-1])
+    largest = length * float(up.y[0, -1])
     back = loading if unloading is None else unloading(largest)
 
     def remaining(_: float, state: tuple[float, float]) -> float:
         return scale * back(length * state[0], velocity * state[1])
 
-    remaining.terminal, remaining.direction = True, -1.0  # type: ignore[attr-defined]
+    remaining.terminal = True
+    remaining.direction = -1.0  # type: ignore[attr-defined]
     down = solve_ivp(motion(back), (0.0, 100.0), (up.y[0, -1], 0.0), events=remaining, **options)
     forces = [loading(length * x, velocity * w) for x, w in up.y.T]
     unit = length / velocity
-    return Rebound(largest, max(forces), unit * turn, unit * float(down.t[-1]), -velocity * float(down.y[1, -1]))
+    return Rebound(
+        largest, max(forces), unit * turn, unit * float(down.t[-1]), -velocity * float(down.y[1, -1])
+    )
 
 
 def zhou_recovery(e: float) -> float:
-    """Recovered share y of the maximum overlap (Zhou 2011, Eq. 8): y = (4/5) e^2 + (1/5) e^3 y^(5/2), by bisection."""
+    """Recovered share y of the maximum overlap (Zhou 2011, Eq. 8): y = (4/5) e^2 + (1/5) e^3 y^(5/2), by
+    bisection."""
     low, high = 0.0, 1.0
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -138,14 +150,17 @@ def zhou_recovery(e: float) -> float:
 
 
 def signed_power(base: float, exponent: float) -> float:
-    """Power of the magnitude with the sign of the base, so that a force changes its sign where the contact ends."""
+    """Power of the magnitude with the sign of the base, so that a force changes its sign where the contact
+    ends."""
     return math.copysign(abs(base) ** exponent, base)
 
 
 def zhou_unloading(k: float, e: float, largest: float, overlap: float) -> float:
-    """Force [N] on the unloading curve of a maximum overlap [m] (Zhou 2011, Eq. 4), negative below the residual one.
+    """Force [N] on the unloading curve of a maximum overlap [m] (Zhou 2011, Eq. 4), negative below the
+    residual one.
 
-    F = lam (d - ds) + e^3 k (d - ds)^(3/2), with lam from the continuity of the force at the maximum overlap (Eq. 7)
+    F = lam (d - ds) + e^3 k (d - ds)^(3/2), with lam from the continuity of the force at the maximum overlap
+    (Eq. 7)
     """
     if e == 1.0:
         return k * signed_power(overlap, 1.5)
@@ -165,9 +180,12 @@ def zhou_collision(pair: Pair, e: float, velocity: float) -> Rebound:
     """Collision of Zhou's model with the restitution e."""
     k = pair.k
     return collide(
-        pair.mass, velocity, pair.largest_overlap(velocity), lambda d, _: k * signed_power(d, 1.5),
+        pair.mass,
+        velocity,
+        pair.largest_overlap(velocity),
+        lambda d, _: k * signed_power(d, 1.5),
         lambda largest: lambda d, _: zhou_unloading(k, e, largest, d),
-    )  # fmt: skip
+    )
 
 
 def zhou_restitution(sigma: float, psi: float, limit: float, velocity: float) -> float:
@@ -206,7 +224,8 @@ def hertz_dashpot(pair: Pair, e: float) -> Force:
 
     F = k d^(3/2) + sqrt(5) zeta sqrt(M k) d^(1/4) d'
     """
-    k, c = pair.k, math.sqrt(5.0 * pair.mass * pair.k) * damping_ratio(e)
+    k = pair.k
+    c = math.sqrt(5.0 * pair.mass * pair.k) * damping_ratio(e)
     return lambda d, rate: k * signed_power(d, 1.5) + c * max(d, 0.0) ** 0.25 * rate
 
 
@@ -217,7 +236,8 @@ def linear_dashpot(stiffness: float, mass: float, e: float) -> Force:
 
 
 def thornton_restitution(pair: Pair, pressure: float, velocity: float) -> float:
-    """Restitution of elastic, perfectly plastic spheres with the limiting pressure p [Pa] (Thornton 1997, Eq. 72).
+    """Restitution of elastic, perfectly plastic spheres with the limiting pressure p [Pa] (Thornton 1997, Eq.
+    72).
 
     e = sqrt(6 sqrt(3) / 5) sqrt(1 - r^2 / 6) (r / (r + 2 sqrt((6 - r^2) / 5)))^(1/4),   r = vy / v < 1
     M vy^2 / 2 = (2/5) k dy^(5/2),   dy = R (pi p / (2 E))^2

@@ -1,1 +1,2 @@
-"""Comparison with LIGGGHTS and LAMMPS from the same initial states; their inputs are in tools/validation/inputs."""
+"""Comparison with LIGGGHTS and LAMMPS from the same initial states; their inputs are in
+tools/validation/inputs."""

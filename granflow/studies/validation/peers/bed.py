@@ -37,7 +37,8 @@ SEGMENTS, RINGS = 64, 8
 ENTERED = {"LIGGGHTS": 0.5, "LAMMPS": 0.36665}
 """Restitution that both codes are given for 0.5, with tension at the end of a contact."""
 RUNS = 6
-"""Runs of each code. Their velocities differ by a relative PERTURBATION; from fewer runs the scatter is not known."""
+"""Runs of each code. Their velocities differ by a relative PERTURBATION; from fewer runs the scatter is not
+known."""
 
 
 def hopper_lattice() -> np.ndarray:
@@ -54,53 +55,69 @@ def hopper_lattice() -> np.ndarray:
 def bed_scene(name: str, walls: dict[str, Any], start: Particles) -> Scene:
     """The scene of a case, with the numbers of the inputs of LIGGGHTS and LAMMPS."""
     group = {
-        "material": "m", "diameter": start.diameter.tolist(), "velocity": start.velocity.tolist(),
+        "material": "m",
+        "diameter": start.diameter.tolist(),
+        "velocity": start.velocity.tolist(),
         "insert": {"kind": "positions", "positions": start.position.tolist()},
-    }  # fmt: skip
-    return Scene.from_dict({
-        "title": name, "gravity": [0, 0, -GRAVITY],
-        "materials": {"m": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": DENSITY}},
-        "pairs": {"m-m": {"restitution": 0.5, "friction": 0.5}},
-        "contact": LAW | {"rolling": "none"},
-        "walls": {name: {"material": "m"} | wall for name, wall in walls.items()},
-        "particles": {"beads": group},
-        "domain": {"min": [-0.1, -0.1, -0.2], "max": [1.0, 0.1, 1.0], "on_exit": "delete"},
-        "stages": [
-            {"name": "fill", "duration": OPENING}, {"name": "flow", "duration": ENDS[name] - OPENING},
-        ],
-        "run": {"velocity_max": 3.0, "time_step": TIME_STEP, "precision": "f64"},
-        "numerics": {"max_overlap": 0.4}, "output": {"interval": 10.0},
-    })  # fmt: skip
+    }
+    return Scene.from_dict(
+        {
+            "title": name,
+            "gravity": [0, 0, -GRAVITY],
+            "materials": {"m": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": DENSITY}},
+            "pairs": {"m-m": {"restitution": 0.5, "friction": 0.5}},
+            "contact": LAW | {"rolling": "none"},
+            "walls": {name: {"material": "m"} | wall for name, wall in walls.items()},
+            "particles": {"beads": group},
+            "domain": {"min": [-0.1, -0.1, -0.2], "max": [1.0, 0.1, 1.0], "on_exit": "delete"},
+            "stages": [
+                {"name": "fill", "duration": OPENING},
+                {"name": "flow", "duration": ENDS[name] - OPENING},
+            ],
+            "run": {"velocity_max": 3.0, "time_step": TIME_STEP, "precision": "f64"},
+            "numerics": {"max_overlap": 0.4},
+            "output": {"interval": 10.0},
+        }
+    )
 
 
 def box_walls() -> dict[str, Any]:
     """Floor and four planes; the gate at x = SIDE opens."""
     return {
-        "floor": plane([0, 0, 0], [0, 0, 1]), "back": plane([0, 0, 0], [1, 0, 0]),
+        "floor": plane([0, 0, 0], [0, 0, 1]),
+        "back": plane([0, 0, 0], [1, 0, 0]),
         "gate": plane([SIDE, 0, 0], [-1, 0, 0], stages=["fill"]),
-        "left": plane([0, 0, 0], [0, 1, 0]), "right": plane([0, SIDE, 0], [0, -1, 0]),
-    }  # fmt: skip
+        "left": plane([0, 0, 0], [0, 1, 0]),
+        "right": plane([0, SIDE, 0], [0, -1, 0]),
+    }
 
 
 def hopper_walls() -> dict[str, Any]:
     """Cone, tube, and a plane below that opens."""
     return {
         "cone": {
-            "shape": "cone", "from": [0, 0, 0], "to": [0, 0, CONE_HEIGHT], "radius_from": ORIFICE, "radius_to": TUBE
+            "shape": "cone",
+            "from": [0, 0, 0],
+            "to": [0, 0, CONE_HEIGHT],
+            "radius_from": ORIFICE,
+            "radius_to": TUBE,
         },
         "tube": {"shape": "cylinder", "from": [0, 0, CONE_HEIGHT], "to": [0, 0, TOP], "radius": TUBE},
         "gate": plane([0, 0, 0], [0, 0, 1], stages=["fill"]),
-    }  # fmt: skip
+    }
 
 
 def hopper_triangles() -> dict[str, np.ndarray]:
     """Cone and tube as triangles, with vertices on the circles."""
     angle = 2.0 * np.pi * np.arange(SEGMENTS + 1) / SEGMENTS
     heights = [*np.linspace(0.0, CONE_HEIGHT, RINGS), *np.linspace(CONE_HEIGHT, TOP, 3 * RINGS)[1:]]
-    rings, found = [], []
+    rings = []
+    found = []
     for z in heights:
         radius = min(TUBE, ORIFICE + (TUBE - ORIFICE) * z / CONE_HEIGHT)
-        rings.append(np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full_like(angle, z)], axis=1))
+        rings.append(
+            np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full_like(angle, z)], axis=1)
+        )
     for low, high in zip(rings, rings[1:], strict=False):
         for i in range(SEGMENTS):
             found += [(low[i], low[i + 1], high[i + 1]), (low[i], high[i + 1], high[i])]
@@ -131,14 +148,32 @@ def column_figures(frames: Frames) -> dict[str, float]:
 
 
 COLUMN = PeerCase(
-    "column", lambda repeat: perturbed(random_particles(box_lattice(COUNT, (0.0, 0.0), (SIDE, SIDE))), repeat),
-    lambda start: bed_scene("column", box_walls(), start), ((-0.001, -0.001, -0.001), (0.9, 0.061, 0.9)), TIME_STEP,
-    (OPENING, 0.4, 0.5), column_figures, "column", {"L": SIDE}, equal_law=False, restitution=ENTERED, repeats=RUNS,
-)  # fmt: skip
+    "column",
+    lambda repeat: perturbed(random_particles(box_lattice(COUNT, (0.0, 0.0), (SIDE, SIDE))), repeat),
+    lambda start: bed_scene("column", box_walls(), start),
+    ((-0.001, -0.001, -0.001), (0.9, 0.061, 0.9)),
+    TIME_STEP,
+    (OPENING, 0.4, 0.5),
+    column_figures,
+    "column",
+    {"L": SIDE},
+    equal_law=False,
+    restitution=ENTERED,
+    repeats=RUNS,
+)
 HOPPER = PeerCase(
-    "hopper", lambda repeat: perturbed(random_particles(hopper_lattice()), repeat),
+    "hopper",
+    lambda repeat: perturbed(random_particles(hopper_lattice()), repeat),
     lambda start: bed_scene("hopper", hopper_walls(), start),
-    ((-0.05, -0.05, -0.2), (0.05, 0.05, 0.9)), TIME_STEP, (OPENING, *FLOW_TIMES), hopper_figures, "hopper", {},
-    hopper_triangles, equal_law=False, restitution=ENTERED, repeats=RUNS,
+    ((-0.05, -0.05, -0.2), (0.05, 0.05, 0.9)),
+    TIME_STEP,
+    (OPENING, *FLOW_TIMES),
+    hopper_figures,
+    "hopper",
+    {},
+    hopper_triangles,
+    equal_law=False,
+    restitution=ENTERED,
+    repeats=RUNS,
     remark="LIGGGHTS has a hopper of 64-sided triangles",
-)  # fmt: skip
+)

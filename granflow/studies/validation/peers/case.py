@@ -32,7 +32,8 @@ class PeerCase:
     box:            region of LIGGGHTS and LAMMPS [m], low and high corner
     time_step:      time step [s]
     times:          times [s] of the compared states
-    figures:        numbers of a run in SI units by name, from its states; lists if the run has several intervals
+    figures:        numbers of a run in SI units by name, from its states; lists if the run has several
+                    intervals
     deck:           name of the inputs, if another case has them, too
     variables:      variables of the inputs and their values, besides the restitution
     meshes:         triangles (n, 3, 3) [m] of walls by file name, for LIGGGHTS
@@ -65,8 +66,9 @@ class PeerCase:
 def entered_restitutions(restitution: float) -> dict[str, float]:
     """What LIGGGHTS (`limitForce on`) and LAMMPS (`tsuji`, `limit_damping`) must be given for a restitution.
 
-    Both have the viscous force of granflow, sqrt(5) zeta sqrt(M k) d^(1/4) v, and no tension, but compute zeta for a
-    contact that ends at zero overlap (LIGGGHTS) or from a polynomial, alpha = sqrt(5) zeta (LAMMPS).
+    Both have the viscous force of granflow, sqrt(5) zeta sqrt(M k) d^(1/4) v, and no tension, but compute
+    zeta for a contact that ends at zero overlap (LIGGGHTS) or from a polynomial, alpha = sqrt(5) zeta
+    (LAMMPS).
 
         LIGGGHTS: zeta = -ln e / sqrt(pi^2 + ln^2 e)        LAMMPS: alpha(e) = 1.2728 - 4.2783 e + ...
     """
@@ -78,26 +80,33 @@ def entered_restitutions(restitution: float) -> dict[str, float]:
     return {"LIGGGHTS": math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2)), "LAMMPS": float(entered)}
 
 
-def scene_of(case: str, start: Particles, walls: Mapping[str, Any], domain: Mapping[str, Any], **more: Any) -> Scene:
+def scene_of(
+    case: str, start: Particles, walls: Mapping[str, Any], domain: Mapping[str, Any], **more: Any
+) -> Scene:
     """Scene of a case with the material `m` of all cases with equal laws.
 
     more:  further blocks of the scene, which replace the default ones
     """
     group = {
-        "material": "m", "diameter": start.diameter.tolist(), "velocity": start.velocity.tolist(),
+        "material": "m",
+        "diameter": start.diameter.tolist(),
+        "velocity": start.velocity.tolist(),
         "insert": {"kind": "positions", "positions": start.position.tolist()},
-    }  # fmt: skip
+    }
     blocks = {
-        "title": case, "gravity": [0, 0, -GRAVITY],
+        "title": case,
+        "gravity": [0, 0, -GRAVITY],
         "materials": {
             "m": {"young_modulus": YOUNG_MODULUS, "poisson_ratio": POISSON_RATIO, "density": DENSITY}
         },
         "pairs": {"m-m": {"restitution": RESTITUTION, "friction": FRICTION}},
         "contact": LAW | {"rolling": "none"},
         "walls": {name: {"material": "m"} | wall for name, wall in walls.items()},
-        "particles": {"beads": group}, "domain": {"on_exit": "delete"} | dict(domain),
-        "numerics": {"max_overlap": 0.4}, "output": {"interval": 10.0},
-    }  # fmt: skip
+        "particles": {"beads": group},
+        "domain": {"on_exit": "delete"} | dict(domain),
+        "numerics": {"max_overlap": 0.4},
+        "output": {"interval": 10.0},
+    }
     return Scene.from_dict(blocks | more)
 
 
@@ -109,11 +118,13 @@ def plane(point: Sequence[float], normal: Sequence[float], **more: Any) -> dict[
 def our_frames(case: PeerCase, repeat: int) -> dict[float, Particles]:
     """States of a run of granflow at the times of the case."""
     simulation = Simulation(case.scene(case.initial_state(repeat)))
-    frames, done = {}, 0
+    frames = {}
+    done = 0
     for time in case.times:
         step = round(time / case.time_step)
         simulation.step(step - done)
-        done, found = step, simulation.snapshot().particles
+        done = step
+        found = simulation.snapshot().particles
         frames[round(time, 6)] = Particles(found["position"], found["velocity"], 2.0 * found["radius"])
     simulation.free()
     return frames

@@ -23,7 +23,9 @@ from granflow.studies.validation.peers.orifice import ORIFICE
 from granflow.studies.validation.peers.shaken import SHAKEN
 from granflow.studies.validation.peers.silo import SILO
 
-CASES: Mapping[str, PeerCase] = {each.name: each for each in (COLUMN, HOPPER, SILO, ORIFICE, IMPACT, SHAKEN, *DRUMS)}
+CASES: Mapping[str, PeerCase] = {
+    each.name: each for each in (COLUMN, HOPPER, SILO, ORIFICE, IMPACT, SHAKEN, *DRUMS)
+}
 """Cases by name."""
 MODEL_ERROR = 0.02
 """Difference between the codes where they end a contact differently: with or without tension."""
@@ -44,8 +46,8 @@ def run_peers(
 ) -> dict[str, Any]:
     """Run the cases with each installed code, one run per core at a time; files of the runs are in `folder`.
 
-    Returns what figures.json contains, for the installed codes, and writes it to `folder`. `report` is called with each
-    code and case that starts.
+    Returns what figures.json contains, for the installed codes, and writes it to `folder`. `report` is called
+    with each code and case that starts.
     Raises GranflowError if no code is installed, or if a run fails.
     """
     codes = programs.installed()
@@ -76,7 +78,11 @@ def _runs(code: str, case: PeerCase, folder: Path, report: Callable[[str], None]
     report(f"{code}, {case.name}")
     where = folder / code.lower() / case.name.replace(" ", "_")
     with ThreadPoolExecutor(allowed_cores()) as pool:
-        runs = list(pool.map(lambda repeat: programs.run(code, case, repeat, where / str(repeat)), range(case.repeats)))
+        runs = list(
+            pool.map(
+                lambda repeat: programs.run(code, case, repeat, where / str(repeat)), range(case.repeats)
+            )
+        )
     return joined(runs)
 
 
@@ -110,14 +116,19 @@ def compared(case: PeerCase, ours: Mapping[str, Sequence[float]], stored: Stored
             label, _, unit = name.partition(" [")
             found.append(
                 ValidationCase(
-                    f"LIGGGHTS and LAMMPS, {case.name}", f"{peer}: {label}", reference,
+                    f"LIGGGHTS and LAMMPS, {case.name}",
+                    f"{peer}: {label}",
+                    reference,
                     f"{run['version']}, run on {run['date']} from the same positions and velocities",
-                    float(np.mean(samples)), unit.rstrip("]") or "1",
+                    float(np.mean(samples)),
+                    unit.rstrip("]") or "1",
                     (0.0 if case.equal_law else MODEL_ERROR) + scatter / abs(reference),
-                    reason if case.equal_law else f"{100 * MODEL_ERROR:g} % between implementations, and {reason}",
+                    reason
+                    if case.equal_law
+                    else f"{100 * MODEL_ERROR:g} % between implementations, and {reason}",
                     remark=case.remark,
                 )
-            )  # fmt: skip
+            )
     return found
 
 
@@ -126,11 +137,13 @@ def allowed_difference(ours: Sequence[float], theirs: Sequence[float]) -> tuple[
 
         t s sqrt(1/n + 1/m)
 
-    with the pooled standard deviation s of n and m samples and Student's t for their n + m - 2 degrees of freedom.
+    with the pooled standard deviation s of n and m samples and Student's t for their n + m - 2 degrees of
+    freedom.
     """
     from scipy.stats import t
 
-    n, m = len(ours), len(theirs)
+    n = len(ours)
+    m = len(theirs)
     squares = sum(float(np.sum((np.asarray(each) - np.mean(each)) ** 2)) for each in (ours, theirs))
     spread = math.sqrt(squares / (n + m - 2)) * math.sqrt(1.0 / n + 1.0 / m)
     factor = float(t.ppf(0.5 + 0.5 * CONFIDENCE, n + m - 2))

@@ -6,7 +6,14 @@ import numpy as np
 
 from granflow import Scene
 from granflow.studies.validation.peers.case import FRICTION, LAW, RESTITUTION, PeerCase, scene_of
-from granflow.studies.validation.peers.state import GRAVITY, SPACING, Frames, Particles, center, random_particles
+from granflow.studies.validation.peers.state import (
+    GRAVITY,
+    SPACING,
+    Frames,
+    Particles,
+    center,
+    random_particles,
+)
 
 COUNT, RADIUS, WIDTH, LAYERS = 720, 0.04, 0.02, 4
 """Particles, radius and width [m] of the drum, and layers of the initial lattice along the width."""
@@ -34,10 +41,15 @@ def scene(start: Particles, rolling_friction: float) -> Scene:
     domain = {"min": [-side, -side, 0], "max": [side, side, WIDTH], "periodic": ["z"], "on_exit": "error"}
     pair = {"restitution": RESTITUTION, "friction": FRICTION, "rolling_friction": rolling_friction}
     return scene_of(
-        "drum", start, {"shell": shell}, domain, gravity=[0, -GRAVITY, 0], pairs={"m-m": pair},
+        "drum",
+        start,
+        {"shell": shell},
+        domain,
+        gravity=[0, -GRAVITY, 0],
+        pairs={"m-m": pair},
         contact=LAW | {"rolling": "epsd"},
         run={"duration": END, "velocity_max": 1.5, "time_step": TIME_STEP, "precision": "f64"},
-    )  # fmt: skip
+    )
 
 
 def figures(frames: Frames) -> dict[str, float]:
@@ -55,10 +67,17 @@ def drum_case(name: str, rolling_friction: float, remark: str = "") -> PeerCase:
     """Case with a rolling friction."""
     side = 1.1 * RADIUS
     return PeerCase(
-        name, initial_state, lambda start: scene(start, rolling_friction), ((-side, -side, 0.0), (side, side, WIDTH)),
-        TIME_STEP, np.arange(round(START / FRAME), round(END / FRAME) + 1) * FRAME, figures, "drum",
-        {"mu_roll": rolling_friction, "rotation": ROTATION}, remark=remark,
-    )  # fmt: skip
+        name,
+        initial_state,
+        lambda start: scene(start, rolling_friction),
+        ((-side, -side, 0.0), (side, side, WIDTH)),
+        TIME_STEP,
+        np.arange(round(START / FRAME), round(END / FRAME) + 1) * FRAME,
+        figures,
+        "drum",
+        {"mu_roll": rolling_friction, "rotation": ROTATION},
+        remark=remark,
+    )
 
 
 CURVATURE = (
@@ -69,9 +88,10 @@ CURVATURE = (
 DRUMS = (
     drum_case("drum without rolling friction", 0.0, CURVATURE),
     drum_case(
-        "drum with rolling friction", ROLLING_FRICTION,
+        "drum with rolling friction",
+        ROLLING_FRICTION,
         f"{CURVATURE}. Rolling stiffness: that of the tangential spring in LIGGGHTS (epsd2) and granflow, 2000 N/m in "
         "LAMMPS (sds)",
     ),
-)  # fmt: skip
+)
 """Both drums."""

@@ -9,7 +9,8 @@ from granflow.studies.validation.peers.state import Frames, Particles, box_latti
 COUNT, SIDE, TOP = 1600, 0.042, 0.4
 """Particles, side of the periodic box, and its height [m]."""
 DIAMETER, HEIGHT, SPEED = 0.02, 0.385, -0.15
-"""Diameter, initial height of the center [m], and upward velocity [m/s] of the sphere, which strikes at 2.5 m/s."""
+"""Diameter, initial height of the center [m], and upward velocity [m/s] of the sphere, which strikes at 2.5
+m/s."""
 TIME_STEP, BEFORE, END, FRAME = 2e-5, 0.24, 0.4, 2e-3
 """Time step [s]; time at which the bed is measured, end, and time between states [s]."""
 
@@ -28,17 +29,23 @@ def scene(start: Particles) -> Scene:
     """A floor, periodic across."""
     domain = {"min": [0, 0, -0.01], "max": [SIDE, SIDE, TOP], "periodic": ["x", "y"], "on_exit": "error"}
     return scene_of(
-        "impact", start, {"floor": plane([0, 0, 0], [0, 0, 1])}, domain,
+        "impact",
+        start,
+        {"floor": plane([0, 0, 0], [0, 0, 1])},
+        domain,
         run={"duration": END, "velocity_max": 3.0, "time_step": TIME_STEP, "precision": "f64"},
-    )  # fmt: skip
+    )
 
 
 def figures(frames: Frames) -> dict[str, float]:
-    """Depth of the lowest point of the sphere below the surface, twice the height of the center of mass of the bed."""
+    """Depth of the lowest point of the sphere below the surface, twice the height of the center of mass of
+    the bed."""
     states = [frames[time] for time in sorted(frames)]
     sphere = int(np.argmax(states[0].diameter))
     bed = np.arange(len(states[0].diameter)) != sphere
-    before = Particles(*(values[bed] for values in (states[0].position, states[0].velocity, states[0].diameter)))
+    before = Particles(
+        *(values[bed] for values in (states[0].position, states[0].velocity, states[0].diameter))
+    )
     surface = 2.0 * float(center(before)[2])
     height = np.array([each.position[sphere, 2] - 0.5 * DIAMETER for each in states])
     return {
@@ -53,6 +60,14 @@ REMARK = (
 )
 """Remark on this case."""
 IMPACT = PeerCase(
-    "impact of a sphere", initial_state, scene, ((0.0, 0.0, -0.01), (SIDE, SIDE, TOP)), TIME_STEP,
-    np.arange(round(BEFORE / FRAME), round(END / FRAME) + 1) * FRAME, figures, "impact", repeats=16, remark=REMARK,
-)  # fmt: skip
+    "impact of a sphere",
+    initial_state,
+    scene,
+    ((0.0, 0.0, -0.01), (SIDE, SIDE, TOP)),
+    TIME_STEP,
+    np.arange(round(BEFORE / FRAME), round(END / FRAME) + 1) * FRAME,
+    figures,
+    "impact",
+    repeats=16,
+    remark=REMARK,
+)

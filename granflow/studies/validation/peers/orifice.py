@@ -4,7 +4,13 @@ import numpy as np
 
 from granflow import Scene
 from granflow.studies.validation.peers.case import PeerCase, plane, scene_of
-from granflow.studies.validation.peers.state import LARGEST, SPACING, Particles, discharge_figures, random_particles
+from granflow.studies.validation.peers.state import (
+    LARGEST,
+    SPACING,
+    Particles,
+    discharge_figures,
+    random_particles,
+)
 
 COUNT, SILO_RADIUS, ORIFICE_RADIUS = 4000, 0.036, 0.014
 """Particles, and radii of silo and orifice [m], those of the scene `flat_silo` with an orifice of 28 mm."""
@@ -15,7 +21,8 @@ OPENING, END, TIME_STEP = 0.25, 0.85, 2e-5
 FLOW_TIMES = (0.35, 0.85)
 """Times [s] between which the flow is measured."""
 SEGMENTS, RINGS = 64, 8
-"""Triangles of the floor around its axis, and rings; the polygon of the orifice is 0.16 % smaller than the circle."""
+"""Triangles of the floor around its axis, and rings; the polygon of the orifice is 0.16 % smaller than the
+circle."""
 
 
 def lattice() -> np.ndarray:
@@ -31,18 +38,24 @@ def scene(start: Particles) -> Scene:
     """Floor with a hole, silo, and a plane below that opens."""
     walls = {
         "floor": {
-            "shape": "disc", "center": [0, 0, 0], "normal": [0, 0, 1], "radius": FLOOR_RADIUS,
+            "shape": "disc",
+            "center": [0, 0, 0],
+            "normal": [0, 0, 1],
+            "radius": FLOOR_RADIUS,
             "hole_radius": ORIFICE_RADIUS,
         },
         "silo": {"shape": "cylinder", "from": [0, 0, 0], "to": [0, 0, TOP], "radius": SILO_RADIUS},
         "gate": plane([0, 0, 0], [0, 0, 1], stages=["fill"]),
-    }  # fmt: skip
+    }
     side = 1.2 * FLOOR_RADIUS
     return scene_of(
-        "orifice", start, walls, {"min": [-side, -side, -0.2], "max": [side, side, TOP]},
+        "orifice",
+        start,
+        walls,
+        {"min": [-side, -side, -0.2], "max": [side, side, TOP]},
         stages=[{"name": "fill", "duration": OPENING}, {"name": "flow", "duration": END - OPENING}],
         run={"velocity_max": 3.0, "time_step": TIME_STEP, "precision": "f64"},
-    )  # fmt: skip
+    )
 
 
 def triangles() -> dict[str, np.ndarray]:
@@ -58,8 +71,16 @@ def triangles() -> dict[str, np.ndarray]:
 
 
 ORIFICE = PeerCase(
-    "flat silo with a round orifice", lambda repeat: random_particles(lattice(), repeat), scene,
-    ((-0.06, -0.06, -0.2), (0.06, 0.06, TOP)), TIME_STEP, (OPENING, *FLOW_TIMES),
-    discharge_figures(OPENING, *FLOW_TIMES), "orifice", {}, triangles,
-    repeats=6, remark="LIGGGHTS has a floor of 64-sided triangles; LAMMPS 29 Sep 2021 has no wall with a hole",
-)  # fmt: skip
+    "flat silo with a round orifice",
+    lambda repeat: random_particles(lattice(), repeat),
+    scene,
+    ((-0.06, -0.06, -0.2), (0.06, 0.06, TOP)),
+    TIME_STEP,
+    (OPENING, *FLOW_TIMES),
+    discharge_figures(OPENING, *FLOW_TIMES),
+    "orifice",
+    {},
+    triangles,
+    repeats=6,
+    remark="LIGGGHTS has a floor of 64-sided triangles; LAMMPS 29 Sep 2021 has no wall with a hole",
+)

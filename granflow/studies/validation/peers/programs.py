@@ -1,4 +1,5 @@
-"""Runs LIGGGHTS and LAMMPS with the inputs of tools/validation/inputs from the initial states of the cases."""
+"""Runs LIGGGHTS and LAMMPS with the inputs of tools/validation/inputs from the initial states of the
+cases."""
 
 import re
 import shutil
@@ -14,7 +15,11 @@ from granflow.studies.validation.peers.state import DENSITY, Particles
 PROGRAMS = {"LIGGGHTS": "liggghts", "LAMMPS": "lmp"}
 """Name of the executable of each code, which is also that of its Debian package for LIGGGHTS."""
 PACKAGE = Path(__file__).resolve().parents[1]
-INPUTS = PACKAGE / "inputs" if (PACKAGE / "inputs").is_dir() else PACKAGE.parents[2] / "tools" / "validation" / "inputs"
+INPUTS = (
+    PACKAGE / "inputs"
+    if (PACKAGE / "inputs").is_dir()
+    else PACKAGE.parents[2] / "tools" / "validation" / "inputs"
+)
 """Inputs of both codes: in the package of a wheel, in tools/validation in a clone."""
 
 
@@ -58,7 +63,9 @@ def run(code: str, case: PeerCase, repeat: int, folder: Path) -> dict[str, list[
     (folder / "frames.txt").unlink()
     wanted = {round(float(time), 6) for time in case.times}
     if not wanted <= set(frames):
-        raise GranflowError(f"{code} writes no state at some times of {case.name}: see {folder / 'output.txt'}")
+        raise GranflowError(
+            f"{code} writes no state at some times of {case.name}: see {folder / 'output.txt'}"
+        )
     return case.samples({time: frames[time] for time in sorted(wanted)})
 
 
@@ -83,7 +90,9 @@ def write_stl(path: Path, triangles: np.ndarray) -> None:
         file.write("solid wall\n")
         for corners in triangles:
             normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-            file.write("facet normal {:.9g} {:.9g} {:.9g}\nouter loop\n".format(*(normal / np.linalg.norm(normal))))
+            file.write(
+                "facet normal {:.9g} {:.9g} {:.9g}\nouter loop\n".format(*(normal / np.linalg.norm(normal)))
+            )
             file.writelines("vertex {:.12g} {:.12g} {:.12g}\n".format(*each) for each in corners)
             file.write("endloop\nendfacet\n")
         file.write("endsolid wall\n")
@@ -97,14 +106,18 @@ def read_frames(path: Path, time_step: float) -> dict[float, Particles]:
     for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
         rows = np.array(" ".join(lines[start + 9 : end]).split(), dtype=float).reshape(-1, 8)
         table = rows[np.argsort(rows[:, 0])]
-        frames[round(int(lines[start + 1]) * time_step, 6)] = Particles(table[:, 1:4], table[:, 4:7], table[:, 7])
+        frames[round(int(lines[start + 1]) * time_step, 6)] = Particles(
+            table[:, 1:4], table[:, 4:7], table[:, 7]
+        )
     return frames
 
 
 def version(code: str, folder: Path) -> str:
     """Name and version that the program prints; LIGGGHTS writes a log to the folder in which it starts."""
     folder.mkdir(parents=True, exist_ok=True)
-    output = subprocess.run([PROGRAMS[code], "-h"], cwd=folder, capture_output=True, text=True, check=False).stdout
+    output = subprocess.run(
+        [PROGRAMS[code], "-h"], cwd=folder, capture_output=True, text=True, check=False
+    ).stdout
     found = re.search(r"(LIGGGHTS-\S+ [\d.]+)|Simulator - (.*)", output)
     if found is None:
         raise GranflowError(f"{code} prints no version")

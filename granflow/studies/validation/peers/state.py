@@ -56,8 +56,14 @@ def box_lattice(count: int, low: tuple[float, float], sides: tuple[float, float]
     first, second = (int((side - 1.01 * LARGEST) / SPACING) + 1 for side in sides)
     number = np.arange(count)
     x, y, z = number % first, number // first % second, number // (first * second)
-    offset = [0.5 * (side - (across - 1) * SPACING) for side, across in zip(sides, (first, second), strict=True)]
-    columns = (low[0] + offset[0] + SPACING * x, low[1] + offset[1] + SPACING * y, 0.6 * LARGEST + SPACING * z)
+    offset = [
+        0.5 * (side - (across - 1) * SPACING) for side, across in zip(sides, (first, second), strict=True)
+    ]
+    columns = (
+        low[0] + offset[0] + SPACING * x,
+        low[1] + offset[1] + SPACING * y,
+        0.6 * LARGEST + SPACING * z,
+    )
     return np.stack(columns, axis=1)
 
 
