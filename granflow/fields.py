@@ -671,8 +671,8 @@ FLOW_METER_QUANTITIES = by_name(
             "residence_time",
             "",
             "s",
-            "mean time from insertion to passage of the particles that passed forward: since the previous row in the "
-            "time series, of all in the result",
+            "mean time from insertion to passage of the particles that passed forward: since the previous "
+            "row in the time series, of all in the result",
         ),
         Quantity("residence_time_deviation", "", "s", "standard deviation of these times, in the result"),
     )

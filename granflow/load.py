@@ -196,8 +196,9 @@ class Scene(SceneInput):
         run."""
         groups = self.particles if self.start_from is None else {}
         return [
-            f"{self.locate('particles', name, 'insert', 'kind')}: particles.{name}.insert.kind is python: a Python "
-            "program adds these particles, and a command line has none. Choose another kind, such as lattice or file."
+            f"{self.locate('particles', name, 'insert', 'kind')}: particles.{name}.insert.kind is python: a "
+            "Python program adds these particles, and a command line has none. Choose another kind, such as "
+            "lattice or file."
             for name, group in groups.items()
             if group.insert.kind == "python"
         ]

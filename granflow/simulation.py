@@ -264,8 +264,8 @@ class Simulation:
         if not (name.startswith("_") or name == "is_stopped" or "_is_created" not in vars(self)):
             remedy = REMEDIES.get(
                 name,
-                "values of the scene are fixed in a run. Change the scene before it (Scene.from_dict), or add a force: "
-                "simulation.forces.append(...)",
+                "values of the scene are fixed in a run. Change the scene before it (Scene.from_dict), or "
+                "add a force: simulation.forces.append(...)",
             )
             raise AttributeError(f"Simulation.{name} cannot be set: {remedy}.")
         object.__setattr__(self, name, value)
@@ -273,7 +273,8 @@ class Simulation:
     def __reduce__(self) -> NoReturn:
         """Raises GranflowError: device memory and files belong to this process."""
         raise GranflowError(
-            "A simulation can neither be pickled nor copied: pickle its scene, or continue from a checkpoint (save)."
+            "A simulation can neither be pickled nor copied: pickle its scene, or continue from a checkpoint "
+            "(save)."
         )
 
     @property
@@ -434,8 +435,8 @@ class Simulation:
         refuse_other_thread(self._state.owner)
         if self._is_running:
             raise GranflowError(
-                f"{method} cannot be called by an observer, while the simulation runs: raise granflow.StopRun to end "
-                f"the run, and call {method} after it."
+                f"{method} cannot be called by an observer, while the simulation runs: raise "
+                f"granflow.StopRun to end the run, and call {method} after it."
             )
         self._is_running = True
         try:

@@ -20,7 +20,10 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 BUSY = "import sys\nwhile True: sum(range(100_000))"
-CHILD = "import json, sys; sys.path[:0] = json.loads(sys.argv[1]); import contention; contention.child(*sys.argv[2:])"
+CHILD = (
+    "import json, sys; sys.path[:0] = json.loads(sys.argv[1]); import contention; "
+    "contention.child(*sys.argv[2:])"
+)
 WARM_UP, MEASURED = 1.0, 2.0  # s
 MODES = ("fixed 1", "fixed 2", "auto")
 

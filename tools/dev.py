@@ -131,7 +131,8 @@ def make_environment() -> None:
         )
     if ENVIRONMENT.is_symlink():
         stop(
-            f"{ENVIRONMENT} is a link to the environment of another checkout: remove the link, then try again."
+            f"{ENVIRONMENT} is a link to the environment of another checkout: remove the link, then try "
+            "again."
         )
     shutil.rmtree(str(ENVIRONMENT), ignore_errors=True)
     ENVIRONMENT.mkdir(exist_ok=True)

@@ -165,7 +165,8 @@ def check(run: Run, precision: str, group: str, records: Callable[[str], list[di
     run.write()
     failed = [each for each in found if not each["passed"]]
     print(
-        f"{precision:>5} {group}: {len(found) - len(failed)} of {len(found)} passed, {time.monotonic() - began:.0f} s"
+        f"{precision:>5} {group}: {len(found) - len(failed)} of {len(found)} passed, "
+        f"{time.monotonic() - began:.0f} s"
     )
     for each in failed:
         message = f" ({each['message']})" if "message" in each else ""
@@ -273,8 +274,8 @@ def line(precision: str, point: dict[str, Any]) -> str:
     return (
         f"{point['count']:>9} {precision:>5}: {1e-6 * point['rate']:8.2f} M particle-steps/s, "
         f"{point['bandwidth_share']:5.1%} of {1e-9 * point['copy_bandwidth']:.0f} GB/s, "
-        f"{point['bytes_per_particle_step']:.0f} bytes/step, {point['coordination_number']:.2f} neighbors in contact, "
-        f"rebuild {1e3 * point['search_seconds']:.1f} ms"
+        f"{point['bytes_per_particle_step']:.0f} bytes/step, {point['coordination_number']:.2f} neighbors in "
+        f"contact, rebuild {1e3 * point['search_seconds']:.1f} ms"
     )
 
 

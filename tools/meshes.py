@@ -123,7 +123,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     points, corners = options.make(options)
     meshio.write(options.file, meshio.Mesh(points, [("triangle", corners)]), file_format="stl", binary=True)
     print(
-        f"{options.file}: {len(corners)} triangles, {' x '.join(f'{side:.4g}' for side in np.ptp(points, axis=0))} m."
+        f"{options.file}: {len(corners)} triangles, "
+        f"{' x '.join(f'{side:.4g}' for side in np.ptp(points, axis=0))} m."
     )
     return 0
 

@@ -123,10 +123,12 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="rounds (3)")
     options = parser.parse_args()
     print(
-        f"{options.count} particles, CPU time in us per particle; one rebuild every {STEPS_PER_REBUILD} steps:"
+        f"{options.count} particles, CPU time in us per particle; one rebuild every {STEPS_PER_REBUILD} "
+        "steps:"
     )
     print(
-        "| sizes | classes | contacts | rebuild, one grid | per class | speedup | step | M steps/s | total speedup |"
+        "| sizes | classes | contacts | rebuild, one grid | per class | speedup | step | M steps/s | total "
+        "speedup |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     for ratio in options.ratios:

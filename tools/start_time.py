@@ -132,7 +132,10 @@ def line(found: dict[str, Any]) -> str:
     """One start as a line of text."""
     stages = ", ".join(f"{stage} {found[stage]:.2f}" for stage in STAGES)
     kernels = f"{found['kernels_compiled']} kernels compiled, {found['kernels_in_cache']} in the cache"
-    return f"{found['scene']:>14} {found['state']}: {found['total']:.2f} s ({stages}; cpu {found['cpu']:.2f}); {kernels}"
+    return (
+        f"{found['scene']:>14} {found['state']}: {found['total']:.2f} s ({stages}; cpu {found['cpu']:.2f}); "
+        f"{kernels}"
+    )
 
 
 def main() -> None:

@@ -94,7 +94,10 @@ def _reason_of(error: OSError) -> str:
     """Return why a path cannot be used."""
     path = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else Path()
     if path.is_symlink() and not path.exists():
-        return f"this is a link to {os.readlink(path)}, which does not exist; give another path, or remove the link"
+        return (
+            f"this is a link to {os.readlink(path)}, which does not exist; give another path, or remove the "
+            "link"
+        )
     if isinstance(error, FileExistsError):
         return "this is a file, but a directory is needed; give another path"
     return error.strerror or str(error)

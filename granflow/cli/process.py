@@ -38,8 +38,8 @@ def refuse_low_memory_limit() -> None:
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit != resource.RLIM_INFINITY and limit < LEAST:
         raise GranflowError(
-            f"the memory limit of the process (ulimit -v) is {limit // 2**20} MiB, but granflow needs at least "
-            f"{LEAST // 2**20} MiB to start, and a run at least 2 GB: raise or remove the limit."
+            f"the memory limit of the process (ulimit -v) is {limit // 2**20} MiB, but granflow needs at "
+            f"least {LEAST // 2**20} MiB to start, and a run at least 2 GB: raise or remove the limit."
         )
 
 

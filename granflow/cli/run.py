@@ -380,8 +380,8 @@ def _resume_locked(options: argparse.Namespace, out: Path, communicator: "Commun
     )
     if not (simulation.observers.rows_intact or options.allow_changes):
         raise GranflowError(
-            f"{out / 'timeseries.csv'} lacks rows that were written before the checkpoint: restore the file, or "
-            "continue with the remaining rows with --allow-changes."
+            f"{out / 'timeseries.csv'} lacks rows that were written before the checkpoint: restore the file, "
+            "or continue with the remaining rows with --allow-changes."
         )
     if checkpoint:
         say_start(simulation, scene, checkpoint, options.until)
@@ -399,11 +399,13 @@ def say_start(
     step = simulation.time_step
     if until is not None and until < time - step:
         raise GranflowError(
-            f"--until is {until:.6g} s, but {checkpoint.path} is at {time:.6g} s: give a later time, or omit --until."
+            f"--until is {until:.6g} s, but {checkpoint.path} is at {time:.6g} s: give a later time, or omit "
+            "--until."
         )
     if until is not None and until > time + step and simulation.is_complete:
         raise GranflowError(
-            f"--until is {until:.6g} s, but the run is complete at {time:.6g} s: {extension(scene, checkpoint, until)}."
+            f"--until is {until:.6g} s, but the run is complete at {time:.6g} s: "
+            f"{extension(scene, checkpoint, until)}."
         )
     say(f"Continues from {checkpoint.path} at {time:.6g} s.")
     if simulation.is_complete:
@@ -445,8 +447,8 @@ def checkpoint_to_resume(
     results = [path for path in results_in(out) if path.suffix in RESULT_SUFFIXES]
     if checkpoint is None and results and (out / SCENE).exists():
         raise GranflowError(
-            f"{out} contains no usable checkpoint, but {len(results)} result files: to replace them and run the scene "
-            f"from the start, use granflow resume {out} --from-start."
+            f"{out} contains no usable checkpoint, but {len(results)} result files: to replace them and run "
+            f"the scene from the start, use granflow resume {out} --from-start."
         )
     if checkpoint is None and (out / SCENE).exists():
         printed += warned(
@@ -654,8 +656,8 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
         refuse_inputs_inside(scene, out)
         if not overwrite:
             raise GranflowError(
-                f"{out} contains an earlier run: give another directory with --out, replace it with --overwrite, or "
-                f"continue it with granflow resume {out}."
+                f"{out} contains an earlier run: give another directory with --out, replace it with "
+                f"--overwrite, or continue it with granflow resume {out}."
             )
         return notes
 

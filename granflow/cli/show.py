@@ -56,7 +56,8 @@ def analyze(options: argparse.Namespace) -> int:
     out = options.out or options.directory / "analysis"
     if out.resolve() == options.directory.resolve():
         raise GranflowError(
-            f"--out {out} is the directory of the run, whose fields would be overwritten: give another directory."
+            f"--out {out} is the directory of the run, whose fields would be overwritten: give another "
+            "directory."
         )
     rows = analyze_run(options.directory, load(scene_path, options.overrides), out)
     if rows and len(rows[0]) > len(("time", "stage")):
@@ -137,14 +138,19 @@ def add_plot(verbs: Any) -> None:
         metavar="COLUMN",
         nargs="+",
         default=[],
-        help="columns, or arithmetic expressions of columns in SI units such as 'wall_pressure.lid / 1e3'; one plot "
-        "for each unit (default: list the columns of the first RUN)",
+        help=(
+            "columns, or arithmetic expressions of columns in SI units such as 'wall_pressure.lid / 1e3'; "
+            "one plot for each unit (default: list the columns of the first RUN)"
+        ),
     )
     parser.add_argument(
         "--x",
         metavar="COLUMN",
         default="time",
-        help="horizontal axis: a column or an expression, such as 'wall_displacement.lid / 0.05' (default: time)",
+        help=(
+            "horizontal axis: a column or an expression, such as 'wall_displacement.lid / 0.05' (default: "
+            "time)"
+        ),
     )
     parser.add_argument("--x-label", metavar="TEXT", help="title of the horizontal axis")
     parser.add_argument("--y-label", metavar="TEXT", help="title of the vertical axis")
@@ -154,7 +160,10 @@ def add_plot(verbs: Any) -> None:
         "--out",
         metavar="FILE",
         type=Path,
-        help="image .png, .svg or .pdf, or interactive page .html (default: plot_Y_over_X.png in the first RUN)",
+        help=(
+            "image .png, .svg or .pdf, or interactive page .html (default: plot_Y_over_X.png in the first "
+            "RUN)"
+        ),
     )
 
 
@@ -271,8 +280,8 @@ def pixel_size(text: str) -> tuple[int, int]:
         SMALLEST <= min(width, height) and max(width, height) <= LARGEST and width * height <= MOST_PIXELS
     ):
         raise argparse.ArgumentTypeError(
-            f"{text[:40]} is not a valid size; give width and height in pixels, from {SMALLEST} to {LARGEST}, and "
-            f"at most {MOST_PIXELS // 10**6} million pixels in total, such as 1600x1200"
+            f"{text[:40]} is not a valid size; give width and height in pixels, from {SMALLEST} to "
+            f"{LARGEST}, and at most {MOST_PIXELS // 10**6} million pixels in total, such as 1600x1200"
         )
     return width // 2 * 2, height // 2 * 2
 

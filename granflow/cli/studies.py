@@ -101,7 +101,8 @@ def _scene(options: argparse.Namespace) -> int:
     reductions = [] if options.all_particles else reduced_counts(task.scene())
     if reductions:
         say(
-            f"Reduced scene for a run time of minutes: {', '.join(reductions)}; --all-particles runs the full scene."
+            f"Reduced scene for a run time of minutes: {', '.join(reductions)}; --all-particles runs the "
+            "full scene."
         )
     out = options.out or Path("out") / f"accuracy_{options.scene.stem}"
     kept = out / "accuracy_runs.json"
@@ -170,7 +171,10 @@ def add_beverloo(verbs: Any) -> None:
     summary = "fit Beverloo's law to the flow rates of several runs, or of a table, with standard errors"
     parser = add_verb(verbs, beverloo, summary)
     add = parser.add_argument
-    sources = "runs whose flow meter has the radius of the orifice, or tables with the columns orifice and mass_flow"
+    sources = (
+        "runs whose flow meter has the radius of the orifice, or tables with the columns orifice and "
+        "mass_flow"
+    )
     add("paths", metavar="OUT|FILE.csv", type=Path, nargs="+", help=sources)
     add("--diameter", required=True, type=quantity("length"), help="particle diameter, such as 5mm")
     density = "bulk density of the bed, such as '1500 kg/m3'"
@@ -286,12 +290,12 @@ def compare(options: argparse.Namespace) -> int:
 
 
 LAWS = (
-    "contact models, separated by commas (default: zhou,linear,hertz); linear is run twice: with a spring stiffness "
-    "computed from the impact velocity of each contact, and from --reference-velocity"
+    "contact models, separated by commas (default: zhou,linear,hertz); linear is run twice: with a spring "
+    "stiffness computed from the impact velocity of each contact, and from --reference-velocity"
 )
 REFERENCE_VELOCITY = (
-    "impact velocity for which constant parameters are computed, such as the spring stiffness of the second linear run "
-    "(default: a tenth of the largest expected impact velocity)"
+    "impact velocity for which constant parameters are computed, such as the spring stiffness of the second "
+    "linear run (default: a tenth of the largest expected impact velocity)"
 )
 """Help texts of --laws and --reference-velocity."""
 
@@ -436,7 +440,8 @@ def validate(options: argparse.Namespace) -> int:
     failed = [each for each in cases if each.status == "fail"]
     for each in (each for each in cases if each.status != "pass"):
         say(
-            f"{each.status}: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} {each.unit}"
+            f"{each.status}: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} "
+            f"{each.unit}"
         )
     passed = sum(each.status == "pass" for each in cases)
     say(f"{passed} of {len(cases)} cases pass. Open {out / 'validation.html'} in a browser.")
@@ -531,7 +536,10 @@ def add_validate(verbs: Any) -> None:
     """Add `granflow validate` and its arguments."""
     summary = "compare published numbers and closed forms with simulations, on one page"
     parser = add_verb(verbs, validate, summary)
-    few = "only the cases of few particles and the cheap ones of many: 5 minutes instead of up to 35, on two cores"
+    few = (
+        "only the cases of few particles and the cheap ones of many: 5 minutes instead of up to 35, on two "
+        "cores"
+    )
     extent = parser.add_mutually_exclusive_group()
     extent.add_argument("--quick", action="store_true", help=few)
     both = "run LIGGGHTS (liggghts) and LAMMPS (lmp), as far as installed, for about 25 minutes more"
@@ -576,7 +584,8 @@ def sweep(options: argparse.Namespace) -> int:
     warned = [row for row in table.rows if row.warnings]
     if warned:
         say(
-            f"{len(warned)} of {len(statuses)} points have warnings, see sweep.csv; the first: {warned[0].warnings}"
+            f"{len(warned)} of {len(statuses)} points have warnings, see sweep.csv; the first: "
+            f"{warned[0].warnings}"
         )
     say(f"Written to {out / 'sweep.csv'}; open {out / 'sweep.html'} in a browser.")
     return 0 if table.is_complete else 1

@@ -54,8 +54,8 @@ def source_lines(function: Callable[..., Any]) -> tuple[list[str], int]:
         return getsourcelines(function)
     except OSError:
         raise ValueError(
-            f"the source of {function.__name__} is not available, which is compiled from it; define it in a file or a "
-            "notebook cell"
+            f"the source of {function.__name__} is not available, which is compiled from it; define it in a "
+            "file or a notebook cell"
         ) from None
 
 

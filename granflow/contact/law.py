@@ -542,8 +542,8 @@ ROLLING_FRICTION = PairOption(
 WORK_OF_ADHESION = PairOption(
     "work_of_adhesion",
     Amount(
-        "work of adhesion w [J/m2]: energy per area that separates the two surfaces; twice the surface energy of equal "
-        "materials",
+        "work of adhesion w [J/m2]: energy per area that separates the two surfaces; twice the surface "
+        "energy of equal materials",
         "50 mJ/m2",
         "surface_energy",
         "a work of adhesion",

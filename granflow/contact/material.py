@@ -112,7 +112,8 @@ def limit_velocity(a: Solid, b: Solid) -> float:
     known = [(solid.yield_strength, -solid.density) for solid in (a, b) if solid.yield_strength is not None]
     if not known:
         raise ValueError(
-            "the limit velocity (Zhou 2011, Eq. 11) requires a yield strength of at least one of the two materials"
+            "the limit velocity (Zhou 2011, Eq. 11) requires a yield strength of at least one of the two "
+            "materials"
         )
     strength, minus_density = min(known)
     return float(np.sqrt(3.0 * strength / -minus_density))

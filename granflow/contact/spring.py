@@ -59,8 +59,8 @@ class ClosedFormCollision:
 
 
 STIFFNESS = Choice(
-    "spring stiffness: onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), {reference_velocity: 1 m/s} "
-    "(Eq. 19 at this velocity) or {value: 1e4 N/m}",
+    "spring stiffness: onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), "
+    "{reference_velocity: 1 m/s} (Eq. 19 at this velocity) or {value: 1e4 N/m}",
     words=("onset",),
     keyed={
         "reference_velocity": Amount(

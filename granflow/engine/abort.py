@@ -149,13 +149,16 @@ def _impact(touching: TouchingPair, plan: Plan, velocity: float, largest: float)
     remedy = _moduli(
         touching, plan, lambda pair: impact_overlap(plan.laws, pair, velocity, plan.max_overlap), largest
     )
-    cause = f"This overlap results from an impact at {velocity:.3g} m/s, which reaches {largest:.3g} of the radius"
+    cause = (
+        f"This overlap results from an impact at {velocity:.3g} m/s, which reaches {largest:.3g} of the "
+        "radius"
+    )
     if velocity <= TOLERANCE * plan.velocity_max:
         return f"{cause}: {remedy}."
     planned = f"set run.velocity_max to {SPEED_MARGIN * velocity:.3g} m/s for the time step"
     return (
-        f"{cause}; it is above the planned {plan.velocity_max:.3g} m/s: {planned} and {remedy}, or find the cause of "
-        "this velocity."
+        f"{cause}; it is above the planned {plan.velocity_max:.3g} m/s: {planned} and {remedy}, or find the "
+        "cause of this velocity."
     )
 
 
@@ -191,8 +194,8 @@ def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
 def _fixed_stiffness(plan: Plan) -> str:
     """Instruction that makes all contacts as stiff as those at the planned velocity."""
     return (
-        f"set contact.normal.stiffness to {{reference_velocity: {plan.velocity_max:.3g} m/s}}, because a contact that "
-        "begins slowly gets a soft spring with onset"
+        f"set contact.normal.stiffness to {{reference_velocity: {plan.velocity_max:.3g} m/s}}, because a "
+        "contact that begins slowly gets a soft spring with onset"
     )
 
 
@@ -200,9 +203,9 @@ def _moving_load(remedy: str, by_load: float) -> str:
     """Cause and remedy of an overlap that weight and walls do not explain; `by_load`: their overlap over the
     radius."""
     return (
-        f"weight and walls at rest explain only an overlap of {by_load:.2g} of the radius, so its cause is not a "
-        "static load, but other particles or a moving wall that press on this contact, as particles do that land on a "
-        f"bed: lower their velocity, or {remedy}."
+        f"weight and walls at rest explain only an overlap of {by_load:.2g} of the radius, so its cause is "
+        "not a static load, but other particles or a moving wall that press on this contact, as particles do "
+        f"that land on a bed: lower their velocity, or {remedy}."
     )
 
 
@@ -318,7 +321,10 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     if not diagnosis.begun:
         needed = _limit_for_initial(pair.overlap)
         accept = f", or set numerics.max_overlap to {needed:g} if this is intended"
-        return f"{description} They overlap initially: move them apart{accept if needed <= LARGEST_OVERLAP else ''}."
+        return (
+            f"{description} They overlap initially: move them "
+            f"apart{accept if needed <= LARGEST_OVERLAP else ''}."
+        )
     if diagnosis.change is not None and pair.second.position is None:
         return f"{description} {_change_cause(diagnosis.change, pair.second.name, plan)}"
     description = f"{description} {_relative_motion(pair)}"
@@ -333,8 +339,8 @@ def _change_cause(change: Change, wall: str, plan: Plan) -> str:
     name = next((name for name in change.appeared if wall == f"wall {name}"), None)
     if name is None:
         return (
-            "The particle was inserted there at this time: choose a region for the insertion that does not intersect "
-            f"{wall}."
+            "The particle was inserted there at this time: choose a region for the insertion that does not "
+            f"intersect {wall}."
         )
     planned = next(each for each in plan.walls if each.name == name)
     keys = ([] if planned.stages is None else [f"walls.{name}.stages"]) + (
@@ -350,8 +356,8 @@ def _change_cause(change: Change, wall: str, plan: Plan) -> str:
 def _force(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Contact force above the range of the sums."""
     description = (
-        f"the contact force on {diagnosis.body} at {time:.6g} s is above {plan.sum_units.largest_force:.3g} N, more "
-        f"than 30 times the force at the overlap limit numerics.max_overlap {plan.max_overlap:g}."
+        f"the contact force on {diagnosis.body} at {time:.6g} s is above {plan.sum_units.largest_force:.3g} "
+        f"N, more than 30 times the force at the overlap limit numerics.max_overlap {plan.max_overlap:g}."
     )
     if diagnosis.pair is None:
         return _advice(
@@ -409,17 +415,18 @@ def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     better = " Use --precision mixed, or" if precision == "f32" else " Use"
     return (
         f"{diagnosis.body} at {time:.6g} s is {farthest:.4g} m from the origin along an axis, where "
-        f"{precision} resolves positions only to {spacing_at(precision, farthest):.3g} m; the required resolution is "
-        f"{COARSEST:g} of the smallest radius {plan.radius_min:.3g} m.{better} an outlet, or domain.on_exit: delete."
+        f"{precision} resolves positions only to {spacing_at(precision, farthest):.3g} m; the required "
+        f"resolution is {COARSEST:g} of the smallest radius {plan.radius_min:.3g} m.{better} an outlet, or "
+        "domain.on_exit: delete."
     )
 
 
 def _liquid(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Bridges that formed in one step have taken more liquid than the film had."""
     return (
-        f"the bridges that form in one step on {diagnosis.body} at {time:.6g} s take more liquid than its film has, "
-        "because it overlaps with particles or walls that overlap with each other. Move them apart, or start the "
-        "particles with gaps."
+        f"the bridges that form in one step on {diagnosis.body} at {time:.6g} s take more liquid than its "
+        "film has, because it overlaps with particles or walls that overlap with each other. Move them "
+        "apart, or start the particles with gaps."
     )
 
 
@@ -442,13 +449,17 @@ def _too_far(diagnosis: Diagnosis, plan: Plan, time: float, limit: float) -> str
     moved = diagnosis.body.speed * diagnosis.time_step
     return (
         f"{diagnosis.body} at {time:.6g} s moves {moved:.3g} m in one step of {diagnosis.time_step:.3g} s, "
-        f"above the limit of {limit:.3g} m ({share_of(limit, plan.radius_min)}): beyond it contacts can be missed."
+        f"above the limit of {limit:.3g} m ({share_of(limit, plan.radius_min)}): beyond it contacts can be "
+        "missed."
     )
 
 
 def _overlap_before(pair: ContactPair) -> str:
     """Sentence on the overlap one step earlier."""
-    return f"One step earlier {pair.first} and {pair.second} overlapped by {pair.overlap:.3g} times the smaller radius."
+    return (
+        f"One step earlier {pair.first} and {pair.second} overlapped by {pair.overlap:.3g} times the smaller "
+        "radius."
+    )
 
 
 def _relative_motion(pair: ContactPair) -> str:
@@ -463,7 +474,10 @@ def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | Non
     `velocity_max`."""
     velocity_remedy = f"set run.velocity_max to {SPEED_MARGIN * pair.impact_velocity:.3g} m/s"
     if time_step > pair.stable_step:
-        description = f"The time step {time_step:.3g} s exceeds the stable step {pair.stable_step:.3g} s of this contact"
+        description = (
+            f"The time step {time_step:.3g} s exceeds the stable step {pair.stable_step:.3g} s of this "
+            "contact"
+        )
         return f"{description}: lower run.time_step, or remove it and {velocity_remedy}."
     if pair.impact_velocity > plan.velocity_max:
         description = (
@@ -477,7 +491,10 @@ def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | Non
 def _advice(time_step: float, cause: str) -> str:
     """Cause and remedies if the time step is stable for the contact and the impact is not above
     `velocity_max`."""
-    return f"{cause}. Lower run.time_step (now {time_step:.3g} s), or check for particles that overlap initially."
+    return (
+        f"{cause}. Lower run.time_step (now {time_step:.3g} s), or check for particles that overlap "
+        "initially."
+    )
 
 
 _REASONS = {

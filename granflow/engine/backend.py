@@ -123,7 +123,8 @@ def usable_folder() -> Path:
         writable = False
     if not writable:
         logging.getLogger("granflow").warning(
-            "granflow: %s cannot be written, so kernels are compiled again in every run. Set %s to another folder.",
+            "granflow: %s cannot be written, so kernels are compiled again in every run. Set %s to another "
+            "folder.",
             folder,
             CACHE_VARIABLE,
         )
@@ -458,9 +459,9 @@ def refuse_other_thread(owner: threading.Thread) -> None:
     refuse_forked_process()
     if owner is not threading.current_thread():
         raise GranflowError(
-            f"This simulation belongs to the thread {owner.name}, which created it, and works in no other one: create "
-            f"and use it in the thread {threading.current_thread().name}, or leave all calls to {owner.name}. Other "
-            "threads may call request_stop and read time, step_count and stage."
+            f"This simulation belongs to the thread {owner.name}, which created it, and works in no other "
+            f"one: create and use it in the thread {threading.current_thread().name}, or leave all calls to "
+            f"{owner.name}. Other threads may call request_stop and read time, step_count and stage."
         )
 
 
@@ -634,8 +635,8 @@ def refuse_unreliable_vulkan(devices: Sequence[VulkanDevice]) -> None:
         )
     if used is not None and not used.has_64_bit:
         raise GranflowError(
-            f"{used.name} has no 64-bit numbers in Vulkan, but sums are in float64 and 64-bit integers in every "
-            "precision, f32 too. Use another device, or leave out --arch to run on the CPU."
+            f"{used.name} has no 64-bit numbers in Vulkan, but sums are in float64 and 64-bit integers in "
+            "every precision, f32 too. Use another device, or leave out --arch to run on the CPU."
         )
 
 
@@ -653,12 +654,12 @@ def _refusal(running: Backend, arch: Arch, precision: Precision, threads: int | 
     now = _settings(arch, precision, threads)
     if found():
         return GranflowError(
-            f"Taichi runs in this process on {before}, and a restart would destroy the fields that your program has "
-            f"made with Taichi; start {now} in a separate process."
+            f"Taichi runs in this process on {before}, and a restart would destroy the fields that your "
+            f"program has made with Taichi; start {now} in a separate process."
         )
     return GranflowError(
-        f"A simulation in this process uses {before}: end it by simulation.free() before one on {now}, or start that "
-        "in a separate process."
+        f"A simulation in this process uses {before}: end it by simulation.free() before one on {now}, or "
+        "start that in a separate process."
     )
 
 

@@ -432,8 +432,8 @@ class Readings:
 # Sums over the chunks of particles, and force-controlled walls, in checkpoints.
 
 OTHER_FEATURES = (
-    "Friction, rolling friction, the energy budget, wall forces and collision energies cannot be switched on or off in "
-    "a resumed run."
+    "Friction, rolling friction, the energy budget, wall forces and collision energies cannot be switched on "
+    "or off in a resumed run."
 )
 """End of messages on arrays that do not match those of the scene."""
 
@@ -477,8 +477,9 @@ def load_wall_dynamics(state: State, saved: Mapping[str, Any]) -> None:
     if before != now:
         named = (", ".join(each) or "none" for each in (before, now))
         raise GranflowError(
-            "The force-controlled wall motions are {} in the checkpoint and {} in the scene. A resumed run can change "
-            "the parameters of such a motion but not add or remove one; use stages for that.".format(*named)
+            "The force-controlled wall motions are {} in the checkpoint and {} in the scene. A resumed run "
+            "can change the parameters of such a motion but not add or remove one; use stages for "
+            "that.".format(*named)
         )
     for name, array in _dynamics(state.plan).items():
         _load(getattr(state.wall_dynamics, name), array, saved[name])

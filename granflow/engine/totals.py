@@ -635,10 +635,10 @@ class StabilityMonitor:
             self._enabled = False
             self._warn_once(
                 "energy",
-                f"At {time:.6g} s the energy error is {share:.2%} of the energy input, more than {LARGEST_ERROR:.1%}: "
-                f"the time step is too long for the contacts. Lower run.time_step (now {self.plan.time_step:.3g} s) or "
-                "set run.velocity_max to the fastest impact; output.energy_budget shows the terms of the energy "
-                "budget.",
+                f"At {time:.6g} s the energy error is {share:.2%} of the energy input, more than "
+                f"{LARGEST_ERROR:.1%}: the time step is too long for the contacts. Lower run.time_step (now "
+                f"{self.plan.time_step:.3g} s) or set run.velocity_max to the fastest impact; "
+                "output.energy_budget shows the terms of the energy budget.",
             )
 
     def state_dict(self) -> dict[str, Any]:
@@ -697,9 +697,10 @@ class StabilityMonitor:
         if self.plan.time_step > stable:
             self._warn_once(
                 "speed",
-                f"At {time:.6g} s the fastest particle moves at {speed:.3g} m/s, above the "
-                f"planned {self.plan.velocity_max:.3g} m/s: an impact at that speed requires a time step below "
-                f"{stable:.3g} s, but it is {self.plan.time_step:.3g} s. Set run.velocity_max to {speed:.3g} m/s.",
+                f"At {time:.6g} s the fastest particle moves at {speed:.3g} m/s, above the planned "
+                f"{self.plan.velocity_max:.3g} m/s: an impact at that speed requires a time step below "
+                f"{stable:.3g} s, but it is {self.plan.time_step:.3g} s. Set run.velocity_max to {speed:.3g} "
+                "m/s.",
             )
 
     def _warn_once(self, kind: str, sentence: str) -> None:

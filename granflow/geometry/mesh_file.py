@@ -82,7 +82,8 @@ def _corners(words: list[str], count: int, number: int) -> list[int]:
         text = word.partition("/")[0]
         if not text.removeprefix("-").isdecimal() or len(text) > 12:
             raise FormatError(
-                f"cannot be read as OBJ: line {number} has the corner {word[:20]!r}, not a number as in f 1 2 3"
+                f"cannot be read as OBJ: line {number} has the corner {word[:20]!r}, not a number as in f 1 "
+                "2 3"
             )
         index = int(text) - 1 if int(text) > 0 else count + int(text)
         if int(text) == 0 or not 0 <= index < 2**31:
@@ -188,8 +189,8 @@ def _binary_stl(raw: bytes) -> RawTriangles:
         )
     if count < capacity:
         raise FormatError(
-            f"declares {count} triangles, but its size is that of {capacity}: the others would be missing; export it "
-            "again"
+            f"declares {count} triangles, but its size is that of {capacity}: the others would be missing; "
+            "export it again"
         )
     records = np.frombuffer(raw, STL_RECORD, min(count, MAX_TRIANGLES + 1), STL_HEADER)
     points = records["corners"].reshape(-1, 3).astype(np.float64)

@@ -90,7 +90,10 @@ def _problems(entries: list[zipfile.ZipInfo], file_size: int) -> Iterator[str]:
         yield f"has {len(entries)} entries, more than {MOST_ENTRIES}"
     for entry in entries:
         if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
-            yield f"has the compressed entry {entry.filename[:80]}, but checkpoints are written without compression"
+            yield (
+                f"has the compressed entry {entry.filename[:80]}, but checkpoints are written without "
+                "compression"
+            )
         if entry.filename == HEADER and entry.file_size > LARGEST_HEADER:
             yield f"has a header of {entry.file_size} bytes, more than {LARGEST_HEADER}"
     total = sum(entry.file_size for entry in entries)

@@ -209,8 +209,8 @@ def _from_archive(
     time = header.get("time")
     if header.get("format") != FORMAT:
         raise CheckpointError(
-            f"{path} is in format {header.get('format')!r:.40}, written by granflow {version!s:.40}; granflow "
-            f"{version_of('granflow')} reads format {FORMAT}. Resume with the version that wrote it."
+            f"{path} is in format {header.get('format')!r:.40}, written by granflow {version!s:.40}; "
+            f"granflow {version_of('granflow')} reads format {FORMAT}. Resume with the version that wrote it."
         )
     saved = header.get("saved")
     engine = header.get("engine")
@@ -266,8 +266,8 @@ class Part:
     def error(self, predicate: str) -> CheckpointError:
         """Return the error to raise; `predicate` follows the key in the message."""
         return CheckpointError(
-            f"{self.file}: {self.key or 'the state'} {predicate}, so the file is damaged or belongs to another scene. "
-            "Remove it to use the checkpoint before it."
+            f"{self.file}: {self.key or 'the state'} {predicate}, so the file is damaged or belongs to "
+            "another scene. Remove it to use the checkpoint before it."
         )
 
     def mismatch(self, expected: str) -> CheckpointError:

@@ -372,7 +372,8 @@ def locked(directory: Path) -> Iterator[DirectoryLock]:
     except BlockingIOError:
         os.close(descriptor)
         raise GranflowError(
-            f"Another run is writing into {directory}: wait for it, stop it, or give another directory with --out."
+            f"Another run is writing into {directory}: wait for it, stop it, or give another directory with "
+            "--out."
         ) from None
     except BaseException:
         os.close(descriptor)
@@ -418,8 +419,8 @@ def refuse_second_run(directory: Path) -> None:
     with suppress(OSError):
         if identity_of(os.stat(directory)) in _WRITING:
             raise GranflowError(
-                f"Another Simulation of this process is writing into {directory}: call its close first, or give "
-                "another directory."
+                f"Another Simulation of this process is writing into {directory}: call its close first, or "
+                "give another directory."
             )
 
 

@@ -75,8 +75,8 @@ class ForceParameters(MutableMapping[str, ParameterValue]):
         array = real_array(f"{self._force}: the parameter {name}", value)
         if array.shape not in ((), (3,)) or not np.isfinite(array).all():
             raise GranflowError(
-                f"{self._force}: the parameter {name} is {shown(value)}, but must be a finite number or a vector of "
-                "three."
+                f"{self._force}: the parameter {name} is {shown(value)}, but must be a finite number or a "
+                "vector of three."
             )
         finite(f"{self._force}: the parameter {name}", array)
         return float(array) if array.shape == () else (float(array[0]), float(array[1]), float(array[2]))

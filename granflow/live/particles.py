@@ -185,8 +185,8 @@ def _diameters(plan: Plan, group: PlannedGroup, given: Any, count: int) -> np.nd
     outside = (diameter < smallest) | (diameter > largest)
     if outside.any():
         raise GranflowError(
-            f"diameter contains {diameter[outside][0]:.6g} m, but the diameters of the scene, on which time step and "
-            f"neighbor lists depend, lie in [{smallest:.6g}, {largest:.6g}] m."
+            f"diameter contains {diameter[outside][0]:.6g} m, but the diameters of the scene, on which time "
+            f"step and neighbor lists depend, lie in [{smallest:.6g}, {largest:.6g}] m."
         )
     return diameter
 
@@ -575,9 +575,9 @@ class LiveParticles:
             2.0 * plan.radius_min <= values.min() and values.max() <= 2.0 * plan.radius_max
         ):
             raise GranflowError(
-                f"particles.diameter would lie in [{values.min():.6g}, {values.max():.6g}] m, but the diameters of the "
-                f"scene, on which time step and neighbor lists depend, in [{2 * plan.radius_min:.6g}, "
-                f"{2 * plan.radius_max:.6g}] m."
+                f"particles.diameter would lie in [{values.min():.6g}, {values.max():.6g}] m, but the "
+                "diameters of the scene, on which time step and neighbor lists depend, in "
+                f"[{2 * plan.radius_min:.6g}, {2 * plan.radius_max:.6g}] m."
             )
         density = np.array([solid.density for solid in plan.solids.values()])[self._numbers("material")]
         radius = 0.5 * values

@@ -27,8 +27,9 @@ class LiveWall:
         """Assign a motion. Raises AttributeError for another attribute, which would have no effect."""
         if name != "motion" and not name.startswith("_"):
             raise AttributeError(
-                f"walls[{self._name!r}].{name} cannot be set: assign a motion, such as walls[{self._name!r}].motion = "
-                "granflow.Translation(velocity=[0, 0, 0.1]), or remove the wall."
+                f"walls[{self._name!r}].{name} cannot be set: assign a motion, such as "
+                f"walls[{self._name!r}].motion = granflow.Translation(velocity=[0, 0, 0.1]), or remove the "
+                "wall."
             )
         super().__setattr__(name, value)
 
@@ -80,8 +81,8 @@ class LiveWall:
         for each in motions:
             if not isinstance(each, KINDS):
                 raise GranflowError(
-                    f"walls[{self.name!r}].motion is {each!r}, but must be a Rotation, Translation, Vibration, "
-                    "SurfaceVelocity, a list of them, or None."
+                    f"walls[{self.name!r}].motion is {each!r}, but must be a Rotation, Translation, "
+                    "Vibration, SurfaceVelocity, a list of them, or None."
                 )
             if each.stages is not None:
                 raise GranflowError(f"walls[{self.name!r}].motion has stages: give start and end instead.")

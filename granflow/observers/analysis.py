@@ -52,8 +52,8 @@ def analyze_snapshots(
         refuse_other("a snapshot", snapshot, Snapshot, "one of granflow.read_run or Simulation.snapshot")
         if snapshot.contacts is None and any(CONTACTS in each.wants for each in readers):
             raise GranflowError(
-                f"{source} has no frames of contacts, which fabric and contact stress require: run the scene with "
-                "output.contacts: true, or omit these quantities (quantities: [density, velocity])."
+                f"{source} has no frames of contacts, which fabric and contact stress require: run the scene "
+                "with output.contacts: true, or omit these quantities (quantities: [density, velocity])."
             )
         for frames in fields:
             frames.observe(snapshot)

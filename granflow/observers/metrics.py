@@ -275,14 +275,15 @@ def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
     error = float(np.sqrt(along @ spread @ along))
     if not _chance(unexplained, len(gradient), freedom) < SIGNIFICANCE:
         return no_slope(
-            f"the fit to {len(height)} points of the surface explains {1.0 - unexplained:.0%} of the variance of their "
-            "heights, and rough level surfaces reach as much by chance: the surface is not a slope, or the region is "
-            "too small"
+            f"the fit to {len(height)} points of the surface explains {1.0 - unexplained:.0%} of the "
+            "variance of their heights, and rough level surfaces reach as much by chance: the surface is not "
+            "a slope, or the region is too small"
         )
     if error > RELATIVE_ERROR * steepness:
         return no_slope(
             f"the gradient of the fit to {len(height)} points of the surface has a standard error of "
-            f"{error / steepness:.0%} of it, above {RELATIVE_ERROR:.0%}: the region is too small or too narrow"
+            f"{error / steepness:.0%} of it, above {RELATIVE_ERROR:.0%}: the region is too small or too "
+            "narrow"
         )
     return Slope(float(np.arctan(steepness)), error / (1.0 + steepness**2))
 
@@ -479,9 +480,9 @@ def _lacey_metric_meter(plan: Plan, spec: LaceyMetric) -> MetricMeter:
         if dropped <= DROPPED_SHARE:
             return ""
         return (
-            f"the Lacey index excludes {dropped:.0%} of the particles of one component, because their cells contain "
-            f"fewer than {spec.at_least} particles (at_least): increase cell, or use kind: segregation, which weights "
-            "particles by volume and excludes no cell"
+            f"the Lacey index excludes {dropped:.0%} of the particles of one component, because their cells "
+            f"contain fewer than {spec.at_least} particles (at_least): increase cell, or use kind: "
+            "segregation, which weights particles by volume and excludes no cell"
         )
 
     return MetricMeter(measure, NEEDS_PARTICLES, remark)

@@ -138,8 +138,8 @@ class ScheduledObserver:
     @interval.setter
     def interval(self, value: object) -> None:
         raise AttributeError(
-            f"interval of {getattr(self, 'name', type(self).__name__)} cannot be set: remove the observer from "
-            "simulation.observers and append another one, granflow.on_interval(interval, function)."
+            f"interval of {getattr(self, 'name', type(self).__name__)} cannot be set: remove the observer "
+            "from simulation.observers and append another one, granflow.on_interval(interval, function)."
         )
 
     def begin(self, run: object) -> bool:
@@ -224,8 +224,8 @@ class on_interval(ScheduledObserver):
             refuse_other("name", value, str, 'a text, such as "report"')
         elif not name.startswith("_") and name != "interval":
             raise AttributeError(
-                f"on_interval.{name} cannot be set: remove the observer from simulation.observers and append another "
-                "one, granflow.on_interval(interval, function)."
+                f"on_interval.{name} cannot be set: remove the observer from simulation.observers and append "
+                "another one, granflow.on_interval(interval, function)."
             )
         super().__setattr__(name, value)
 
@@ -251,6 +251,6 @@ def refuse_generator(*functions: Any) -> None:
         if isgeneratorfunction(function) or isasyncgenfunction(function) or iscoroutinefunction(function):
             name = getattr(function, "__qualname__", shown(function))
             raise GranflowError(
-                f"{name} is a generator or a coroutine, whose code a call does not execute: use a function without "
-                "yield and async."
+                f"{name} is a generator or a coroutine, whose code a call does not execute: use a function "
+                "without yield and async."
             )

@@ -19,6 +19,6 @@ def refuse_without_mpi_flag() -> None:
     """Raise GranflowError if mpirun has started several processes, which would all run the same scene."""
     if launched_ranks() > 1:
         raise GranflowError(
-            f"mpirun has started {launched_ranks()} processes that would all run the whole scene: add --mpi to "
-            "distribute it, or start granflow without mpirun."
+            f"mpirun has started {launched_ranks()} processes that would all run the whole scene: add --mpi "
+            "to distribute it, or start granflow without mpirun."
         )

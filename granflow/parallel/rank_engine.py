@@ -87,12 +87,15 @@ def _contradiction(communicator: Communicator, particles: HostParticles) -> str 
     sent = [(ids[ids % size == rank], pairs[lower % size == rank]) for rank in range(size)]
     compared, contacts = (np.concatenate(each) for each in zip(*communicator.exchanged(sent), strict=True))
     if len(np.unique(compared)) < len(compared):
-        return "The checkpoint has a particle in the files of two ranks. Remove it to use the checkpoint before it."
+        return (
+            "The checkpoint has a particle in the files of two ranks. Remove it to use the checkpoint before "
+            "it."
+        )
     first, second = (each[np.lexsort(each.T)] for each in (contacts, contacts[:, ::-1]))
     if not np.array_equal(first, second):
         return (
-            "The checkpoint has a contact between two particles at one of them only. Remove it to use the checkpoint "
-            "before it."
+            "The checkpoint has a contact between two particles at one of them only. Remove it to use the "
+            "checkpoint before it."
         )
     return None
 
@@ -141,8 +144,9 @@ class RankEngine(Engine):
         if different:
             ranks = ", ".join(map(str, different))
             raise OtherScene(
-                f"The scene of rank {ranks} differs from that of rank 0, {scene.path}, in its values, in a file "
-                "that it reads, or in the version of granflow: give all ranks the same files and the same installation."
+                f"The scene of rank {ranks} differs from that of rank 0, {scene.path}, in its values, in a "
+                "file that it reads, or in the version of granflow: give all ranks the same files and the "
+                "same installation."
             )
 
     def _create(self, plan: Plan, backend: Backend) -> None:

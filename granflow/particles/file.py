@@ -124,8 +124,8 @@ def _read(path: Path, changed: int, size: int) -> ParticleTable:
     """
     if path.suffix.lower() == ".pvtu":
         raise SceneError(
-            f"{path}: particles are not read from the files of several ranks; save them as one .vtu file, for example "
-            "in ParaView, or continue from the run with start_from."
+            f"{path}: particles are not read from the files of several ranks; save them as one .vtu file, "
+            "for example in ParaView, or continue from the run with start_from."
         )
     table, problems = (_frame(path), []) if path.suffix.lower() == ".vtu" else _text(path)
     reported = {line for line, _ in problems}
@@ -171,8 +171,8 @@ def _frame(path: Path) -> ParticleTable:
         differs = _differ(2.0 * data["radius"].reshape(count), data["diameter"].reshape(count))
         if differs.any():
             raise SceneError(
-                f"{path}: the arrays radius and diameter of point {int(differs.argmax())} contradict each other; keep "
-                "one of them."
+                f"{path}: the arrays radius and diameter of point {int(differs.argmax())} contradict each "
+                "other; keep one of them."
             )
     for name in (known[0], *COLUMN_NAMES):
         components = 3 if name in COLUMN_NAMES else 1
@@ -202,8 +202,8 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
     width = len(table.names)
     if not _is_header(table.names):
         raise SceneError(
-            f"{path}:{table.heading_line}: the first line must be a header with the columns x, y, z and r (or radius, "
-            f"or diameter), but it is {(table.separator or ' ').join(table.names)[:60]}."
+            f"{path}:{table.heading_line}: the first line must be a header with the columns x, y, z and r "
+            f"(or radius, or diameter), but it is {(table.separator or ' ').join(table.names)[:60]}."
         )
     _refuse_incomplete(path, table)
     problems = [
@@ -233,8 +233,8 @@ def _refuse_incomplete(path: Path, table: Table) -> None:
         given = [table.names[columns[0]] for columns in components if columns]
         if 0 < len(given) < len(components):
             raise SceneError(
-                f"{path}:{table.heading_line}: the header has {' and '.join(given)}, but not all three components of "
-                f"the {quantity.replace('_', ' ')}; add the others, or remove it."
+                f"{path}:{table.heading_line}: the header has {' and '.join(given)}, but not all three "
+                f"components of the {quantity.replace('_', ' ')}; add the others, or remove it."
             )
 
 
@@ -362,8 +362,8 @@ def table_of(group: SceneGroup) -> ParticleTable:
     if not path.exists():
         key = f"particles.{group.name}.insert.file"
         raise SceneError(
-            f"{location}: {key} is {insertion.file}, but there is no such file; its path is relative to the folder of "
-            "the scene."
+            f"{location}: {key} is {insertion.file}, but there is no such file; its path is relative to the "
+            "folder of the scene."
         )
     return read_particles(group.folder / insertion.file)
 
@@ -403,7 +403,8 @@ def unassigned_rows(groups: Iterable[SceneGroup]) -> list[str]:
                 row = table.line[unassigned][0]
                 material = table.material[unassigned][0]
                 problems.append(
-                    f"{table.path}:{row}: this particle is of {material}, but no group has this material; add one."
+                    f"{table.path}:{row}: this particle is of {material}, but no group has this material; "
+                    "add one."
                 )
     return problems
 
@@ -507,8 +508,9 @@ def _columns(path: Path, table: Table) -> dict[str, tuple[float, ...]]:
         hint = f" Did you mean {nearest(unknown, NAMES)} instead of {unknown}?" if unknown else ""
         raise FileError(
             [
-                f"{path}:{table.heading_line}: the columns are {', '.join(table.names)}, but time and exactly one of "
-                f"{', '.join(list(NAMES)[1:])} are expected, with units such as time [s], displacement [mm].{hint}"
+                f"{path}:{table.heading_line}: the columns are {', '.join(table.names)}, but time and "
+                f"exactly one of {', '.join(list(NAMES)[1:])} are expected, with units such as time [s], "
+                f"displacement [mm].{hint}"
             ]
         )
     short = next((line for line, cells in table.rows if len(cells) != len(table.names)), None)

@@ -268,7 +268,8 @@ class ParticleData:
                 )
             if values.shape != wanted:
                 raise GranflowError(
-                    f"ParticleData: {name} has the shape {values.shape}, but must have {wanted}, as radius has {shape}."
+                    f"ParticleData: {name} has the shape {values.shape}, but must have {wanted}, as radius "
+                    f"has {shape}."
                 )
 
     def __len__(self) -> int:

@@ -70,19 +70,21 @@ def _at_scale_1(scene: SceneInput) -> tuple[SceneInput, list[str]]:
     for name, group in scene.particles.items():
         if group.insert.kind in ("positions", "file"):
             raise SceneError(
-                f"{scene.locate('scale')}: scale is {scene.scale:g}, but particles.{name} has given positions, which "
-                "cannot be scaled; leave scale out."
+                f"{scene.locate('scale')}: scale is {scene.scale:g}, but particles.{name} has given "
+                "positions, which cannot be scaled; leave scale out."
             )
     scaled_scene = scaled(scene, scene.scale)
     kept = tuple(each for each in scene.expect if each.any_scale)
     prefix = f"scale {scene.scale:g}"
     factors = f"{scene.scale:g}, counts and masses of particles by {scene.scale**3:.4g}"
     remarks = [
-        f"{prefix}: lengths of the equipment are multiplied by {factors}; diameters, velocities and times are not."
+        f"{prefix}: lengths of the equipment are multiplied by {factors}; diameters, velocities and times "
+        "are not."
     ]
     if len(kept) < len(scene.expect):
         remarks.append(
-            f"{prefix}: {len(scene.expect) - len(kept)} expectations apply to scale 1 only and are not evaluated."
+            f"{prefix}: {len(scene.expect) - len(kept)} expectations apply to scale 1 only and are not "
+            "evaluated."
         )
     return scaled_scene.model_copy(update={"scale": 1.0, "expect": kept}), remarks
 
@@ -139,8 +141,8 @@ def _with_count(group: SceneGroup) -> Group:
     if counts[key] > LARGEST_COUNT:
         path = f"particles.{group.name}.{key}"
         raise SceneError(
-            f"{group.locate(*key.split('.'))}: {path} results in {float(counts[key]):.3g} particles, but the limit is "
-            f"{LARGEST_COUNT}."
+            f"{group.locate(*key.split('.'))}: {path} results in {float(counts[key]):.3g} particles, but the "
+            f"limit is {LARGEST_COUNT}."
         )
     return group.spec.model_copy(update={"count_given": counts[key], "mass": None})
 
@@ -206,7 +208,10 @@ def _inconsistencies(group: SceneGroup, rows: ParticleTable) -> Iterator[str]:
     name = group.name
     if spec.count_given not in (None, len(rows)) and group.is_given("count"):
         location = group.locate("count")
-        yield f"{location}: particles.{name}.count is {spec.count_given}, but {rows.path} has {len(rows)} rows for it."
+        yield (
+            f"{location}: particles.{name}.count is {spec.count_given}, but {rows.path} has {len(rows)} rows "
+            "for it."
+        )
     for key in ("velocity", "angular_velocity"):
         if getattr(rows, key) is not None and np.any(getattr(spec, key)):
             yield f"{group.locate(key)}: particles.{name}.{key} is in {rows.path} too; remove it."

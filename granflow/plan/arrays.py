@@ -393,8 +393,8 @@ def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_
     if available is not None and total > available or largest_buffer is not None and longest > largest_buffer:
         entries = f"{grown.list_entries / plan.particle_capacity:.3g} candidate pairs per particle"
         raise SceneError(
-            f"{_location(plan)}: the neighbor lists of {entries} no longer fit into the memory of the GPU, because all "
-            f"fields need {total / 1e9:.3g} GB. Lower the count, or numerics.skin."
+            f"{_location(plan)}: the neighbor lists of {entries} no longer fit into the memory of the GPU, "
+            f"because all fields need {total / 1e9:.3g} GB. Lower the count, or numerics.skin."
         )
 
 

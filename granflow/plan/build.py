@@ -232,9 +232,9 @@ def _refuse_collision_energies(scene: Scene, plan: Plan) -> None:
     """Raise SceneError for collision energies of contacts without a history, whose begin is not known."""
     if plan.features.collision_energies and not plan.history:
         raise SceneError(
-            f"{scene.locate('output', 'collision_energies')}: output.collision_energies needs a contact model with a "
-            f"history, and contact.normal {scene.contact.name('normal')} without friction has none. Give a pair a "
-            "friction above 0, set contact.normal to zhou, or remove the block."
+            f"{scene.locate('output', 'collision_energies')}: output.collision_energies needs a contact "
+            f"model with a history, and contact.normal {scene.contact.name('normal')} without friction has "
+            "none. Give a pair a friction above 0, set contact.normal to zhou, or remove the block."
         )
 
 
@@ -299,8 +299,9 @@ def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
     [m]."""
     if skin > LARGEST_SKIN * radius_min:
         raise SceneError(
-            f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} times the "
-            f"smallest radius {radius_min:.3g} m: a neighbor list would have thousands of entries. Set it to auto."
+            f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} "
+            f"times the smallest radius {radius_min:.3g} m: a neighbor list would have thousands of entries. "
+            "Set it to auto."
         )
     return skin
 
@@ -375,12 +376,13 @@ def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
     if speed * plan.longest_time_step > limit:
         raise GranflowError(
             f"walls[{wall.name!r}].motion moves the wall at up to {speed:.3g} m/s, but at most "
-            f"{limit / plan.longest_time_step:.3g} m/s is possible with a time step of {plan.longest_time_step:.3g} s."
+            f"{limit / plan.longest_time_step:.3g} m/s is possible with a time step of "
+            f"{plan.longest_time_step:.3g} s."
         )
     if plan.adaptive_time_step is not None and speed > plan.wall_speed:
         raise GranflowError(
-            f"walls[{wall.name!r}].motion moves the wall at up to {speed:.3g} m/s, but the adaptive time step is for "
-            f"walls up to {plan.wall_speed:.3g} m/s: give the fastest motion in the scene."
+            f"walls[{wall.name!r}].motion moves the wall at up to {speed:.3g} m/s, but the adaptive time "
+            f"step is for walls up to {plan.wall_speed:.3g} m/s: give the fastest motion in the scene."
         )
     walls = tuple(wall if each.name == wall.name else each for each in plan.walls)
     has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)

@@ -151,9 +151,9 @@ def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
         count = plan.particle_capacity
         steps = duration_of(plan) / plan.longest_time_step
         raise SceneError(
-            f"{_steps_text(plan, steps)}. With a particle count of {count} and {_writes(plan):.3g} frames, rows and "
-            f"checkpoints, the run would take at least {_in_years(seconds)}. Check the units of durations, intervals, "
-            f"sizes, densities and moduli, or allow it with --allow-long."
+            f"{_steps_text(plan, steps)}. With a particle count of {count} and {_writes(plan):.3g} frames, "
+            f"rows and checkpoints, the run would take at least {_in_years(seconds)}. Check the units of "
+            "durations, intervals, sizes, densities and moduli, or allow it with --allow-long."
         )
 
 
@@ -191,8 +191,9 @@ def _refuse_no_step(plan: Plan) -> None:
     for stage in plan.stages:
         if stage.longest < step * (1.0 - ROUNDING):
             raise SceneError(
-                f"{stage.source}: {stage.key} is {stage.longest:.3g} s, shorter than one time step of {step:.3g} s "
-                f"({plan.step.limited_by}). Set it to at least {_rounded_up(step):.3g} s, or lower run.time_step."
+                f"{stage.source}: {stage.key} is {stage.longest:.3g} s, shorter than one time step of "
+                f"{step:.3g} s ({plan.step.limited_by}). Set it to at least {_rounded_up(step):.3g} s, or "
+                "lower run.time_step."
             )
 
 
@@ -283,7 +284,10 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
     shortest, radius = min((rayleigh_time(each.solid, each.radius), each.radius) for each in plan.pair_cases)
     yield ExplainRow("time step", f"{step.value:.4g} s", step.limited_by)
     if plan.adaptive_time_step is not None:
-        slow = f"{step.value:.3g} s at {impact_velocity.value:.3g} m/s to {plan.adaptive_time_step.longest:.3g} s at rest"
+        slow = (
+            f"{step.value:.3g} s at {impact_velocity.value:.3g} m/s to {plan.adaptive_time_step.longest:.3g} "
+            "s at rest"
+        )
         yield ExplainRow("", "initially", f"then for the current maximum impact velocity: {slow}")
     yield ExplainRow(
         "stability limit",
@@ -364,7 +368,10 @@ def _table_rows(plan: Plan) -> Iterator[ExplainRow]:
             if isinstance(motion, TableTranslation | TableRotation):
                 table = motion.table
                 length = "m" if isinstance(motion, TableTranslation) else "rad"
-                largest = f"at most {table.largest_rate:.3g} {length}/s and {table.largest_change_of_rate:.3g} {length}/s2"
+                largest = (
+                    f"at most {table.largest_rate:.3g} {length}/s and {table.largest_change_of_rate:.3g} "
+                    f"{length}/s2"
+                )
                 rows = f"{len(table.times)} rows from {table.times[0]:g} to {table.times[-1]:g} s"
                 yield ExplainRow(
                     wall.name, f"{table.values[-1]:.4g} {length} at the end", f"{rows}, {largest}"

@@ -421,9 +421,9 @@ def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
     fall = sqrt(2.0 * magnitude * heights[name])
     if given < SLOW * fall:
         yield (
-            f"run.velocity_max ({scene.where('run', 'velocity_max')}) is {given:.3g} m/s, but particles.{name} can "
-            f"fall {heights[name]:.3g} m and reach {fall:.3g} m/s: time step and forecasts are those of slower "
-            f"impacts. Check the unit, or set it to {fall:.2g} m/s."
+            f"run.velocity_max ({scene.where('run', 'velocity_max')}) is {given:.3g} m/s, but "
+            f"particles.{name} can fall {heights[name]:.3g} m and reach {fall:.3g} m/s: time step and "
+            f"forecasts are those of slower impacts. Check the unit, or set it to {fall:.2g} m/s."
         )
 
 

@@ -130,7 +130,8 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "rolling": _model_reason(scene, "rolling", features.rolling != "none"),
         "twisting": _model_reason(scene, "twisting", features.twisting != "none"),
         "rotation": (
-            f"required by {'clumps' if features.clumps else 'friction, rolling friction or twisting friction'}"
+            "required by "
+            f"{'clumps' if features.clumps else 'friction, rolling friction or twisting friction'}"
             if features.rotation
             else "no torques: every pair has friction and rolling friction 0"
         ),
@@ -142,7 +143,8 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "force_controlled_walls": _force_controlled_reason(scene, features),
         "mesh_walls": _mesh_reason(scene, features),
         "joined_walls": (
-            "the surfaces of walls, or parts of a mesh, may touch: a contact found on several of them counts once"
+            "the surfaces of walls, or parts of a mesh, may touch: a contact found on several of them counts "
+            "once"
             if features.joined_walls
             else "the surfaces of the walls do not touch each other"
         ),
@@ -152,8 +154,10 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
             f"({scene.where('output', 'energy_budget')})"
         ),
         "wall_forces": _wall_forces_reason(scene, features),
-        "collision_energies": f"output.collision_energies is {'given' if features.collision_energies else 'absent'} "
-        f"({scene.where('output', 'collision_energies')})",
+        "collision_energies": (
+            f"output.collision_energies is {'given' if features.collision_energies else 'absent'} "
+            f"({scene.where('output', 'collision_energies')})"
+        ),
         "adaptive_step": _time_step_reason(scene),
         "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
         if scene.domain.periodic
@@ -206,10 +210,16 @@ def _rate_reason(scene: Scene, features: Features) -> str:
     if damping_ratio is not None:
         rests = not features.rate_dependent and options.get("rest_damping")
         addition = ", and rest_damping acts only on contacts that reload" if rests else ""
-        return f"contact.normal.damping_ratio is {damping_ratio:g}{addition} ({scene.where('contact', 'normal')})"
+        return (
+            f"contact.normal.damping_ratio is {damping_ratio:g}{addition} "
+            f"({scene.where('contact', 'normal')})"
+        )
     if not features.rate_dependent:
         return f"the {normal.law} contact model with these settings has no viscous force"
-    return f"the {normal.law} contact model obtains a restitution below 1 by damping ({scene.where('contact', 'normal')})"
+    return (
+        f"the {normal.law} contact model obtains a restitution below 1 by damping "
+        f"({scene.where('contact', 'normal')})"
+    )
 
 
 def _walls_reason(scene: Scene) -> str:
@@ -250,7 +260,10 @@ def _mesh_reason(scene: Scene, features: Features) -> str:
 def _wall_forces_reason(scene: Scene, features: Features) -> str:
     if not features.wall_forces:
         return f"output.wall_forces selects no wall ({scene.where('output', 'wall_forces')})"
-    return f"output.wall_forces selects {', '.join(scene.measured_walls)} ({scene.where('output', 'wall_forces')})"
+    return (
+        f"output.wall_forces selects {', '.join(scene.measured_walls)} "
+        f"({scene.where('output', 'wall_forces')})"
+    )
 
 
 def _outlets_reason(scene: Scene) -> str:

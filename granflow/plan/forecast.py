@@ -81,9 +81,9 @@ def _repeated(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
         first = int(equal[index].argmax())
         more = f" ({len(repeated) - 1} more of its spheres are repeated)" if len(repeated) > 1 else ""
         yield (
-            f"{_key(scene, name, index)} is {_center(centers[index])} m with the radius {radii[index]:.4g} m, the "
-            f"same sphere as spheres.{first}{more}: its contacts count twice. Remove it, or give it another position "
-            f"such as {_center(centers[index] + [radii[index], 0.0, 0.0])} m."
+            f"{_key(scene, name, index)} is {_center(centers[index])} m with the radius {radii[index]:.4g} "
+            f"m, the same sphere as spheres.{first}{more}: its contacts count twice. Remove it, or give it "
+            f"another position such as {_center(centers[index] + [radii[index], 0.0, 0.0])} m."
         )
 
 
@@ -104,10 +104,10 @@ def _clump_gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
     closed = centers[near] + (centers[far] - centers[near]) * (reach / distance[near, far])
     others = ", with the spheres connected with it," if (part == part[far]).sum() > 1 else ""
     yield (
-        f"{_key(scene, name, far)} is {_center(centers[far])} m, {gap[near, far]:.3g} m away from the surface of "
-        f"spheres.{near}, which is the nearest one of the others: the spheres of this clump form {count} separate "
-        f"bodies that move as one. Move it{others} to a position such as {_center(closed)} m, which closes the gap, or "
-        "give the bodies groups of their own."
+        f"{_key(scene, name, far)} is {_center(centers[far])} m, {gap[near, far]:.3g} m away from the "
+        f"surface of spheres.{near}, which is the nearest one of the others: the spheres of this clump form "
+        f"{count} separate bodies that move as one. Move it{others} to a position such as {_center(closed)} "
+        "m, which closes the gap, or give the bodies groups of their own."
     )
 
 
@@ -156,8 +156,9 @@ def file_warnings(particles: Mapping[str, Group], static: float, impact: float) 
                 f"loading and impacts explain {explained:.3g}" if explained > 0.0 else "no force explains it"
             )
             yield (
-                f"particles.{name}: particles in {insertion.file} overlap by up to {found.overlap_max:.3g} of the "
-                f"smaller radius ({found.overlap_rows}), but {reason}: they separate abruptly. Check the file."
+                f"particles.{name}: particles in {insertion.file} overlap by up to {found.overlap_max:.3g} "
+                f"of the smaller radius ({found.overlap_rows}), but {reason}: they separate abruptly. Check "
+                "the file."
             )
 
 
@@ -193,9 +194,9 @@ def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[
             key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
             flow = "rate" if insertion.rate else "mass_flow"
             yield (
-                f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s from "
-                f"{insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about {inserted:.3g} of them. "
-                f"Raise {flow} or the duration."
+                f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s "
+                f"from {insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about "
+                f"{inserted:.3g} of them. Raise {flow} or the duration."
             )
 
 
@@ -222,15 +223,16 @@ def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
             also = f", which holds {held:.2g}"
         if is_small and 1.0 / interval > largest > 0.0:
             yield (
-                f"{key}: {1.0 / interval:.3g} particles per second are required, but at most about {largest:.2g} leave "
-                f"the {place} in a second{also}; the others are queued. Enlarge the {place}, raise particles.{name}"
-                f".velocity, or lower the {'rate' if insertion.rate else 'mass_flow'}."
+                f"{key}: {1.0 / interval:.3g} particles per second are required, but at most about "
+                f"{largest:.2g} leave the {place} in a second{also}; the others are queued. Enlarge the "
+                f"{place}, raise particles.{name}.velocity, or lower the "
+                f"{'rate' if insertion.rate else 'mass_flow'}."
             )
         elif is_small and not largest and place == "region" and _stays(plan, group):
             yield (
-                f"{key}: {group.count} particles are required, but the region holds at most about {held:.2g}, and "
-                f"neither gravity nor particles.{name}.velocity moves them out; the others are queued. Enlarge the "
-                "region, or lower the count."
+                f"{key}: {group.count} particles are required, but the region holds at most about "
+                f"{held:.2g}, and neither gravity nor particles.{name}.velocity moves them out; the others "
+                "are queued. Enlarge the region, or lower the count."
             )
 
 
@@ -263,13 +265,16 @@ def _direction(scene: Scene, plan: Plan, name: str, insertion: InletInsertion) -
         fault = "has no component along it, so that gravity moves them backward through the face"
     else:
         fault = "has no component along it, so that they do not leave the face along its normal"
-    given = f"particles.{name}.velocity ({scene.where('particles', name, 'velocity')}) is {_velocity(velocity)} m/s"
+    given = (
+        f"particles.{name}.velocity ({scene.where('particles', name, 'velocity')}) is {_velocity(velocity)} "
+        "m/s"
+    )
     reverse = "reverse face.disc.normal"
     if not isinstance(insertion.face, DiscFace):
         reverse = "exchange the two sides of face.rectangle"
     return (
-        f"{given}, but particles enter through the face of the inlet along {_velocity(normal)}: the velocity {fault}. "
-        f"Give a velocity such as {_velocity(velocity + speed * normal)} m/s"
+        f"{given}, but particles enter through the face of the inlet along {_velocity(normal)}: the velocity "
+        f"{fault}. Give a velocity such as {_velocity(velocity + speed * normal)} m/s"
         f"{f', or {reverse}' if through < 0.0 or along < 0.0 else ''}."
     )
 
@@ -367,8 +372,9 @@ def interval_warnings(scene: Scene, times: StageTimes) -> Iterator[str]:
     longest = max(end for _, end in times.values())
     if scene.output.interval > longest:
         yield (
-            f"output.interval ({scene.where('output', 'interval')}) is {scene.output.interval:g} s, but the run lasts "
-            f"at most {longest:g} s: only the first and the last state are written. Choose a shorter interval."
+            f"output.interval ({scene.where('output', 'interval')}) is {scene.output.interval:g} s, but the "
+            f"run lasts at most {longest:g} s: only the first and the last state are written. Choose a "
+            "shorter interval."
         )
 
 
@@ -391,10 +397,11 @@ def vibration_forecasts(scene: Scene) -> Iterator[Forecast]:
                 and abs(2.0 * ratio / round(2.0 * ratio) - 1.0) <= PERIOD_TOLERANCE
             )
             warning = (
-                f"{'.'.join(output)} ({scene.where(*output)}) is {interval:.4g} s, {0.5 * round(2.0 * ratio):g} times "
-                f"the period {period:.4g} s of {wall}: the output shows this motion at two opposite phases only, which "
-                f"can be the same position of the wall. Set the interval to {period / FRAMES_PER_PERIOD:.3g} s or "
-                f"less, {FRAMES_PER_PERIOD} times per period, or to {period:.4g} s for one fixed phase."
+                f"{'.'.join(output)} ({scene.where(*output)}) is {interval:.4g} s, "
+                f"{0.5 * round(2.0 * ratio):g} times the period {period:.4g} s of {wall}: the output shows "
+                "this motion at two opposite phases only, which can be the same position of the wall. Set "
+                f"the interval to {period / FRAMES_PER_PERIOD:.3g} s or less, {FRAMES_PER_PERIOD} times per "
+                f"period, or to {period:.4g} s for one fixed phase."
             )
             remark = f"{'.'.join(output)}, of the period {period:.4g} s of {wall}"
             yield Forecast(
@@ -466,8 +473,8 @@ def servo_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]
         if velocity * duration < distance:
             yield (
                 f"walls.{name}.motion ({first.source}): the servo moves at most {velocity * duration:.3g} m "
-                f"({velocity:.3g} m/s, {limit}, for {duration:.3g} s), but the bed is about {distance:.3g} m away: it "
-                f"does not reach {first.force:.3g} N. {_remedy(first, distance, duration)}"
+                f"({velocity:.3g} m/s, {limit}, for {duration:.3g} s), but the bed is about {distance:.3g} m "
+                f"away: it does not reach {first.force:.3g} N. {_remedy(first, distance, duration)}"
             )
 
 
@@ -690,9 +697,10 @@ def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
     count = len(np.unique(np.sort([owner[first[above]], owner[second[above]]], axis=0), axis=1).T)
     pairs = f"{count} pairs overlap" if count > 1 else "1 pair overlaps"
     raise SceneError(
-        f"{scene.locate('particles', group)}: {' and '.join(names)} overlap by {depth[worst] / smaller[worst]:.3g} of "
-        f"the smaller radius at the start, and the run stops above numerics.max_overlap {limit:g} ({pairs} by more). "
-        f"Move them {depth[worst]:.3g} m apart, or let granflow place them: kind pack."
+        f"{scene.locate('particles', group)}: {' and '.join(names)} overlap by "
+        f"{depth[worst] / smaller[worst]:.3g} of the smaller radius at the start, and the run stops above "
+        f"numerics.max_overlap {limit:g} ({pairs} by more). Move them {depth[worst]:.3g} m apart, or let "
+        "granflow place them: kind pack."
     )
 
 
@@ -766,9 +774,10 @@ def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str
             share = float(np.mean(overlap > plan.max_overlap))
             if share > 0.0:
                 yield (
-                    f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): {100 * share:.3g} % of the "
-                    f"positions in the region are inside or behind walls.{wall.name}, and particles there stop the "
-                    "run. Choose a region that does not intersect the wall."
+                    f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): "
+                    f"{100 * share:.3g} % of the positions in the region are inside or behind "
+                    f"walls.{wall.name}, and particles there stop the run. Choose a region that does not "
+                    "intersect the wall."
                 )
 
 
@@ -793,9 +802,9 @@ def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iter
                 worst = int(overlap.argmax())
                 x, y, z = points[worst]
                 yield (
-                    f"particles.{name} ({scene.where('particles', name)}): {count} of {len(own)} particles are inside "
-                    f"walls.{wall.name} at the start, by up to {overlap[worst]:.3g} of the radius, at "
-                    f"[{x:.4g}, {y:.4g}, {z:.4g}] m. Move them out, or move the wall."
+                    f"particles.{name} ({scene.where('particles', name)}): {count} of {len(own)} particles "
+                    f"are inside walls.{wall.name} at the start, by up to {overlap[worst]:.3g} of the "
+                    f"radius, at [{x:.4g}, {y:.4g}, {z:.4g}] m. Move them out, or move the wall."
                 )
 
 
@@ -839,24 +848,24 @@ def unit_warnings(scene: Scene) -> Iterator[str]:
         if material.density < LIGHTEST:
             where = scene.where("materials", name, "density")
             yield (
-                f"materials.{name}.density ({where}) is {material.density:.3g} kg/m3, less than light foams: check "
-                "the unit (2.5 g/cm3 is 2500 kg/m3)."
+                f"materials.{name}.density ({where}) is {material.density:.3g} kg/m3, less than light foams: "
+                "check the unit (2.5 g/cm3 is 2500 kg/m3)."
             )
     yield from _too_hard(scene)
     yield from _unused_cohesion(scene)
     for name, pair in scene.pairs.items():
         if pair.friction > MOST_FRICTION:
             yield (
-                f"pairs.{name}.friction ({scene.where('pairs', name, 'friction')}) is {pair.friction:.3g}: it is a "
-                "coefficient, the tangent of the friction angle, such as 0.5."
+                f"pairs.{name}.friction ({scene.where('pairs', name, 'friction')}) is {pair.friction:.3g}: "
+                "it is a coefficient, the tangent of the friction angle, such as 0.5."
             )
     yield from _speed_warnings(scene)
     for index, each in enumerate(scene.expect):
         bounds = [*(each.between or ()), *filter(None, (each.below, each.above, each.equals))]
         if unit_of(each.quantity) == "rad" and max(map(abs, bounds), default=0.0) > pi:
             yield (
-                f"expect[{index}] ({scene.where('expect', str(index))}): {each.quantity} is in rad, and the bound is "
-                f"{max(map(abs, bounds)):.3g} rad. Write degrees with the unit, such as 25 deg."
+                f"expect[{index}] ({scene.where('expect', str(index))}): {each.quantity} is in rad, and the "
+                f"bound is {max(map(abs, bounds)):.3g} rad. Write degrees with the unit, such as 25 deg."
             )
 
 
@@ -883,8 +892,8 @@ def _unused_cohesion(scene: Scene) -> Iterator[str]:
         names = [name for name, pair in scene.pairs.items() if getattr(pair, option.key)]
         if list(models) == ["cohesion"] and names:
             yield (
-                f"pairs.{names[0]}.{option.key} ({scene.where('pairs', names[0], option.key)}) is not used, because "
-                f"contact.cohesion is none; {' or '.join(models['cohesion'])} would use it."
+                f"pairs.{names[0]}.{option.key} ({scene.where('pairs', names[0], option.key)}) is not used, "
+                f"because contact.cohesion is none; {' or '.join(models['cohesion'])} would use it."
             )
 
 
@@ -898,8 +907,8 @@ def _speed_warnings(scene: Scene) -> Iterator[str]:
     if rotating and (speed := surface_speed(scene)) > FASTEST_SURFACE:
         name = rotating[0]
         yield (
-            f"walls.{name}.motion ({scene.where('walls', name, 'motion')}): walls move at up to {speed:.3g} m/s. "
-            "Angular velocities are in rad/s: write 30 rpm or 180 deg/s with the unit."
+            f"walls.{name}.motion ({scene.where('walls', name, 'motion')}): walls move at up to {speed:.3g} "
+            "m/s. Angular velocities are in rad/s: write 30 rpm or 180 deg/s with the unit."
         )
 
 
@@ -946,9 +955,9 @@ def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator
         times = [(each.motions, each.stages, each.appears_at, each.vanishes_at) for each in (first, second)]
         if times[0] == times[1] and _are_equal(first.shape, second.shape):
             yield (
-                f"walls.{second.name} ({scene.where('walls', second.name)}) has the same surface as walls.{first.name}:"
-                f" particles are in contact with walls.{first.name} only, and its material counts. Remove one of the "
-                "two."
+                f"walls.{second.name} ({scene.where('walls', second.name)}) has the same surface as "
+                f"walls.{first.name}: particles are in contact with walls.{first.name} only, and its "
+                "material counts. Remove one of the two."
             )
 
 
@@ -998,8 +1007,9 @@ def _outside(scene: Scene, wall: PlannedWall, gap: float) -> str:
     low, high = scene.domain.min, scene.domain.max
     size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
     return (
-        f"walls.{wall.name} ({scene.where('walls', wall.name)}) is at least {gap:.3g} m outside the domain of {size} "
-        "m: no particle can be in contact with it. Check the units of its lengths, or enlarge the domain."
+        f"walls.{wall.name} ({scene.where('walls', wall.name)}) is at least {gap:.3g} m outside the domain "
+        f"of {size} m: no particle can be in contact with it. Check the units of its lengths, or enlarge the "
+        "domain."
     )
 
 
@@ -1015,9 +1025,9 @@ def _leaves(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray)
     last = int(np.flatnonzero(gap <= 0.0)[-1])
     left = np.linspace(present_from(wall, times), end, len(gap))[min(last + 1, len(gap) - 1)]
     return (
-        f"walls.{wall.name} ({scene.where('walls', wall.name, 'motion')}) leaves the domain: after {left:.3g} s of "
-        f"{end:.3g} s no particle can be in contact with it. If this is intended, give its motion an end or the "
-        "wall vanishes_at."
+        f"walls.{wall.name} ({scene.where('walls', wall.name, 'motion')}) leaves the domain: after "
+        f"{left:.3g} s of {end:.3g} s no particle can be in contact with it. If this is intended, give its "
+        "motion an end or the wall vanishes_at."
     )
 
 

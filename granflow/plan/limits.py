@@ -45,10 +45,10 @@ def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
     for axis in periodic_box.axes:
         if periodic_box.width[axis] < needed:
             raise SceneError(
-                f"{scene.locate('domain', 'periodic')}: domain.periodic has {AXES[axis]}, along which the domain is "
-                f"{periodic_box.width[axis]:.4g} m wide, but a particle could be in contact with two images of another "
-                f"one. Make it at least {needed:.4g} m wide, which is two of the largest diameters and twice the "
-                f"skin{remark}."
+                f"{scene.locate('domain', 'periodic')}: domain.periodic has {AXES[axis]}, along which the "
+                f"domain is {periodic_box.width[axis]:.4g} m wide, but a particle could be in contact with "
+                f"two images of another one. Make it at least {needed:.4g} m wide, which is two of the "
+                f"largest diameters and twice the skin{remark}."
             )
 
 
@@ -69,9 +69,9 @@ def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -
             is_near = np.minimum(np.abs(distance_low), np.abs(distance_high)) < reach
             if np.any(is_near & ~(np.abs(distance_low - distance_high) <= DISTANCE_TOLERANCE * reach)):
                 raise SceneError(
-                    f"{scene.locate('walls', wall.name)}: walls.{wall.name} differs between the two ends of the "
-                    f"periodic axis {AXES[axis]}. Extend it straight from end to end, or keep a distance of "
-                    f"{reach:.4g} m from both."
+                    f"{scene.locate('walls', wall.name)}: walls.{wall.name} differs between the two ends of "
+                    f"the periodic axis {AXES[axis]}. Extend it straight from end to end, or keep a distance "
+                    f"of {reach:.4g} m from both."
                 )
 
 
@@ -87,9 +87,9 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
             reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), inf)
         ):
             raise SceneError(
-                f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is unbounded and rotates, which "
-                "is not supported in a domain that expands. Use a bounded shape (shape: rectangle), or set "
-                "domain.on_exit to delete or error."
+                f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is unbounded and rotates, "
+                "which is not supported in a domain that expands. Use a bounded shape (shape: rectangle), or "
+                "set domain.on_exit to delete or error."
             )
 
 
@@ -232,17 +232,17 @@ def refuse_fast_motion(scene: Scene, walls: Sequence[PlannedWall], time_step: fl
             shortest = _shortest_row(planned[name][index].given)
             if time_step > shortest * (1.0 + 1e-9):
                 problems.append(
-                    f"{scene.locate('walls', name, 'motion', index)}: walls.{name}.motion.{index} has rows that are "
-                    f"{shortest:.3g} s apart, less than the time step of {time_step:.3g} s. Give fewer rows, or set "
-                    f"run.time_step to {shortest:.2g} s or less."
+                    f"{scene.locate('walls', name, 'motion', index)}: walls.{name}.motion.{index} has rows "
+                    f"that are {shortest:.3g} s apart, less than the time step of {time_step:.3g} s. Give "
+                    f"fewer rows, or set run.time_step to {shortest:.2g} s or less."
                 )
             period = _period(motion, scene.gravity) if isinstance(motion, Vibration | Rotation) else math.inf
             if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
                 key = f"walls.{name}.motion.{index}"
                 problems.append(
-                    f"{scene.locate('walls', name, 'motion')}: {key} has a period of {period:.3g} s, shorter than "
-                    f"{STEPS_PER_PERIOD} time steps of {time_step:.3g} s. Slow the motion down, or set run.time_step "
-                    f"to {period / STEPS_PER_PERIOD:.2g} s or less."
+                    f"{scene.locate('walls', name, 'motion')}: {key} has a period of {period:.3g} s, shorter "
+                    f"than {STEPS_PER_PERIOD} time steps of {time_step:.3g} s. Slow the motion down, or set "
+                    f"run.time_step to {period / STEPS_PER_PERIOD:.2g} s or less."
                 )
     if problems:
         raise SceneError(problems)
@@ -307,9 +307,9 @@ def refuse_coarse(scene: Scene, radius_min: float) -> None:
     key = ("run", "precision") if scene.is_given("run", "precision") else ("domain",)
     raise SceneError(
         f"{scene.locate(*key)}: run.precision is {precision}, but it resolves positions only to "
-        f"{spacing_at(precision, farthest):.3g} m at {farthest:.3g} m from the origin, at the end of the domain. The "
-        f"required resolution is {COARSEST:g} of the smallest radius {radius_min:.3g} m. {better} the scene closer "
-        "to the origin."
+        f"{spacing_at(precision, farthest):.3g} m at {farthest:.3g} m from the origin, at the end of the "
+        f"domain. The required resolution is {COARSEST:g} of the smallest radius {radius_min:.3g} m. "
+        f"{better} the scene closer to the origin."
     )
 
 
@@ -348,9 +348,9 @@ def refuse_fast_rotation(scene: Scene, rates: Mapping[str, float], step: float) 
             given = scene.is_given("particles", name, "angular_velocity")
             place = scene.locate("particles", name, *(["angular_velocity"] if given else []))
             raise SceneError(
-                f"{place}: particles.{name} starts with {rate:.3g} rad/s, "
-                f"which is {rate * step:.3g} rad per step of {step:.3g} s, above the limit of {STEP_SHARE:g} rad. Use "
-                f"at most {STEP_MARGIN * STEP_SHARE / step:.2g} rad/s, or lower run.time_step."
+                f"{place}: particles.{name} starts with {rate:.3g} rad/s, which is {rate * step:.3g} rad per "
+                f"step of {step:.3g} s, above the limit of {STEP_SHARE:g} rad. Use at most "
+                f"{STEP_MARGIN * STEP_SHARE / step:.2g} rad/s, or lower run.time_step."
             )
 
 
@@ -375,15 +375,19 @@ def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float, sh
     `share`: the limit relative to the length from which it follows.
     """
     if speed * step > limit:
-        statement = f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} m/s"
+        statement = (
+            f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} "
+            "m/s"
+        )
         raise SceneError(f"{statement}{_per_step(scene, speed, step, limit, share)}")
 
 
 def _per_step(scene: Scene, speed: float, step: float, limit: float, share: str) -> str:
     """End of a sentence on a speed [m/s] too high for a step [s], with the remedy."""
     return (
-        f", which is {speed * step:.3g} m per step of {step:.3g} s, above the limit of {limit:.3g} m ({share}): beyond "
-        f"it contacts can be missed. {remedy(not isinstance(scene.run.time_step, str), speed, speed, limit)}"
+        f", which is {speed * step:.3g} m per step of {step:.3g} s, above the limit of {limit:.3g} m "
+        f"({share}): beyond it contacts can be missed. "
+        f"{remedy(not isinstance(scene.run.time_step, str), speed, speed, limit)}"
     )
 
 
@@ -516,8 +520,8 @@ def _servo(
     if given.gain is not None and given.gain > max_gain:
         location = scene.locate("walls", wall.name, "motion", number, "gain")
         raise SceneError(
-            f"{location}: walls.{wall.name}.motion.gain is {given.gain:.3g} m/(s N), but from {max_gain:.3g} on "
-            f"the wall overshoots at every step of {step:.3g} s. Without the key it is {default_gain:.2g}."
+            f"{location}: walls.{wall.name}.motion.gain is {given.gain:.3g} m/(s N), but from {max_gain:.3g} "
+            f"on the wall overshoots at every step of {step:.3g} s. Without the key it is {default_gain:.2g}."
         )
     force = given.force
     if force is None:
@@ -552,9 +556,9 @@ def _free(
     if given.mass < min_mass:
         location = scene.locate("walls", wall.name, "motion", number, "mass")
         raise SceneError(
-            f"{location}: walls.{wall.name}.motion.mass is {given.mass:.3g} kg, but with contacts of all particles "
-            f"within reach the wall oscillates too fast for a step of {step:.3g} s: set it to {min_mass:.2g} kg or "
-            "more, or lower run.time_step."
+            f"{location}: walls.{wall.name}.motion.mass is {given.mass:.3g} kg, but with contacts of all "
+            f"particles within reach the wall oscillates too fast for a step of {step:.3g} s: set it to "
+            f"{min_mass:.2g} kg or more, or lower run.time_step."
         )
     direction = _unit(given)
     force = given.force + given.mass * float(np.dot(scene.gravity, direction))

@@ -248,7 +248,10 @@ def without_modulus(pair: TouchingPair, overlap: Overlap) -> str:
     wrong."""
     if overlap(pair.stiffer(LARGEST_FACTOR)) > 0.99 * overlap(pair):
         return "raise the stiffness of contact.normal"
-    return "check the units of densities, sizes, velocities and forces, because no Young's modulus is high enough"
+    return (
+        "check the units of densities, sizes, velocities and forces, because no Young's modulus is high "
+        "enough"
+    )
 
 
 def required_moduli(
@@ -282,7 +285,10 @@ def modulus_text(moduli: Mapping[str, float]) -> str:
     """Instruction that sets Young's moduli [Pa]: `set materials.rubber.young_modulus to 2.6e+07 Pa`."""
     if (highest := max(moduli.values(), default=0.0)) > HARDEST:
         words = pressure_words(highest)
-        return f"check the units of lengths, velocities, densities and forces: a modulus of {words} would be required"
+        return (
+            f"check the units of lengths, velocities, densities and forces: a modulus of {words} would be "
+            "required"
+        )
     parts = [f"materials.{name}.young_modulus to {pressure_words(value)}" for name, value in moduli.items()]
     return f"set {' and '.join(parts)}"
 
@@ -447,8 +453,9 @@ def impact_forecast(
     warning = None
     if largest.overlap > limit:
         warning = (
-            f"{largest.pair.name}: an impact at {velocity:.3g} m/s, {source}, overlaps by {_share(largest.overlap)}, "
-            f"{_above(plan)} {_remedy(largest)}, or set run.velocity_max lower if all impacts are slower."
+            f"{largest.pair.name}: an impact at {velocity:.3g} m/s, {source}, overlaps by "
+            f"{_share(largest.overlap)}, {_above(plan)} {_remedy(largest)}, or set run.velocity_max lower if "
+            "all impacts are slower."
         )
     return Forecast("overlap of impacts", _share(largest.overlap), remark, warning, "impact", largest.overlap)
 

@@ -95,8 +95,9 @@ def _refuse_dashpot(scene: Scene, slot: str) -> None:
     damping = scene.contact.options(slot)["damping"]
     raise SceneError(
         f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, a multiple of "
-        f"the dashpot from which the normal model obtains the restitution, but {scene.contact.name('normal')} has no "
-        f"such dashpot; write 0, or choose {alternatives(damped)} as normal model."
+        "the dashpot from which the normal model obtains the restitution, but "
+        f"{scene.contact.name('normal')} has no such dashpot; write 0, or choose {alternatives(damped)} as "
+        "normal model."
     )
 
 

@@ -53,8 +53,9 @@ def refuse_unresolved_drag(scene: Scene, time_step: float) -> None:
     drag = (scene.damping.drag if scene.damping is not None else None) or 0.0
     if drag * time_step > RESOLVED_DECAY:
         raise SceneError(
-            f"{scene.locate('damping', 'drag')}: damping.drag is {drag:g} 1/s, but the time step of {time_step:.3g} s "
-            f"does not resolve the decay; give at most {RESOLVED_DECAY / time_step:.2g} 1/s, or a smaller time step."
+            f"{scene.locate('damping', 'drag')}: damping.drag is {drag:g} 1/s, but the time step of "
+            f"{time_step:.3g} s does not resolve the decay; give at most {RESOLVED_DECAY / time_step:.2g} "
+            "1/s, or a smaller time step."
         )
 
 
@@ -314,6 +315,6 @@ def refuse_coarse_liquid(scene: Scene, transfers_liquid: bool) -> None:
     """Raise SceneError if a model transfers liquid in another precision than f64."""
     if transfers_liquid and scene.run.precision != "f64":
         raise SceneError(
-            f"{scene.locate('run', 'precision')}: run.precision is {scene.run.precision}, but contact.cohesion: "
-            f"{scene.contact.name('cohesion')} conserves liquid in f64 only; write f64."
+            f"{scene.locate('run', 'precision')}: run.precision is {scene.run.precision}, but "
+            f"contact.cohesion: {scene.contact.name('cohesion')} conserves liquid in f64 only; write f64."
         )

@@ -139,8 +139,8 @@ def choose_time_step(
         limited_by = "given in the scene"
     if value > stable:
         raise ValueError(
-            f"is {value:.3g} s, above the stability limit {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
-            f"Lower it to {chosen:.2g} s or remove it."
+            f"is {value:.3g} s, above the stability limit {stable:.3g} s ({stable_name} at {velocity:.3g} "
+            f"m/s). Lower it to {chosen:.2g} s or remove it."
         )
     step = TimeStep(value, limited_by, stable, stable_name, 0.0, given is not None, (), resolved / fraction)
     least, warnings = _restitution_reached(step, pair_cases, law, velocity)
@@ -169,8 +169,8 @@ def resolution_warning(
         return ()
     remedy = "mixed or f64" if precision == "f32" else "f64"
     return (
-        f"{precision} resolves lengths to {resolved:.2g} m here, but the overlaps of {name} are only {smallest:.2g} m "
-        f"at {velocity:.3g} m/s: forces are inaccurate. Use --precision {remedy}.",
+        f"{precision} resolves lengths to {resolved:.2g} m here, but the overlaps of {name} are only "
+        f"{smallest:.2g} m at {velocity:.3g} m/s: forces are inaccurate. Use --precision {remedy}.",
     )
 
 
@@ -286,14 +286,13 @@ def _shortfall(
     remedy = step.remedy(0.99 * step.value * required / bound)
     if required == 0.0:
         return (
-            f"{pair}: the restitution at {velocity:.3g} m/s is 0, and no time step reproduces 0 of a restitution that "
-            f"depends on the velocity: the smallest is {bound:.3g} at a time step of {step.value:.3g} s ({contact}). A "
-            "constant restitution of 0 is exact."
+            f"{pair}: the restitution at {velocity:.3g} m/s is 0, and no time step reproduces 0 of a "
+            f"restitution that depends on the velocity: the smallest is {bound:.3g} at a time step of "
+            f"{step.value:.3g} s ({contact}). A constant restitution of 0 is exact."
         )
     return (
-        f"{pair}: the restitution at {velocity:.3g} m/s is {required:.3g}, but a time step of {step.value:.3g} s "
-        f"reproduces no restitution below {bound:.3g} ({contact}). Use "
-        f"{remedy}."
+        f"{pair}: the restitution at {velocity:.3g} m/s is {required:.3g}, but a time step of "
+        f"{step.value:.3g} s reproduces no restitution below {bound:.3g} ({contact}). Use {remedy}."
     )
 
 

@@ -48,15 +48,16 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     shared = {name: group for name, group in groups_of(scene).items() if name in names}
     if not shared:
         raise SceneError(
-            f"{location} its groups are {', '.join(names)}; give the groups to continue the same names under particles."
+            f"{location} its groups are {', '.join(names)}; give the groups to continue the same names under "
+            "particles."
         )
     found = {
         name: _particles_of_group(group, checkpoint, names.index(name)) for name, group in shared.items()
     }
     if not any(len(particles) for particles in found.values()):
         raise SceneError(
-            f"{location} at {checkpoint.time:.6g} s it has no particles of {', '.join(shared)}; give a run that ends "
-            "before they are deleted (granflow run --until TIME)."
+            f"{location} at {checkpoint.time:.6g} s it has no particles of {', '.join(shared)}; give a run "
+            "that ends before they are deleted (granflow run --until TIME)."
         )
     problems = [problem for name, group in shared.items() for problem in _inconsistencies(group, found[name])]
     if problems:
@@ -170,8 +171,8 @@ def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
             raise GranflowError(f"particles.material is not {group.material} for all of {group.name}.")
     if count and not plan.radius_min <= given.radius.min() <= given.radius.max() <= plan.radius_max:
         raise GranflowError(
-            f"particles.radius lies in [{given.radius.min():.6g}, {given.radius.max():.6g}] m, but those of the scene "
-            f"in [{plan.radius_min:.6g}, {plan.radius_max:.6g}] m."
+            f"particles.radius lies in [{given.radius.min():.6g}, {given.radius.max():.6g}] m, but those of "
+            f"the scene in [{plan.radius_min:.6g}, {plan.radius_max:.6g}] m."
         )
     for name in ("position", "velocity", "angular_velocity"):
         if getattr(given, name).shape != (count, 3) or not np.isfinite(getattr(given, name)).all():

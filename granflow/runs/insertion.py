@@ -102,7 +102,8 @@ class ParticleInsertion:
                 radius = inserter.radius[inserter.is_inserted]
                 mass = inserter.mass[inserter.is_inserted]
                 parts = [
-                    f"{count} of {2.0 * size:.6g} m ({mass[radius == size].sum() / mass.sum():.3%} of the mass)"
+                    f"{count} of {2.0 * size:.6g} m ({mass[radius == size].sum() / mass.sum():.3%} of the "
+                    "mass)"
                     for size, count in sorted(Counter(radius.tolist()).items())
                 ]
                 yield f"{inserter.group_name} inserted: {', '.join(parts) or 'none'}."

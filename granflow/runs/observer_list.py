@@ -73,8 +73,8 @@ class ObserverList(Sequence[Observer]):
         ended."""
         if isinstance(observer, ScheduledObserver) and not observer.begin(self):
             raise GranflowError(
-                f"{name_of(observer)} is an observer of another simulation, which has not been freed: create one for "
-                "each simulation with granflow.on_interval(interval, function)."
+                f"{name_of(observer)} is an observer of another simulation, which has not been freed: create "
+                "one for each simulation with granflow.on_interval(interval, function)."
             )
 
     def __len__(self) -> int:
@@ -160,7 +160,8 @@ class ObserverList(Sequence[Observer]):
             if observer in self._from_scene:
                 raise
             raise FunctionError(
-                f"The function {name_of(observer)} failed at {snapshot.time:.6g} s: {type(error).__name__}: {error}"
+                f"The function {name_of(observer)} failed at {snapshot.time:.6g} s: {type(error).__name__}: "
+                f"{error}"
             ) from error
         except BaseException as error:
             if observer not in self._from_scene:

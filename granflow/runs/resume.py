@@ -105,8 +105,8 @@ def refuse_other_functions(
     added = [name for name in registered if name not in changes["forces"].mapping()]
     if added:
         raise GranflowError(
-            f"{checkpoint.path}: the run has no force {', '.join(added)}; add it after the start of the resumed "
-            "simulation with simulation.forces.append."
+            f"{checkpoint.path}: the run has no force {', '.join(added)}; add it after the start of the "
+            "resumed simulation with simulation.forces.append."
         )
     for what, saved, present in (
         ("forces", list(changes["forces"].mapping()), registered),
@@ -116,8 +116,8 @@ def refuse_other_functions(
         if missing and not allow_changes:
             raise GranflowError(
                 f"{checkpoint.path}: the run has {what} from Python that this program does not register: "
-                f"{', '.join(missing)}. Give them to Simulation with {what}=[...], or continue without them with "
-                "allow_changes (--allow-changes)."
+                f"{', '.join(missing)}. Give them to Simulation with {what}=[...], or continue without them "
+                "with allow_changes (--allow-changes)."
             )
 
 
@@ -261,7 +261,8 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
     other_engine = engine_difference(checkpoint)
     if other_engine and not allow_changes:
         raise GranflowError(
-            f"{other_engine} Resume with that version, or continue despite the difference with --allow-changes."
+            f"{other_engine} Resume with that version, or continue despite the difference with "
+            "--allow-changes."
         )
     # Both scenes are read from text, so that only differences of the text count.
     before, now = (
@@ -298,8 +299,9 @@ def engine_difference(checkpoint: Checkpoint) -> str:
     if checkpoint.engine == engine_digest():
         return ""
     return (
-        f"{checkpoint.path} was written by granflow {checkpoint.version} with the engine {checkpoint.engine:.12}, and "
-        f"this is granflow {version_of('granflow')} with the engine {engine_digest()}: their results can differ."
+        f"{checkpoint.path} was written by granflow {checkpoint.version} with the engine "
+        f"{checkpoint.engine:.12}, and this is granflow {version_of('granflow')} with the engine "
+        f"{engine_digest()}: their results can differ."
     )
 
 
@@ -344,14 +346,14 @@ def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
         now = plan_fingerprint(plan)[name]
         if now != before and name == "mesh_digest":
             raise GranflowError(
-                f"{checkpoint.path}: the triangles of the mesh walls differ from those of the run, but must not change "
-                "when a run continues; restore the mesh files."
+                f"{checkpoint.path}: the triangles of the mesh walls differ from those of the run, but must "
+                "not change when a run continues; restore the mesh files."
             )
         if now != before:
             remedy = "; give the old value with --set" if name in PLAN_NUMBERS else ""
             raise GranflowError(
-                f"{checkpoint.path}: {name} was {before!r} and would be {now!r} with this scene, but must not change "
-                f"when a run continues{remedy}."
+                f"{checkpoint.path}: {name} was {before!r} and would be {now!r} with this scene, but must "
+                f"not change when a run continues{remedy}."
             )
 
 
@@ -373,8 +375,8 @@ def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: flo
         ).max()
         if wall.name not in saved["changes"]["walls"] and moved > MAX_JUMP * plan.radius_min:
             raise GranflowError(
-                f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. Terminate "
-                "the old motion at this time (end:) and add another motion from this time (start:)."
+                f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. "
+                "Terminate the old motion at this time (end:) and add another motion from this time (start:)."
             )
 
 

@@ -210,7 +210,8 @@ def restore_previous_run(directory: Path) -> list[str]:
         _move(path, directory / path.relative_to(moving))
     shutil.rmtree(moving)
     return [
-        f"{directory} holds the previous run again: the run that was to replace it ended before its first frame."
+        f"{directory} holds the previous run again: the run that was to replace it ended before its first "
+        "frame."
     ]
 
 
@@ -309,8 +310,8 @@ class RunDirectory:
         """Raise GranflowError if the directory contains an earlier run that must not be replaced."""
         if not self._overwrite and results_in(path):
             raise GranflowError(
-                f"{path} contains an earlier run: give another directory, replace the run with overwrite=True, or "
-                "continue it with resume."
+                f"{path} contains an earlier run: give another directory, replace the run with "
+                "overwrite=True, or continue it with resume."
             )
 
     @property
@@ -479,7 +480,10 @@ class RunDirectory:
         command = f"granflow resume {shlex.quote(str(self.shown))}"
         if change:
             return f"{note} {command} --set {change} continues from the last good state."
-        return f"{note} {command} continues from the last good state, and stops here again unless the scene is changed."
+        return (
+            f"{note} {command} continues from the last good state, and stops here again unless the scene is "
+            "changed."
+        )
 
     def _note_without_checkpoint(self, written: bool, change: str) -> str:
         """As `note_on_state` for a run without a checkpoint; the command contains the overrides of the first
@@ -493,7 +497,10 @@ class RunDirectory:
             return f"{note} Correct the scene and run it from the start."
         scene = shlex.quote(str(shown / "scene_as_run.yaml"))
         other = shlex.quote(f"{self.path if shown.name in ('', '..') else shown}_2")
-        return f"{note} granflow run {scene} --out {other} --set {change} runs it from the start with this change."
+        return (
+            f"{note} granflow run {scene} --out {other} --set {change} runs it from the start with this "
+            "change."
+        )
 
     def output_error(
         self,
@@ -576,6 +583,6 @@ def _refuse_special_files(path: Path) -> None:
     for file in (path / name for name in CONTINUED):
         if file.exists() and not file.is_file():
             raise GranflowError(
-                f"{file} is not a regular file, and the run cannot append to it: restore the file, or move this away "
-                "and continue with --allow-changes."
+                f"{file} is not a regular file, and the run cannot append to it: restore the file, or move "
+                "this away and continue with --allow-changes."
             )

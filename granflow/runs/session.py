@@ -99,8 +99,8 @@ class RunSession:
         saved = self._files.checkpoint_time
         if self._failure is None:
             return (
-                f"The files in {path} are finished: put all runs of the simulation into one with block, or resume from "
-                "the last checkpoint."
+                f"The files in {path} are finished: put all runs of the simulation into one with block, or "
+                "resume from the last checkpoint."
             )
         last = (
             "It has no checkpoint."

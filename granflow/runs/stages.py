@@ -117,9 +117,9 @@ def _sentence(
             "more time, a larger gain or a higher target force" if is_away else "more time or a larger gain"
         )
     return (
-        f"walls.{motion.name}.motion ({motion.source}): at the end of stage {stage} ({time:.6g} s), the servo {state}: "
-        f"{reached} instead of {target}. It moves at {velocity:.3g} m/s, {limit}. Give it {remedy}"
-        + (", start it closer to the bed, or approach by a translation." if is_away else ".")
+        f"walls.{motion.name}.motion ({motion.source}): at the end of stage {stage} ({time:.6g} s), the "
+        f"servo {state}: {reached} instead of {target}. It moves at {velocity:.3g} m/s, {limit}. Give it "
+        f"{remedy}" + (", start it closer to the bed, or approach by a translation." if is_away else ".")
     )
 
 
@@ -162,8 +162,8 @@ class StageConditions:
         for index, condition in enumerate(stage.until):
             if condition.quantity not in row.numbers:
                 raise GranflowError(
-                    f"{stage.source}: stages.{stage.name}.until: there is no column {condition.quantity}; the columns "
-                    f"are {', '.join(row.numbers)}."
+                    f"{stage.source}: stages.{stage.name}.until: there is no column {condition.quantity}; "
+                    f"the columns are {', '.join(row.numbers)}."
                 )
             value = row.numbers[condition.quantity]
             holds = condition.is_met(value) and time >= (began + stage.shortest) * (1.0 - ROUNDING)
@@ -175,7 +175,10 @@ class StageConditions:
     def log_end(self, stage: PlannedStage, time: float) -> None:
         """Log why the stage ends at `time` [s]; a warning if none of its conditions is satisfied."""
         if self.met is not None:
-            sentence = f"stage {stage.name} ends at {time:.6g} s: {_statement(stage.until[self.met], self.values[self.met])}"
+            sentence = (
+                f"stage {stage.name} ends at {time:.6g} s: "
+                f"{_statement(stage.until[self.met], self.values[self.met])}"
+            )
             logging.getLogger("granflow").info("%s", sentence)
         elif stage.until:
             values = zip(stage.until, self.values, strict=True)

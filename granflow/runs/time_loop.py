@@ -63,9 +63,9 @@ def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meter
     bound = getattr(plan.domain, end)["xyz".index(axis)]
     outside = " outside the outlets" if plan.outlets else ""
     return (
-        f"{total} of {inserted} particles left the domain{outside}, {exits[most]} of them through its face at "
-        f"{axis} = {bound:.4g} m: they are deleted. If this is not intended, check the walls and domain.{end}; "
-        "otherwise give this region an outlet."
+        f"{total} of {inserted} particles left the domain{outside}, {exits[most]} of them through its face "
+        f"at {axis} = {bound:.4g} m: they are deleted. If this is not intended, check the walls and "
+        f"domain.{end}; otherwise give this region an outlet."
     )
 
 
@@ -163,8 +163,8 @@ def _statement(stage: PlannedStage, state: RestState) -> str:
     assert limit is not None
     below = "below" if state.kinetic_energy < limit else "not below"
     return (
-        f"the mean kinetic energy is {state.kinetic_energy:.3g} J, {below} {limit:.3g} J, and the net force on the "
-        f"particles is {state.unbalanced:.2g} of their weight (at most {LARGEST_UNBALANCED:g})"
+        f"the mean kinetic energy is {state.kinetic_energy:.3g} J, {below} {limit:.3g} J, and the net force "
+        f"on the particles is {state.unbalanced:.2g} of their weight (at most {LARGEST_UNBALANCED:g})"
     )
 
 

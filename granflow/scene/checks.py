@@ -455,7 +455,10 @@ def restitution(parts: PartialScene) -> Iterator[Fault]:
                 yield Fault(path, f"the contact model {normal.law} derives it from the materials; remove it")
             elif len(_without_yield_strength(parts, key)) == len(set(key.split("-"))):
                 names = " or ".join(dict.fromkeys(key.split("-")))
-                reason = f"requires a yield strength (contact model {normal.law}): give the yield_strength of {names}"
+                reason = (
+                    f"requires a yield strength (contact model {normal.law}): give the yield_strength of "
+                    f"{names}"
+                )
                 yield whole(("pairs", key), reason)
         elif pair.restitution is None:
             yield missing(path, "restitution coefficient, a number in [0, 1]")

@@ -490,8 +490,8 @@ class Model(BaseModel):
         """Raises AttributeError: a scene and its parts are immutable."""
         if not name.startswith("_"):
             raise AttributeError(
-                f"{type(self).__name__}.{name} cannot be set: a scene and its parts are immutable; create another one, "
-                "for example with Scene.from_dict."
+                f"{type(self).__name__}.{name} cannot be set: a scene and its parts are immutable; create "
+                "another one, for example with Scene.from_dict."
             )
         super().__setattr__(name, value)
 

@@ -75,8 +75,8 @@ def _refuse_branches(model: ContactModel) -> None:
                 ", or set branch_free = False" if hasattr(model.law, "branch_free") else ""
             )
             raise GranflowError(
-                f"contact model {model.law.__name__}: {places[0]}: {name} has a branch that depends on the contact, in "
-                f"a loop that must be vectorized; {remedy}"
+                f"contact model {model.law.__name__}: {places[0]}: {name} has a branch that depends on the "
+                f"contact, in a loop that must be vectorized; {remedy}"
             )
 
 

@@ -174,7 +174,8 @@ def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float
             )
         if all(PRESETS[name].yield_strength is None for name in materials):
             raise GranflowError(
-                f"The contact model {law} requires a yield strength, which {' and '.join(set(materials))} lacks."
+                f"The contact model {law} requires a yield strength, which {' and '.join(set(materials))} "
+                "lacks."
             )
     if kind.restitution == "positive number" and restitution is None:
         raise GranflowError(

@@ -262,8 +262,8 @@ def feature_costs(
     for name, group in scene.particles.items():
         if group.clump:
             raise SceneError(
-                f"{scene.locate('particles', name, 'clump')}: explain --measure cannot time clumps, because each "
-                "variant starts from single particles; give a scene without clumps."
+                f"{scene.locate('particles', name, 'clump')}: explain --measure cannot time clumps, because "
+                "each variant starts from single particles; give a scene without clumps."
             )
     end = SHARE_BEFORE * scene.longest_duration if until is None else until
     report(f"Running to {end:.3g} s")
@@ -392,10 +392,11 @@ def remarks(found: Sequence[FeatureCost]) -> list[str]:
     law = found[0].plan.law
     law_remark = f"Without history, elastic hertz replaces {law.name}. " if law.history_names else ""
     return [
-        "Step, bytes and contacts are per particle; time is relative to the baseline, as median and quartiles over "
-        "rounds that time every row once. Neighbor-list rebuilds are not included.",
-        f"Every timing starts from the same particle positions and covers {simulated_ms:.2g} ms of simulated time. "
-        "A feature also changes the motion; the contacts at the end of the timing show to which extent.",
+        "Step, bytes and contacts are per particle; time is relative to the baseline, as median and "
+        "quartiles over rounds that time every row once. Neighbor-list rebuilds are not included.",
+        f"Every timing starts from the same particle positions and covers {simulated_ms:.2g} ms of simulated "
+        "time. A feature also changes the motion; the contacts at the end of the timing show to which "
+        "extent.",
         f"{law_remark}Without rotation, friction and rolling friction are off, too.",
         "Radius and mass are stored for every particle of any scene: several radii have no additional cost.",
     ]

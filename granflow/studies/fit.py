@@ -143,7 +143,8 @@ def _extra_cells(cells: Sequence[str], width: int) -> list[str]:
     if not any(cells[width:]):
         return []
     return [
-        f"the row has {len(cells)} values, but the header has {width} columns; use a point as decimal separator"
+        f"the row has {len(cells)} values, but the header has {width} columns; use a point as decimal "
+        "separator"
     ]
 
 
@@ -249,8 +250,9 @@ def _check_determined(data: Measurements, limit: float | None) -> None:
     if limit and np.any((data.velocity >= limit) & (data.restitution > 0.0)):
         fastest = data.velocity[data.restitution > 0.0].max()
         raise GranflowError(
-            f"The limit velocity is {limit:g} m/s, but the restitution measured at {fastest:g} m/s is above 0; in "
-            "Eq. 12 it is 0 from the limit velocity on. Give a higher limit velocity, or fit it with --fit-limit."
+            f"The limit velocity is {limit:g} m/s, but the restitution measured at {fastest:g} m/s is above "
+            "0; in Eq. 12 it is 0 from the limit velocity on. Give a higher limit velocity, or fit it with "
+            "--fit-limit."
         )
     informative = (data.restitution > 0.0) & (data.restitution < 1.0)
     velocities = len(np.unique(data.velocity[informative]))

@@ -173,8 +173,8 @@ def _refuse_damaged_header(table: Table, path: Path) -> None:
             reason = f"'{name}' does not end with its unit"
         if reason:
             raise GranflowError(
-                f"{path}:{table.heading_line}: the header '{','.join(names)}' cannot be read: {reason}; separate the "
-                "columns by commas and give their units in brackets, such as time [s],mass [kg]."
+                f"{path}:{table.heading_line}: the header '{','.join(names)}' cannot be read: {reason}; "
+                "separate the columns by commas and give their units in brackets, such as time [s],mass [kg]."
             )
 
 
@@ -202,7 +202,8 @@ def _refuse_damaged_rows(table: Table, path: Path) -> None:
     problems = [
         (
             line,
-            f"the row '{','.join(cells)[:80]}' has {numbered(len(cells), 'value')}, but the header has {width}.",
+            f"the row '{','.join(cells)[:80]}' has {numbered(len(cells), 'value')}, but the header has "
+            f"{width}.",
         )
         for line, cells in table.rows
         if len(cells) != width
@@ -358,8 +359,8 @@ def panels_of(sources: Sequence[Path], x: str, y: Sequence[str], stages: Sequenc
     largest = max(len(curves) for curves in panels.values())
     if largest > MOST_CURVES:
         raise GranflowError(
-            f"{numbered(largest, 'curve')} are too many for one plot; choose at most {MOST_CURVES} with --y or fewer "
-            "runs."
+            f"{numbered(largest, 'curve')} are too many for one plot; choose at most {MOST_CURVES} with --y "
+            "or fewer runs."
         )
     return [_panel(curves) for curves in panels.values()]
 
@@ -377,14 +378,14 @@ def _refuse_what_cannot_be_drawn(x: str, y: str, points: np.ndarray, path: Path 
     """
     if not len(points):
         raise GranflowError(
-            f"'{y}' over '{x}' has no finite value in the selected rows of {path or 'any of the runs'}: there is "
-            "nothing to draw. Choose another quantity, or other --stages."
+            f"'{y}' over '{x}' has no finite value in the selected rows of {path or 'any of the runs'}: "
+            "there is nothing to draw. Choose another quantity, or other --stages."
         )
     for text, largest in zip((x, y), np.abs(points).max(axis=0), strict=True):
         if largest > LARGEST:
             raise GranflowError(
-                f"Values of '{text}' reach {largest:.3g}, but at most {LARGEST:g} can be drawn: divide them, such as "
-                f"'({text}) / {largest:.0e}'."
+                f"Values of '{text}' reach {largest:.3g}, but at most {LARGEST:g} can be drawn: divide them, "
+                f"such as '({text}) / {largest:.0e}'."
             )
 
 

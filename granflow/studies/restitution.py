@@ -304,8 +304,8 @@ def _sentence(plan: Plan, pair: Collision, impact: _Impact) -> str:
     remedy = next(_remedies(plan, impact), None)
     advice = f"Use {plan.step.remedy(remedy)}." if remedy else "A smaller time step reduces the difference."
     return (
-        f"{name_of(pair)}: the given restitution is {impact.requested:.4g} at {impact.velocity:.3g} m/s, but the time "
-        f"step of {plan.time_step:.3g} s results in {reached:.4g}. {advice}"
+        f"{name_of(pair)}: the given restitution is {impact.requested:.4g} at {impact.velocity:.3g} m/s, but "
+        f"the time step of {plan.time_step:.3g} s results in {reached:.4g}. {advice}"
     )
 
 

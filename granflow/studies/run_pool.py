@@ -89,8 +89,8 @@ def batch_cluster(system: str, path: Path, profile: BatchProfile, threads: int) 
         )
     if shutil.which(SUBMIT[system]) is None:
         raise GranflowError(
-            f"--{system} requires the command {SUBMIT[system]}, which this machine does not have: run granflow sweep "
-            "where batch jobs are submitted, or without this option."
+            f"--{system} requires the command {SUBMIT[system]}, which this machine does not have: run "
+            "granflow sweep where batch jobs are submitted, or without this option."
         )
     cluster = getattr(dask_jobqueue, SYSTEMS[system])(**cluster_options(system, profile, threads))
     cluster.scale(jobs=profile.jobs)
@@ -251,7 +251,8 @@ class Driver:
             if holder := holder_of(directory):
                 name = f"{directory.parent.name}/{directory.name}"
                 self._tell(
-                    f"{name} is carried out by {holder}; its result is waited for, unless you end that process"
+                    f"{name} is carried out by {holder}; its result is waited for, unless you end that "
+                    "process"
                 )
 
     def _schedule(self, runs: Mapping[str, CheckedRun]) -> None:
@@ -385,7 +386,8 @@ def local_jobs(jobs: int | None, threads: int, cores: int) -> int:
         runs = numbered(jobs or 1, "run")
         verb = "need" if jobs and jobs > 1 else "needs"
         raise GranflowError(
-            f"{runs} of {numbered(threads, 'thread')} {verb} {numbered(needed, 'core')}, but {available} there: {most}."
+            f"{runs} of {numbered(threads, 'thread')} {verb} {numbered(needed, 'core')}, but {available} "
+            f"there: {most}."
         )
     return jobs or cores // threads
 
@@ -454,7 +456,8 @@ def _refuse_overload(client: Any, threads: int) -> None:
         cores = client.run(machine_cores)
     except Exception as error:  # any exception of a worker, such as ModuleNotFoundError
         raise GranflowError(
-            f"The workers cannot run granflow ({error}): install the same version of granflow on all machines."
+            f"The workers cannot run granflow ({error}): install the same version of granflow on all "
+            "machines."
         ) from None
     needed: dict[str, int] = {}
     for address, (host, _) in cores.items():
@@ -462,8 +465,9 @@ def _refuse_overload(client: Any, threads: int) -> None:
     for host, count in cores.values():
         if needed[host] > count:
             raise GranflowError(
-                f"The workers on {host} take {needed[host] // threads} runs of {threads} threads, but the machine has "
-                f"{count} cores: start fewer workers, or with --nthreads {max(count // threads, 1)}."
+                f"The workers on {host} take {needed[host] // threads} runs of {threads} threads, but the "
+                f"machine has {count} cores: start fewer workers, or with --nthreads "
+                f"{max(count // threads, 1)}."
             )
 
 

@@ -289,7 +289,8 @@ def resumptions() -> list[Case]:
             "overwrite_too_many",
             "`run --overwrite` with more particles than fit",
             overwrite(
-                "--set 'particles.beads.insert={kind: lattice, region: {box: {min: [0, 0, 0], max: [5mm, 5mm, 5mm]}}}'"
+                "--set 'particles.beads.insert={kind: lattice, region: {box: {min: [0, 0, 0], max: [5mm, "
+                "5mm, 5mm]}}}'"
             ),
             2,
             ("only",),

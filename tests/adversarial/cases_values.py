@@ -136,7 +136,8 @@ def values() -> list[Case]:
             [
                 (
                     "material: glass}",
-                    "material: glass, motion: {kind: vibration, direction: [0, 0, 1], amplitude: 1e30, frequency: 50}}",
+                    "material: glass, motion: {kind: vibration, direction: [0, 0, 1], amplitude: 1e30, "
+                    "frequency: 50}}",
                 )
             ],
             "amplitude|step|velocity|speed|long|fast|limit",

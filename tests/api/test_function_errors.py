@@ -133,8 +133,8 @@ MODELS = {
     Member: (
         Member.force,
         2,
-        "AttributeError: the struct has no attribute 'overlapp'; its members are mass_eff, overlap, overlap_rate, "
-        "radius_eff, time_step",
+        "AttributeError: the struct has no attribute 'overlapp'; its members are mass_eff, overlap, "
+        "overlap_rate, radius_eff, time_step",
     ),
     OneValue: (OneValue.force, 0, "force must return (number, history), not (number)"),
     Kind: (Kind.force, 0, "force must return (number, history), not (vector, history)"),
@@ -253,8 +253,8 @@ def test_a_branch_in_a_vectorized_function_is_refused_at_registration(law, funct
     with pytest.raises(gf.GranflowError) as error:
         gf.register_contact_model(ContactModel(law, "has a branch"))
     assert str(error.value) == (
-        f"contact model {law.__name__}: {position_of(function, line)}: force has a branch that depends on the "
-        "contact, in a loop that must be vectorized; use ti.select"
+        f"contact model {law.__name__}: {position_of(function, line)}: force has a branch that depends on "
+        "the contact, in a loop that must be vectorized; use ti.select"
     )
 
 
@@ -270,8 +270,8 @@ def test_a_called_function_without_source_is_refused_at_registration():
     with pytest.raises(gf.GranflowError) as error:
         gf.register_contact_model(ContactModel(CallingGenerated, "calls a function of exec"))
     assert str(error.value) == (
-        "contact model CallingGenerated: the source of generated is not available, which is compiled from it; define "
-        "it in a file or a notebook cell"
+        "contact model CallingGenerated: the source of generated is not available, which is compiled from "
+        "it; define it in a file or a notebook cell"
     )
 
 

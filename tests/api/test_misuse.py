@@ -46,7 +46,8 @@ def seen(snapshot):
 VECTORS, NUMBERS = np.zeros((2, 3)), np.zeros(2, dtype=np.int32)
 WRONG = {
     "load_scene": (lambda _: gf.load_scene(5), "path is 5, but must be a path"),
-    "load_scene overrides": (lambda _: gf.load_scene("a.yaml", "run.duration=1"), "overrides is 'run.duration=1', but"),
+    "load_scene "
+    "overrides": (lambda _: gf.load_scene("a.yaml", "run.duration=1"), "overrides is 'run.duration=1', but"),
     "load_scene override": (lambda _: gf.load_scene("a.yaml", [5]), "an override is 5, but must be a text"),
     "Scene.from_dict": (lambda _: gf.Scene.from_dict(scene().to_dict(), 5), "folder is 5, but must be a path"),
     "Scene.save": (lambda _: scene().save(None), "path is None, but must be a path"),
@@ -55,11 +56,13 @@ WRONG = {
     "plan_for": (lambda _: gf.plan_for("a.yaml"), "scene is a str; make a scene of it with granflow.load_scene"),
     "explain": (lambda _: gf.explain(scene()), "but must be a plan of granflow.plan_for"),
     "estimate_memory": (lambda _: gf.estimate_memory(5, "f64"), "plan is 5, but must be a plan"),
-    "estimate_memory precision": (lambda s: gf.estimate_memory(s.plan, 5), "precision is 5; give one of f64, f32"),
+    "estimate_memory "
+    "precision": (lambda s: gf.estimate_memory(s.plan, 5), "precision is 5; give one of f64, f32"),
     "sweep": (lambda _: gf.sweep(5), "source is 5, but must be the path of a file"),
     "calibrate": (lambda _: gf.calibrate(5), "source is 5, but must be the path of a file"),
     "steady_flow": (lambda _: gf.steady_flow(5), "history is 5, but must be a list of"),
-    "steady_flow row": (lambda _: gf.steady_flow([(0.0, 1.0)]), "history contains (0.0, 1.0), but must have rows of"),
+    "steady_flow "
+    "row": (lambda _: gf.steady_flow([(0.0, 1.0)]), "history contains (0.0, 1.0), but must have rows of"),
     "analyze_snapshots": (lambda _: gf.analyze_snapshots(scene(), 5, "out"), "snapshots is 5, but must be a list"),
     "register_contact_model": (lambda _: gf.register_contact_model(5), "model is 5, but must be a ContactModel"),
     "start": (lambda _: gf.start("cpu", "f64", "two"), "threads is 'two'; give a whole number of at least 1"),
@@ -70,15 +73,22 @@ WRONG = {
     ),
     "ParticleForce": (lambda _: gf.ParticleForce(drag, 5), "force drag: parameters is 5, but must be a mapping"),
     "ParticleForce name": (lambda _: gf.ParticleForce(drag, name=5), "name is 5, but must be a text"),
-    "ParticleForce value": (lambda _: gf.ParticleForce(drag, {"rate": 1j}), "parameter rate is complex numbers, but"),
+    "ParticleForce "
+    "value": (lambda _: gf.ParticleForce(drag, {"rate": 1j}), "parameter rate is complex numbers, but"),
     "on_interval": (lambda _: gf.on_interval(None, seen), "interval is None, but must be a number [s] or text"),
-    "on_interval flag": (lambda _: gf.on_interval(True, seen), "interval is True, but must be a number [s] or text"),
-    "on_interval wants": (lambda _: gf.on_interval(1, seen, wants=5), "wants is 5, but must be a list of parts of a"),
-    "on_interval text": (lambda _: gf.on_interval(1, seen, wants="totals"), "wants is 'totals', but must be a list"),
+    "on_interval "
+    "flag": (lambda _: gf.on_interval(True, seen), "interval is True, but must be a number [s] or text"),
+    "on_interval "
+    "wants": (lambda _: gf.on_interval(1, seen, wants=5), "wants is 5, but must be a list of parts of a"),
+    "on_interval "
+    "text": (lambda _: gf.on_interval(1, seen, wants="totals"), "wants is 'totals', but must be a list"),
     "Simulation out": (lambda _: gf.Simulation(scene(), out=5), "out is 5, but must be a path"),
-    "Simulation observers": (lambda _: gf.Simulation(scene(), observers=gf.on_interval(1, seen)), "must be a list of"),
-    "Simulation forces": (lambda _: gf.Simulation(scene(), forces=5), "forces is 5, but must be a list of granflow.P"),
-    "Simulation particles": (lambda _: gf.Simulation(scene(), particles=VECTORS), "must be arrays of granflow.Part"),
+    "Simulation "
+    "observers": (lambda _: gf.Simulation(scene(), observers=gf.on_interval(1, seen)), "must be a list of"),
+    "Simulation "
+    "forces": (lambda _: gf.Simulation(scene(), forces=5), "forces is 5, but must be a list of granflow.P"),
+    "Simulation "
+    "particles": (lambda _: gf.Simulation(scene(), particles=VECTORS), "must be arrays of granflow.Part"),
     "Simulation resume": (lambda _: gf.Simulation(scene(), resume=5), "resume is 5, but must be a directory"),
     "Simulation plan": (lambda _: gf.Simulation(scene(), plan=5), "plan is 5, but must be a plan"),
     "step": (lambda s: s.step("3"), "count is '3', but must be a whole number of at least 0"),
@@ -100,18 +110,26 @@ WRONG = {
     ),
     "particles.remove": (lambda s: s.particles.remove("a"), "particles.remove: arrays used as indices must be"),
     "particles.rows": (lambda s: s.particles.rows(None), "particles.rows: ids is None, but must be real numbers"),
-    "velocity complex": (lambda s: setattr(s.particles, "velocity", 1j * VECTORS), "is complex numbers, but must be"),
-    "velocity[0] complex": (lambda s: s.particles.velocity.__setitem__(0, 1j), "is complex numbers, but must be real"),
-    "velocity None": (lambda s: s.particles.velocity.__setitem__((0, 2), None), "is None, but must be real numbers"),
-    "velocity text": (lambda s: setattr(s.particles, "velocity", "3 m/s"), "is '3 m/s', but must be real numbers"),
+    "velocity "
+    "complex": (lambda s: setattr(s.particles, "velocity", 1j * VECTORS), "is complex numbers, but must be"),
+    "velocity[0] "
+    "complex": (lambda s: s.particles.velocity.__setitem__(0, 1j), "is complex numbers, but must be real"),
+    "velocity "
+    "None": (lambda s: s.particles.velocity.__setitem__((0, 2), None), "is None, but must be real numbers"),
+    "velocity "
+    "text": (lambda s: setattr(s.particles, "velocity", "3 m/s"), "is '3 m/s', but must be real numbers"),
     "velocity flags": (lambda s: setattr(s.particles, "velocity", VECTORS > 1), "but must be real numbers"),
     "velocity masked": (
         lambda s: setattr(s.particles, "velocity", np.ma.array(VECTORS, mask=VECTORS == 0)), "has masked entries"
     ),
-    "velocity large": (lambda s: setattr(s.particles, "velocity", VECTORS + 1e200), "contains 1e+200; a value of this"),
-    "spin large": (lambda s: setattr(s.particles, "angular_velocity", VECTORS - 1e200), "contains -1e+200; a value of"),
-    "add large": (lambda s: s.particles.add([0, 0, 0.05], velocity=[0, 1e200, 0]), "contains 1e+200; a value of this"),
-    "parameter large": (lambda s: s.forces[0].parameters.update(rate=1e200), "contains 1e+200; a value of this magni"),
+    "velocity "
+    "large": (lambda s: setattr(s.particles, "velocity", VECTORS + 1e200), "contains 1e+200; a value of this"),
+    "spin "
+    "large": (lambda s: setattr(s.particles, "angular_velocity", VECTORS - 1e200), "contains -1e+200; a value of"),
+    "add "
+    "large": (lambda s: s.particles.add([0, 0, 0.05], velocity=[0, 1e200, 0]), "contains 1e+200; a value of this"),
+    "parameter "
+    "large": (lambda s: s.forces[0].parameters.update(rate=1e200), "contains 1e+200; a value of this magni"),
     "copy": (copy.deepcopy, "A simulation can neither be pickled nor copied"),
 }  # fmt: skip
 """Calls with an argument that cannot be meant, and the beginning of the sentence on it."""

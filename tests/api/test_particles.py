@@ -290,7 +290,10 @@ def without_pairs(groups):
 def test_particles_without_constants_of_their_contact_are_refused(taichi_f64):
     """One particle touches no other, so that its scene needs no pair; a second one would."""
     with gf.Simulation(without_pairs({"ball": particle_group([[0.0] * 3])})) as simulation:
-        message = "particles of glass can be in contact with each other now, but the scene has no pair glass-glass; "
+        message = (
+            "particles of glass can be in contact with each other now, but the scene has no pair "
+            "glass-glass; "
+        )
         with pytest.raises(gf.GranflowError, match=f"^{message}add it to pairs.$"):
             simulation.particles.add([0.1, 0.0, 0.0])
         simulation.step()

@@ -153,7 +153,7 @@ def test_a_directory_without_a_run_is_refused(tmp_path):
 
 def test_reading_a_run_does_not_import_taichi(reference):
     code = (
-        "import sys, granflow; run = granflow.read_run(sys.argv[1]); run.scene, run.result, run.frames[-1], repr(run);"
-        "sys.exit('taichi' in sys.modules)"
+        "import sys, granflow; run = granflow.read_run(sys.argv[1]); run.scene, run.result, run.frames[-1], "
+        "repr(run);sys.exit('taichi' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code, str(reference[0])]).returncode == 0

@@ -310,7 +310,10 @@ def test_output_directory_is_locked_during_the_run(stubs, monkeypatch):
 
 
 def test_collide_prints_json(stubs, capsys):
-    arguments = "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 --json"
+    arguments = (
+        "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 "
+        "--json"
+    )
     assert main(arguments.split()) == 0
     assert json.loads(capsys.readouterr().out)["duration_theory"] == 4.1e-5
     assert stubs.collide == {

@@ -34,7 +34,8 @@ SCENES = {
         among_valid(particle_group([[0.0, 0.0, 0.0]], velocity=[199.0, 0, 0])), gravity=[1e6, 0.0, 0.0],
         run={"duration": 0.01, "velocity_max": 1.0, "time_step": 5e-6}, numerics={"skin": 1e-3},
     ),
-    "is not a number": lambda: build_scene(among_valid(particle_group([[0.0, 0.0, 0.0]])), run={"duration": 0.01}),
+    "is not a "
+    "number": lambda: build_scene(among_valid(particle_group([[0.0, 0.0, 0.0]])), run={"duration": 0.01}),
 }  # fmt: skip
 
 
@@ -100,8 +101,8 @@ def test_f32_run_aborts_where_positions_are_not_resolved():
     assert before == ""
     assert "particle 0 (glass, 400 m/s)" in message
     assert (
-        "where f32 resolves positions only to 0.000977 m; the required resolution is 0.1 of the smallest radius 0.005 m"
-        in message
+        "where f32 resolves positions only to 0.000977 m; the required resolution is 0.1 of the smallest "
+        "radius 0.005 m" in message
     )
     assert "Use --precision mixed" in message
 

@@ -4,7 +4,10 @@ from importlib.util import find_spec
 
 from granflow.engine.backend import MESA_MINIMUM, vulkan_devices
 
-PACKAGES = f"quadrants, and a GPU with a Vulkan driver or Mesa >= {MESA_MINIMUM[0]} (mesa-vulkan-drivers, libvulkan1)"
+PACKAGES = (
+    f"quadrants, and a GPU with a Vulkan driver or Mesa >= {MESA_MINIMUM[0]} (mesa-vulkan-drivers, "
+    "libvulkan1)"
+)
 ENVIRONMENT = {"GRANFLOW_KERNELS": "quadrants", "LP_NUM_THREADS": "1"}
 """Kernel language, and number of threads of llvmpipe: the tests run beside others."""
 

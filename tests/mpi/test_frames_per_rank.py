@@ -96,7 +96,10 @@ def test_pieces_are_joined_in_the_order_of_the_ids(tmp_path):
 def test_pyvista_reads_the_frame(tmp_path):
     pytest.importorskip("pyvista")
     written(tmp_path, [5, 1], [], [4, 2])
-    program = "import pyvista, sys; frame = pyvista.read(sys.argv[1]); print(sorted(frame['id']), frame['velocity'].shape)"
+    program = (
+        "import pyvista, sys; frame = pyvista.read(sys.argv[1]); print(sorted(frame['id']), "
+        "frame['velocity'].shape)"
+    )
     done = subprocess.run(
         [sys.executable, "-c", program, str(tmp_path / "particles_0000.pvtu")],
         capture_output=True,

@@ -87,7 +87,8 @@ def test_plan_expects_the_fastest_particle():
         ),
         (
             {"insert": {"kind": "rain", "region": BOX, "rate": 100}},
-            "thermal cannot be combined with it: insert.kind is rain; random velocities require lattice, pack",
+            "thermal cannot be combined with it: insert.kind is rain; random velocities require lattice, "
+            "pack",
         ),
     ],
 )

@@ -343,7 +343,10 @@ def test_initial_particles_that_overlap_each_other_are_refused(positions, distan
     scene = build_scene({"balls": particle_group(positions)}, domain=domain, numerics=numerics)
     if distance is None:
         return refuse_initial_overlaps(scene, initial_particles(scene))
-    sentence = f"overlap by {overlap:g} of the smaller radius .* numerics.max_overlap {limit:g} .*Move them {distance:g} m"
+    sentence = (
+        f"overlap by {overlap:g} of the smaller radius .* numerics.max_overlap {limit:g} .*Move them "
+        f"{distance:g} m"
+    )
     with pytest.raises(SceneError, match=sentence):
         refuse_initial_overlaps(scene, initial_particles(scene))
 
@@ -399,8 +402,8 @@ def test_insertion_that_the_run_is_too_short_for_is_reported(flow):
     rain = {"material": "glass", "count": 500, "diameter": 0.004, "insert": insertion}
     (warning,) = warnings_of(build_scene({"rain": rain}, run={"duration": 0.3}))
     assert (
-        "the insertion of 500 particles takes 0.499 s from 0.1 s on, but the run ends at 0.3 s, after about 201 of them"
-        in warning
+        "the insertion of 500 particles takes 0.499 s from 0.1 s on, but the run ends at 0.3 s, after about "
+        "201 of them" in warning
     )
     assert f"Raise {next(iter(flow))} or the duration" in warning
     assert warnings_of(build_scene({"rain": rain}, run={"duration": 0.6})) == []

@@ -116,7 +116,10 @@ def inlet_scene(tmp_path, radius):
 
 def flow_scene(tmp_path, insertion, *overrides, count=300, velocity="-0.3 m/s"):
     """A scene with an insertion of particles of 4 mm."""
-    jet = f"{{material: glass, count: {count}, diameter: 4 mm, velocity: [0, 0, {velocity}], insert: {insertion}}}"
+    jet = (
+        f"{{material: glass, count: {count}, diameter: 4 mm, velocity: [0, 0, {velocity}], insert: "
+        f"{insertion}}}"
+    )
     return scene_of(tmp_path, f"particles.jet={jet}", "run.duration=0.3", *overrides)
 
 

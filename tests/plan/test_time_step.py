@@ -159,8 +159,8 @@ def test_given_step_above_the_stable_step_is_rejected_with_its_line_and_a_valid_
     location, message = problem.split(": ", 1)
     assert location.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
     assert message == (
-        f"run.time_step is 0.001 s, above the stability limit {allowed_step.stable_below:.3g} s (beads-beads at "
-        f"1 m/s). Lower it to {allowed_step.value:.2g} s or remove it."
+        f"run.time_step is 0.001 s, above the stability limit {allowed_step.stable_below:.3g} s (beads-beads "
+        f"at 1 m/s). Lower it to {allowed_step.value:.2g} s or remove it."
     )
 
 
@@ -169,7 +169,8 @@ def test_stable_step_that_does_not_reach_the_restitution_causes_a_warning(tmp_pa
     assert (step.value, step.limited_by) == (4.5e-5, "given in the scene")
     warning = step.warnings[0]
     assert warning.startswith(
-        "glass-glass: the restitution at 1 m/s is 0.7, but a time step of 4.5e-05 s reproduces no restitution below"
+        "glass-glass: the restitution at 1 m/s is 0.7, but a time step of 4.5e-05 s reproduces no "
+        "restitution below"
     )
     remedy = float(warning.split("Use run.time_step: ")[1].split()[0])
     assert not plan_for(scene_of(tmp_path, f"run.time_step={0.98 * remedy}")).step.warnings

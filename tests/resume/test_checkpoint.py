@@ -184,7 +184,10 @@ def test_checkpoint_of_another_engine_is_named(taichi_f64, tmp_path, monkeypatch
     with gf.Simulation(scene, threads=2, out=tmp_path) as simulation:
         simulation.run(until=1e-4)
     monkeypatch.undo()
-    named = f"with the engine 0123456789ab, and this is granflow {gf.__version__} with the engine {engine_digest()}"
+    named = (
+        f"with the engine 0123456789ab, and this is granflow {gf.__version__} with the engine "
+        f"{engine_digest()}"
+    )
     assert main(["resume", str(tmp_path)]) == 2
     assert named in (message := capsys.readouterr().err) and "--allow-changes" in message
     with monkeypatch.context() as patched:

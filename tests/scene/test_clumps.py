@@ -52,7 +52,8 @@ GROUPS = {
     ),
     "a word": (
         {"clump": {"spheres": clump_group([0, 0, 0])["clump"]["spheres"], "orientation": "upright"}},
-        "particles.rods.clump.orientation is upright, but it must be random, {axis: [..], angle: ..}, or a list",
+        "particles.rods.clump.orientation is upright, but it must be random, {axis: [..], angle: ..}, or a "
+        "list",
     ),
     "no sphere": ({"clump": {"spheres": []}}, "at least one item is required, such as [{position: [0, 0, 0]"),
     "many spheres": (
@@ -146,13 +147,16 @@ def test_clumps_side_by_side_do_not_overlap_although_the_spheres_around_them_do(
 CROSSED = {"axis": [0.0, 0.0, 1.0], "angle": np.pi / 2}
 PERIODIC = {"min": [-0.1] * 3, "max": [0.1] * 3, "periodic": ["x", "z"], "on_exit": "error"}
 OVERLAPS = {
-    "side": ([[0, 0, 0], [0, 3e-3, 0]], None, "rods[0] at [0, 0, 0] m and particles rods[1] at [0, 0.003, 0] m overlap "
-             "by 0.5 of", "1 pair overlaps by more). Move them 0.001 m"),
+    "side": ([[0, 0, 0], [0, 3e-3, 0]], None, (
+        "rods[0] at [0, 0, 0] m and particles rods[1] at [0, 0.003, 0] m overlap by 0.5 of"
+    ), "1 pair overlaps by more). Move them 0.001 m"),
     "ends": ([[0, 0, 0], [9e-3, 0, 0], [18e-3, 0, 0]], None, "overlap by 0.5 of", "2 pairs overlap by more"),
     "orientation": ([[0, 0, 0], [0, 6e-3, 0]], [{"axis": [0.0, 0.0, 1.0], "angle": 0.0}, CROSSED],
                     "overlap by 0.419 of", "1 pair"),
-    "periodic": ([[-0.096, 0, 0], [0.0955, 0, 0]], None, "rods[0] at [-0.096, 0, 0] m and the periodic image of "
-                 "particles rods[1] at [-0.1045, 0, 0] m overlap by 0.75 of", "1 pair"),
+    "periodic": ([[-0.096, 0, 0], [0.0955, 0, 0]], None, (
+        "rods[0] at [-0.096, 0, 0] m and the periodic image of particles rods[1] at [-0.1045, 0, 0] m "
+        "overlap by 0.75 of"
+    ), "1 pair"),
 }  # fmt: skip
 """Positions of rods with a radius of 2 mm, their orientations, and two parts of the sentence."""
 

@@ -29,7 +29,8 @@ def problems(group=None, cohesion=None, **parts):
 CASES = {
     "content missing": (
         {"group": {"liquid_content": None}},
-        "particles.wet.liquid_content is missing: contact.cohesion is capillary_transfer; give the volume of the film",
+        "particles.wet.liquid_content is missing: contact.cohesion is capillary_transfer; give the volume of "
+        "the film",
     ),
     "content negative": (
         {"group": {"liquid_content": -0.1}},
@@ -37,8 +38,8 @@ CASES = {
     ),
     "content without films": (
         {"cohesion": "sjkr"},
-        "particles.wet.liquid_content is 0.01, but contact.cohesion is sjkr; remove liquid_content, or choose "
-        "capillary_transfer",
+        "particles.wet.liquid_content is 0.01, but contact.cohesion is sjkr; remove liquid_content, or "
+        "choose capillary_transfer",
     ),
     "volume missing": (
         {"cohesion": {"law": "capillary_transfer"}},
@@ -54,7 +55,8 @@ CASES = {
     ),
     "precision": (
         {"run": {"duration": 1.0, "precision": "f32"}},
-        "run.precision is f32, but contact.cohesion: capillary_transfer conserves liquid in f64 only; write f64.",
+        "run.precision is f32, but contact.cohesion: capillary_transfer conserves liquid in f64 only; write "
+        "f64.",
     ),
 }
 

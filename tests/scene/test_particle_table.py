@@ -58,7 +58,8 @@ BAD = {
     ],
     "x y z r\n0 0 0 0\n0 0 0 -1\n": ["2: the radius must be above 0.", "3: the radius must be above 0."],
     "0,0,0,1\n": [
-        "1: the first line must be a header with the columns x, y, z and r (or radius, or diameter), but it is 0,0,0,1."
+        "1: the first line must be a header with the columns x, y, z and r (or radius, or diameter), but it "
+        "is 0,0,0,1."
     ],
     "x[furlong],y,z,r\n0,0,0,1\n": ["1: the unit of x[furlong] is invalid: furlong is not a known unit"],
     "x,y,z,r,r\n0,0,0,1,1\n": ["1: the header has r twice; keep one of the columns."],
@@ -71,7 +72,8 @@ BAD = {
     ],
     "x,y,z,r,mat,material\n0,0,0,1,a,b\n": ["2: mat is a, but material is b: the columns contradict each other;"],
     "x,y,z,r,vx,vz\n0,0,0,1,1,1\n": [
-        "1: the header has vx and vz, but not all three components of the velocity; add the others, or remove it."
+        "1: the header has vx and vz, but not all three components of the velocity; add the others, or "
+        "remove it."
     ],
     "x,y,z,r\n": [" the file contains no particles."],
     "": [" the file contains no particles."],

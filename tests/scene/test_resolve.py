@@ -40,7 +40,10 @@ def problems(tmp_path, *given, **files):
 
 REGION = "region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}"
 UNIFORM = "{distribution: uniform, min: 2 mm, max: 4 mm}"
-CLASSES = "{distribution: classes, by: mass, classes: [{diameter: 2 mm, fraction: 1}, {diameter: 4 mm, fraction: 1}]}"
+CLASSES = (
+    "{distribution: classes, by: mass, classes: [{diameter: 2 mm, fraction: 1}, {diameter: 4 mm, fraction: "
+    "1}]}"
+)
 
 
 @pytest.mark.parametrize(
@@ -184,8 +187,8 @@ CONFLICTS = {
 def test_conflicts_between_file_and_group_are_rejected(tmp_path, beads):
     assert problems(tmp_path, beads, start=ROWS) == [f"beads.yaml:{CONFLICTS[beads]}"]
     assert problems(tmp_path, FILE.replace("start", "none")) == [
-        "beads.yaml:18:32: particles.beads.insert.file is none.csv, but there is no such file; its path is relative to "
-        "the folder of the scene."
+        "beads.yaml:18:32: particles.beads.insert.file is none.csv, but there is no such file; its path is "
+        "relative to the folder of the scene."
     ]
 
 
@@ -226,7 +229,8 @@ def test_scale_changes_equipment_and_amounts_only(tmp_path):
     )
     assert scene_of(two.to_yaml(), "as run") == two, "resolving is idempotent"
     assert problems(tmp_path, FILE, "scale=2", start=ROWS) == [
-        "--set scale=2: scale is 2, but particles.beads has given positions, which cannot be scaled; leave scale out."
+        "--set scale=2: scale is 2, but particles.beads has given positions, which cannot be scaled; leave "
+        "scale out."
     ]
 
 

@@ -12,7 +12,8 @@ def test_reduced_angle_of_repose_satisfies_its_expectations(tmp_path, taichi_f64
         *REDUCED_HEAP,
         "stages.0.duration=0.15 s",
         "stages.1.duration=0.35 s",
-        "expect=[{quantity: deleted_count, between: [20, 300]}, {quantity: energy_error, between: [-2e-3, 2e-3]}]",
+        "expect=[{quantity: deleted_count, between: [20, 300]}, {quantity: energy_error, between: [-2e-3, "
+        "2e-3]}]",
     )
     assert run_shipped_scene("angle_of_repose", tmp_path, overrides=small)[1] == []
 

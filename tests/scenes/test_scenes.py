@@ -89,8 +89,8 @@ REDUCED = {
         "particles.beads.insert.region.cylinder={from: [0, 0, 0], to: [0, 0, 14 mm], radius: 12 mm}",
         "particles.floor.count=1296",
         "particles.floor.insert.region.box={min: [-36 mm, -36 mm, -2 mm], max: [36 mm, 36 mm, 0]}",
-        "walls.tube={shape: cylinder, from: [0, 0, -5 mm], to: [0, 0, 40 mm], radius: 12 mm, material: glass, "
-        "stages: [fill]}",
+        "walls.tube={shape: cylinder, from: [0, 0, -5 mm], to: [0, 0, 40 mm], radius: 12 mm, material: "
+        "glass, stages: [fill]}",
         "stages.0.duration=0.1 s",
         "stages.1.duration=0.2 s",
         "expect=[{quantity: gravitational_energy, between: [0.125 mJ, 0.190 mJ]}, "
@@ -110,7 +110,8 @@ REDUCED = {
         "stages.0.duration=0.2 s",
         "stages.1.max_duration=0.1 s",
         "stages.2.duration=0.3 s",
-        "expect=[{quantity: flow_count.outlet, between: [297, 300]}, {quantity: energy_error, between: [-2e-3, 2e-3]}]",
+        "expect=[{quantity: flow_count.outlet, between: [297, 300]}, {quantity: energy_error, between: "
+        "[-2e-3, 2e-3]}]",
     ),
     # A tenth of the width: M = 25.13 g. Two landings occur in 0.28 s: 32.0 mJ.
     "vibrated_bed": (
@@ -125,7 +126,8 @@ REDUCED = {
         "walls.back.corner=[-20 mm, 10 mm, 0]",
         "walls.back.sides=[[40 mm, 0, 0], [0, 0, 150 mm]]",
         "run.duration=0.28 s",
-        "expect=[{quantity: wall_work, between: [0.028, 0.035]}, {quantity: energy_error, between: [-1e-3, 1e-3]}]",
+        "expect=[{quantity: wall_work, between: [0.028, 0.035]}, {quantity: energy_error, between: [-1e-3, "
+        "1e-3]}]",
     ),
     # Half the diameter and length at the same Froude number: M = 29.3 g, b = 12.7 mm, w = 4.443 rad/s. The
     # distance of the end walls is only four diameters, which raises the slope to up to 50 degrees.
@@ -133,10 +135,10 @@ REDUCED = {
         "particles.beads.count=350",
         "particles.beads.insert={kind: pack, "
         "region: {box: {min: [-22.5 mm, -7.5 mm, -19 mm], max: [22.5 mm, 7.5 mm, 19 mm]}}}",
-        "walls.shell={shape: cylinder, from: [0, -7.5 mm, 0], to: [0, 7.5 mm, 0], radius: 30 mm, material: steel, "
-        "motion: {kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], angular_velocity: -42.43 rpm}}",
-        "walls.front={shape: disc, center: [0, -7.5 mm, 0], normal: [0, 1, 0], radius: 30 mm, material: steel, "
-        "motion: {kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], angular_velocity: -42.43 rpm}}",
+        "walls.shell={shape: cylinder, from: [0, -7.5 mm, 0], to: [0, 7.5 mm, 0], radius: 30 mm, material: "
+        "steel, motion: {kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], angular_velocity: -42.43 rpm}}",
+        "walls.front={shape: disc, center: [0, -7.5 mm, 0], normal: [0, 1, 0], radius: 30 mm, material: "
+        "steel, motion: {kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], angular_velocity: -42.43 rpm}}",
         "walls.back={shape: disc, center: [0, 7.5 mm, 0], normal: [0, 1, 0], radius: 30 mm, material: steel, "
         "motion: {kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], angular_velocity: -42.43 rpm}}",
         "run.duration=0.7 s",

@@ -520,7 +520,10 @@ def test_best_target_reports_a_standard_error_above_the_tolerance(tmp_path):
 
 def test_missing_value_of_a_trial_is_explained(tmp_path):
     """A value that is NaN, with the reason that the run gives; a quantity that the run does not have."""
-    reason = "output.metrics.left: the angle of repose is NaN: the surface has 3 points, but a fit needs at least 4."
+    reason = (
+        "output.metrics.left: the angle of repose is NaN: the surface has 3 points, but a fit needs at least "
+        "4."
+    )
     angle_run(tmp_path, dict.fromkeys(ANGLE), [reason, "output.metrics.right: another one"])
     sentence = _missing_reason("left", angle_target(tmp_path), tmp_path)
     assert sentence == f"{tmp_path}: target left: angle_of_repose.left is NaN. {reason}"

@@ -75,8 +75,8 @@ def test_parameters_of_a_sum_are_identified_only_together():
     assert known.deviation == pytest.approx([np.sqrt(1 / 24), np.sqrt(1 / 24), np.sqrt(1 / 12)], rel=0.05)
     assert known.statement(NAMES, 0, "").endswith("they determine it only together with rolling_friction.")
     assert known.statement(NAMES, 2, "angle changes by 0.1 deg").startswith(
-        "restitution cannot be identified from the targets: none of them responds to it between its bounds by more "
-        "than the scatter between runs; angle changes by 0.1 deg (F test of 60 trials: p = 0."
+        "restitution cannot be identified from the targets: none of them responds to it between its bounds "
+        "by more than the scatter between runs; angle changes by 0.1 deg (F test of 60 trials: p = 0."
     )
 
 

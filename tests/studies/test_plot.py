@@ -12,8 +12,8 @@ from granflow.io.tables import COLUMNS, read_series
 from granflow.studies.plot import panels_of, quantity_of, series_of
 
 HEAD = (
-    "time [s],stage,wall_pressure.lid [Pa],wall_displacement.lid [m],wall_force_x.lid [N],wall_force_z.lid [N],"
-    "slope [rad]"
+    "time [s],stage,wall_pressure.lid [Pa],wall_displacement.lid [m],wall_force_x.lid [N],wall_force_z.lid "
+    "[N],slope [rad]"
 )
 ROWS = (
     (0.0, "load", 0.0, 0.0, 1.0, 10.0, 0.5),
@@ -326,8 +326,10 @@ def test_columns_of_collisions_are_listed_for_both_axes(collisions, capsys):
         (",".join(COLUMNS) + "\n", "has no complete rows yet."),
         (",".join(COLUMNS) + "\n0,1,particle,0,1e-6,2,2\n", "has no complete rows yet."),
         ("time [s],speed [m/s]\n", "has no complete rows yet."),
-        ("energy [J],number\n1,2\n", "has neither a column time nor the columns of collision_energies.csv; its columns "
-         "are: energy, number."),
+        ("energy [J],number\n1,2\n", (
+            "has neither a column time nor the columns of collision_energies.csv; its columns are: energy, "
+            "number."
+        )),
         ("", "its columns are: none."),
     ],
 )  # fmt: skip

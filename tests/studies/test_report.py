@@ -28,7 +28,10 @@ from granflow.studies.report.plots import MOST_POINTS, groups_of, plot_of, thinn
 from granflow.studies.report.report import field_content, report_text, table_of
 from granflow.studies.report.view import _caption, course_pictures, pictures_for
 
-HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
+HEAD = (
+    "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle "
+    "[N],"
+)
 HEAD += "flow_mass.a [kg],mass_flow.a [kg/s],force_z.floor [N],force_z.lid [N],temperature [K]\n"
 ROWS = [
     "0.0,fill,1,2e-6,0,0,0,0,0,0,1,2,300\n",

@@ -164,7 +164,8 @@ def test_every_case_has_a_unique_row_and_column():
         assert len({(case.family, case.row, case.column) for case in cases}) == len(cases)
     named = " ".join(case.name for case in all_cases(full=True))
     for part in ("1e+05 Pa", "1e+12 Pa", "e = 0,", "e = 0.001", "1e-06 m/s", "density 1 : 1e+06", "radius 1 : 100",
-                 "R = 1e-06 m", "R = 1 m", "f32", "heavy on light", "column of 100", "squeezed", "overlap 50 %",
+                 "R = 1e-06 "
+                 "m", "R = 1 m", "f32", "heavy on light", "column of 100", "squeezed", "overlap 50 %",
                  "1 km/s", "friction 0", "friction 10", "no gravity", "Γ = 100", "0.01", ", 5"):  # fmt: skip
         assert part in named, part
 

@@ -54,8 +54,8 @@ def test_all_problems_are_reported_with_position_and_suggestion(tmp_path):
         "sweep.yaml:2:1: vray is not a known key. Did you mean vary?",
         "sweep.yaml:3:17: repeat.seeds is 0, but a number of seeds must be in [1, 1000].",
         "sweep.yaml:4:7: read is [], but at least one item is required, such as [mass_flow.outlet].",
-        "sweep.yaml:5:18: sampling.kind is sobl, but it must be one of grid, latin_hypercube, sobol. Did you mean "
-        "sobol?",
+        "sweep.yaml:5:18: sampling.kind is sobl, but it must be one of grid, latin_hypercube, sobol. Did you "
+        "mean sobol?",
     ]
 
 
@@ -93,7 +93,8 @@ def test_invalid_parameters_are_refused(tmp_path, vary, words):
         ),
         (
             "vary: {a: {from: 0, to: 1}}\nsampling: {kind: latin_hypercube, count: 1000000000}",
-            "sweep.yaml:3:35: sampling.count gives 1000000000 runs, but a sweep has at most 100000; give fewer values.",
+            "sweep.yaml:3:35: sampling.count gives 1000000000 runs, but a sweep has at most 100000; give "
+            "fewer values.",
         ),
     ],
 )

@@ -318,8 +318,8 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
         friction.optimum
     )
     assert friction.not_identified.startswith(
-        "friction cannot be identified from the targets: none of them responds to it between its bounds by more than "
-        "the scatter between runs; energy changes by "
+        "friction cannot be identified from the targets: none of them responds to it between its bounds by "
+        "more than the scatter between runs; energy changes by "
     )
     write_result(tmp_path, result)
     write_calibration_page(tmp_path, search.calibration, result)

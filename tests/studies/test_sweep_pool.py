@@ -154,8 +154,8 @@ def test_a_full_disk_is_reported_in_one_sentence_and_the_sweep_continues(sweep, 
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100)
     assert done.returncode == 4 and "Traceback" not in done.stderr
     assert done.stderr.endswith(
-        "cannot be written or read: File too large. The runs that have ended are kept: correct this, and repeat the "
-        "command.\n"
+        "cannot be written or read: File too large. The runs that have ended are kept: correct this, and "
+        "repeat the command.\n"
     )
     assert not run_sweep(sweep, out, Workers(jobs=1)).is_complete
     assert [row["status"] for row in rows(out)] == STATUSES

@@ -256,7 +256,10 @@ def test_cases_with_equal_laws_are_allowed_scatter_alone():
     assert (same[0].allowed, same[0].status, other[0].status) == (0.0, "pass", "fail")
 
 
-FRAME = "ITEM: TIMESTEP\n{}\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS ff ff ff\n0 1\n0 1\n0 1\nITEM: ATOMS id x ...\n"
+FRAME = (
+    "ITEM: TIMESTEP\n{}\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS ff ff ff\n0 1\n0 1\n0 1\nITEM: ATOMS id "
+    "x ...\n"
+)
 ROWS = "2 4 5 6 0 0 0 0.2\n1 1 2 3 7 8 9 0.1\n"
 
 

@@ -74,7 +74,10 @@ def missing(name: str, threads: list[int]) -> str | None:
     if shutil.which(peer.program) is None:
         return f"{name} is skipped: the program {peer.program} was not found; install {peer.package}."
     if name != "yade" and max(threads) > 1 and shutil.which("mpirun") is None:
-        return f"{name} is skipped: several ranks need mpirun; install the Debian package openmpi-bin or use --threads 1."
+        return (
+            f"{name} is skipped: several ranks need mpirun; install the Debian package openmpi-bin or use "
+            "--threads 1."
+        )
     return None
 
 

@@ -128,9 +128,11 @@ def phase_section(result: dict[str, Any]) -> str:
     return (
         "Limits of the machine, measured in the same run:\n\n"
         + "\n".join(f"- {line}" for line in phases.limit_lines(result))
-        + "\n\nLower bounds of a phase are the times for its bytes and for its arithmetic, counted in `counts.py`. "
-        f"Values of `rebuild` are per rebuild of the neighbor list, the others per step.\n\n{table}\n\n"
-        f"```\n{kernels}\n```"
+        + (
+            "\n\nLower bounds of a phase are the times for its bytes and for its arithmetic, counted in "
+            "`counts.py`. Values of `rebuild` are per rebuild of the neighbor list, the others per "
+            f"step.\n\n{table}\n\n```\n{kernels}\n```"
+        )
     )
 
 

@@ -203,7 +203,8 @@ def limit_lines(result: dict[str, Any]) -> list[str]:
         f"{each['threads']:.0f} thread(s): copy {each['copy_cache'] / 1e9:.0f} GB/s in cache, "
         f"{each['copy_memory'] / 1e9:.0f} in memory; triad {each['triad_cache'] / 1e9:.0f} and "
         f"{each['triad_memory'] / 1e9:.0f}; product and sum {1e9 * each['product_sum_seconds']:.2f} ns, "
-        f"square root {1e9 * each['root_seconds']:.2f} ns, quotient {1e9 * each['quotient_seconds']:.2f} ns (f64)"
+        f"square root {1e9 * each['root_seconds']:.2f} ns, quotient {1e9 * each['quotient_seconds']:.2f} ns "
+        "(f64)"
         for each in result["limits"]
     ]
 
@@ -213,8 +214,8 @@ def text(result: dict[str, Any]) -> str:
     lines = ["", *limit_lines(result), "", HEAD]
     for row in rows(result):
         lines.append(
-            f"{row[0]:<12} {row[1]:<7} {row[2]:>7}  {row[3]:<11} {row[4]:>9} {row[5]:>7} {row[6]:>6} {row[7]:>6} "
-            f"{row[8]:>12} {row[9]:>17}  {row[10]}"
+            f"{row[0]:<12} {row[1]:<7} {row[2]:>7}  {row[3]:<11} {row[4]:>9} {row[5]:>7} {row[6]:>6} "
+            f"{row[7]:>6} {row[8]:>12} {row[9]:>17}  {row[10]}"
         )
     lines.append("(rebuild: one rebuild; integration and forces: one step)")
     for point in result["points"]:
@@ -227,8 +228,8 @@ def kernel_lines(point: dict[str, Any]) -> list[str]:
     interval = point["steps_per_search"]
     rebuilds = f"a rebuild every {interval:.0f} steps" if interval else "no rebuild"
     lines = [
-        f"{point['case']}, {point['law']}, {point['threads']} thread(s): {point['slots']:.2f} list entries and "
-        f"{point['touching']:.2f} contact entries per particle, {rebuilds}; kernels:"
+        f"{point['case']}, {point['law']}, {point['threads']} thread(s): {point['slots']:.2f} list entries "
+        f"and {point['touching']:.2f} contact entries per particle, {rebuilds}; kernels:"
     ]
     for unit, kernels in point["kernels"].items():
         total = sum(kernels.values())

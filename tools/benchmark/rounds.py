@@ -32,7 +32,8 @@ def gather_cases(options: argparse.Namespace, folder: Path) -> list[Case]:
             found.append(read_data(path, "hopper"))
         else:
             print(
-                f"The hopper is skipped: {path} does not exist; give the file of its particles with --hopper-data."
+                f"The hopper is skipped: {path} does not exist; give the file of its particles with "
+                "--hopper-data."
             )
     return found
 

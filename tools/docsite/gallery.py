@@ -35,7 +35,10 @@ def page() -> str:
         *(_section(name) for name in names() if not name.startswith(VERIFICATION)),
     ]
     rows = [(code(name), _scene(name)["title"]) for name in names() if name.startswith(VERIFICATION)]
-    verification = "## Verification scenes\n\nSingle collisions and small systems with closed-form or published results.\n\n"
+    verification = (
+        "## Verification scenes\n\nSingle collisions and small systems with closed-form or published "
+        "results.\n\n"
+    )
     return "\n".join([*sections, verification + table(("scene", "title"), rows)])
 
 

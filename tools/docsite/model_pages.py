@@ -9,9 +9,11 @@ from granflow.contact import registry
 from granflow.contact.law import SLOTS, Amount, ContactModel, Option
 
 PICTURES = {
-    "normal": "Restitution and contact duration versus impact velocity. Lines: closed forms (durations of hertz and "
-    "linear without damping). Circles: integration of the reference implementation with 400 steps per "
-    "contact. Two spheres of stainless steel 316 of 25.4 mm diameter.",
+    "normal": (
+        "Restitution and contact duration versus impact velocity. Lines: closed forms (durations of hertz "
+        "and linear without damping). Circles: integration of the reference implementation with 400 steps "
+        "per contact. Two spheres of stainless steel 316 of 25.4 mm diameter."
+    ),
     "tangential": "Tangential force versus displacement at constant load: loading, reversal, and one full cycle.",
     "rolling": "Rolling torque at constant normal load.",
     "twisting": "Twisting torque at constant normal load: loading, reversal, and one full cycle.",

@@ -90,8 +90,8 @@ def vtu_arrays() -> str:
             VTU,
             "## particles_NNNN.vtu\n\nOne vertex per particle, at its center, ordered by id.\n",
             array_table(displayed),
-            "## contacts_NNNN.vtu\n\nWith `output.contacts: true`: one line per contact, from center to center or to "
-            "the contact point on a wall.\n",
+            "## contacts_NNNN.vtu\n\nWith `output.contacts: true`: one line per contact, from center to "
+            "center or to the contact point on a wall.\n",
             array_table(contacts),
             "## walls_NNNN.vtu\n\nThe triangles of the walls that are present.\n",
             array_table(fields.WALL_ARRAY_QUANTITIES.values()),
@@ -121,8 +121,8 @@ def result() -> str:
     sections = [RESULT, f"## run\n\n{quantity_table(fields.RUN_QUANTITIES.values())}"]
     sections.append("## timings\n\nWall-clock time of each phase [s]; in `expect:` as `timings.PHASE`.\n")
     sections.append(
-        "## totals\n\nThe last values of the [columns of the whole system](timeseries.md#whole-system), and of outlets "
-        "and controlled walls.\n"
+        "## totals\n\nThe last values of the [columns of the whole system](timeseries.md#whole-system), and "
+        "of outlets and controlled walls.\n"
     )
     for name, quantities in parts.items():
         sections.append(f"## {name}\n\n{quantity_table(quantities.values(), 'PART')}")

@@ -160,7 +160,8 @@ MODELS = (
     ("zhou, damping_ratio", ZHOU, "return 2.0 * constants.damping_ratio * weight * ti.sqrt",
      "return 2.2 * constants.damping_ratio * weight * ti.sqrt", "at_rest:resting_cases"),
     ("hertz, spring", NORMAL + "hertz.py", "elastic = stiffness * ti.sqrt(contact.radius_eff * contact.overlap)",
-     "elastic = 1.1 * stiffness * ti.sqrt(contact.radius_eff * contact.overlap)", "normal_models:normal_model_cases"),
+     "elastic = 1.1 * stiffness * ti.sqrt(contact.radius_eff * "
+     "contact.overlap)", "normal_models:normal_model_cases"),
     ("hertz, dashpot", NORMAL + "hertz.py", "damping = constants.viscosity * weight",
      "damping = 1.1 * constants.viscosity * weight", "normal_models:normal_model_cases"),
     ("linear, spring", NORMAL + "linear.py", "elastic = stiffness * contact.overlap",
@@ -171,7 +172,8 @@ MODELS = (
      "return 1.1 * stiffness * (1.0 + excess)", "normal_models:normal_model_cases"),
     ("luding, growth of the stiffness", NORMAL + "luding.py",
      "growth = (1.0 - share) ** 2 / (2.0 * self.plasticity_depth * share)",
-     "growth = 1.1 * (1.0 - share) ** 2 / (2.0 * self.plasticity_depth * share)", "normal_models:normal_model_cases"),
+     "growth = 1.1 * (1.0 - share) ** 2 / (2.0 * self.plasticity_depth * "
+     "share)", "normal_models:normal_model_cases"),
     ("thornton, yield pressure", NORMAL + "thornton.py", "self.yield_ratio * pair.yield_strength",
      "1.1 * self.yield_ratio * pair.yield_strength", "normal_models:normal_model_cases"),
     ("kuwabara_kono, dissipation", NORMAL + "kuwabara_kono.py", "damping = constants.dissipation * k * power",

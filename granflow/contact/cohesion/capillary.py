@@ -114,8 +114,9 @@ class Capillary(BondLaw):
     name = "capillary"
     source = SOURCE
     limits = (
-        "pendular bridges with V / r^3 below 0.001, r = 2 R, and small contact angles; each pair of materials has one "
-        "volume, liquid is neither shared nor lost, and the viscous force of the liquid is neglected"
+        "pendular bridges with V / r^3 below 0.001, r = 2 R, and small contact angles; each pair of "
+        "materials has one volume, liquid is neither shared nor lost, and the viscous force of the liquid is "
+        "neglected"
     )
     constant_names = ("tension", "volume", "distance")
     """Surface tension times cosine of the contact angle [N/m], liquid volume [m3], rupture distance [m]."""

@@ -45,8 +45,8 @@ class CapillaryTransfer(CohesionLaw):
     name = "capillary_transfer"
     source = f"{SOURCE}; Shi & McCarthy 2008, Powder Technol. 184:64"
     limits = (
-        "pendular bridges with V / r^3 below 0.001, r = 2 R, and small contact angles; walls have no film; liquid does "
-        "not flow along surfaces or between bridges, and its mass and viscous force are neglected"
+        "pendular bridges with V / r^3 below 0.001, r = 2 R, and small contact angles; walls have no film; "
+        "liquid does not flow along surfaces or between bridges, and its mass and viscous force are neglected"
     )
     constant_names = ("tension", "rupture_factor")
     """Surface tension times cosine of the contact angle [N/m], rupture distance over the cube root of the
@@ -148,7 +148,8 @@ MODEL = ContactModel(
     "liquid bridges that take their volume from films on the particles and return it at rupture",
     options={
         "max_bridge_volume": Amount(
-            "largest volume of a bridge [m3]: the films keep the rest; it determines the range of the neighbor lists",
+            "largest volume of a bridge [m3]: the films keep the rest; it determines the range of the "
+            "neighbor lists",
             "10 nl",
             "volume",
             "a volume",

@@ -68,10 +68,13 @@ class Jkr(BondLaw):
     """JKR adhesion with the work of adhesion w [J/m2] of the pair."""
 
     name = "jkr"
-    source = "Johnson, Kendall & Roberts 1971, doi 10.1098/rspa.1971.0141; Thornton & Ning 1998, Powder Technol. 99:154"
+    source = (
+        "Johnson, Kendall & Roberts 1971, doi 10.1098/rspa.1971.0141; Thornton & Ning 1998, Powder Technol. "
+        "99:154"
+    )
     limits = (
-        "for large, soft particles (Tabor parameter above 5); exact with the hertz normal model, an approximation with "
-        "any other; the friction limit uses the Hertz force without the attraction"
+        "for large, soft particles (Tabor parameter above 5); exact with the hertz normal model, an "
+        "approximation with any other; the friction limit uses the Hertz force without the attraction"
     )
     constant_names = ("work_of_adhesion", "modulus_eff")
 

@@ -20,7 +20,10 @@ class Sjkr(CohesionLaw):
 
     name = "sjkr"
     source = "SJKR as in LIGGGHTS, after Johnson, Kendall & Roberts 1971"
-    limits = "no attraction before first contact or after separation; the contact area is that of undeformed spheres"
+    limits = (
+        "no attraction before first contact or after separation; the contact area is that of undeformed "
+        "spheres"
+    )
     constant_names = ("cohesion_energy_density",)
 
     @ti.func

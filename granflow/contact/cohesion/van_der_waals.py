@@ -25,8 +25,8 @@ class VanDerWaals(CohesionLaw):
     name = "van_der_waals"
     source = "Hamaker 1937, Physica 4:1058; Israelachvili 2011, Intermolecular and Surface Forces, Table 13.1"
     limits = (
-        "without retardation, for distances far below the radius; the time step must resolve the separation s_0 in "
-        "contact: otherwise approaching particles gain or lose energy"
+        "without retardation, for distances far below the radius; the time step must resolve the separation "
+        "s_0 in contact: otherwise approaching particles gain or lose energy"
     )
     constant_names = ("hamaker_constant", "separation")
     at_distance = True
@@ -91,7 +91,8 @@ MODEL = ContactModel(
         PairOption(
             "separation",
             Amount(
-                "separation s_0 [m] of the surfaces in contact: 0.165 nm for smooth spheres, larger for rough ones",
+                "separation s_0 [m] of the surfaces in contact: 0.165 nm for smooth spheres, larger for "
+                "rough ones",
                 "0.165 nm",
                 "length",
                 "a distance",

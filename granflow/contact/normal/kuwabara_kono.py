@@ -42,10 +42,13 @@ class KuwabaraKono(HertzSpring):
 
     name = "kuwabara_kono"
     has_dashpot = True
-    source = "Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, doi 10.1103/PhysRevE.53.5382"
+    source = (
+        "Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, doi "
+        "10.1103/PhysRevE.53.5382"
+    )
     limits = (
-        "valid for slow viscoelastic impacts: 1 - e increases as v^(1/5) for every material; the power of the mass in "
-        "the force takes extra time for every contact and step"
+        "valid for slow viscoelastic impacts: 1 - e increases as v^(1/5) for every material; the power of "
+        "the mass in the force takes extra time for every contact and step"
     )
     constant_names = ("modulus_eff", "shear_modulus_eff", "dissipation")
     """Dissipation: g at 1 m/s [(s/m)^(1/5)]."""
@@ -122,8 +125,8 @@ class KuwabaraKono(HertzSpring):
 
 MODEL = ContactModel(
     KuwabaraKono,
-    "Viscoelastic spheres: Hertz spring with damping proportional to the square root of the overlap; e decreases with "
-    "velocity (Kuwabara & Kono 1987).",
+    "Viscoelastic spheres: Hertz spring with damping proportional to the square root of the overlap; e "
+    "decreases with velocity (Kuwabara & Kono 1987).",
     options={
         "reference_velocity": Amount(
             "approach velocity [m/s] at which e equals the restitution of the pair",

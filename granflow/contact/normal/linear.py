@@ -22,7 +22,10 @@ class Linear(SpringLaw):
     name = "linear"
     has_dashpot = True
     source = "Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007"
-    limits = "duration and restitution do not depend on velocity; with damping the force is discontinuous at first contact"
+    limits = (
+        "duration and restitution do not depend on velocity; with damping the force is discontinuous at "
+        "first contact"
+    )
     constant_names = ("modulus_eff", "shear_modulus_eff", "damping_ratio")
 
     @classmethod

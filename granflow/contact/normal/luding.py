@@ -141,8 +141,8 @@ class Luding(ClosedFormCollision, SpringLaw):
     name = "luding"
     source = "Luding 2008, Granular Matter 10:235, doi 10.1007/s10035-008-0099-x; spring: Zhou 2011, Eq. 19"
     limits = (
-        "e decreases with velocity up to the limit overlap and increases beyond it; stiffness and plasticity depth are "
-        "fit parameters, not material constants"
+        "e decreases with velocity up to the limit overlap and increases beyond it; stiffness and plasticity "
+        "depth are fit parameters, not material constants"
     )
     constant_names = ("modulus_eff", "shear_modulus_eff", "growth", "limit")
     """Growth of k2 / k1 per dmax / R, limit of dmax / R."""
@@ -309,8 +309,8 @@ def _reference_loss(k1: float, growth: float, largest: float) -> float:
 
 MODEL = ContactModel(
     Luding,
-    "Bilinear, with plasticity that increases up to a limit overlap, elastic beyond it (Luding 2008); the restitution "
-    "of a pair applies at the limit.",
+    "Bilinear, with plasticity that increases up to a limit overlap, elastic beyond it (Luding 2008); the "
+    "restitution of a pair applies at the limit.",
     options={
         "stiffness": STIFFNESS,
         "plasticity_depth": Amount(

@@ -152,8 +152,8 @@ class Thornton(ClosedFormCollision, NormalLaw):
     name = "thornton"
     source = "Thornton 1997, J. Appl. Mech. 64:383, doi 10.1115/1.2787319"
     limits = (
-        "neither hardening nor rate dependence: e is 1 below the yield velocity and decreases as v^(-1/4) far above "
-        "it, for every material; the contact pressure at yield is uncertain by a factor of 2"
+        "neither hardening nor rate dependence: e is 1 below the yield velocity and decreases as v^(-1/4) "
+        "far above it, for every material; the contact pressure at yield is uncertain by a factor of 2"
     )
     constant_names = ("modulus_eff", "shear_modulus_eff", "yield_pressure")
 
@@ -255,8 +255,8 @@ MODEL = ContactModel(
     "Elastic, perfectly plastic spheres: restitution follows from the yield strength (Thornton 1997).",
     options={
         "yield_ratio": Amount(
-            "ratio of the maximum contact pressure to the yield strength: 1.6 at the onset of yield below the surface "
-            "(Thornton 1997), 2.8 for a fully plastic contact (Johnson 1985)",
+            "ratio of the maximum contact pressure to the yield strength: 1.6 at the onset of yield below "
+            "the surface (Thornton 1997), 2.8 for a fully plastic contact (Johnson 1985)",
             "1.6",
             "number",
             "a ratio",

@@ -26,8 +26,8 @@ class WaltonBraun(SpringLaw):
     name = "walton_braun"
     source = "Walton & Braun 1986, J. Rheol. 30:949, doi 10.1122/1.549893; spring: Zhou 2011, Eq. 19"
     limits = (
-        "unloading is 1/e^2 times as stiff as loading, so that the time step is proportional to e; with a given "
-        "stiffness the duration, with a constant k2 the restitution, does not depend on velocity"
+        "unloading is 1/e^2 times as stiff as loading, so that the time step is proportional to e; with a "
+        "given stiffness the duration, with a constant k2 the restitution, does not depend on velocity"
     )
     constant_names = ("modulus_eff", "shear_modulus_eff", "loss_ratio")
 
@@ -141,8 +141,9 @@ MODEL = ContactModel(
     options={
         "stiffness": STIFFNESS,
         "unloading": Choice(
-            "constant (k2 = k1 / e^2: constant restitution) or {reference_velocity: 1 m/s} (k2 increases with the "
-            "maximum force; e decreases with velocity and equals the restitution of the pair at this velocity)",
+            "constant (k2 = k1 / e^2: constant restitution) or {reference_velocity: 1 m/s} (k2 increases "
+            "with the maximum force; e decreases with velocity and equals the restitution of the pair at "
+            "this velocity)",
             words=("constant",),
             keyed={
                 "reference_velocity": Amount(

@@ -458,8 +458,8 @@ class Zhou(NormalLaw):
     name = "zhou"
     source = "Zhou 2011, doi 10.1063/2.1104106, Eqs. 4-12"
     limits = (
-        "for e -> 0 unloading becomes discontinuous and is limited by the time step: e_eff > 0; sigma and psi must be "
-        "measured"
+        "for e -> 0 unloading becomes discontinuous and is limited by the time step: e_eff > 0; sigma and "
+        "psi must be measured"
     )
     constant_names = ("modulus_eff", "shear_modulus_eff", "restitution", "sigma", "psi", "limit_velocity")
     """Constant restitution; sigma, psi and vlim [m/s] of Eq. 12."""
@@ -726,15 +726,16 @@ MODEL = ContactModel(
     "Hertz loading, nonlinear plastic unloading (Zhou 2011).",
     options={
         "restitution_at": Choice(
-            "velocity at which e is evaluated: impact (at first contact), max_overlap (from the maximum overlap, "
-            "Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if the restitution of "
-            "every pair is a number)",
+            "velocity at which e is evaluated: impact (at first contact), max_overlap (from the maximum "
+            "overlap, Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if the "
+            "restitution of every pair is a number)",
             words=("impact", "max_overlap", "constant"),
             default="impact",
             with_numbers="constant",
         ),
         "damping_ratio": Amount(
-            "damping ratio of the viscous force on the elastic branch; 0: no viscous force, 1: critical damping",
+            "damping ratio of the viscous force on the elastic branch; 0: no viscous force, 1: critical "
+            "damping",
             "0.1",
             "number",
             "a damping ratio",
@@ -743,8 +744,8 @@ MODEL = ContactModel(
             default=0.0,
         ),
         "rest_damping": Amount(
-            "damping ratio of a viscous force on contacts that are compressed again without having separated, as in a "
-            "bed at rest; binary collisions are not affected; 0: no such force",
+            "damping ratio of a viscous force on contacts that are compressed again without having "
+            "separated, as in a bed at rest; binary collisions are not affected; 0: no such force",
             "0.1",
             "number",
             "a damping ratio",

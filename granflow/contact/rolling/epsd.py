@@ -34,8 +34,14 @@ class Epsd(RollingLaw):
     """Elastic-plastic spring torque."""
 
     name = "epsd"
-    source = "Ai et al. 2011, Powder Technol. 206:269, model C; Wensrich & Katterfeld 2012, Powder Technol. 217:409"
-    limits = "the rolling stiffness is an assumption; without damping a particle at rest can oscillate about its spring"
+    source = (
+        "Ai et al. 2011, Powder Technol. 206:269, model C; Wensrich & Katterfeld 2012, Powder Technol. "
+        "217:409"
+    )
+    limits = (
+        "the rolling stiffness is an assumption; without damping a particle at rest can oscillate about its "
+        "spring"
+    )
     constant_names: ClassVar[tuple[str, ...]] = ("rolling_friction",)
 
     @property

@@ -38,8 +38,14 @@ class Sds(Epsd):
     energy_budget: bool
 
     name = "sds"
-    source = "Ai et al. 2011, Powder Technol. 206:269, model C; Wensrich & Katterfeld 2012, Powder Technol. 217:409"
-    limits = "the rolling stiffness and the damping ratio are assumptions; no dashpot while the spring is at its limit"
+    source = (
+        "Ai et al. 2011, Powder Technol. 206:269, model C; Wensrich & Katterfeld 2012, Powder Technol. "
+        "217:409"
+    )
+    limits = (
+        "the rolling stiffness and the damping ratio are assumptions; no dashpot while the spring is at its "
+        "limit"
+    )
     constant_names = ("rolling_friction", "rolling_damping")
 
     @classmethod

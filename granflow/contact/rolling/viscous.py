@@ -16,7 +16,10 @@ class Viscous(BoundedTorque):
 
     name = "viscous"
     source = "Brilliantov & Poeschel 1998, Europhys. Lett. 42:511, doi 10.1209/epl/i1998-00281-7"
-    limits = "no torque at rest: a particle on a slope rolls at the velocity at which the torque balances its weight"
+    limits = (
+        "no torque at rest: a particle on a slope rolls at the velocity at which the torque balances its "
+        "weight"
+    )
     constant_names = ("rolling_dissipation",)
 
     @ti.func

@@ -58,7 +58,10 @@ class Mindlin(TangentialLaw):
 
     name = "mindlin"
     source = "Mindlin 1949; Cundall & Strack 1979; Thornton, Cummins & Cleary 2013"
-    limits = "slip occurs in the whole contact area at once, and rotation about the normal does not rotate the spring"
+    limits = (
+        "slip occurs in the whole contact area at once, and rotation about the normal does not rotate the "
+        "spring"
+    )
     constant_names: ClassVar[tuple[str, ...]] = ("friction",)
 
     @classmethod
@@ -207,8 +210,8 @@ MODEL = ContactModel(
     "spring with history, Coulomb limit",
     options={
         "increments": Choice(
-            "quantity that a change of the stiffness preserves: the force (each step adds an increment of force), or "
-            "the displacement",
+            "quantity that a change of the stiffness preserves: the force (each step adds an increment of "
+            "force), or the displacement",
             ("force", "displacement"),
             default="force",
         ),

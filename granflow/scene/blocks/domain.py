@@ -56,8 +56,10 @@ class Domain(Box):
         None, description="uniform shear with Lees-Edwards boundary conditions; both axes must be periodic"
     )
     on_exit: Literal["delete", "error", "expand"] = Field(
-        description="action if the center of a particle leaves the domain: delete (and count), error (abort the run), "
-        "or expand (enlarge the domain)"
+        description=(
+            "action if the center of a particle leaves the domain: delete (and count), error (abort the "
+            "run), or expand (enlarge the domain)"
+        )
     )
 
     def periodic_box(self) -> PeriodicBox:

@@ -15,7 +15,10 @@ from granflow.units import Number, value_error
 
 # Material presets, each with its source.
 
-_ZHOU = "Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011), Figs. 3-4, after Stevens & Hrenya, Powder Technol. 154, 99 (2005)"
+_ZHOU = (
+    "Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011), Figs. 3-4, after Stevens & Hrenya, Powder Technol. "
+    "154, 99 (2005)"
+)
 _GLASS = "soda-lime silicate glass, EN 572-1: Young's modulus 70 GPa, Poisson ratio 0.2, density 2500 kg/m3"
 
 

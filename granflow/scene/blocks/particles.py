@@ -71,8 +71,10 @@ class Clump(Model):
     ] = Field(description="centers and radii of the spheres, {position: [..], radius: ..}, at most 100")
     orientation: Orientation | None = Field(
         None,
-        description="orientation of new clumps: {axis: [..], angle: ..} turns the given positions; random; with "
-        "insert: {kind: positions}, also a list; default: as given",
+        description=(
+            "orientation of new clumps: {axis: [..], angle: ..} turns the given positions; random; with "
+            "insert: {kind: positions}, also a list; default: as given"
+        ),
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -234,7 +236,8 @@ class DiscFace(Model):
 Face = Annotated[
     RectangleFace | DiscFace,
     choose_by_first_key(
-        "it must be {rectangle: {corner: [..], sides: [..]}} or {disc: {center: [..], normal: [..], radius: ..}}"
+        "it must be {rectangle: {corner: [..], sides: [..]}} or {disc: {center: [..], normal: [..], radius: "
+        "..}}"
     ),
 ]
 """A rectangle or a disc through which particles enter along its normal."""
@@ -526,13 +529,17 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     )
     clump: Clump | None = Field(
         None,
-        description="rigid body of spheres in place of each sphere, {spheres: [{position: [..], radius: ..}, ...]}; "
-        "instead of diameter",
+        description=(
+            "rigid body of spheres in place of each sphere, {spheres: [{position: [..], radius: ..}, ...]}; "
+            "instead of diameter"
+        ),
     )
     liquid_content: q.Share | None = Field(
         None,
-        description="initial volume of the liquid film on each particle over the volume of the particle, 0 for dry "
-        "particles; required with contact.cohesion: {law: capillary_transfer, ...}",
+        description=(
+            "initial volume of the liquid film on each particle over the volume of the particle, 0 for dry "
+            "particles; required with contact.cohesion: {law: capillary_transfer, ...}"
+        ),
     )
     velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
     angular_velocity: AngularVelocityOrMany = Field(
@@ -646,7 +653,10 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             if rows is None:
                 yield whole(key, "is a list, which requires insert: {kind: positions}; give one value")
             elif length != rows:
-                reason = f"is a list of length {length}, but insert.positions has length {rows}; give one per position"
+                reason = (
+                    f"is a list of length {length}, but insert.positions has length {rows}; give one per "
+                    "position"
+                )
                 yield whole(key, reason)
 
     def _thermal_faults(self, thermal: ThermalMotion) -> Iterator[Fault]:

@@ -143,9 +143,11 @@ class Numerics(Model):
 
     time_step_fraction: Fraction = Field(
         TIME_STEP_FRACTION,
-        description="largest time step over the shortest loading or unloading time; with the default the restitution "
-        "is within 0.02 % for zhou, for viscous models within 0.3 % from 0.5 on and 1.4 % at 0.05; 0.2 is within "
-        "0.3 % for zhou, 0.1 within 1 % for viscous models from 0.5 on",
+        description=(
+            "largest time step over the shortest loading or unloading time; with the default the restitution "
+            "is within 0.02 % for zhou, for viscous models within 0.3 % from 0.5 on and 1.4 % at 0.05; 0.2 "
+            "is within 0.3 % for zhou, 0.1 within 1 % for viscous models from 0.5 on"
+        ),
     )
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
     skin: q.AutoLength = Field("auto", description="skin of the neighbor list [m], or auto")
@@ -200,8 +202,10 @@ class Stage(Model):
     duration: q.PositiveTime | None = Field(None, description="duration [s]")
     kinetic_energy_below: q.Energy | None = Field(
         None,
-        description="the stage ends at rest: the mean kinetic energy per particle is below this value [J], and the net "
-        "force on the particles is below 20 % of their weight",
+        description=(
+            "the stage ends at rest: the mean kinetic energy per particle is below this value [J], and the "
+            "net force on the particles is below 20 % of their weight"
+        ),
     )
     until: Annotated[tuple[StageCondition, ...], ListOf(one=True)] = Field(
         (),

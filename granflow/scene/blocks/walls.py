@@ -204,8 +204,10 @@ class TableMotion(TimedMotion):
     kind: Literal["table"] = Field("table", description="kind of motion")
     file: FileName | None = Field(
         None,
-        description="CSV file with the columns time and displacement, velocity, angle or angular_velocity, such as "
-        "time [ms], displacement [mm]; path relative to the folder of the scene",
+        description=(
+            "CSV file with the columns time and displacement, velocity, angle or angular_velocity, such as "
+            "time [ms], displacement [mm]; path relative to the folder of the scene"
+        ),
     )
     direction: q.Direction | None = Field(None, description="direction of displacements or velocities")
     point: q.Point | None = Field(None, description="with angles: a point on the axis [m]")
@@ -514,7 +516,10 @@ class BoxWall(Wall):
             yield Fault(("open",), "all six faces are open; leave one closed, or remove the wall")
         for i, motion in enumerate(self.motion):
             if motion.force_controlled:
-                reason = "moves one wall: replace the box by single walls, or open this face and add it as a rectangle"
+                reason = (
+                    "moves one wall: replace the box by single walls, or open this face and add it as a "
+                    "rectangle"
+                )
                 yield whole(("motion", i), f"is of kind {motion.kind}, which {reason}")
 
     def faces(self) -> Iterator[tuple[FaceName, Plane | Rectangle]]:

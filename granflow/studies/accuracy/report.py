@@ -218,12 +218,12 @@ def recommendation(lines: Sequence[StudyLine], target: float) -> str:
     requested = f"For {100.0 * target:g} % error in restitution"
     if len(found) > 1:
         return (
-            f"{requested}, the cheapest choices are not distinguished by their costs per million collisions, which "
-            f"overlap: {'; '.join(texts)}. T is the collision time, costs are processor time."
+            f"{requested}, the cheapest choices are not distinguished by their costs per million collisions, "
+            f"which overlap: {'; '.join(texts)}. T is the collision time, costs are processor time."
         )
     return (
-        f"{requested} use {_choice(found[0])}, where T is the collision time: it costs {_cost(found[0])} of processor "
-        "time per million collisions."
+        f"{requested} use {_choice(found[0])}, where T is the collision time: it costs {_cost(found[0])} of "
+        "processor time per million collisions."
     )
 
 

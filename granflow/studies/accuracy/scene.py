@@ -516,19 +516,23 @@ def scene_recommendation(study: SceneStudy) -> str:
     """Concluding sentence of the study."""
     requested = f"{100.0 * study.target:g} % error in restitution"
     if not study.cheapest:
-        return f"No time step of this study satisfies {requested} with all other errors within that limit or the noise."
+        return (
+            f"No time step of this study satisfies {requested} with all other errors within that limit or "
+            "the noise."
+        )
     best, *others = study.cheapest
     own = (
-        f"The unmodified scene uses dt = {study.own_time_step:.3g} s (time_step_fraction {study.own_share:.3g}). "
-        "Costs are processor time."
+        f"The unmodified scene uses dt = {study.own_time_step:.3g} s (time_step_fraction "
+        f"{study.own_share:.3g}). Costs are processor time."
     )
     if others:
         found = "; ".join(f"{_step(point)}, {_cost(point)}" for point in study.cheapest[:MOST_CHOICES])
         if len(study.cheapest) > MOST_CHOICES:
             found += f"; and {len(study.cheapest) - MOST_CHOICES} more of the table"
         return (
-            f"For {requested}, the cheapest choices are not distinguished by their costs per simulated second, which "
-            f"overlap: {found}. Take any of them, or repeat on an idle machine with more seeds (--full). {own}"
+            f"For {requested}, the cheapest choices are not distinguished by their costs per simulated "
+            f"second, which overlap: {found}. Take any of them, or repeat on an idle machine with more seeds "
+            f"(--full). {own}"
         )
     return (
         f"For {requested} use {_step(best)}: it costs {_cost(best)} per simulated second of this "
@@ -560,10 +564,9 @@ def noise_sentence(study: SceneStudy) -> str:
     ]
     spreads = ", ".join(f"{_label(name)} {percent(spread)}" for name, spread in study.spread.items())
     return (
-        f"Granular flow is chaotic. Standard deviation over {study.seed_count} seeds with the finest time step: "
-        f"{spreads}. Errors of these quantities above the "
-        f"noise of {SIGMAS:g} standard errors: {sum(significant)} of {len(significant)}; the others, marked n, "
-        f"are not significant."
+        f"Granular flow is chaotic. Standard deviation over {study.seed_count} seeds with the finest time "
+        f"step: {spreads}. Errors of these quantities above the noise of {SIGMAS:g} standard errors: "
+        f"{sum(significant)} of {len(significant)}; the others, marked n, are not significant."
     )
 
 

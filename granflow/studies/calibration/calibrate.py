@@ -183,7 +183,10 @@ def _importance(result: CalibrationResult, calibration: CalibrationInput) -> Plo
         "x": list(map(escaped, short_names(list(calibration.parameters)).values())),
     }
     axes = {"xaxis": axis("", type="category"), "yaxis": axis("share")}
-    caption = "Importance: share of each parameter, scaled to its bounds, in the response of the targets near the best trial"
+    caption = (
+        "Importance: share of each parameter, scaled to its bounds, in the response of the targets near the "
+        "best trial"
+    )
     return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
 
 
@@ -259,8 +262,8 @@ def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> Cali
         name = Path(source).stem
     scenes = {each: folder / given.scene for each, given in content.scenes.items()}
     missing = [
-        f"{document.value_position(('scenes', each, 'scene'))}: scenes.{each}.scene is {content.scenes[each].scene}, "
-        f"but there is no file {path}."
+        f"{document.value_position(('scenes', each, 'scene'))}: scenes.{each}.scene is "
+        f"{content.scenes[each].scene}, but there is no file {path}."
         for each, path in scenes.items()
         if not path.is_file()
     ]

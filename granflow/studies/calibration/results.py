@@ -168,13 +168,14 @@ class Identification:
         others = [other for k, other in enumerate(names) if k != index and self.importance[k] > 0.0]
         if not self.effects.significant[:, index].any():
             reason = (
-                f"none of them responds to it between its bounds by more than the scatter between runs; {changes} "
-                f"(F test of {self.effects.trials[strongest]} trials: p = {probability:.2g}, significant below {LEVEL})"
+                "none of them responds to it between its bounds by more than the scatter between runs; "
+                f"{changes} (F test of {self.effects.trials[strongest]} trials: p = {probability:.2g}, "
+                f"significant below {LEVEL})"
             )
         elif self.importance[index] == 0.0:
             reason = (
-                f"they respond to it between its bounds ({changes}, p = {probability:.2g}), but near the best values "
-                "by no more than the scatter between runs"
+                f"they respond to it between its bounds ({changes}, p = {probability:.2g}), but near the "
+                "best values by no more than the scatter between runs"
             )
         elif others:
             reason = f"they determine it only together with {', '.join(others)}"
@@ -302,8 +303,9 @@ class BestTarget(NamedTuple):
         if self.error <= 1.0:
             return ""
         return (
-            f"{self.name}: the standard error of {self.quantity} in the best trial is {self.error:.2g} times the "
-            "tolerance, so its deviation says little: simulate more particles, a larger region or a time average."
+            f"{self.name}: the standard error of {self.quantity} in the best trial is {self.error:.2g} times "
+            "the tolerance, so its deviation says little: simulate more particles, a larger region or a time "
+            "average."
         )
 
 
@@ -368,7 +370,10 @@ def _best_values(
     u, residuals = search.scaled(trials)
     known = identification(u, residuals, search.standard_errors(trials), best)
     if known is None:
-        few = f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are needed"
+        few = (
+            f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are "
+            "needed"
+        )
         return [
             _best_value(
                 name,
@@ -437,8 +442,8 @@ def _conflicts(targets: Mapping[str, Measured], completed: Sequence[Any]) -> lis
         met = sizes[first] <= 1.0, sizes[second] <= 1.0
         if met[0].any() and met[1].any() and not (met[0] & met[1]).any():
             found.append(
-                f"{first} and {second} conflict: of {len(completed)} trials, {int(met[0].sum())} meet {first} and "
-                f"{int(met[1].sum())} meet {second} within the tolerance, but none meets both."
+                f"{first} and {second} conflict: of {len(completed)} trials, {int(met[0].sum())} meet "
+                f"{first} and {int(met[1].sum())} meet {second} within the tolerance, but none meets both."
             )
     return found
 

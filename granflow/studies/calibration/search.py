@@ -192,8 +192,8 @@ class Search:
             self.study.set_user_attr("calibration", text)
         elif earlier != text:
             raise GranflowError(
-                f"{self._out} contains trials of a calibration with other scenes, parameters or targets: give another "
-                "directory with --out."
+                f"{self._out} contains trials of a calibration with other scenes, parameters or targets: "
+                "give another directory with --out."
             )
 
     def refuse_changed(self, inputs: Mapping[str, str]) -> None:
@@ -208,8 +208,9 @@ class Search:
         for name, digest in inputs.items():
             if earlier.get(name) != digest:
                 raise GranflowError(
-                    f"{self._out} contains trials with another content of {name}: it, a file that it reads, or the "
-                    "version of granflow has changed. Restore it, or give another directory with --out."
+                    f"{self._out} contains trials with another content of {name}: it, a file that it reads, "
+                    "or the version of granflow has changed. Restore it, or give another directory with "
+                    "--out."
                 )
 
     def _sampler(self, existing: int) -> Any:

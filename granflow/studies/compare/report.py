@@ -586,7 +586,10 @@ def size_note(found: SceneComparison) -> str:
 
 def stage_note(found: SceneComparison) -> str:
     """Sentence on the stage of the starred rows."""
-    return f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces: all frames of it."
+    return (
+        f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces: all "
+        "frames of it."
+    )
 
 
 def stop_notes(found: SceneComparison) -> list[str]:

@@ -91,10 +91,10 @@ def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
         return Assessment(part, None, "The comparison does not include linear.")
     worst = _worst(slow, fast)
     why = (
-        f"Relative to Zhou and Hertz the contact duration changes by {_percent(slow.duration)} and the maximum overlap "
-        f"by {_percent(slow.overlap_max)} from the reference velocity to a tenth of it, by "
-        f"{_percent(fast.duration)} "
-        f"and {_percent(fast.overlap_max)} to ten times it (10^0.2 − 1 is {_percent(DECADE**0.2 - 1.0)})."
+        f"Relative to Zhou and Hertz the contact duration changes by {_percent(slow.duration)} and the "
+        f"maximum overlap by {_percent(slow.overlap_max)} from the reference velocity to a tenth of it, by "
+        f"{_percent(fast.duration)} and {_percent(fast.overlap_max)} to ten times it (10^0.2 − 1 is "
+        f"{_percent(DECADE**0.2 - 1.0)})."
     )
     return Assessment(part, worst > TOLERANCE, why)
 
@@ -113,10 +113,10 @@ def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
         return Assessment(part, None, "The comparison does not include linear.")
     worst = _worst(slow, fast)
     why = (
-        f"Over both decades the same numbers change by at most {_percent(worst, signed=False)}. Deviations at every "
-        f"velocity: contact duration {_percent(at_reference.duration)}, maximum overlap "
-        f"{_percent(at_reference.overlap_max)}, due to the linear spring (pi instead of 2.94 in units of dmax/v) and "
-        f"the dashpot."
+        f"Over both decades the same numbers change by at most {_percent(worst, signed=False)}. Deviations "
+        f"at every velocity: contact duration {_percent(at_reference.duration)}, maximum overlap "
+        f"{_percent(at_reference.overlap_max)}, due to the linear spring (pi instead of 2.94 in units of "
+        "dmax/v) and the dashpot."
     )
     below = drift(columns, PER_CONTACT, 1.0 / DECADE**2)
     if below is not None:
@@ -140,10 +140,10 @@ def _assess_stability(columns: Mapping[str, np.ndarray]) -> Assessment:
         return Assessment(part, None, "The comparison does not include linear.")
     others = ", ".join(f"{law} {_percent(off)}" for law, off in effect_by_law.items() if off is not None)
     why = (
-        f"With the time step of {COARSE_STEPS} steps per contact at the reference velocity, the restitution at ten "
-        f"times the velocity differs by {_percent(one_spring)} from that with a fine time step: the contact duration, "
-        f"and with it the stable time step, does not depend on the velocity. Other contact models become stiffer with "
-        f"the velocity: {others or 'none'}."
+        f"With the time step of {COARSE_STEPS} steps per contact at the reference velocity, the restitution "
+        f"at ten times the velocity differs by {_percent(one_spring)} from that with a fine time step: the "
+        "contact duration, and with it the stable time step, does not depend on the velocity. Other contact "
+        f"models become stiffer with the velocity: {others or 'none'}."
     )
     return Assessment(part, one_spring > TOLERANCE, why)
 
@@ -203,7 +203,8 @@ def _bed_overlap(run: VariantRun, runs: Sequence[VariantRun]) -> tuple[float, st
     if not np.isfinite(off):
         return (
             off,
-            f"The run is complete, but the stage {stage} ends with too few contacts for an assessment of the bed.",
+            f"The run is complete, but the stage {stage} ends with too few contacts for an assessment of the "
+            "bed.",
         )
     flow = "".join(
         f" Mass flow through {meter}: {_percent(run.mass_flow(meter) / reference.mass_flow(meter) - 1.0)}."
@@ -211,8 +212,8 @@ def _bed_overlap(run: VariantRun, runs: Sequence[VariantRun]) -> tuple[float, st
         if reference.mass_flow(meter) != 0.0
     )
     return off, (
-        f"The run is complete. Mean overlap at the end of the stage {stage} relative to {reference.variant.key}: "
-        f"{_percent(off)}; static loads act on springs chosen for impacts.{flow}"
+        f"The run is complete. Mean overlap at the end of the stage {stage} relative to "
+        f"{reference.variant.key}: {_percent(off)}; static loads act on springs chosen for impacts.{flow}"
     )
 
 
@@ -248,8 +249,8 @@ def soft_spring_note(runs: Sequence[VariantRun], subject: CollisionSubject | Non
         return ""
     return (
         f"{spring.variant.title} is softer than the impacts of this scene require: the largest overlap with "
-        f"{others[0].variant.title}, {percent(overlap)} of the radius, is that of an impact at {ratio * reference:.2g} "
-        f"m/s, for which Eq. 19 gives a spring {ratio**0.4:.2g} times as stiff. Its velocity is --reference-velocity, "
-        "by default a tenth of the largest expected impact velocity (run.velocity_max); in a scene it is "
-        "contact.normal.stiffness.reference_velocity."
+        f"{others[0].variant.title}, {percent(overlap)} of the radius, is that of an impact at "
+        f"{ratio * reference:.2g} m/s, for which Eq. 19 gives a spring {ratio**0.4:.2g} times as stiff. Its "
+        "velocity is --reference-velocity, by default a tenth of the largest expected impact velocity "
+        "(run.velocity_max); in a scene it is contact.normal.stiffness.reference_velocity."
     )

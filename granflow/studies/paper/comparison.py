@@ -216,9 +216,9 @@ def comparison_figure(comparison: LawComparison, velocities: np.ndarray = VELOCI
     )
     columns = {key: np.concatenate(parts) for key, parts in zip(names, zip(*rows, strict=True), strict=True)}
     caption = (
-        "Restitution coefficient (above) and collision duration (below) of simulated collisions of two spheres of "
-        "25.4 mm with all contact models, against approach velocity. Each model has the restitution of Eq. 12 "
-        f"at {REFERENCE_VELOCITY:g} m/s (dotted)."
+        "Restitution coefficient (above) and collision duration (below) of simulated collisions of two "
+        "spheres of 25.4 mm with all contact models, against approach velocity. Each model has the "
+        f"restitution of Eq. 12 at {REFERENCE_VELOCITY:g} m/s (dotted)."
     )
     title = "Comparison of all contact models"
     return FigureData("laws", title, caption, columns, tuple(deviations), draw_comparison, 8.6)

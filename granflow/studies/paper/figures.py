@@ -133,8 +133,14 @@ class FigureDeviation:
         """Sentence with the deviation, its target and a remark."""
         target = ""
         if self.target is not None:
-            target = f" (target {percent(self.target)}, {'satisfied' if self.is_within_target else 'not satisfied'})"
-        text = f"Largest deviation of {self.quantity}: {percent(self.largest)} at {self.where}{target}. {self.remark}"
+            target = (
+                f" (target {percent(self.target)}, "
+                f"{'satisfied' if self.is_within_target else 'not satisfied'})"
+            )
+        text = (
+            f"Largest deviation of {self.quantity}: {percent(self.largest)} at {self.where}{target}. "
+            f"{self.remark}"
+        )
         return text.strip()
 
 
@@ -246,8 +252,9 @@ def residual_figure(outcomes: Outcomes, e: np.ndarray = RESIDUAL_RESTITUTIONS) -
         "duration_simulated_over_theory": outcomes.duration / whole,
     }
     caption = (
-        "Ratio of residual to maximum overlap, x = δ*/δmax, against the restitution coefficient: exact root of Eq. 8 "
-        "(line), Eq. 9 of the paper (dashed), and simulated collisions of 200 time steps each (circles)."
+        "Ratio of residual to maximum overlap, x = δ*/δmax, against the restitution coefficient: exact root "
+        "of Eq. 8 (line), Eq. 9 of the paper (dashed), and simulated collisions of 200 time steps each "
+        "(circles)."
     )
     return FigureData(
         "figure1_residual", "Fig. 1: residual overlap", caption, columns, deviations, draw_residual, 3.4
@@ -372,10 +379,10 @@ def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Fig
         worst("duration_deviation", "T", TARGET_DURATION),
     )
     caption = (
-        "Largest deviation of (a) restitution and (b) duration of simulated collisions from the given values, over "
-        f"{PHASES} phases of first contact within a step, by the number of steps per collision. Dotted: target with "
-        f"{STEPS_PER_CONTACT} steps. With 50 steps e = 0.05 is not reachable because of the bound on the unloading "
-        "tangent."
+        "Largest deviation of (a) restitution and (b) duration of simulated collisions from the given "
+        f"values, over {PHASES} phases of first contact within a step, by the number of steps per collision. "
+        f"Dotted: target with {STEPS_PER_CONTACT} steps. With 50 steps e = 0.05 is not reachable because of "
+        "the bound on the unloading tangent."
     )
     return FigureData(
         "accuracy", "Accuracy by number of steps", caption, columns, deviations, draw_accuracy, 5.2
@@ -503,8 +510,9 @@ def loop_figure(outcomes: Outcomes) -> FigureData:
         ),
     )
     caption = (
-        "Force against overlap in one collision, both divided by their maxima, for restitution coefficients from 0 "
-        f"to 1: Eq. 4 (lines) and every {DRAWN_EVERY}th of {STEPS_PER_CONTACT} simulated steps (points)."
+        "Force against overlap in one collision, both divided by their maxima, for restitution coefficients "
+        f"from 0 to 1: Eq. 4 (lines) and every {DRAWN_EVERY}th of {STEPS_PER_CONTACT} simulated steps "
+        "(points)."
     )
     names = ("restitution", "overlap_over_max", "force_over_max", "force_over_max_theory")
     columns = dict(zip(names, np.concatenate(loops).T, strict=True))
@@ -636,9 +644,10 @@ def _steps(columns: Columns) -> str:
 def restitution_figure(columns: Columns) -> FigureData:
     """Fig. 3: given and simulated e(v), and Thornton's model."""
     caption = (
-        "Restitution coefficient against approach velocity of spheres of 25.4 mm: Eq. 12 (line), simulated collisions "
-        "(points), and Thornton's prediction (1997) with the yield velocities 0.0082 and 0.9090 m/s (dashed). "
-        f"{_steps(columns)}. Measured points are omitted, because their values are not available."
+        "Restitution coefficient against approach velocity of spheres of 25.4 mm: Eq. 12 (line), simulated "
+        "collisions (points), and Thornton's prediction (1997) with the yield velocities 0.0082 and 0.9090 "
+        f"m/s (dashed). {_steps(columns)}. Measured points are omitted, because their values are not "
+        "available."
     )
     names = ("restitution_theory", "restitution_simulated", "restitution_thornton", "steps_per_contact")
     deviation = _compared(columns, "restitution", "simulated e from Eq. 12", TARGET_RESTITUTION)
@@ -670,8 +679,8 @@ def draw_restitution(figure: Any, columns: Columns) -> None:
 def duration_figure(columns: Columns) -> FigureData:
     """Fig. 4: T(v)."""
     caption = (
-        "Collision duration against approach velocity of spheres of 25.4 mm: Eqs. 13-16 (lines), simulated collisions "
-        f"(points), and elastic Hertz contacts (dotted). {_steps(columns)}."
+        "Collision duration against approach velocity of spheres of 25.4 mm: Eqs. 13-16 (lines), simulated "
+        f"collisions (points), and elastic Hertz contacts (dotted). {_steps(columns)}."
     )
     names = ("duration_theory", "duration_simulated", "steps_per_contact")
     deviation = _compared(columns, "duration", "the duration T from Eq. 13", TARGET_DURATION)
@@ -731,11 +740,12 @@ def spring_figure(columns: Columns, estimate: Outcomes) -> FigureData:
     }
     first, second = (each.springs(np.ones(1))[0] for each in PAPER_CASES)
     caption = (
-        "Stiffness of the linear spring with the energy of the Hertz contact at the same maximum overlap: Eq. 19 "
-        "(lines), and twice the work done on the simulated contact over the square of its maximum overlap (points). "
-        f"(a) The two steels, which differ by only {percent(abs(second / first - 1.0))}. (b) The estimate of the paper "
-        "for R = 1e-4 m, E = 1e8 Pa, 1e3 kg/m³, for two equal spheres with a Poisson ratio of 0.3: "
-        f"{springs[0]:.0f} to {springs[-1]:.0f} N/m, of the order of the 1e3 N/m in the paper (dashed)."
+        "Stiffness of the linear spring with the energy of the Hertz contact at the same maximum overlap: "
+        "Eq. 19 (lines), and twice the work done on the simulated contact over the square of its maximum "
+        f"overlap (points). (a) The two steels, which differ by only {percent(abs(second / first - 1.0))}. "
+        "(b) The estimate of the paper for R = 1e-4 m, E = 1e8 Pa, 1e3 kg/m³, for two equal spheres with a "
+        f"Poisson ratio of 0.3: {springs[0]:.0f} to {springs[-1]:.0f} N/m, of the order of the 1e3 N/m in "
+        "the paper (dashed)."
     )
     deviations = (
         _compared(columns, "spring", "the spring of the steels from Eq. 19"),

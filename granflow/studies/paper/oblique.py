@@ -290,12 +290,13 @@ def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
         name="oblique_impacts",
         title="Oblique impacts: Chung & Ooi, tests 4 to 8, and Kharaz, Gorham & Salman",
         caption=(
-            "Spheres of aluminum oxide of 5 mm at 3.9 m/s on glass (solid lines; measured: circles) and on a rigid "
-            "plate (dashed; Chung & Ooi's test 4: crosses): tangential restitution, spin, rebound angle of the contact "
-            "patch. (d) to (f): tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminum alloy). If the contact "
-            "sticks temporarily, the published curve of test 5 corresponds to half the tangential stiffness (a plate "
-            "rigid along its normal only), and those of tests 6 and 8 to a tangential dashpot, tension at the end of "
-            "the contact, and a friction limit without the viscous part of the normal force."
+            "Spheres of aluminum oxide of 5 mm at 3.9 m/s on glass (solid lines; measured: circles) and on a "
+            "rigid plate (dashed; Chung & Ooi's test 4: crosses): tangential restitution, spin, rebound "
+            "angle of the contact patch. (d) to (f): tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of "
+            "aluminum alloy). If the contact sticks temporarily, the published curve of test 5 corresponds "
+            "to half the tangential stiffness (a plate rigid along its normal only), and those of tests 6 "
+            "and 8 to a tangential dashpot, tension at the end of the contact, and a friction limit without "
+            "the viscous part of the normal force."
         ),
         columns=_columns(run),
         deviations=_deviations(run),

@@ -124,7 +124,8 @@ def _direction(text: str) -> np.ndarray:
         numbers = np.zeros(0)
     if len(numbers) != 3 or not np.all(np.isfinite(numbers)) or not np.any(numbers):
         raise GranflowError(
-            f"--view {text}: give {', '.join(VIEWS)}, or the direction to the viewer, such as --view=1,-2,0.8."
+            f"--view {text}: give {', '.join(VIEWS)}, or the direction to the viewer, such as "
+            "--view=1,-2,0.8."
         )
     return numbers / np.abs(numbers).max()  # the squares of numbers such as 1e300 and 1e-300 are out of range
 
@@ -303,7 +304,8 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
         if not found:
             numbers = f"{frames[0].number} to {frames[-1].number}"
             raise GranflowError(
-                f"--frame {word}: the run has no such frame; the frames are {numbers}. A time has a unit, {word}s."
+                f"--frame {word}: the run has no such frame; the frames are {numbers}. A time has a unit, "
+                f"{word}s."
             )
         return found[0]
     try:

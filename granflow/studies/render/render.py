@@ -703,7 +703,8 @@ def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) ->
         forces = [chains.normal_force for chains in map(read_force_chains, frames) if chains is not None]
         if not forces:
             raise GranflowError(
-                "--chains: the run has no contacts_*.vtu; set output.contacts: true in the scene and run it again."
+                "--chains: the run has no contacts_*.vtu; set output.contacts: true in the scene and run it "
+                "again."
             )
         return scale_for(CHAIN_COLOR, forces, limits=style.limits)
     particles = [each for each in map(read_particles, frames) if len(each.radius)]

@@ -122,7 +122,10 @@ def _range_table(name: str, frame: GridFrame) -> PageTable:
         finite = values[np.isfinite(values)]
         numbers = (finite.min(), finite.mean(), finite.max()) if len(finite) else ()
         rows.append(["".join(_title(quantity)), *(readable(float(number)) for number in numbers)])
-    caption = f"Field {name} at {frame.time:.4g} s over {len(frame.centers)} cells; fields_{name}.pvd has all frames."
+    caption = (
+        f"Field {name} at {frame.time:.4g} s over {len(frame.centers)} cells; fields_{name}.pvd has all "
+        "frames."
+    )
     return PageTable(("", "smallest", "mean", "largest"), [row for row in rows if row[1:]], caption)
 
 
@@ -153,7 +156,10 @@ class Readings(NamedTuple):
 
 METRIC_CAPTION = "Metrics of the bed at the end of the run."
 FLOW_CAPTION = "Flow meters at the end of the run; the mass flow rate is the steady one."
-FORCE_CAPTION = "Forces of the particles on the walls: means over the last stage, and the largest value of a row in the run."
+FORCE_CAPTION = (
+    "Forces of the particles on the walls: means over the last stage, and the largest value of a row in the "
+    "run."
+)
 EXPECTED, FORCES, ENERGIES, OTHERS = "Expectations", "Wall forces", "Energy budget", "Over time"
 READINGS = {
     "Metrics": Readings(METRIC_QUANTITIES, "metrics", METRIC_CAPTION),
@@ -368,7 +374,10 @@ def collision_topics(directory: Path, with_plots: bool) -> Iterator[Topic]:
         for row, (low, high) in enumerate(collisions.edges)
         if any(counts[row] for counts in total.values())
     ]
-    caption = "Contacts that began since the start of the run, by impact energy; classes without collisions are absent."
+    caption = (
+        "Contacts that began since the start of the run, by impact energy; classes without collisions are "
+        "absent."
+    )
     heads = ("impact energy", *(f"with a {kind}" for kind in total))
     plots = [Plot(TITLE, _figure(collisions.energy, total))] if with_plots else []
     yield Topic(TITLE, (), [], plots, (PageTable(heads, rows, caption),))
@@ -415,7 +424,10 @@ def state_of(record: Run) -> str:
         parts = len(sessions(record.log))
         resumed = f"; it was resumed ({parts} sessions)" if parts > 1 else ""
         if not record.result_sections.get("complete", True):
-            return f"The run ended before its last stage{resumed}: granflow resume {record.directory} continues it."
+            return (
+                f"The run ended before its last stage{resumed}: granflow resume {record.directory} continues "
+                "it."
+            )
         return f"The run is complete{resumed}."
     text = next((entry.text for entry in reversed(record.log) if entry.text.startswith(ENDED_BY)), "")
     why = f" ({ENDED_BY}{text.removeprefix(ENDED_BY).partition(':')[0]}: see the warnings)" if text else ""

@@ -186,7 +186,10 @@ def render(directory: Path, course: Sequence[CoursePicture], present: Sequence[P
     """
     missing = [each for each in course if each.path not in present]
     if missing and find_spec("pyvista") is None:
-        return "No pictures of the course of the run, because pyvista is not installed: pip install pyvista matplotlib"
+        return (
+            "No pictures of the course of the run, because pyvista is not installed: pip install pyvista "
+            "matplotlib"
+        )
     for chains in (False, True):
         numbers = ",".join(str(each.frame.number) for each in missing if each.style.chains == chains)
         if not numbers:

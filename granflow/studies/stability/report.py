@@ -201,26 +201,37 @@ PAGE = "stability.html"
 HEADS = ("family", "cases", "accurate", "error reported", "refused", "defects", "largest error")
 """Column headings of `summary_rows`."""
 EXPLANATIONS = {
-    STEPS: "Pairs of particles (E 100 MPa, diameter 2 mm, 1 m/s) collide head-on with Zhou's contact model for each "
-    "target restitution, at time steps from 1 % to 500 % of the largest permitted one. The limit of the unloading "
-    "tangent bounds the restitution from below at a given time step, with a warning; a scene with a time step above "
-    "the limit is refused.",
-    STIFFNESS: "A pair with the e(v) of stainless steel (Eq. 12; limit velocity 340 m/s), Young's moduli from rubber "
-    "to beyond diamond, at the automatic time step. Above the limit velocity Eq. 12 gives e = 0. Soft particles at "
-    "high velocity would pass through each other: the run aborts.",
+    STEPS: (
+        "Pairs of particles (E 100 MPa, diameter 2 mm, 1 m/s) collide head-on with Zhou's contact model for "
+        "each target restitution, at time steps from 1 % to 500 % of the largest permitted one. The limit of "
+        "the unloading tangent bounds the restitution from below at a given time step, with a warning; a "
+        "scene with a time step above the limit is refused."
+    ),
+    STIFFNESS: (
+        "A pair with the e(v) of stainless steel (Eq. 12; limit velocity 340 m/s), Young's moduli from "
+        "rubber to beyond diamond, at the automatic time step. Above the limit velocity Eq. 12 gives e = 0. "
+        "Soft particles at high velocity would pass through each other: the run aborts."
+    ),
     SIZES: "Particle radii from a micrometer to a meter (e 0.7, 1 m/s) in each precision.",
-    UNEQUAL: "A particle against another of up to 100 times its size and up to a million times its density. The "
-    "assessment refers to the restitution and the conservation of momentum.",
-    MANY: "A particle below another of a million times its mass, and a column of 100 particles: from equilibrium, the "
-    "floor must carry exactly the weight for 20 000 steps. The energy budget must be balanced for a bed of 64 "
-    "particles compressed by a lid, two particles with an initial overlap of 50 %, a particle that hits a bed at "
-    "1 km/s, friction 0 and 10, two colliding clouds without gravity, and a floor that vibrates at 100 g. An initial "
-    "overlap stores energy; numerics.max_overlap limits it. Without this limit the particles must separate with "
-    "the energy that the contact model returns.",
-    BOUNDS: "Particles with the overlap that the check assumes get a small perturbation. A bisection to 2 % finds the "
-    "time step at which the perturbation grows, for one particle between 2, 6 or 12 fixed particles, a straight chain "
-    "of 10 free particles, and a densely packed block. The number is this measured limit over the limit of the check "
-    "for the same particles. Below 1 the check accepts unstable time steps; above 2 it is too conservative.",
+    UNEQUAL: (
+        "A particle against another of up to 100 times its size and up to a million times its density. The "
+        "assessment refers to the restitution and the conservation of momentum."
+    ),
+    MANY: (
+        "A particle below another of a million times its mass, and a column of 100 particles: from "
+        "equilibrium, the floor must carry exactly the weight for 20 000 steps. The energy budget must be "
+        "balanced for a bed of 64 particles compressed by a lid, two particles with an initial overlap of 50 "
+        "%, a particle that hits a bed at 1 km/s, friction 0 and 10, two colliding clouds without gravity, "
+        "and a floor that vibrates at 100 g. An initial overlap stores energy; numerics.max_overlap limits "
+        "it. Without this limit the particles must separate with the energy that the contact model returns."
+    ),
+    BOUNDS: (
+        "Particles with the overlap that the check assumes get a small perturbation. A bisection to 2 % "
+        "finds the time step at which the perturbation grows, for one particle between 2, 6 or 12 fixed "
+        "particles, a straight chain of 10 free particles, and a densely packed block. The number is this "
+        "measured limit over the limit of the check for the same particles. Below 1 the check accepts "
+        "unstable time steps; above 2 it is too conservative."
+    ),
 }
 """Paragraph of the page for each family."""
 
@@ -313,12 +324,13 @@ def headline(outcomes: Sequence[CaseOutcome]) -> str:
     counts = Counter(each.kind for each in outcomes)
     ratios = [each.reached for each in outcomes if each.family == BOUNDS and np.isfinite(each.reached)]
     between = (
-        f" The measured stability limit is {min(ratios):.2f} to {max(ratios):.2f} times the limit of the check."
+        f" The measured stability limit is {min(ratios):.2f} to {max(ratios):.2f} times the limit of the "
+        "check."
         if ratios
         else ""
     )
     return (
         f"Of {len(outcomes)} stiff and extreme cases {counts['accurate']} are stable and accurate within "
-        f"{percent(ACCURATE)}, {counts['error']} stable with a reported error, {counts['refused']} refused with a "
-        f"message, {counts['defect']} defects.{between}"
+        f"{percent(ACCURATE)}, {counts['error']} stable with a reported error, {counts['refused']} refused "
+        f"with a message, {counts['defect']} defects.{between}"
     )

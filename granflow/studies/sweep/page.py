@@ -141,8 +141,8 @@ def main_effects(table: ShownTable, quantity: str) -> Plot:
     has_errors = any(any(each["error_y"]["array"]) for each in data if "error_y" in each)
     caption = (
         f"{table.label(quantity)}: mean over all points with the same value of a parameter"
-        f"{', or in equal intervals of it' if binned else ''} (line){', with its standard error' if has_errors else ''}"
-        ", and all points (light)"
+        f"{', or in equal intervals of it' if binned else ''} "
+        f"(line){', with its standard error' if has_errors else ''}, and all points (light)"
     )
     row = row_of_axes([table.parameter_label(name) for name in table.parameters], table.label(quantity))
     for k, name in enumerate(table.parameters):
@@ -356,7 +356,10 @@ def parallel_coordinates(table: ShownTable) -> Plot:
     ]
     x_axis = axis("", tickvals=names, ticktext=ends)
     y_axis = axis("share of the range")
-    caption = f"Each line is a point; {len(shown)} of {len(rows)} points, colored from low (blue) to high (orange) {color}"
+    caption = (
+        f"Each line is a point; {len(shown)} of {len(rows)} points, colored from low (blue) to high (orange) "
+        f"{color}"
+    )
     return Plot(caption, {"data": data, "layout": layout(HEIGHT + 60, xaxis=x_axis, yaxis=y_axis)})
 
 
@@ -463,8 +466,8 @@ def series_overlay(runs: Sequence[NamedRun], first: Sequence[str], named_by: str
     }
     axes = {"xaxis": axis("time (s)"), "yaxis": axis(_title(columns[0]))}
     caption = (
-        f"Time series of {len(found)} of {len(runs)} runs, named by {named_by}. The menu selects the quantity; a click "
-        "in the legend hides a run, a double click shows only this run."
+        f"Time series of {len(found)} of {len(runs)} runs, named by {named_by}. The menu selects the "
+        "quantity; a click in the legend hides a run, a double click shows only this run."
     )
     look = layout(SERIES_HEIGHT, updatemenus=[menu], **axes) | {"showlegend": True}
     return Plot(caption, {"data": data, "layout": look | {"margin": {"l": 70, "r": 20, "t": 70, "b": 55}}})

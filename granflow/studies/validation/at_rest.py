@@ -191,7 +191,8 @@ def resting_cases() -> list[ValidationCase]:
                     VISCOUS / math.sqrt(1.0 - VISCOUS**2),
                     -found.real / found.imag,
                     error + NUDGE,
-                    "w dt, since the damping acts with the velocity at the half step, and the amplitude over the overlap",
+                    "w dt, since the damping acts with the velocity at the half step, and the amplitude over "
+                    "the overlap",
                     "contact_models/zhou.md: damping ratio with the Hertz tangent",
                 )
             )
@@ -209,9 +210,10 @@ def resting_cases() -> list[ValidationCase]:
                 math.pi * RATIO / math.sqrt(1.0 - RATIO**2),
                 decrement,
                 error + NUDGE,
-                "w dt, since the damping acts with the velocity at the half step, and the amplitude over the overlap",
-                "contact_models/zhou.md: damping ratio 0.1 with the unloading tangent, in the half of each oscillation in "
-                "which the sphere approaches",
+                "w dt, since the damping acts with the velocity at the half step, and the amplitude over the "
+                "overlap",
+                "contact_models/zhou.md: damping ratio 0.1 with the unloading tangent, in the half of each "
+                "oscillation in which the sphere approaches",
             )
         )
     return cases
@@ -266,7 +268,8 @@ def bed_cases() -> list[ValidationCase]:
                 (forces[0] - forces[1]) / back,
                 "N/m",
                 RETREAT + excess / 3.0,
-                f"{reason}, a third of which is that of the tangent; decrease of the force by {100 * RETREAT:g} %",
+                f"{reason}, a third of which is that of the tangent; decrease of the force by "
+                f"{100 * RETREAT:g} %",
             ),
         )
         cases += [
@@ -347,8 +350,8 @@ def column_cases() -> list[ValidationCase]:
                 value,
                 "m",
                 overshoot,
-                "overshoot of the second mode, exp(-pi D / sqrt(1 - D^2)) with the damping ratio D of the drag, times "
-                "its share 1/27 of the settlement; the slowest mode has D > 1",
+                "overshoot of the second mode, exp(-pi D / sqrt(1 - D^2)) with the damping ratio D of the "
+                "drag, times its share 1/27 of the settlement; the slowest mode has D > 1",
             )
             for name, reference, value in rows
         ]

@@ -34,7 +34,10 @@ HAMAKER, SEPARATION = 1e-16, 1e-7
 """Hamaker constant [J], and distance [m] of the surfaces in contact."""
 GAP = 5e-7
 """Distance [m] of the surfaces at the start."""
-WILLETT = "Willett et al. 2000, doi 10.1021/la000657y, Eq. 12; Lian, Thornton & Adams 1993, doi 10.1006/jcis.1993.1452"
+WILLETT = (
+    "Willett et al. 2000, doi 10.1021/la000657y, Eq. 12; Lian, Thornton & Adams 1993, doi "
+    "10.1006/jcis.1993.1452"
+)
 DISTANT = (0.05, 0.9)
 """Range of distances over the rupture distance or the cut-off in which attractions are compared."""
 CUTOFF = 30.0

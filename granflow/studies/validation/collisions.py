@@ -90,7 +90,8 @@ def elastic_cases() -> list[ValidationCase]:
                     "Chung & Ooi",
                     f"{name}: {quantity}",
                     reference,
-                    "Hertz's closed forms with the materials of Chung & Ooi 2011, doi 10.1007/s10035-011-0277-0",
+                    "Hertz's closed forms with the materials of Chung & Ooi 2011, doi "
+                    "10.1007/s10035-011-0277-0",
                     value,
                     unit,
                     HALF_DIGIT,

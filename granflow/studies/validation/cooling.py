@@ -32,8 +32,8 @@ MODULI = (5e6, 50e6, 500e6)
 SIGMAS = 3.0
 """Allowed deviation over the standard deviation."""
 HAFF = (
-    "Haff 1983, doi 10.1017/S0022112083003419, with Enskog's collision rate and the Sonine correction of van Noije & "
-    "Ernst 1998, doi 10.1007/s100350050009"
+    "Haff 1983, doi 10.1017/S0022112083003419, with Enskog's collision rate and the Sonine correction of van "
+    "Noije & Ernst 1998, doi 10.1007/s100350050009"
 )
 
 
@@ -100,11 +100,14 @@ def haff_case(modulus: float, ratio: float, sigma: float, oblique: float, share:
         ratio,
         "1",
         share + SIGMAS * sigma,
-        "100 % of the correction for the contact time, and three standard deviations sqrt(2 / K) of K collisions",
+        "100 % of the correction for the contact time, and three standard deviations sqrt(2 / K) of K "
+        "collisions",
         scale=1.0,
-        remark=f"Corrections: oblique impacts {100 * (oblique - 1):+.2g} %, contact time "
-        f"{-100 * share:+.2g} %. The gas starts with random velocities; six directions of equal speed, as in the "
-        f"shipped scene, dissipate {100 * (six_directions() - 1):.2g} % until they are isotropic, after 3 of 60 ms",
+        remark=(
+            f"Corrections: oblique impacts {100 * (oblique - 1):+.2g} %, contact time {-100 * share:+.2g} %. "
+            "The gas starts with random velocities; six directions of equal speed, as in the shipped scene, "
+            f"dissipate {100 * (six_directions() - 1):.2g} % until they are isotropic, after 3 of 60 ms"
+        ),
     )
 
 
@@ -162,7 +165,8 @@ def viscoelastic_gas_cases(count: int = COUNT, end: float = VISCOELASTIC_END) ->
             float(theta[-1] / theta[0]),
             "1",
             slope * (share + SIGMAS * sigma),
-            "d ln T / d ln t times the correction for the contact time and three standard deviations sqrt(2 / K)",
+            "d ln T / d ln t times the correction for the contact time and three standard deviations sqrt(2 "
+            "/ K)",
             remark=f"Corrections: oblique impacts {100 * (soft.oblique - 1):+.2g} %, contact time "
             f"{-100 * share:+.2g} %.",
         ),
@@ -176,8 +180,10 @@ def viscoelastic_gas_cases(count: int = COUNT, end: float = VISCOELASTIC_END) ->
             SIGMAS * float(np.linalg.norm(halves)) / span,
             "three standard deviations sqrt(2 / K) of the cooling rates of both halves",
             scale=1.0,
-            remark="T ~ t^(-1/q): leading order q = 3/5, t^(-5/3), for weak dissipation; constant restitution q = 1/2, "
-            "t^(-2). Higher orders of e(v) lower q.",
+            remark=(
+                "T ~ t^(-1/q): leading order q = 3/5, t^(-5/3), for weak dissipation; constant restitution q "
+                "= 1/2, t^(-2). Higher orders of e(v) lower q."
+            ),
         ),
     ]
 

@@ -50,7 +50,8 @@ def sliding_cases(run: Mapping[str, ImpactSweep]) -> list[ValidationCase]:
             "Oblique impacts",
             f"{each.quantity}, at {each.where}: simulated over closed form",
             1.0,
-            "momentum balance of a contact that slides throughout (Chung & Ooi 2011), with the lever arm R - overlap/2",
+            "momentum balance of a contact that slides throughout (Chung & Ooi 2011), with the lever arm R - "
+            "overlap/2",
             1.0 + each.largest,
             "1",
             (0.5 * math.pi * SAFETY) ** 2,
@@ -146,8 +147,8 @@ def measured_cases(run: Mapping[str, ImpactSweep]) -> list[ValidationCase]:
                 _rms((factor * (values - curve))[sticks]),
                 unit,
                 scatter * float(np.sqrt(quantile)) / scale,
-                "scatter of the measured impacts that slide about the momentum balance, times the square root of the "
-                f"quantile {CONFIDENCE:g} of F",
+                "scatter of the measured impacts that slide about the momentum balance, times the square "
+                f"root of the quantile {CONFIDENCE:g} of F",
                 scale,
             )
         )

@@ -159,14 +159,15 @@ def rolling_model_cases() -> list[ValidationCase]:
         cases.append(
             ValidationCase(
                 "Rolling and twisting models",
-                f"{name}: {'decay rate of the velocity' if is_viscous else 'deceleration'} of a rolling sphere",
+                f"{name}: {'decay rate of the velocity' if is_viscous else 'deceleration'} of a rolling "
+                "sphere",
                 reference,
                 source,
                 slope,
                 "1/s" if is_viscous else "m/s²",
                 2.0 * OVERLAP / RADIUS + 6.0 / (SLIP_RATE * 0.9 * DURATION),
-                "the overlap shortens the lever arm of both friction and load, and the tangential spring oscillates: "
-                "6 / (w t) of the slope of a line through t",
+                "the overlap shortens the lever arm of both friction and load, and the tangential spring "
+                "oscillates: 6 / (w t) of the slope of a line through t",
             )
         )
     return cases + [case for name in ("epsd", "sds") for case in spring_cases(name)]
@@ -192,13 +193,13 @@ def spring_cases(name: str) -> list[ValidationCase]:
                 "Rolling and twisting models",
                 f"{name}: {quantity} of the {('slower', 'faster')[number]} oscillation of a rolling sphere",
                 reference,
-                f"{source}; Wensrich & Katterfeld 2012, doi 10.1016/j.powtec.2011.09.057: kr = kt R^2, two coupled "
-                "springs",
+                f"{source}; Wensrich & Katterfeld 2012, doi 10.1016/j.powtec.2011.09.057: kr = kt R^2, two "
+                "coupled springs",
                 value,
                 "1/s",
                 share + 2.0 * OVERLAP / RADIUS,
-                "(w dt)^2, and g dt or w dt for the dashpot, which acts with the velocity at the half step; and the "
-                "overlap shortens the lever arm",
+                "(w dt)^2, and g dt or w dt for the dashpot, which acts with the velocity at the half step; "
+                "and the overlap shortens the lever arm",
             )
             for quantity, reference, value, share in rows
         ]
@@ -252,8 +253,8 @@ def twisting_cases() -> list[ValidationCase]:
                 value,
                 "rad/s²" if quantity.startswith("deceleration") else "1/s",
                 allowed,
-                "(w dt)^2 with the frequency of the normal contact, or w dt for the dashpot, which acts with the "
-                "velocity at the half step",
+                "(w dt)^2 with the frequency of the normal contact, or w dt for the dashpot, which acts with "
+                "the velocity at the half step",
             )
             for quantity, reference, value, allowed in rows
         ]

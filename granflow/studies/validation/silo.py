@@ -138,8 +138,8 @@ def evaluate_silo(snapshots: Sequence[Snapshot]) -> list[ValidationCase]:
             float(np.mean(whole)),
             "1",
             3.0 * block_error(whole) + WALL_SPEED / (GRAVITY * 0.5 * LIFT),
-            "three standard errors of the mean of five intervals, and a change of the velocity of the bed by that of "
-            "the wall, v / (g t)",
+            "three standard errors of the mean of five intervals, and a change of the velocity of the bed by "
+            "that of the wall, v / (g t)",
             scale=1.0,
         ),
         ValidationCase(
@@ -150,11 +150,13 @@ def evaluate_silo(snapshots: Sequence[Snapshot]) -> list[ValidationCase]:
             float(np.mean(floor)),
             "1",
             3.0 * block_error(floor) + 2.0 * end,
-            "three standard errors of five intervals, and the weight of a layer of one diameter at each end, where the "
-            "stresses are not those of the middle",
+            "three standard errors of five intervals, and the weight of a layer of one diameter at each end, "
+            "where the stresses are not those of the middle",
             scale=1.0,
-            remark=f"K and the share of the friction limit at the wall, {friction / FRICTION:.2g}, are measured in the "
-            "middle third of the height; the law predicts the rest of the profile.",
+            remark=(
+                f"K and the share of the friction limit at the wall, {friction / FRICTION:.2g}, are measured "
+                "in the middle third of the height; the law predicts the rest of the profile."
+            ),
         ),
     ]
 
@@ -262,8 +264,8 @@ def discharge_case(orifice: float, silo: float, flows: Sequence[float]) -> Valid
     reference = beverloo_flow(orifice)
     error = float(np.std(flows, ddof=1)) / math.sqrt(len(flows))
     beyond = (
-        f". The law holds for silos wider than {SILO_OVER_ORIFICE:g} orifices and wider than the orifice plus "
-        f"{SILO_MARGIN:g} diameters ({WIDTHS}): beyond the range"
+        f". The law holds for silos wider than {SILO_OVER_ORIFICE:g} orifices and wider than the orifice "
+        f"plus {SILO_MARGIN:g} diameters ({WIDTHS}): beyond the range"
     )
     return ValidationCase(
         "Discharge of a flat-bottomed silo",
@@ -273,11 +275,14 @@ def discharge_case(orifice: float, silo: float, flows: Sequence[float]) -> Valid
         float(np.mean(flows)),
         "kg/s",
         3.0 * error / reference + PARAMETER_ERROR * math.hypot(1.0, share),
-        f"three standard errors of the mean of {len(flows)} fillings, and 10 % of C and 10 % of k, independent of each "
-        "other",
-        remark="C = 0.58 and k = 1.4 are means over materials; C decreases with the friction of the particles (0.5). "
-        "The bulk density, 1450 kg/m3, is the mean of the filled bed; with that in its middle, 1500, flows are another "
-        "3 % below the law" + ("" if is_in_range else beyond),
+        f"three standard errors of the mean of {len(flows)} fillings, and 10 % of C and 10 % of k, "
+        "independent of each other",
+        remark=(
+            "C = 0.58 and k = 1.4 are means over materials; C decreases with the friction of the particles "
+            "(0.5). The bulk density, 1450 kg/m3, is the mean of the filled bed; with that in its middle, "
+            "1500, flows are another 3 % below the law"
+        )
+        + ("" if is_in_range else beyond),
         in_range=is_in_range,
     )
 

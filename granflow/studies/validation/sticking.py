@@ -29,7 +29,10 @@ FRACTION = 0.002
 """Time step over the shorter of loading and unloading time."""
 STEP_ERROR = 0.5 * math.pi * FRACTION
 """Error w dt: increments of the force have the stiffness at the end of each step, a rule of first order."""
-STEP_REASON = "w dt of a time step of 0.2 % of a quarter period: each increment has the stiffness at the end of its step"
+STEP_REASON = (
+    "w dt of a time step of 0.2 % of a quarter period: each increment has the stiffness at the end of its "
+    "step"
+)
 STEPS = 20000
 """Steps of the integration, whose error is a tenth of STEP_ERROR."""
 SOURCE = "Mindlin 1949; Thornton, Cummins & Cleary 2013, doi 10.1016/j.powtec.2012.08.012, integrated"

@@ -166,8 +166,8 @@ def doubling_case(flights: Mapping[float, np.ndarray], samples: int) -> Validati
         onset_of_doubling(flights)[0],
         "1",
         (abs(exact - DOUBLING) + change / samples) / DOUBLING + OVERLAP_TIME * (math.pi / DOUBLING) ** 2,
-        f"the same line through durations of the map, one sample of {samples} per period, and flights that end one "
-        f"overlap early, {100 * OVERLAP_TIME:g} % of a period: Gamma^2 = 4 + (pi (1 - share))^2",
+        f"the same line through durations of the map, one sample of {samples} per period, and flights that "
+        f"end one overlap early, {100 * OVERLAP_TIME:g} % of a period: Gamma^2 = 4 + (pi (1 - share))^2",
     )
 
 
@@ -189,7 +189,10 @@ def flight_cases(gamma: float, found: np.ndarray, samples: int) -> list[Validati
                 scale=1.0,
             )
         ]
-    reason = f"flights end one overlap early, {100 * OVERLAP_TIME:g} % of a period, and one sample of {samples} per period"
+    reason = (
+        f"flights end one overlap early, {100 * OVERLAP_TIME:g} % of a period, and one sample of {samples} "
+        "per period"
+    )
     return [
         ValidationCase(
             "Inelastic particle on a vibrating plate",
@@ -201,8 +204,10 @@ def flight_cases(gamma: float, found: np.ndarray, samples: int) -> list[Validati
             OVERLAP_TIME + 1.0 / samples,
             reason,
             scale=1.0,
-            remark=f"Periods {TRANSIENT} to {PERIODS}. A flight lasts one period from sqrt(1 + pi^2) = 3.297 on; "
-            "flights of two durations alternate above sqrt(4 + pi^2) = 3.724 (period doubling).",
+            remark=(
+                f"Periods {TRANSIENT} to {PERIODS}. A flight lasts one period from sqrt(1 + pi^2) = 3.297 "
+                "on; flights of two durations alternate above sqrt(4 + pi^2) = 3.724 (period doubling)."
+            ),
         )
         for name, chosen in (("shortest", np.min), ("longest", np.max))
     ]

@@ -148,6 +148,6 @@ def allowed_difference(ours: Sequence[float], theirs: Sequence[float]) -> tuple[
     spread = math.sqrt(squares / (n + m - 2)) * math.sqrt(1.0 / n + 1.0 / m)
     factor = float(t.ppf(0.5 + 0.5 * CONFIDENCE, n + m - 2))
     return factor * spread, (
-        f"{factor:.3g} standard deviations of the difference between the means of {n} and {m} runs or intervals "
-        f"(Student's t for {100 * CONFIDENCE:.2f} %)"
+        f"{factor:.3g} standard deviations of the difference between the means of {n} and {m} runs or "
+        f"intervals (Student's t for {100 * CONFIDENCE:.2f} %)"
     )

@@ -81,8 +81,8 @@ def drum_case(name: str, rolling_friction: float, remark: str = "") -> PeerCase:
 
 
 CURVATURE = (
-    "LAMMPS takes the curvature of the shell into account, 1.3 % of the stiffness of its contacts; LIGGGHTS and "
-    "granflow do not. Wall velocity in LIGGGHTS: that at the particle centers, corrected on average"
+    "LAMMPS takes the curvature of the shell into account, 1.3 % of the stiffness of its contacts; LIGGGHTS "
+    "and granflow do not. Wall velocity in LIGGGHTS: that at the particle centers, corrected on average"
 )
 """Remark on both drums."""
 DRUMS = (
@@ -90,8 +90,8 @@ DRUMS = (
     drum_case(
         "drum with rolling friction",
         ROLLING_FRICTION,
-        f"{CURVATURE}. Rolling stiffness: that of the tangential spring in LIGGGHTS (epsd2) and granflow, 2000 N/m in "
-        "LAMMPS (sds)",
+        f"{CURVATURE}. Rolling stiffness: that of the tangential spring in LIGGGHTS (epsd2) and granflow, "
+        "2000 N/m in LAMMPS (sds)",
     ),
 )
 """Both drums."""

@@ -55,8 +55,8 @@ def figures(frames: Frames) -> dict[str, float]:
 
 
 REMARK = (
-    "The largest depth is that after the bed has bounced; it differs by 6 % between fillings. Particles overlap by up "
-    "to 23 % of their radius here"
+    "The largest depth is that after the bed has bounced; it differs by 6 % between fillings. Particles "
+    "overlap by up to 23 % of their radius here"
 )
 """Remark on this case."""
 IMPACT = PeerCase(
