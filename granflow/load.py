@@ -103,8 +103,8 @@ class Scene(SceneInput):
         """
         if not isinstance(data, Mapping):
             raise SceneError(
-                f"scene: this is a {type(data).__name__}, but a scene is a mapping of keys to values, such as "
-                '{"title": "My scene", ...}; granflow.load_scene reads a file.'
+                f"scene: this is a {type(data).__name__}, but a scene is a mapping of keys to values, such "
+                'as {"title": "My scene", ...}; granflow.load_scene reads a file.'
             )
         folder = Path() if folder is None else path_of("folder", folder)
         return cls.of(scene_in(document_of(data), folder=folder), read=True)

@@ -98,7 +98,8 @@ def html_table(title: str, rows: Iterable[tuple[str, object]]) -> str:
     """Return a table of labels and values with a heading as HTML, for notebooks; all texts are escaped and
     visible."""
     cells = "".join(
-        f'<tr><th style="text-align:left">{_escaped(label)}</th><td style="text-align:left">{_escaped(value)}</td></tr>'
+        f'<tr><th style="text-align:left">{_escaped(label)}</th>'
+        f'<td style="text-align:left">{_escaped(value)}</td></tr>'
         for label, value in rows
     )
     return f"<table><caption>{_escaped(title)}</caption>{cells}</table>"

@@ -220,7 +220,9 @@ def add_explain(verbs: Any) -> None:
     parser.add_argument(
         "--measure",
         action="store_true",
-        help="measure the cost of each feature instead of printing the plan: time per step with and without it",
+        help=(
+            "measure the cost of each feature instead of printing the plan: time per step with and without it"
+        ),
     )
     parser.add_argument(
         "--until",
@@ -320,8 +322,8 @@ SCENE = "scene_as_run.yaml"
 CHANGES = """\
 These keys may change, with --set or in scene_as_run.yaml; a change of any other key is an error:
   output.interval, .timeseries_interval, .particles, .frames_per_rank, .contacts, .walls, .checkpoint
-  run.duration; duration, kinetic_energy_below, until, min_duration and max_duration of the current stage and later
-    ones, or of the last stage of a completed run; stages added at the end
+  run.duration; duration, kinetic_energy_below, until, min_duration and max_duration of the current stage and
+    later ones, or of the last stage of a completed run; stages added at the end
   stages, appears_at and vanishes_at of walls: opening a gate
   motion of walls, if the position remains continuous: end a motion with end: and add another with start:
   friction and rolling_friction of pairs, if both the old and the new value are above 0

@@ -479,9 +479,9 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     if _started is not None:
         if _started.owner is not threading.current_thread():
             raise GranflowError(
-                f"A simulation is in use in the thread {_started.owner.name}, and granflow runs in one thread of a "
-                'process at a time: end it by simulation.free(), or start a process with multiprocessing.get_context("'
-                'spawn").'
+                f"A simulation is in use in the thread {_started.owner.name}, and granflow runs in one thread "
+                "of a process at a time: end it by simulation.free(), or start a process with "
+                'multiprocessing.get_context("spawn").'
             )
         if is_running_with(arch, precision, threads):
             return _started
@@ -570,7 +570,8 @@ def _position_in_source(context: Any, node: Any) -> str:
     The function of Taichi formats the source line of every node of every kernel, needed or not: 0.5 s per
     start.
     """
-    line = f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
+    number = node.lineno + context.lineno_offset
+    line = f'File "{context.file}", line {number}, in {context.func.func.__name__}:\n'
     return line + context.src[node.lineno - 1] + "\n"
 
 

@@ -154,7 +154,8 @@ class RankEngine(Engine):
         super().__init__(rank_plan(plan, self.communicator.size), backend)
         self.state.ranks = self.communicator
         gc.collect()
-        gc.freeze()  # else a step in some hundreds takes 60 ms longer: Python searches all objects of the compiler
+        # Otherwise a step in some hundreds takes 60 ms longer: Python searches all objects of the compiler.
+        gc.freeze()
         atexit.register(gc.unfreeze)  # else Taichi is not destroyed, which stores the compiled kernels
         self.communicator.barrier()
 

@@ -15,7 +15,9 @@ ALLOWED_CHANGES: dict[str, str] = {
     r"output\.((timeseries_)?interval|particles|contacts|walls)": "selection and interval of output",
     r"output\.(frames_per_rank|compression)": "files of frames",
     r"output\.checkpoint\..*": "interval and number of checkpoints",
-    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|(min|max)_duration|until.*)": "end of run or stage",
+    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|(min|max)_duration|until.*)": (
+        "end of run or stage"
+    ),
     r"walls\.\w+(\.\w+)?\.(stages|appears_at|vanishes_at)": "presence of a wall, such as opening a gate",
     r"walls\.\w+(\.\w+)?\.motion(\.|$).*": "motion of a wall from now on",
     r"pairs\.[\w-]+\.(friction|rolling_friction)": "friction, if it is above 0 before and after",

@@ -99,7 +99,9 @@ class Material(Model):
     )
     restitution_fit: Annotated[tuple[q.Positive, q.Positive], pair_list("[sigma, psi]")] | None = Field(
         None,
-        description="sigma and psi (Zhou 2011, Eq. 12) for contacts within this material; available in some presets",
+        description=(
+            "sigma and psi (Zhou 2011, Eq. 12) for contacts within this material; available in some presets"
+        ),
     )
 
     @model_validator(mode="before")
@@ -137,7 +139,9 @@ class RestitutionFit(Model):
     psi: q.Positive = Field(description="psi of Zhou (2011), Eq. 12")
     limit_velocity: q.Speed | None = Field(
         None,
-        description="impact velocity above which e is 0 [m/s]; default: Zhou (2011), Eq. 11, with the yield strengths",
+        description=(
+            "impact velocity above which e is 0 [m/s]; default: Zhou (2011), Eq. 11, with the yield strengths"
+        ),
     )
     preset: Text | None = Field(None, description="name of a preset that supplies sigma and psi")
 

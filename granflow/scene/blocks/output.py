@@ -292,7 +292,9 @@ class FlowMeter(Model):
     )
     sides: q.Sides | None = Field(
         None,
-        description="the two edge vectors of the rectangle [m], perpendicular to each other and to the normal",
+        description=(
+            "the two edge vectors of the rectangle [m], perpendicular to each other and to the normal"
+        ),
     )
     group_by: Literal["material", "group"] | None = Field(
         None, description="additional separate counts for each material or group"
@@ -378,7 +380,9 @@ class Output(Model):
     energy_budget: Flag = Field(False, description="compute the energy budget")
     wall_forces: FlagOrNames = Field(
         False,
-        description="measure force, torque and pressure of the particles on all walls (true) or on those in a list",
+        description=(
+            "measure force, torque and pressure of the particles on all walls (true) or on those in a list"
+        ),
     )
     collision_energies: CollisionEnergies | None = Field(
         None, description="count collisions by impact energy, for collision_energies.csv; default: no counts"

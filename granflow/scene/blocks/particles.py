@@ -201,7 +201,9 @@ class RectangleOutline(Rectangular):
     """A flat rectangle."""
 
     sides: q.Sides = Field(
-        description="the two edge vectors from that corner, perpendicular [m]; particles enter along first x second"
+        description=(
+            "the two edge vectors from that corner, perpendicular [m]; particles enter along first x second"
+        )
     )
 
 
@@ -516,12 +518,16 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     count_given: q.ParticleCount | None = Field(
         None,
         alias="count",
-        description="number of particles, or of clumps; with positions or file: default is the number of rows",
+        description=(
+            "number of particles, or of clumps; with positions or file: default is the number of rows"
+        ),
     )
     mass: q.ParticleMass | None = Field(None, description="total mass [kg], instead of count")
     diameter: Sizes = Field(
         None,
-        description="diameter [m], or a size distribution; with positions, also a list; with file, not allowed",
+        description=(
+            "diameter [m], or a size distribution; with positions, also a list; with file, not allowed"
+        ),
     )
     radius: RadiusOrMany | None = Field(
         None,

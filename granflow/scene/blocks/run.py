@@ -121,7 +121,9 @@ class RunSettings(Model):
     duration: q.PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
     time_step: TimeStep = Field(
         "auto",
-        description="time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest current one",
+        description=(
+            "time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest current one"
+        ),
     )
     velocity_max: q.Speed | None = Field(
         None,
@@ -209,7 +211,9 @@ class Stage(Model):
     )
     until: Annotated[tuple[StageCondition, ...], ListOf(one=True)] = Field(
         (),
-        description="the stage ends if a quantity is above or below a value: one condition, or a list, any of which",
+        description=(
+            "the stage ends if a quantity is above or below a value: one condition, or a list, any of which"
+        ),
     )
     min_duration: q.Time = Field(
         0.0, description="with kinetic_energy_below or until: time before which no condition is satisfied [s]"

@@ -93,7 +93,9 @@ class SceneInput(Model):
     seed: Seed = Field(1, description="seed of all random numbers")
     scale: q.Positive = Field(
         1.0,
-        description="factor of equipment lengths; particle counts scale with its cube, particle sizes do not change",
+        description=(
+            "factor of equipment lengths; particle counts scale with its cube, particle sizes do not change"
+        ),
     )
     gravity: q.AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
     materials: dict[Name, Material] = Field(description="materials by name")
@@ -105,7 +107,9 @@ class SceneInput(Model):
     )
     damping: Damping | None = Field(
         None,
-        description="damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}; default: none",
+        description=(
+            "damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}; default: none"
+        ),
     )
     walls: Annotated[dict[WallName, AnyWall], AfterValidator(with_faces)] = Field(
         {}, description="walls by name"
@@ -113,7 +117,9 @@ class SceneInput(Model):
     particles: dict[Name, Group] = Field(description="groups of particles by name")
     start_from: FileName | None = Field(
         None,
-        description="directory of an earlier run; its last particles replace those of groups with the same name",
+        description=(
+            "directory of an earlier run; its last particles replace those of groups with the same name"
+        ),
     )
     outlets: dict[Name, Outlet] = Field(
         {}, description="outlets by name: regions in which particles are deleted and counted"

@@ -74,7 +74,9 @@ class Vibration(TimedMotion):
     gamma: q.Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
     phase: q.Angle = Field(
         0.0,
-        description="phase at the start [rad]; 0: the wall starts at full speed from the center of the oscillation",
+        description=(
+            "phase at the start [rad]; 0: the wall starts at full speed from the center of the oscillation"
+        ),
     )
 
     def faults(self) -> Iterator[Fault]:

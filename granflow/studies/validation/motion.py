@@ -161,7 +161,9 @@ def rolling_cases() -> list[ValidationCase]:
                     "1",
                     ROLLING_ERROR,
                     LEVER_ARM,
-                    remark="The tangential spring is not damped: the velocity oscillates; its mean is compared.",
+                    remark=(
+                        "The tangential spring is not damped: the velocity oscillates; its mean is compared."
+                    ),
                 )
             )
     return cases
