@@ -55,6 +55,7 @@ STUDIES_IMPORT = {
     "granflow.geometry.shape",
     "granflow.load",
     "granflow.scene.model",
+    "granflow.scene.suggest",
     "granflow.scene.validated_file",
     "granflow.units",
     "granflow.visible_text",

@@ -23,7 +23,7 @@ ANY = "*"
 ALLOWED = {
     "CHANGELOG.md": (ANY,),  # names renamed keys
     "granflow/scene/suggest.py": (ANY,),  # table of renamed keys
-    "granflow/particles/table.py": ("grain", "grains"),  # column names of other programs
+    "granflow/particles/file.py": ("grain", "grains"),  # column names of other programs
     "tests/scene/test_suggest.py": (ANY,),  # renamed keys as input
     "tests/tools/test_banned_words.py": (ANY,),  # banned words as input
     "tools/banned_words.py": ("grain", "grains"),  # this table

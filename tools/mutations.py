@@ -31,13 +31,11 @@ SHAPES = "tests/geometry/test_shapes.py::test_distance_and_normal_of_elementary_
 
 MUTATIONS = (
     # Units
-    Mutation("unit N/cm", "granflow/scene/schema/units.py", "N/cm 100", "N/cm 10", (UNITS,)),
-    Mutation("unit GPa", "granflow/scene/schema/units.py", "GPa 1e9", "GPa 1e6", (UNITS,)),
-    Mutation(
-        "unit rpm", "granflow/scene/schema/units.py", '"rpm": 2 * _PI / 60', '"rpm": _PI / 60', (UNITS,)
-    ),
-    Mutation("unit t/h", "granflow/scene/schema/units.py", "t/h 1000/3600", "t/h 1/3600", (UNITS,)),
-    Mutation("unit pJ", "granflow/scene/schema/units.py", "pJ 1e-12", "pJ 1e-9", (UNITS,)),
+    Mutation("unit N/cm", "granflow/units.py", "N/cm 100", "N/cm 10", (UNITS,)),
+    Mutation("unit GPa", "granflow/units.py", "GPa 1e9", "GPa 1e6", (UNITS,)),
+    Mutation("unit rpm", "granflow/units.py", '"rpm": 2 * _PI / 60', '"rpm": _PI / 60', (UNITS,)),
+    Mutation("unit t/h", "granflow/units.py", "t/h 1000/3600", "t/h 1/3600", (UNITS,)),
+    Mutation("unit pJ", "granflow/units.py", "pJ 1e-12", "pJ 1e-9", (UNITS,)),
     # Theory and limits of the plan
     Mutation(
         "Hertz stiffness",
@@ -97,7 +95,7 @@ MUTATIONS = (
     ),
     Mutation(
         "one warning per material pair",
-        "granflow/plan/pair_cases.py",
+        "granflow/plan/pairs.py",
         "if group is not other or group.count > 1 else None",
         "if True else None",
         (f"{STEP}test_contacts_that_cannot_occur_cause_no_warning",),
@@ -127,28 +125,28 @@ MUTATIONS = (
     Mutation(
         "wall velocity half a step late",
         "granflow/engine/walls.py",
-        "middles = ends[:WALL_BATCH], ends - 0.5 * clock.time_step",
-        "middles = ends[:WALL_BATCH], ends",
+        "middles = ends - 0.5 * clock.time_step",
+        "middles = ends",
         (WALL_TIME,),
     ),
     Mutation(
         "wall velocity half a step early",
         "granflow/engine/walls.py",
-        "middles = ends[:WALL_BATCH], ends - 0.5 * clock.time_step",
-        "middles = ends[:WALL_BATCH], ends - clock.time_step",
+        "middles = ends - 0.5 * clock.time_step",
+        "middles = ends - clock.time_step",
         (WALL_TIME,),
     ),
     # Lock and checkpoints
     Mutation(
         "shared lock",
-        "granflow/io/lock.py",
+        "granflow/io/files.py",
         "fcntl.LOCK_EX",
         "fcntl.LOCK_SH",
         (f"{CHECKPOINT}test_lock_is_exclusive_and_ends_with_its_process",),
     ),
     Mutation(
         "checksum ignored",
-        "granflow/io/checkpoint_file.py",
+        "granflow/io/archive.py",
         "if found != file.read(len(CHECKSUM_PLACEHOLDER) + 1) or expected not in (None, found.decode()):",
         "if not file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
         (f"{CHECKPOINT}test_each_flipped_bit_is_detected",),
@@ -163,16 +161,16 @@ MUTATIONS = (
     # Energy
     Mutation(
         "kinetic energy",
-        "granflow/engine/accounting.py",
+        "granflow/engine/totals.py",
         "kinetic = 0.5 * exact_sum",
         "kinetic = 1.0 * exact_sum",
         (ENERGY,),
     ),
     Mutation(
         "moment of inertia",
-        "granflow/engine/accounting.py",
-        "inertia = 0.4 * mass",
-        "inertia = 0.5 * mass",
+        "granflow/engine/totals.py",
+        "inertia = 0.4 * mass * arrays",
+        "inertia = 0.5 * mass * arrays",
         (ENERGY,),
     ),
     Mutation(
@@ -199,28 +197,28 @@ MUTATIONS = (
     # Limits on the device
     Mutation(
         "overlap limit, batched",
-        "granflow/engine/force/batch_collect.py",
+        "granflow/engine/batch.py",
         "check_overlap(i, square, reach, overlap_ratio * radius_min)",
         "check_overlap(i, square, reach, 4.0 * overlap_ratio * radius_min)",
         (f"{OVERLAP}[batched-pair]",),
     ),
     Mutation(
         "overlap limit, scalar",
-        "granflow/engine/force/contact.py",
+        "granflow/engine/contact.py",
         "if overlap > max_overlap() * radius_min:",
         "if overlap > 4.0 * max_overlap() * radius_min:",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
         "overlap over the larger radius",
-        "granflow/engine/force/contact.py",
+        "granflow/engine/contact.py",
         "radius_min = ti.min(radius_min, particles.radius[j])",
         "radius_min = ti.max(radius_min, particles.radius[j])",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
         "rebuild after a whole skin",
-        "granflow/engine/neighbor/bounds.py",
+        "granflow/engine/neighbor/sort.py",
         "reach = ti.min(0.5 * rebuild.skin",
         "reach = ti.min(1.0 * rebuild.skin",
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
@@ -249,7 +247,7 @@ MUTATIONS = (
     ),
     Mutation(
         "Mindlin stiffness",
-        "granflow/contact/normal_law.py",
+        "granflow/contact/law.py",
         "return 8.0 * constants.shear_modulus_eff",
         "return 4.0 * constants.shear_modulus_eff",
         (WALL_TIME,),
@@ -270,29 +268,29 @@ MUTATIONS = (
     ),
     Mutation(
         "effective mass and radius",
-        "granflow/engine/force/pair_force.py",
+        "granflow/engine/pair.py",
         "return one * other / (one + other)",
         "return 0.5 * one * other / (one + other)",
         ("tests/physics/test_chung_ooi.py::test_elastic_collisions_reach_the_overlap_force_and_duration",),
     ),
     Mutation(
         "torque on the partner",
-        "granflow/engine/force/pair_force.py",
-        "-kinematics.arm * moment, -kinematics.arm_partner * moment",
-        "-kinematics.arm * moment, kinematics.arm_partner * moment",
+        "granflow/engine/pair.py",
+        "torque_partner = -kinematics.arm_partner * moment",
+        "torque_partner = kinematics.arm_partner * moment",
         ("tests/engine/test_conservation.py::test_momentum_of_a_closed_system_is_conserved_to_rounding",),
     ),
     # Neighbor list, periodic images, walls
     Mutation(
         "minimum image at the lower side",
-        "granflow/engine/periodic_box.py",
+        "granflow/engine/box.py",
         "ti.select(branch[axis] < -half, widths[axis]",
         "ti.select(branch[axis] < -widths[axis], widths[axis]",
         (f"{PERIODIC}test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images",),
     ),
     Mutation(
         "neighbors of the next index",
-        "granflow/engine/neighbor/neighbor_list.py",
+        "granflow/engine/neighbor/list.py",
         "if (j > i) | (j < owner.first)",
         "if (j > i + 1) | (j < owner.first)",
         ("tests/engine/test_neighbor_list.py::test_neighbor_list_holds_exactly_the_candidate_pairs",),

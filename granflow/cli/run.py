@@ -112,7 +112,7 @@ def _scenes_of(source: Path) -> list[Path]:
 def path_of(name: str) -> Path:
     """Path of a shipped scene, such as hopper or verification/incline. Raises GranflowError for an unknown
     name."""
-    from granflow.scene.model import suggestion_or_list
+    from granflow.scene.suggest import suggestion_or_list
 
     paths = example_paths()
     known = name.removesuffix(".yaml")

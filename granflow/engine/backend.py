@@ -479,8 +479,8 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     if _started is not None:
         if _started.owner is not threading.current_thread():
             raise GranflowError(
-                f"A simulation is in use in the thread {_started.owner.name}, and granflow runs in one thread "
-                "of a process at a time: end it by simulation.free(), or start a process with "
+                f"A simulation is in use in the thread {_started.owner.name}, and granflow runs in one "
+                "thread of a process at a time: end it by simulation.free(), or start a process with "
                 'multiprocessing.get_context("spawn").'
             )
         if is_running_with(arch, precision, threads):

@@ -17,7 +17,7 @@ from granflow.plan.parts import PlannedGroup
 from granflow.plan.plan import Plan
 from granflow.runs.run_state import RunState
 from granflow.scene.checks import pair_name, possible_contacts
-from granflow.scene.model import suggestion_sentence
+from granflow.scene.suggest import suggestion_sentence
 
 # Checks of values from Python; each raises GranflowError with one sentence.
 

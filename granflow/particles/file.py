@@ -17,7 +17,7 @@ from granflow.particles.group import ParticleData, SceneGroup, particles_of
 from granflow.scene.blocks.particles import FileInsertion
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.walls import MOST_ROWS, TABLE_COLUMNS, TableMotion
-from granflow.scene.model import nearest
+from granflow.scene.suggest import nearest
 from granflow.units import UnitError, to_si
 
 # Particle tables: text with named columns in common formats, or a VTU frame.

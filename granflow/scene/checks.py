@@ -45,8 +45,8 @@ from granflow.scene.blocks.run import Damping
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.shapes import Box, Vector3
 from granflow.scene.blocks.walls import FreeWall, MotionSpec, Plane, Servo, Vibration, Wall
-from granflow.scene.model import nearest, suggestion_or_list
 from granflow.scene.partial import PartialScene, unknown
+from granflow.scene.suggest import nearest, suggestion_or_list
 from granflow.units import Fault, KeyPath, missing, whole
 from granflow.visible_text import alternatives
 

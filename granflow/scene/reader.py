@@ -37,8 +37,9 @@ from granflow.scene.document import (
     SourcePosition,
     parse,
 )
-from granflow.scene.model import dotted, model_at, nearest, problem_at, problems_of, suggestion_or_list
+from granflow.scene.messages import dotted, model_at, problem_at, problems_of
 from granflow.scene.partial import PartialScene, partial_scene_of
+from granflow.scene.suggest import nearest, suggestion_or_list
 from granflow.units import Fault, whole
 
 # Overrides from the command line, `key.path=value`, applied to the tree of a scene before validation.

@@ -8,7 +8,8 @@ from pydantic import ValidationError
 
 from granflow.errors import FileError, SceneError
 from granflow.scene.document import Document, Problem, document_of
-from granflow.scene.model import Model, faults_of, problem_at, problems_of
+from granflow.scene.messages import problem_at, problems_of
+from granflow.scene.model import Model, faults_of
 from granflow.scene.reader import document_in
 
 M = TypeVar("M", bound=Model)

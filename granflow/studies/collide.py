@@ -10,7 +10,7 @@ from granflow import GranflowError, Plan, SceneError
 from granflow.contact import theory
 from granflow.contact.registry import models
 from granflow.scene.blocks.materials import PRESETS
-from granflow.scene.model import suggestion_sentence
+from granflow.scene.suggest import suggestion_sentence
 from granflow.studies.bench import (
     Collision,
     CollisionBench,

@@ -24,7 +24,7 @@ from granflow.io.tables import (
     series_in,
     table_of_run,
 )
-from granflow.scene.model import suggestion_sentence
+from granflow.scene.suggest import suggestion_sentence
 from granflow.studies.page import COLORS, FULL_WIDTH, draw_to, stacked_panels, write_page
 from granflow.studies.report.plots import (
     DASHES,

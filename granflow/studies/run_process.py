@@ -39,7 +39,7 @@ from granflow.io.files import file_digest, locked, write_text
 from granflow.io.rank_files import PATTERN as RANK_PATTERN
 from granflow.load import identity_of, program_version
 from granflow.scene.blocks.output import METRIC_QUANTITIES_BY_KIND
-from granflow.scene.model import nearest
+from granflow.scene.suggest import nearest
 from granflow.units import number_of
 
 # Files that a run of a study reads, and whether they have changed since the run was checked.

@@ -38,11 +38,11 @@ for each in sys.argv[1:]:
 print("CASES" + json.dumps([each.as_dict() for each in cases]))
 """
 """Program that runs the families of its arguments."""
-ZHOU, UNLOADING = "granflow/contact/normal/zhou.py", "granflow/contact/zhou_unloading.py"
+ZHOU, UNLOADING = "granflow/contact/normal/zhou.py", "granflow/contact/normal/zhou.py"
 THEORY, MATERIAL = "granflow/contact/theory.py", "granflow/contact/material.py"
 NORMAL, ROLLING = "granflow/contact/normal/", "granflow/contact/rolling/"
 TANGENTIAL, COHESION = "granflow/contact/tangential/", "granflow/contact/cohesion/"
-TWISTING, LAW = "granflow/contact/twisting/", "granflow/contact/normal_law.py"
+TWISTING, LAW = "granflow/contact/twisting/", "granflow/contact/law.py"
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ REVIEW = (
     ),
     WrongModel(
         "Hertz: effective mass of a pair halved",
-        (("granflow/engine/force/pair_force.py", "return one * other / (one + other)",
+        (("granflow/engine/pair.py", "return one * other / (one + other)",
           "return 0.5 * one * other / (one + other)"),),
         ("collisions:elastic_cases", "collisions:restitution_cases"),
     ),

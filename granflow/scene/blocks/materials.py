@@ -10,7 +10,8 @@ from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
 from granflow.scene.blocks import shapes as q
-from granflow.scene.model import Model, Text, choose_by, pair_list, required_unless, suggestion_or_list
+from granflow.scene.model import Model, Text, choose_by, pair_list, required_unless
+from granflow.scene.suggest import suggestion_or_list
 from granflow.units import Number, value_error
 
 # Material presets, each with its source.

@@ -8,7 +8,8 @@ from pydantic import Field
 from granflow.fields import unit_of
 from granflow.scene.blocks import shapes as q
 from granflow.scene.blocks.scene import Seed
-from granflow.scene.model import FileName, ListOf, Model, Name, Text, suggestion_or_list
+from granflow.scene.model import FileName, ListOf, Model, Name, Text
+from granflow.scene.suggest import suggestion_or_list
 from granflow.units import (
     Fault,
     GivenNumber,

@@ -33,7 +33,7 @@ from granflow.contact import theory
 from granflow.contact.registry import models
 from granflow.io.files import file_digest, replacing
 from granflow.load import copied_scene
-from granflow.scene.model import suggestion_or_list
+from granflow.scene.suggest import suggestion_or_list
 from granflow.studies.run_process import run_identity
 
 # Contact durations from samples of all contacts in short intervals.

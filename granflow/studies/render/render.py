@@ -15,7 +15,7 @@ from granflow import Scene, read_run
 from granflow.errors import GranflowError
 from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.io.files import replacing
-from granflow.scene.model import nearest
+from granflow.scene.suggest import nearest
 from granflow.studies.page import COLORS, styled_figure
 from granflow.studies.render.frames import (
     OPENING,

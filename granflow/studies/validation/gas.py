@@ -106,7 +106,7 @@ def _rebound(g: float) -> float:
     def force(_: float, state: np.ndarray) -> float:
         return float(state[0] + g * state[1])
 
-    force.terminal = True
+    force.terminal = True  # type: ignore[attr-defined]
     force.direction = -1.0  # type: ignore[attr-defined]
     run = solve_ivp(motion, (0.0, 10.0), (1e-9, 1.0), events=force, rtol=1e-10, atol=1e-12)
     return float(-run.y_events[0][0][1])

@@ -118,7 +118,7 @@ def collide(
     def rate(_: float, state: tuple[float, float]) -> float:
         return state[1]
 
-    rate.terminal = True
+    rate.terminal = True  # type: ignore[attr-defined]
     rate.direction = -1.0  # type: ignore[attr-defined]
     options = {"method": "DOP853", "rtol": ACCURACY, "atol": 1e-13, "max_step": 0.01}
     up = solve_ivp(motion(loading), (0.0, 100.0), (0.0, 1.0), events=rate, dense_output=False, **options)
@@ -129,7 +129,7 @@ def collide(
     def remaining(_: float, state: tuple[float, float]) -> float:
         return scale * back(length * state[0], velocity * state[1])
 
-    remaining.terminal = True
+    remaining.terminal = True  # type: ignore[attr-defined]
     remaining.direction = -1.0  # type: ignore[attr-defined]
     down = solve_ivp(motion(back), (0.0, 100.0), (up.y[0, -1], 0.0), events=remaining, **options)
     forces = [loading(length * x, velocity * w) for x, w in up.y.T]

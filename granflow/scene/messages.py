@@ -1,0 +1,287 @@
+"""Error messages of the schema: one sentence each, with source position and remedy.
+
+A message has the form `file:line:column: key.path is VALUE, but REASON.`
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import (
+    BaseModel,
+    Tag,
+)
+from pydantic_core import ErrorDetails
+
+from granflow.contact import registry
+from granflow.contact.law import SLOTS
+from granflow.scene.document import Document, Node, Problem
+from granflow.scene.suggest import nearest, suggestion_or_list
+from granflow.units import Fault, KeyPath, missing, whole
+
+# Tags of the members of unions, which pydantic puts into the locations of errors, and the keys that select
+# them.
+
+
+def tag_of(member: Any) -> str:
+    """Tag of a member of a union in error locations: a name in angle brackets, which distinguish it from
+    keys.
+
+    The name is that of its pydantic `Tag`, else the value of its key such as `kind`, else its first key; for
+    plain values none, list or number.
+    """
+    if get_origin(member) is Annotated:
+        explicit = [meta.tag for meta in get_args(member)[1:] if isinstance(meta, Tag)]
+        return explicit[0] if explicit else tag_of(get_args(member)[0])
+    if isinstance(member, type) and issubclass(member, BaseModel):
+        words = selecting_keys(member).values()
+        return f"<{next(iter(words), None) or next(iter(member.model_fields))}>"
+    return "<none>" if member is NoneType else "<list>" if get_origin(member) is tuple else "<number>"
+
+
+def selecting_keys(model: type[BaseModel]) -> dict[str, str]:
+    """Keys of a model with only one allowed word, such as `shape` or `kind`, and that word."""
+    literals = {
+        name: get_args(each.annotation)
+        for name, each in model.model_fields.items()
+        if get_origin(each.annotation) is Literal
+    }
+    return {name: words[0] for name, words in literals.items() if len(words) == 1}
+
+
+# Error messages of the schema: one sentence each, with source position and remedy.
+#
+# A message has the form `file:line:column: key.path is VALUE, but REASON.`
+
+_CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid
+_MAX_ERRORS = 1000  # more errors take too long to report
+_REASONS = {
+    "dict_type": "at least one entry of the form name: {...} is expected",
+    "tuple_type": "a list is expected, [ ... ]",
+    "list_type": "a list is expected, [ ... ]",
+    "string_type": "text is expected; put it in quotes",
+}
+"""Reasons of errors by the type that pydantic gives them; other errors have the reason as their message."""
+
+
+def dotted(path: Iterable[str | int]) -> str:
+    """The path in the notation of messages and `--set`: walls.floor.normal.2."""
+    return ".".join(str(key) for key in path)
+
+
+def problem_at(document: Document, fault: Fault) -> Problem:
+    """Error message for a fault, with the position of the value if it is shown, else of the key.
+
+    The path may contain union tags. The sentence ends with a period or a question mark.
+    """
+    written = path_in_file(document, fault.path)
+    name = dotted(written) or document.subject
+    node = document.find(written)
+    shown = node.shown() if node is not None else None
+    if fault.whole:
+        sentence = f"{name} {fault.reason}"
+    else:
+        sentence = f"{name} is {shown}, but {fault.reason}" if shown else f"{name}: {fault.reason}"
+    position = document.key_position(written) if fault.whole else document.value_position(written)
+    return Problem(position, sentence if sentence.endswith((".", "?")) else sentence + ".")
+
+
+def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
+    """The path in the file: without union tags, and without the index if a single item replaces a list.
+
+    A face of a box has the path of the box.
+    """
+    node: Node | None = document.root
+    written: list[str | int] = []
+    for key in path:
+        if isinstance(key, str) and key.startswith("<") and key.endswith(">"):
+            continue
+        if isinstance(key, int) and node is not None and node.items is None:
+            continue
+        in_file = node.written_key(key) if node is not None and node.entries is not None else None
+        written.append(key if in_file is None else in_file)
+        node = node.child(key) if node is not None else None
+    return tuple(written)
+
+
+def problems_of(document: Document, errors: Sequence[ErrorDetails], schema: type[BaseModel]) -> list[Problem]:
+    """The errors of the schema as problems, without consequences of other errors; at most 1000.
+
+    `schema`: model of the whole document. Omitted: copied defaults of invalid values, and a missing key if an
+    unknown key is probably a misspelling of it.
+    """
+    found = [
+        _SchemaError(document, each, schema) for each in errors[:_MAX_ERRORS] if each["type"] != _CONSEQUENCE
+    ]
+    suggested = {error.suggested() for error in found if error.type == "extra_forbidden"}
+    return [
+        problem_at(document, error.fault())
+        for error in found
+        if not (error.type == "missing" and error.path in suggested)
+    ]
+
+
+class _SchemaError:
+    """One pydantic error, with the part of the schema at its location.
+
+    `loc`: as in pydantic, without the mark of keys; `path`: key path in the file.
+    """
+
+    def __init__(self, document: Document, details: ErrorDetails, schema: type[BaseModel]) -> None:
+        self.document = document
+        self.schema = schema
+        self.type: str = details["type"]
+        self.message: str = details["msg"]
+        self.context: dict[str, Any] = details.get("ctx", {})
+        loc = details["loc"]
+        self.of_key = bool(loc) and loc[-1] == "[key]"
+        self.loc: KeyPath = loc[:-1] if self.of_key else loc + tuple(self.context.get("at", ()))
+        self.path = path_in_file(document, self.loc)
+        if (
+            self.type == "extra_forbidden" and not self.of_key
+        ):  # a key such as "<>" looks like a mark of pydantic
+            self.path = (*path_in_file(document, self.loc[:-1]), self.loc[-1])
+
+    def keys(self) -> list[str]:
+        """The keys of the model that contains the location."""
+        return _keys(model_at(self.schema, self.loc[:-1]))
+
+    def suggested(self) -> KeyPath:
+        """Path of the key that an unknown key probably means; the path of the unknown key if none is
+        similar."""
+        return (*self.path[:-1], nearest(str(self.path[-1]), self.keys()) or self.path[-1])
+
+    def fault(self) -> Fault:
+        """The error with the path in the file; the kind of error determines the sentence."""
+        if self.type == "missing":
+            return missing(self.path, self._description())
+        if self.type == "extra_forbidden" and self.keys() == ["law"]:
+            return whole(self.path, "is not a known key: this contact model has no options")
+        if self.type == "extra_forbidden":
+            remedy = suggestion_or_list(str(self.path[-1]), self.keys(), "known keys")
+            if str(self.path[-1]).isdecimal():
+                remedy = f"Numbers have a decimal point, not a comma: such as 0.{self.path[-1]}."
+            return whole(self.path, f"is not a known key. {remedy}")
+        if self.type == "choice":
+            return self._choice()
+        if self.type == "literal_error":
+            return self._one_of(self.path, re.findall(r"'([^']*)'", str(self.context.get("expected"))))
+        if self.type in ("model_type", "model_attributes_type"):
+            keys = ", ".join(_keys(model_at(self.schema, self.loc)))
+            return Fault(self.path, f"a mapping with the keys {keys} is expected")
+        if self.of_key:
+            return whole(self.path, f"is not valid here: {self.message}")
+        return Fault(self.path, _REASONS.get(self.type, self.message), whole=self.type == "whole")
+
+    def _description(self) -> str:
+        """Description of the missing key from the schema."""
+        model = model_at(self.schema, self.loc[:-1])
+        fields = model.model_fields.items() if model else ()
+        found = [field.description for name, field in fields if self.loc[-1] in (name, field.alias)]
+        return (found and found[0]) or "it is required"
+
+    def _choice(self) -> Fault:
+        """A union whose member is undetermined: the key is missing or has an unknown value.
+
+        The message lists the values of the key, or the reason that the union gives.
+        """
+        node = self.document.find(self.path)
+        if node is None:
+            return Fault(self.path, self.context.get("reason", "it cannot be read"))
+        names = [tag_of(member).strip("<>") for member in get_args(_annotation_at(self.schema, self.loc))]
+        if "reason" in self.context:
+            word = _word(node)
+            known = [name.removeprefix("law ") for name in names]
+            near = nearest(word, known) if word and word not in known else None
+            hint = (
+                f". Did you mean {near}?" if near else _options(self.path, word) or _registration(self.path)
+            )
+            return Fault(self.path, self.context["reason"] + hint)
+        key = self.context["key"]
+        names = [name for name in names if name not in ("number", "list", "none")]
+        if node.entries is not None and key in node.entries:
+            return self._one_of((*self.path, key), names)
+        if node.entries is not None:
+            return missing((*self.path, key), f"one of {', '.join(names)}")
+        if key == "law":
+            return self._one_of(self.path, names)
+        example = "{" + f"{key}: {names[0]}, ..." + "}"
+        return Fault(self.path, f"a mapping is expected, {example}, with {key} one of {', '.join(names)}")
+
+    def _one_of(self, path: KeyPath, allowed: list[str]) -> Fault:
+        """A word that is not one of `allowed`: the message lists them and suggests the closest."""
+        node = self.document.find(path)
+        word = "" if node is None else _word(node)
+        near = nearest(word, allowed) if word else None
+        hint = f". Did you mean {near}?" if near else _elsewhere(word) or _registration(path)
+        return Fault(path, f"it must be {'one of ' * (len(allowed) > 1)}{', '.join(allowed)}{hint}")
+
+
+def _word(node: Node) -> str:
+    """A word as written, also that of a contact model in `{law: WORD}`; empty for another mapping or a
+    list."""
+    law = node.child("law")
+    return node.text if law is None else law.text
+
+
+def _options(path: KeyPath, word: str) -> str:
+    """Sentence on the options that a contact model requires, after the list of forms; empty for other
+    words."""
+    slot = str(path[1]) if path[:1] == ("contact",) and len(path) > 1 else ""
+    model = registry.models(slot).get(word) if slot in SLOTS else None
+    if model is None:
+        return ""
+    required = {key: each for key, each in model.options.items() if each.default is None}
+    given = ", ".join(f"{key}: {getattr(each, 'example', '...')}" for key, each in required.items())
+    return f". {word} requires {' and '.join(required)}, such as {{law: {word}, {given}}}" if required else ""
+
+
+def _elsewhere(word: str) -> str:
+    """Sentence, after the list of allowed words, on a contact model of another slot; empty for other
+    words."""
+    slot = next((slot for slot in SLOTS if word in registry.models(slot)), None)
+    return f". {word} is given as contact.{slot}: {word}" if slot else ""
+
+
+def _registration(path: KeyPath) -> str:
+    """Sentence, after the list of contact models, on those of a program; empty for other keys."""
+    is_model = path[:1] == ("contact",) and path[1:2] and path[1] in SLOTS and path[2:] in ((), ("law",))
+    return ". Register a model of your own before: granflow.register_contact_model" if is_model else ""
+
+
+def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:
+    """The model at the location of an error; None for a plain value.
+
+    `annotation`: type at the root, such as SceneInput; `loc`: location as in pydantic, with union tags.
+    """
+    found = _annotation_at(annotation, loc)
+    return found if isinstance(found, type) and issubclass(found, BaseModel) else None
+
+
+def _annotation_at(annotation: Any, loc: KeyPath) -> Any:
+    """The type at a location below a type; None if the location does not exist in the schema."""
+    origin = get_origin(annotation)
+    arguments = get_args(annotation)
+    if origin is Annotated:
+        return _annotation_at(arguments[0], loc)
+    if origin in (Union, UnionType):
+        members = [member for member in arguments if member is not NoneType]
+        tagged = [member for member in members if loc and tag_of(member) == loc[0]]
+        if tagged or len(members) == 1:
+            return _annotation_at(tagged[0], loc[1:]) if tagged else _annotation_at(members[0], loc)
+        return None if loc else annotation
+    if not loc:
+        return annotation
+    if origin in (dict, tuple):
+        return _annotation_at(arguments[1 if origin is dict else 0], loc[1:])
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        for name, field in annotation.model_fields.items():
+            if loc[0] in (name, field.alias):
+                return _annotation_at(field.annotation, loc[1:])
+    return None
+
+
+def _keys(model: type[BaseModel] | None) -> list[str]:
+    """The keys of a model as written in scenes; empty without a model."""
+    return [field.alias or name for name, field in model.model_fields.items()] if model else []
