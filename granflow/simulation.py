@@ -30,6 +30,7 @@ from granflow.plan.explain import refuse_run_time
 from granflow.plan.plan import Plan
 from granflow.runs.initial_particles import initial_state, refuse_other_particles, warnings_before
 from granflow.runs.insertion import ParticleInsertion
+from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
 from granflow.runs.rank_frames import write_pieces
 from granflow.runs.ranks import refuse_on_ranks
@@ -45,7 +46,7 @@ from granflow.runs.resume import (
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import RunState
 from granflow.runs.session import RunSession
-from granflow.runs.time_loop import TimeLoop, end_of_run, stopping_on_interrupt
+from granflow.runs.time_loop import TimeLoop, end_of_run
 from granflow.runs.timings import WallClock
 from granflow.snapshot import Snapshot
 from granflow.visible_text import html_table, readable, visible_line

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from granflow.errors import FileError, GranflowError
-from granflow.runs.time_loop import Terminated
+from granflow.runs.interrupts import Terminated
 from granflow.visible_text import visible, visible_line
 
 if TYPE_CHECKING:

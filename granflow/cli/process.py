@@ -20,7 +20,7 @@ from typing import Any, TextIO
 
 from granflow.cli.arguments import EXIT_INTERRUPTED, EXIT_TERMINATED, say
 from granflow.errors import GranflowError
-from granflow.runs.time_loop import stop_of
+from granflow.runs.interrupts import stop_of
 
 # The memory limit of the process (`ulimit -v`), below which libraries do not end.
 

@@ -1,15 +1,12 @@
 """The time loop: advances to the next event, handles it, and repeats."""
 
 import logging
-import signal
-import threading
 import time as clock
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
-from types import FrameType
 
 import numpy as np
 
@@ -20,6 +17,7 @@ from granflow.errors import FunctionError, GranflowError, RunError, StopRun
 from granflow.observers.observer import TOTALS
 from granflow.plan.parts import PlannedStage
 from granflow.plan.plan import Plan
+from granflow.runs.interrupts import stop_of
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import REST_CHECKS, LastGoodState, RunState
@@ -73,41 +71,6 @@ def _lower_faces(plan: Plan) -> set[str]:
     """Faces of the domain toward which gravity points."""
     signs = np.concatenate([-np.array(plan.gravity), np.array(plan.gravity)])
     return {face for face, sign in zip(EXIT_FACES, signs, strict=True) if sign > 0.0}
-
-
-# Ctrl-C in a Python program that runs a simulation.
-
-
-class Terminated(KeyboardInterrupt):
-    """Raised on SIGTERM: ends a run in the same way as Ctrl-C."""
-
-
-def stop_of(number: int) -> KeyboardInterrupt:
-    """The exception with which a stop signal ends a run."""
-    return Terminated() if number == signal.SIGTERM else KeyboardInterrupt()
-
-
-@contextmanager
-def stopping_on_interrupt(stop: Callable[[BaseException], None]) -> Iterator[None]:
-    """In the block, Ctrl-C calls `stop` with a KeyboardInterrupt; a second one raises it at once.
-
-    Between two launches the data on the host are complete, and a checkpoint can be written. No effect outside
-    the main thread, which receives all signals, or if the program handles SIGINT itself.
-    """
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    if not in_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield
-        return
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        stop(KeyboardInterrupt())
-
-    signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 # Ends of stages at rest: low kinetic energy of particles whose weight is supported.

@@ -24,7 +24,7 @@ from granflow import (
 from granflow.io.files import write_text
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.materials import MaterialPair
-from granflow.studies.page import attribute_columns, write_columns
+from granflow.studies.tables import attribute_columns, write_columns
 
 # Variants of a scene, each with one feature switched on or off.
 #

@@ -25,7 +25,8 @@ from granflow.io.tables import (
     table_of_run,
 )
 from granflow.scene.suggest import suggestion_sentence
-from granflow.studies.page import COLORS, FULL_WIDTH, draw_to, stacked_panels, write_page
+from granflow.studies.figures import COLORS, FULL_WIDTH, draw_to, stacked_panels
+from granflow.studies.page import write_page
 from granflow.studies.report.plots import (
     DASHES,
     Plot,

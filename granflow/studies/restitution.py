@@ -17,7 +17,8 @@ import numpy as np
 from granflow import Plan, Scene, plan_for
 from granflow.contact.material import PairMaterial
 from granflow.studies.bench import LONGEST, Collision, CollisionBench
-from granflow.studies.page import COLORS, MARKERS, POINTS, draw_to, write_columns
+from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to
+from granflow.studies.tables import write_columns
 
 VELOCITIES_PER_DECADE = 4
 """Velocities of the collisions per decade."""

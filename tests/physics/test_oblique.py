@@ -221,7 +221,7 @@ def test_deviations_of_the_figure_are_within_their_targets(run, tmp_path):
     assert len(figure_data.deviations) == 10
     assert all(each.is_within_target and each.target == 1e-3 for each in figure_data.deviations)
     pytest.importorskip("matplotlib")
-    from granflow.studies.page import draw_to
+    from granflow.studies.figures import draw_to
 
     draw_to(
         tmp_path / "figure.png",

@@ -1,6 +1,6 @@
 """Size of the letters of a figure on a narrow screen."""
 
-from granflow.studies.page import styled_figure
+from granflow.studies.figures import styled_figure
 
 SCREEN = 378
 """Width of a figure [pixels] on a page in a window of 400 pixels."""

@@ -33,7 +33,7 @@ from granflow.studies.accuracy.two_particles import (
     fitted_order,
     measured_line,
 )
-from granflow.studies.page import Drawing
+from granflow.studies.figures import Drawing
 
 FEW_STEPS = (20, 40, 80, 160, 320)
 K, MASS, SPEED = 4e5, 2e-4, 0.7

@@ -214,7 +214,7 @@ def test_paraview_script_accepts_any_title(tmp_path):
 def test_matplotlib_figures_are_written(found, tmp_path):
     pytest.importorskip("matplotlib")
     from granflow.studies.compare.report import drawings
-    from granflow.studies.page import write_figures
+    from granflow.studies.figures import write_figures
 
     assert not write_figures(tmp_path, drawings(found[0].runs, None, {}))
     assert {path.name for path in tmp_path.iterdir()} == {"course.png", "energies.png", "contacts.png"}

@@ -58,7 +58,7 @@ def test_the_assessment_follows_from_the_columns(columns):
 def test_collisions_are_drawn(columns, tmp_path):
     pytest.importorskip("matplotlib")
     from granflow.studies.compare.report import draw_collisions
-    from granflow.studies.page import draw_to
+    from granflow.studies.figures import draw_to
 
     subject = subject_of(head_on(), REFERENCE)
     draw_to(tmp_path / "a.png", lambda figure: draw_collisions(figure, subject, columns, []), 5.0)

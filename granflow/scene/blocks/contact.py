@@ -44,8 +44,9 @@ class Contact(Model):
     Normal force, tangential force (friction), rolling and twisting torque, cohesion; friction coefficients
     are properties of the pairs.
 
-    >>> gf.Contact(normal={"law": "linear", "stiffness": "onset"}, tangential="mindlin",
-    rolling="none").name("normal") 'linear'
+    >>> normal = {"law": "linear", "stiffness": "onset"}
+    >>> gf.Contact(normal=normal, tangential="mindlin", rolling="none").name("normal")
+    'linear'
     """
 
     # the values of each key follow from the registered models, see `use_registry`

@@ -218,8 +218,9 @@ class DiscOutline(Model):
 class RectangleFace(Model):
     """A rectangle through which particles enter.
 
-    >>> gf.RectangleFace(rectangle={"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1,
-    0]]}).rectangle.corner (0.0, 0.0, 0.0)
+    >>> rectangle = {"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}
+    >>> gf.RectangleFace(rectangle=rectangle).rectangle.corner
+    (0.0, 0.0, 0.0)
     """
 
     rectangle: RectangleOutline = Field(description="{corner: [..], sides: [[..], [..]]}")

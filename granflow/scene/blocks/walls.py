@@ -199,8 +199,9 @@ class TableMotion(TimedMotion):
     interpolated with a continuous velocity and without overshoot (Fritsch & Butland), and count from the
     first row. The wall is at rest before the first and after the last row.
 
-    >>> gf.TableMotion(direction=[0, 0, 1], times=[0, "10 ms", "20 ms"], displacements=[0, "1 mm",
-    0]).displacements (0.0, 0.001, 0.0)
+    >>> times = [0, "10 ms", "20 ms"]
+    >>> gf.TableMotion(direction=[0, 0, 1], times=times, displacements=[0, "1 mm", 0]).displacements
+    (0.0, 0.001, 0.0)
     """
 
     kind: Literal["table"] = Field("table", description="kind of motion")
@@ -408,8 +409,9 @@ class Cylinder(AxialWall):
 class Cone(AxialWall):
     """A thin two-sided cone frustum without end faces; one radius may be 0.
 
-    >>> gf.Cone(material="steel", from_=[0, 0, 0], to=[0, 0, 0.1], radius_from="1 cm", radius_to="5
-    cm").radius_to 0.05
+    >>> cone = gf.Cone(material="steel", from_=[0, 0, 0], to=[0, 0, 0.1], radius_from="1 cm", radius_to="5 cm")
+    >>> cone.radius_to
+    0.05
     """
 
     shape: Literal["cone"] = Field("cone", description="shape of the wall")
@@ -426,8 +428,9 @@ class Cone(AxialWall):
 class Disc(Wall):
     """A thin, two-sided disc, optionally with a circular hole at its center.
 
-    >>> gf.Disc(material="steel", center=[0, 0, 0], normal=[0, 0, 1], radius="5 cm", hole_radius="1
-    cm").hole_radius 0.01
+    >>> disc = gf.Disc(material="steel", center=[0, 0, 0], normal=[0, 0, 1], radius="5 cm", hole_radius="1 cm")
+    >>> disc.hole_radius
+    0.01
     """
 
     shape: Literal["disc"] = Field("disc", description="shape of the wall")

@@ -21,7 +21,9 @@ from granflow.studies.accuracy.two_particles import (
     fitted_order,
     measured_line,
 )
-from granflow.studies.page import COLORS, MARKERS, Drawing, PageTable, stacked_panels, write_study
+from granflow.studies.figures import COLORS, MARKERS, Drawing, stacked_panels
+from granflow.studies.page import write_study
+from granflow.studies.tables import PageTable
 
 # Figures of the two-particle study.
 

@@ -28,11 +28,13 @@ from granflow.studies.calibration.results import (
 from granflow.studies.calibration.schema import CalibrationInput, Target
 from granflow.studies.calibration.search import Search, require_optuna
 from granflow.studies.calibration.trials import Measured, TrialRunner, read_target
-from granflow.studies.page import COLORS, PageTable, page_text, without_empty_ends
+from granflow.studies.figures import COLORS
+from granflow.studies.page import page_text
 from granflow.studies.report.plots import Plot, escaped, library
 from granflow.studies.run_pool import local_jobs
 from granflow.studies.run_process import RunSettings, close_workers, naming_write_errors
 from granflow.studies.sweep.table import axis, layout, plain, row_of_axes, short_names
+from granflow.studies.tables import PageTable, without_empty_ends
 from granflow.units import in_unit
 
 # The page of a calibration: best values, targets, conflicts, convergence, importance, all trials.

@@ -37,16 +37,9 @@ from granflow.studies.compare.runs import (
     variants_of,
 )
 from granflow.studies.compare.springs import Assessment, assess, soft_spring_note
-from granflow.studies.page import (
-    COLORS,
-    MARKERS,
-    Drawing,
-    PageTable,
-    stacked,
-    stacked_panels,
-    write_page,
-    write_study,
-)
+from granflow.studies.figures import COLORS, MARKERS, Drawing, stacked_panels
+from granflow.studies.page import write_page, write_study
+from granflow.studies.tables import PageTable, stacked
 from granflow.visible_text import readable
 
 # Figures of a comparison.

@@ -10,7 +10,7 @@ import numpy as np
 
 from granflow.studies.compare.collisions import COARSE_STEPS, CollisionDeviation, CollisionSubject, deviation
 from granflow.studies.compare.runs import MIN_CONTACTS, VariantRun, at_end, densest_stage
-from granflow.studies.page import percent
+from granflow.studies.tables import percent
 
 TOLERANCE = 0.1
 """Threshold of the relative change over a decade of velocity."""

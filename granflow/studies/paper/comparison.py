@@ -11,7 +11,7 @@ from granflow import ParticleData, Scene, SceneError, Simulation
 from granflow.contact.material import PairMaterial, shear_modulus_eff
 from granflow.contact.registry import models
 from granflow.studies.bench import HeadOnCollision, Outcomes, collide_all, head_on_bench
-from granflow.studies.page import COLORS, MARKERS, stacked_panels
+from granflow.studies.figures import COLORS, MARKERS, stacked_panels
 from granflow.studies.paper.figures import (
     PAPER_CASES,
     STEPS_PER_CONTACT,

@@ -16,7 +16,8 @@ from granflow.contact.material import Solid, VelocityRestitution, limit_velocity
 from granflow.geometry.shape import sphere_mass
 from granflow.scene.blocks.materials import PRESETS
 from granflow.studies.bench import HeadOnCollision, Outcomes, collide_all
-from granflow.studies.page import COLORS, MARKERS, POINTS, percent, stacked_panels
+from granflow.studies.figures import COLORS, MARKERS, POINTS, stacked_panels
+from granflow.studies.tables import percent
 
 # Cases of the paper (Zhou 2011): two equal spheres of one material, with the closed forms of their
 # collision.

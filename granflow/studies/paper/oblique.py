@@ -17,7 +17,7 @@ from granflow.contact import theory
 from granflow.geometry.shape import sphere_mass
 from granflow.io.tables import table_in
 from granflow.studies.bench import Collision, CollisionBench
-from granflow.studies.page import COLORS, POINTS, stacked_panels
+from granflow.studies.figures import COLORS, POINTS, stacked_panels
 from granflow.studies.paper.figures import FigureData, FigureDeviation, relative_deviation
 
 SAFETY = 0.005

@@ -16,7 +16,7 @@ from granflow.errors import GranflowError
 from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.io.files import replacing
 from granflow.scene.suggest import nearest
-from granflow.studies.page import COLORS, styled_figure
+from granflow.studies.figures import COLORS, styled_figure
 from granflow.studies.render.frames import (
     OPENING,
     Camera,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from granflow.io.tables import SeriesColumn, TimeSeriesTable
-from granflow.studies.page import COLORS
+from granflow.studies.figures import COLORS
 from granflow.studies.report.view import deflated
 
 # Grouping of the columns of a time series into plots.

@@ -22,7 +22,8 @@ from granflow.io.files import write_text
 from granflow.io.frames import listed_frames, read_mesh
 from granflow.io.log import explanation, sessions, warnings_and_errors
 from granflow.io.tables import FILE, SeriesColumn, TimeSeriesTable, collision_table, read_table
-from granflow.studies.page import COLORS, PageTable, page_text
+from granflow.studies.figures import COLORS
+from granflow.studies.page import page_text
 from granflow.studies.report.plots import (
     Plot,
     curve_layout,
@@ -34,6 +35,7 @@ from granflow.studies.report.plots import (
     plot_of,
 )
 from granflow.studies.report.view import RunPictures, interactive_view, pictures_for
+from granflow.studies.tables import PageTable
 from granflow.visible_text import in_degrees, readable
 
 # Fields on grids (`output.fields`) in the page: profiles along a grid of one row of cells, tables of other

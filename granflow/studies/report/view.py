@@ -18,7 +18,7 @@ import numpy as np
 
 from granflow import Run, Scene
 from granflow.io.frames import is_empty, listed_frames
-from granflow.studies.page import COLORS
+from granflow.studies.figures import COLORS
 from granflow.studies.render.frames import (
     VIEWS,
     Frame,

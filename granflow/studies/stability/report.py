@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from granflow import start
-from granflow.studies.page import FULL_WIDTH, Drawing, PageTable, attribute_columns, percent, write_study
+from granflow.studies.figures import FULL_WIDTH, Drawing
+from granflow.studies.page import write_study
 from granflow.studies.stability.cases import (
     ACCURATE,
     BOUNDS,
@@ -30,6 +31,7 @@ from granflow.studies.stability.cases import (
     case_outcome,
     run_case,
 )
+from granflow.studies.tables import PageTable, attribute_columns, percent
 
 # Heat map: one grid per family, one cell per case, colored by assessment and error.
 #

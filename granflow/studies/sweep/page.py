@@ -12,7 +12,8 @@ import numpy as np
 
 from granflow.io.files import write_text
 from granflow.io.tables import SeriesColumn, TimeSeriesTable, read_series
-from granflow.studies.page import COLORS, PageTable, page_text, without_empty_ends
+from granflow.studies.figures import COLORS
+from granflow.studies.page import page_text
 from granflow.studies.report.plots import DASHES, STANDOFF, Plot, escaped, library, shown_unit, thinned
 from granflow.studies.sweep.design import Grid, SobolSampling, SweepInput
 from granflow.studies.sweep.table import (
@@ -27,6 +28,7 @@ from granflow.studies.sweep.table import (
     row_of_axes,
     shown,
 )
+from granflow.studies.tables import PageTable, without_empty_ends
 
 # Sobol indices of a sweep with Saltelli's design, by SALib.
 

@@ -10,7 +10,8 @@ from typing import Any
 
 from granflow import __version__
 from granflow.io.files import write_text
-from granflow.studies.page import PageTable, page_text
+from granflow.studies.page import page_text
+from granflow.studies.tables import PageTable
 from granflow.studies.validation.adhesion import adhesion_cases
 from granflow.studies.validation.at_rest import bed_cases, column_cases, reloading_cases, resting_cases
 from granflow.studies.validation.attraction import attraction_cases
