@@ -114,7 +114,7 @@ def shaken_box(normal: dict[str, object], count: int, seconds: float) -> dict[st
 
 def main() -> None:
     """Print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--box-seconds", type=float, default=1.0)
     parser.add_argument("--box-particles", type=int, default=300)
     options = parser.parse_args()

@@ -35,7 +35,7 @@ SCENES = {
 
 def main() -> int:
     """Runs all cases and writes or compares their hashes; returns 0 if no frame differs."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path, help="write the hashes to this JSON file")
     parser.add_argument("--compare", type=Path, help="compare with the hashes of this JSON file")
     options = parser.parse_args()

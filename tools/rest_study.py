@@ -98,7 +98,7 @@ def draw(curves: dict[str, dict[str, np.ndarray]], path: str) -> None:
 
 def main() -> None:
     """Simulate all cases, print their ends, draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--out", default="docs/pages/assets/rest.png")
     options = parser.parse_args()
