@@ -26,7 +26,7 @@ def with_temperature(monkeypatch):
     charge = fields.FieldSpec("charge", "q", "C", "electric charge", dtype="real")
     count = fields.FieldSpec("visits", "", "1", "number of visits", file_type="int32", dtype="i32", default=3)
     for spec in (entry, charge, count):
-        monkeypatch.setitem(fields.particles._PARTICLE_FIELDS, spec.name, spec)
+        monkeypatch.setitem(fields._PARTICLE_FIELDS, spec.name, spec)
 
 
 def expected_temperature(ids, initial_count):
@@ -89,7 +89,7 @@ def test_property_with_a_condition_exists_only_if_the_plan_needs_it(taichi_f64, 
     entry = fields.FieldSpec(
         "charge", "q", "C", "charge", dtype="real", condition=lambda features: features.outlets
     )
-    monkeypatch.setitem(fields.particles._PARTICLE_FIELDS, "charge", entry)
+    monkeypatch.setitem(fields._PARTICLE_FIELDS, "charge", entry)
     simulation = Simulation(complex_scene())
     assert simulation.engine.state.particles.charge is None
     assert "charge" not in simulation.snapshot().particles

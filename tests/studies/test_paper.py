@@ -159,7 +159,7 @@ def test_force_overlap_loops_match_equation_4(taichi_f64):
 
 
 def test_accuracy_at_200_steps_is_within_its_target(taichi_f64, monkeypatch):
-    monkeypatch.setattr(accuracy, "RESTITUTIONS", np.array([0.1, 0.4, 1.0]))
+    monkeypatch.setattr(accuracy, "ACCURACY_RESTITUTIONS", np.array([0.1, 0.4, 1.0]))
     monkeypatch.setattr(accuracy, "PHASES", 4)
     figure_data = accuracy.accuracy_figure(*accuracy.accuracy_run())
     assert all(deviation.is_within_target for deviation in figure_data.deviations)

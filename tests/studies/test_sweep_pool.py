@@ -193,7 +193,7 @@ DRIVER = f"""
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in background jobs, such as these tests
 from granflow.cli.main import main
-from granflow.studies.run_processes import run_worker
+from granflow.studies import run_process as run_worker
 run_worker.PROGRAM = (sys.executable, "-S", {str(Path(__file__).with_name("stand_in.py"))!r})
 sys.exit(main(sys.argv[1:]))
 """

@@ -232,7 +232,7 @@ def test_commands_print_only_through_say():
 
     folder = Path(granflow.cli.__file__).parent
     found = [(path.name, path.read_text().count(" print(")) for path in folder.glob("*.py")]
-    assert [each for each in found if each[1]] == [("messages.py", 1)]
+    assert [each for each in found if each[1]] == [("arguments.py", 1)]
 
 
 @pytest.mark.parametrize("verb", ["check", "beverloo --diameter 1mm --bulk-density 1500", "report"])

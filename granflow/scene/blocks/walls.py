@@ -409,7 +409,7 @@ class Cylinder(AxialWall):
 class Cone(AxialWall):
     """A thin two-sided cone frustum without end faces; one radius may be 0.
 
-    >>> cone = gf.Cone(material="steel", from_=[0, 0, 0], to=[0, 0, 0.1], radius_from="1 cm", radius_to="5 cm")
+    >>> cone = gf.Cone(material="steel", from_=[0, 0, 0], to=[0, 0, 1], radius_from="1 cm", radius_to="5 cm")
     >>> cone.radius_to
     0.05
     """
@@ -428,8 +428,8 @@ class Cone(AxialWall):
 class Disc(Wall):
     """A thin, two-sided disc, optionally with a circular hole at its center.
 
-    >>> disc = gf.Disc(material="steel", center=[0, 0, 0], normal=[0, 0, 1], radius="5 cm", hole_radius="1 cm")
-    >>> disc.hole_radius
+    >>> ring = gf.Disc(material="steel", center=[0, 0, 1], normal=[0, 0, 1], radius="5 cm", hole_radius="1cm")
+    >>> ring.hole_radius
     0.01
     """
 
