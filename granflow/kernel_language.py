@@ -2,7 +2,8 @@
 `quadrants`.
 
 `ti` is that module, imported at its first use, because scenes are read without it. No other module imports
-either.
+either. Taichi reads and parses every function again wherever it is inlined; `shorten_front_end` replaces
+these parts of it at the import.
 """
 
 import ast
@@ -21,8 +22,59 @@ from typing import Any, Literal, cast
 
 from granflow.errors import GranflowError
 
-# Source text and syntax trees of kernels for Taichi, which reads every function again wherever it is
-# inlined.
+VARIABLE = "GRANFLOW_KERNELS"
+"""Environment variable that selects the kernel language."""
+ti: Any
+
+
+def _selected() -> Literal["taichi", "quadrants"]:
+    """The kernel language in the environment. Raises GranflowError for an unknown one."""
+    name = os.environ.get(VARIABLE) or "taichi"
+    if name not in ("taichi", "quadrants"):
+        raise GranflowError(
+            f"{VARIABLE} is {name}, but the kernel languages are taichi (default) and quadrants."
+        )
+    return cast(Literal["taichi", "quadrants"], name)
+
+
+KERNELS = _selected()
+"""Name of the module `ti`, and of its package."""
+
+
+def __getattr__(name: str) -> Any:
+    """The module `ti`. Raises GranflowError if Quadrants is selected but not installed."""
+    if name != "ti":
+        raise AttributeError(name)
+    try:
+        module = import_module(KERNELS)
+    except ModuleNotFoundError as error:
+        if error.name != KERNELS:
+            raise
+        raise GranflowError(
+            f"{KERNELS} is not installed: run pip install 'quadrants<1.4', or unset {VARIABLE}."
+        ) from None
+    if KERNELS == "taichi":
+        shorten_front_end(module.lang.kernel_impl, module.lang.struct)
+    globals()["ti"] = module
+    return module
+
+
+# Source text and syntax trees of kernels for Taichi
+
+
+def shorten_front_end(kernel_impl: Any, struct: Any) -> None:
+    """Make Taichi read and parse each function once: half of the time in which it builds syntax trees.
+
+    kernel_impl, struct:  modules of `taichi.lang`, of which names are replaced
+    """
+    struct.Struct._register_members = set_member_class
+    trees = TreePool()
+    kernel_impl.getsourcelines = source_lines
+    kernel_impl._inside_class = partial(inside_class, kernel_impl._KERNEL_CLASS_STACKFRAME_STMT_RES)
+    kernel_impl.textwrap = SimpleNamespace(fill=filled, dedent=textwrap.dedent)
+    kernel_impl.ast = SimpleNamespace(parse=trees.parse)
+    kernel_impl.transform_tree = trees.returning(kernel_impl.transform_tree)
+
 
 PACKAGE = str(Path(__file__).parent)
 """Folder of the package."""
@@ -63,20 +115,6 @@ def end_of_function(lines: Sequence[str], first: int) -> int:
 def _indentation(line: str) -> int:
     """Number of blanks at the beginning of a line."""
     return len(line) - len(line.lstrip())
-
-
-def shorten_front_end(kernel_impl: Any, struct: Any) -> None:
-    """Make Taichi read and parse each function once: half of the time in which it builds syntax trees.
-
-    kernel_impl, struct:  modules of `taichi.lang`, of which names are replaced
-    """
-    struct.Struct._register_members = set_member_class
-    trees = TreePool()
-    kernel_impl.getsourcelines = source_lines
-    kernel_impl._inside_class = partial(inside_class, kernel_impl._KERNEL_CLASS_STACKFRAME_STMT_RES)
-    kernel_impl.textwrap = SimpleNamespace(fill=filled, dedent=textwrap.dedent)
-    kernel_impl.ast = SimpleNamespace(parse=trees.parse)
-    kernel_impl.transform_tree = trees.returning(kernel_impl.transform_tree)
 
 
 def set_member_class(struct: Any) -> None:
@@ -142,40 +180,3 @@ class TreePool:
             return found
 
         return transform_and_return
-
-
-VARIABLE = "GRANFLOW_KERNELS"
-"""Environment variable that selects the kernel language."""
-ti: Any
-
-
-def _selected() -> Literal["taichi", "quadrants"]:
-    """The kernel language in the environment. Raises GranflowError for an unknown one."""
-    name = os.environ.get(VARIABLE) or "taichi"
-    if name not in ("taichi", "quadrants"):
-        raise GranflowError(
-            f"{VARIABLE} is {name}, but the kernel languages are taichi (default) and quadrants."
-        )
-    return cast(Literal["taichi", "quadrants"], name)
-
-
-KERNELS = _selected()
-"""Name of the module `ti`, and of its package."""
-
-
-def __getattr__(name: str) -> Any:
-    """The module `ti`. Raises GranflowError if Quadrants is selected but not installed."""
-    if name != "ti":
-        raise AttributeError(name)
-    try:
-        module = import_module(KERNELS)
-    except ModuleNotFoundError as error:
-        if error.name != KERNELS:
-            raise
-        raise GranflowError(
-            f"{KERNELS} is not installed: run pip install 'quadrants<1.4', or unset {VARIABLE}."
-        ) from None
-    if KERNELS == "taichi":
-        shorten_front_end(module.lang.kernel_impl, module.lang.struct)
-    globals()["ti"] = module
-    return module

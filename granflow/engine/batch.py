@@ -1,24 +1,26 @@
-"""Batched particle contacts for CPUs: gather values into columns, evaluate the forces, scatter the results.
+"""Particle contacts on a CPU, in batches: collect the contacts of a few neighbor lists, then evaluate them
+together.
 
-The loop over the columns has no branch and no indirect address, so that the compiler vectorizes it: four
-(float64) or eight (float32) contacts per instruction. The loops before and after it contain the indirect
-addresses and the branches. A batch holds a few neighbor lists, so that the columns remain in the cache.
+A batch has a column per number of a contact, such as a component of the branch vector. Its loops are
+
+    collect    the pairs of a list that overlap; pairs apart are handled one at a time
+    gather     velocities, masses, constants and histories of the pairs into the columns
+    evaluate   forces, torques and new histories, column by column
+    scatter    results to the sums of the particles and to the contact histories
+
+`evaluate` has no branch and no indirect address, so that the compiler vectorizes it: four (float64) or eight
+(float32) contacts per instruction. The other loops have the indirect addresses and the branches. A batch
+holds only a few neighbor lists, so that its columns remain in the cache.
 """
 
 from typing import Any
 
 from granflow.engine.box import build_image_velocity, build_minimum_image
 from granflow.engine.codes import ABORT_OVERLAP
-from granflow.engine.contact import build_count_collision
-from granflow.engine.history import build_add_plastic_loss, build_end_contact
-from granflow.engine.liquid import (
-    build_distant_force,
-    build_form_bridge,
-    build_return_liquid,
-    transfers_liquid,
-)
+from granflow.engine.contact import build_boundary_work, build_count_collision, build_distant_force
+from granflow.engine.history import IN_CONTACT, build_add_plastic_loss, build_end_contact
+from granflow.engine.liquid import build_form_bridge, build_return_liquid
 from granflow.engine.pair import (
-    build_boundary_work,
     build_constants,
     build_contact_mass,
     build_effective,
@@ -40,46 +42,37 @@ from granflow.engine.sums import add_energy, build_list_shares, build_to_grid, h
 from granflow.kernel_language import ti
 from granflow.plan.capacities import DAMPING, ENERGY, FORCE, FRICTION, LOSSES, ROLLING, TORQUE
 
-# Columns of a batch of contacts, one per component of a vector, and sums over the contacts of a particle.
 
+def build_batched_forces(state: State) -> Any:
+    """Device function (worker, chunk, first, last, pose, time_step): add the contacts between particles.
 
-@ti.func
-def store_vector(columns: ti.template(), worker, entry, vector):
-    """Write the components of a vector into columns, one column [worker, entry] per component."""
-    for k in ti.static(range(len(columns))):
-        columns[k][worker, entry] = vector[k]
-
-
-def build_add_to_sums(state: State) -> Any:
-    """Device function (worker, i, first, component, terms): add three terms to the sums of particle i.
-
-    `first`: first particle of the chunk; `component`: of the first term, 0 for a force and 3 for a torque.
-
-    Writes:  force, torque; or the sums of the batch, see `holds_sums`
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
+    Writes:  force, torque, history, losses, liquid_film, abort, batch of the worker
     """
-    batch = state.batch
-    particles = state.particles
-    exact = holds_sums(state)
+    collect = _build_collect(state)
+    gather = _build_gather(state)
+    evaluate = _build_evaluate(state)
+    scatter = _build_scatter(state)
 
     @ti.func
-    def add_to_sums(worker, i, first, component: ti.template(), terms):
-        if ti.static(not exact):
-            for k in ti.static(range(3)):
-                number = ti.static(component + k)
-                batch.sums[worker, i - first][number] = batch.sums[worker, i - first][number] + terms[k]
-        elif ti.static(component == 0):
-            particles.force[i] = particles.force[i] + terms
-        else:
-            particles.torque[i] = particles.torque[i] + terms
+    def batched_forces(worker, chunk, first, last, pose, dt):
+        i = first
+        while i < last:
+            found = 0
+            while i < last and found < BATCH:
+                found = collect(worker, chunk, i, found, first, last, pose, dt)
+                i += 1
+            gather(worker, chunk, found, pose, dt)
+            evaluate(worker, (found + LANES - 1) // LANES * LANES, dt)
+            scatter(worker, chunk, found, first, last, pose, dt)
 
-    return add_to_sums
-
-
-# First part of a batch of contacts: the overlapping pairs of a few neighbor lists; pairs apart one at a
-# time.
+    return batched_forces
 
 
-def build_collect(state: State) -> Any:
+# Collect
+
+
+def _build_collect(state: State) -> Any:
     """Device function that adds the contacts of one neighbor list to the batch.
 
     Arguments: worker, chunk, i, first entry of the batch, first and last particle of the chunk, pose, time
@@ -146,7 +139,7 @@ def build_collect(state: State) -> Any:
                 if not near:
                     attract(worker, chunk, i, j, list_index, branch, reach, first, last, pose, dt)
             elif ti.static(has_history):
-                if neighbors.in_contact[list_index] == 1 and not near:
+                if neighbors.in_contact[list_index] == IN_CONTACT and not near:
                     end_lost_contact(chunk, list_index, i, j, dt)
         return end
 
@@ -167,7 +160,8 @@ def _build_attract(state: State) -> Any:
     to_grid = build_to_grid(state.backend.real)
     shift = state.parameter("shift", FORCE)
     add_to_sums = build_add_to_sums(state)
-    return_liquid = build_return_liquid(state)
+    liquid = features.liquid_transfer
+    return_liquid = build_return_liquid(state) if liquid else None
     distant_force = build_distant_force(state, False)
     add_boundary_work = build_boundary_work(state)
     end_contact = build_end_contact(state)
@@ -191,17 +185,17 @@ def _build_attract(state: State) -> Any:
             if ti.static(features.energy_budget and features.lees_edwards):
                 add_boundary_work(chunk, i, j, force, pose, dt)
         elif ti.static(has_history):
-            return_liquid(chunk, i, j, list_index)
+            if ti.static(liquid):
+                return_liquid(chunk, i, j, list_index)
             add_plastic_loss(chunk, j, end_contact(list_index, constants, effective(i, j), dt))
 
     return attract
 
 
-# Second part of a batch of contacts: gather velocities, masses, constants and histories of its pairs into
-# columns.
+# Gather
 
 
-def build_gather(state: State) -> Any:
+def _build_gather(state: State) -> Any:
     """Device function (worker, chunk, end, pose, time_step): gather velocities, masses and histories into
     columns.
 
@@ -222,7 +216,7 @@ def build_gather(state: State) -> Any:
     image_velocity = build_image_velocity(state)
     contact_mass = build_contact_mass(state)
     prepare = _build_prepare(state)
-    liquid = transfers_liquid(state)
+    liquid = features.liquid_transfer
     with_bridge = _build_with_bridge(state) if liquid else None
 
     @ti.func
@@ -272,32 +266,6 @@ def branch_of(batch: ti.template(), worker, entry):
     )
 
 
-def _build_with_bridge(state: State) -> Any:
-    """Device function (worker, chunk, entry, i, j, components) -> components of the cohesion history, with a
-    bridge.
-
-    Reads:   branch vector of the batch, radius, mass, liquid_film_before, pair_constants, law_parameters
-    Writes:  liquid_film
-    """
-    laws = state.plan.laws
-    particles = state.particles
-    batch = state.batch
-    effective = build_effective(state, False)
-    form_bridge = build_form_bridge(state)
-    pair_constants = build_pair_constants(state)
-    history_of = build_slot_history(laws, "cohesion")
-    vector_of = build_slot_vector(laws, "cohesion")
-
-    @ti.func
-    def with_bridge(worker, chunk, entry, i, j, components):
-        branch = branch_of(batch, worker, entry)
-        overlap = particles.radius[i] + particles.radius[j] - ti.sqrt(branch.dot(branch))
-        history = history_of(components)
-        return vector_of(form_bridge(chunk, i, j, pair_constants(i, j), effective(i, j), overlap, history))
-
-    return with_bridge
-
-
 def _build_prepare(state: State) -> Any:
     """Device function (worker, entry, i, j, relative velocity [m/s], normal history, time_step) -> normal
     history.
@@ -334,30 +302,95 @@ def _build_prepare(state: State) -> Any:
     return prepare
 
 
-def build_batched_forces(state: State) -> Any:
-    """Device function (worker, chunk, first, last, pose, time_step): add the contacts between particles.
+def _build_with_bridge(state: State) -> Any:
+    """Device function (worker, chunk, entry, i, j, components) -> components of the cohesion history, with a
+    bridge.
 
-    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
-    Writes:  force, torque, history, losses, liquid_film, abort, batch of the worker
+    Reads:   branch vector of the batch, radius, mass, liquid_film_before, pair_constants, law_parameters
+    Writes:  liquid_film
     """
-    collect = build_collect(state)
-    gather = build_gather(state)
-    evaluate = _build_evaluate(state)
-    scatter = _build_scatter(state)
+    laws = state.plan.laws
+    particles = state.particles
+    batch = state.batch
+    effective = build_effective(state, False)
+    form_bridge = build_form_bridge(state)
+    pair_constants = build_pair_constants(state)
+    history_of = build_slot_history(laws, "cohesion")
+    vector_of = build_slot_vector(laws, "cohesion")
 
     @ti.func
-    def batched_forces(worker, chunk, first, last, pose, dt):
-        i = first
-        while i < last:
-            found = 0
-            while i < last and found < BATCH:
-                found = collect(worker, chunk, i, found, first, last, pose, dt)
-                i += 1
-            gather(worker, chunk, found, pose, dt)
-            evaluate(worker, (found + LANES - 1) // LANES * LANES, dt)
-            scatter(worker, chunk, found, first, last, pose, dt)
+    def with_bridge(worker, chunk, entry, i, j, components):
+        branch = branch_of(batch, worker, entry)
+        overlap = particles.radius[i] + particles.radius[j] - ti.sqrt(branch.dot(branch))
+        history = history_of(components)
+        return vector_of(form_bridge(chunk, i, j, pair_constants(i, j), effective(i, j), overlap, history))
 
-    return batched_forces
+    return with_bridge
+
+
+# Evaluate
+
+
+def _build_evaluate(state: State) -> Any:
+    """Function (worker, end, time_step): force and torque of all entries, column by column; results replace
+    the inputs.
+
+    The force replaces the branch vector, the torques replace the angular velocities, the new histories the
+    old ones. Forces and torques are rounded for the exact sums, losses are in their units. It is a separate
+    function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
+
+    Reads:   columns of the batch, pair_constants, law_parameters
+    Writes:  columns of the batch
+    """
+    plan = state.plan
+    control = state.control
+    batch = state.batch
+    real = state.backend.real
+    features = plan.features
+    constant_count = plan.pair_constants.shape[1]
+    sphere_kinematics = build_sphere_kinematics(plan)
+    pair_force = build_pair_force(plan, True)
+    load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
+    constants_of = build_constants(plan.laws)
+    store_results = _build_store_results(state)
+    longest_time_step = state.parameter("longest_time_step")
+    shift_of = state.parameter("shift")
+    per_unit = state.parameter("per_unit")
+
+    @ti.func
+    def kinematics_of(worker, entry, dt):
+        return sphere_kinematics(
+            batch.radius[worker, entry],
+            batch.radius_partner[worker, entry],
+            load_vector(batch.branch, worker, entry, 3),
+            load_vector(batch.velocity_rel_half, worker, entry, 3),
+            load_vector(batch.velocity_rel, worker, entry, 3),
+            dt,
+        )
+
+    @ti.real_func
+    def evaluate(worker: ti.i32, end: ti.i32, dt: real):
+        shared = control.pair_constants[0]
+        parameters = control.law_parameters[0]
+        longest = longest_time_step()
+        shift = shift_of()
+        units = per_unit()
+        for entry in range(end):
+            row = shared
+            if ti.static(not features.one_material):
+                row = load_vector(batch.constants, worker, entry, constant_count)
+            found = pair_force(
+                constants_of(row, parameters),
+                load_bodies(worker, entry),
+                kinematics_of(worker, entry, dt),
+                load_angular_velocities(worker, entry),
+                load_history(worker, entry),
+                dt,
+                longest,
+            )
+            store_results(worker, entry, found, shift, units)
+
+    return evaluate
 
 
 def _build_load(state: State) -> Any:
@@ -407,68 +440,6 @@ def _build_load(state: State) -> Any:
     return load_vector, load_bodies, load_angular_velocities, load_history
 
 
-def _build_evaluate(state: State) -> Any:
-    """Function (worker, end, time_step): force and torque of all entries, column by column; results replace
-    the inputs.
-
-    The force replaces the branch vector, the torques replace the angular velocities, the new histories the
-    old ones. Forces and torques are rounded for the exact sums, losses are in their units. It is a separate
-    function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
-
-    Reads:   columns of the batch, pair_constants, law_parameters
-    Writes:  columns of the batch
-    """
-    plan = state.plan
-    control = state.control
-    batch = state.batch
-    real = state.backend.real
-    features = plan.features
-    constant_count = plan.pair_constants.shape[1]
-    sphere_kinematics = build_sphere_kinematics(plan)
-    pair_force = build_pair_force(plan, True)
-    load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
-    constants_of = build_constants(plan.laws)
-    store_results = _build_store_results(state)
-    longest_time_step, shift_of, per_unit = (
-        state.parameter(name) for name in ("longest_time_step", "shift", "per_unit")
-    )
-
-    @ti.func
-    def kinematics_of(worker, entry, dt):
-        return sphere_kinematics(
-            batch.radius[worker, entry],
-            batch.radius_partner[worker, entry],
-            load_vector(batch.branch, worker, entry, 3),
-            load_vector(batch.velocity_rel_half, worker, entry, 3),
-            load_vector(batch.velocity_rel, worker, entry, 3),
-            dt,
-        )
-
-    @ti.real_func
-    def evaluate(worker: ti.i32, end: ti.i32, dt: real):
-        shared = control.pair_constants[0]
-        parameters = control.law_parameters[0]
-        longest = longest_time_step()
-        shift = shift_of()
-        units = per_unit()
-        for entry in range(end):
-            row = shared
-            if ti.static(not features.one_material):
-                row = load_vector(batch.constants, worker, entry, constant_count)
-            found = pair_force(
-                constants_of(row, parameters),
-                load_bodies(worker, entry),
-                kinematics_of(worker, entry, dt),
-                load_angular_velocities(worker, entry),
-                load_history(worker, entry),
-                dt,
-                longest,
-            )
-            store_results(worker, entry, found, shift, units)
-
-    return evaluate
-
-
 def _build_store_results(state: State) -> Any:
     """Device function (worker, entry, result of the pair force, shift, per_unit): write it to the columns.
 
@@ -492,6 +463,9 @@ def _build_store_results(state: State) -> Any:
             store_vector(batch.losses, worker, entry, units[ENERGY] * found.losses)
 
     return store_results
+
+
+# Scatter
 
 
 def _build_scatter(state: State) -> Any:
@@ -525,7 +499,7 @@ def _build_scatter(state: State) -> Any:
     @ti.func
     def store_history(worker, entry, list_index):
         if ti.static(len(history) > 0):
-            neighbors.in_contact[list_index] = 1
+            neighbors.in_contact[list_index] = IN_CONTACT
         for slot in ti.static(slots):
             for k in ti.static(range(len(batch.history[slot]))):
                 history[slot][list_index][k] = batch.history[slot][k][worker, entry]
@@ -539,7 +513,8 @@ def _build_scatter(state: State) -> Any:
     @ti.func
     def scatter(worker, chunk, end, first, last, pose, dt):
         for entry in range(end):
-            i, j = batch.owner[worker, entry], batch.partner[worker, entry]
+            i = batch.owner[worker, entry]
+            j = batch.partner[worker, entry]
             force = ti.cast(vector_of(batch.branch, worker, entry), ti.f64)
             add_to_sums(worker, i, first, 0, force)
             if ti.static(features.rotation):
@@ -561,3 +536,96 @@ def _build_scatter(state: State) -> Any:
                     add_boundary_work(chunk, i, j, vector_of(batch.branch, worker, entry), pose, dt)
 
     return scatter
+
+
+# Columns of the batch, and sums over the contacts of a particle
+
+
+@ti.func
+def store_vector(columns: ti.template(), worker, entry, vector):
+    """Write the components of a vector into columns, one column [worker, entry] per component."""
+    for k in ti.static(range(len(columns))):
+        columns[k][worker, entry] = vector[k]
+
+
+def build_store_sums(state: State) -> Any:
+    """Device function (worker, i, first, force_sum, torque_sum): set the sums of particle i.
+
+    first:  first particle of the chunk
+
+    In f64, the fields of forces and torques hold the exact sums, see `holds_sums`; in other precisions an
+    array of the worker does.
+
+    Writes:  force, torque; or the sums of the batch
+    """
+    batch = state.batch
+    particles = state.particles
+    exact = holds_sums(state)
+    rotation = state.plan.features.rotation
+
+    @ti.func
+    def store_sums(worker, i, first, force_sum, torque_sum):
+        if ti.static(exact):
+            particles.force[i] = force_sum
+            if ti.static(rotation):
+                particles.torque[i] = torque_sum
+        else:
+            for axis in ti.static(range(3)):
+                batch.sums[worker, i - first][axis] = force_sum[axis]
+                if ti.static(rotation):
+                    batch.sums[worker, i - first][3 + axis] = torque_sum[axis]
+
+    return store_sums
+
+
+def build_load_sums(state: State) -> Any:
+    """Device function (worker, i, first) -> (force, torque): the sums of particle i.
+
+    Reads:  as `build_store_sums` writes
+    """
+    batch = state.batch
+    particles = state.particles
+    exact = holds_sums(state)
+    rotation = state.plan.features.rotation
+
+    @ti.func
+    def load_sums(worker, i, first):
+        force_sum = ti.Vector.zero(ti.f64, 3)
+        torque_sum = ti.Vector.zero(ti.f64, 3)
+        if ti.static(exact):
+            force_sum = particles.force[i]
+            if ti.static(rotation):
+                torque_sum = particles.torque[i]
+        else:
+            sums = batch.sums[worker, i - first]
+            force_sum = ti.Vector([sums[0], sums[1], sums[2]])
+            if ti.static(rotation):
+                torque_sum = ti.Vector([sums[3], sums[4], sums[5]])
+        return force_sum, torque_sum
+
+    return load_sums
+
+
+def build_add_to_sums(state: State) -> Any:
+    """Device function (worker, i, first, component, terms): add three terms to the sums of particle i.
+
+    `first`: first particle of the chunk; `component`: of the first term, 0 for a force and 3 for a torque.
+
+    Writes:  as `build_store_sums`
+    """
+    batch = state.batch
+    particles = state.particles
+    exact = holds_sums(state)
+
+    @ti.func
+    def add_to_sums(worker, i, first, component: ti.template(), terms):
+        if ti.static(not exact):
+            for k in ti.static(range(3)):
+                number = ti.static(component + k)
+                batch.sums[worker, i - first][number] = batch.sums[worker, i - first][number] + terms[k]
+        elif ti.static(component == 0):
+            particles.force[i] = particles.force[i] + terms
+        else:
+            particles.torque[i] = particles.torque[i] + terms
+
+    return add_to_sums

@@ -1,4 +1,4 @@
-"""Periodic box: minimum image, wrapping and image velocity.
+"""Periodic box: the nearest image of a partner, its velocity, and wrapping of particles that leave the box.
 
 Positions are wrapped into the box in the step in which they leave it: the rounding of a coordinate depends on
 its size, so that wrapping at rebuilds would make the bits depend on the rebuilds. In a sheared box
@@ -16,32 +16,7 @@ from granflow.geometry.periodic_box import PeriodicBox
 from granflow.kernel_language import ti
 from granflow.plan.capacities import ENERGY, WALL_BATCH
 
-
-def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
-    """Axes of flow and gradient; arbitrary for a box without shear."""
-    return (
-        (0, 0)
-        if periodic_box.image_motion is None
-        else (periodic_box.image_motion.flow, periodic_box.image_motion.gradient)
-    )
-
-
-def build_image_index(state: State) -> Any:
-    """Device function (one, other): 1 if the image of `other` above is nearest to `one`, -1 if that below,
-    else 0.
-
-    Above and below refer to the gradient axis of a sheared box. Points are in m, inside the box.
-    """
-    _, gradient = _lees_edwards_axes(state.plan.periodic_box)
-    width = state.parameter("box_width")
-
-    @ti.func
-    def image_index(one, other):
-        branch = one[gradient] - other[gradient]
-        half = 0.5 * width()[gradient]
-        return ti.cast(branch > half, ti.i32) - ti.cast(branch < -half, ti.i32)
-
-    return image_index
+# Images
 
 
 def build_minimum_image(state: State) -> Any:
@@ -80,31 +55,30 @@ def build_minimum_image(state: State) -> Any:
     return minimum_image
 
 
-def build_shift_by_images(state: State) -> Any:
-    """Device function (point, n, pose): position [m] of a point relative to the n-th image box along the
-    gradient.
+def build_image_index(state: State) -> Any:
+    """Device function (one, other): 1 if the image of `other` above is nearest to `one`, -1 if that below,
+    else 0.
 
-    The point itself in a box without shear.
-
-    Reads:  image_offset
+    Above and below refer to the gradient axis of a sheared box. Points are in m, inside the box.
     """
-    real = state.backend.position_real
-    periodic_box = state.plan.periodic_box
-    offset = state.control.image_offset
-    sheared = periodic_box.image_motion is not None
-    flow, gradient = _lees_edwards_axes(periodic_box)
+    _, gradient = _lees_edwards_axes(state.plan.periodic_box)
     width = state.parameter("box_width")
 
     @ti.func
-    def shift_by_images(point, image_index, pose):
-        wrapped = point
-        if ti.static(sheared):
-            image_count = ti.cast(image_index, real)
-            wrapped[flow] = wrapped[flow] - image_count * offset[pose]
-            wrapped[gradient] = wrapped[gradient] - image_count * width()[gradient]
-        return wrapped
+    def image_index(one, other):
+        branch = one[gradient] - other[gradient]
+        half = 0.5 * width()[gradient]
+        return ti.cast(branch > half, ti.i32) - ti.cast(branch < -half, ti.i32)
 
-    return shift_by_images
+    return image_index
+
+
+def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
+    """Axes of flow and gradient; arbitrary for a box without shear."""
+    motion = periodic_box.image_motion
+    if motion is None:
+        return 0, 0
+    return motion.flow, motion.gradient
 
 
 def build_image_velocity(state: State) -> Any:
@@ -132,25 +106,31 @@ def build_image_velocity(state: State) -> Any:
     return image_velocity
 
 
-def build_wrap_position(state: State) -> Any:
-    """Device function (point): the image of the point [m] inside the box, without shear.
+def build_shift_by_images(state: State) -> Any:
+    """Device function (point, n, pose): position [m] of a point relative to the n-th image box along the
+    gradient.
 
-    Coordinates along axes that are not periodic are unchanged.
+    The point itself in a box without shear.
+
+    Reads:  image_offset
     """
-    periodic_axes = state.plan.periodic_box.axes
-    low = state.parameter("domain_low")
+    real = state.backend.position_real
+    periodic_box = state.plan.periodic_box
+    offset = state.control.image_offset
+    sheared = periodic_box.image_motion is not None
+    flow, gradient = _lees_edwards_axes(periodic_box)
     width = state.parameter("box_width")
 
     @ti.func
-    def wrap_position(point):
+    def shift_by_images(point, image_index, pose):
         wrapped = point
-        lows = low()
-        widths = width()
-        for axis in ti.static(periodic_axes):
-            wrapped[axis] = point[axis] - widths[axis] * ti.floor((point[axis] - lows[axis]) / widths[axis])
+        if ti.static(sheared):
+            image_count = ti.cast(image_index, real)
+            wrapped[flow] = wrapped[flow] - image_count * offset[pose]
+            wrapped[gradient] = wrapped[gradient] - image_count * width()[gradient]
         return wrapped
 
-    return wrap_position
+    return shift_by_images
 
 
 def build_near_image(state: State) -> Any:
@@ -181,6 +161,26 @@ def build_near_image(state: State) -> Any:
         return image, is_near
 
     return near_image
+
+
+def upload_offsets(state: State, step: int) -> None:
+    """Upload offset [m] and velocity [m/s] of the images for WALL_BATCH steps after step number `step`.
+
+    Velocities refer to the middle of each step, because particle velocities are half a step behind.
+
+    Writes:  image_offset, image_speed
+    """
+    periodic_box = state.plan.periodic_box
+    clock = state.clock
+    control = state.control
+    times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
+    position_real = np.float32 if state.backend.precision == "f32" else np.float64
+    real = np.float64 if state.backend.precision == "f64" else np.float32
+    control.image_offset.from_numpy(periodic_box.offsets(times).astype(position_real))
+    control.image_speed.from_numpy(periodic_box.speeds(times - 0.5 * clock.time_step).astype(real))
+
+
+# Wrapping
 
 
 def build_wrap(state: State) -> Any:
@@ -236,6 +236,52 @@ def build_wrap(state: State) -> Any:
     return wrap
 
 
+def build_wrap_position(state: State) -> Any:
+    """Device function (point): the image of the point [m] inside the box, without shear.
+
+    Coordinates along axes that are not periodic are unchanged.
+    """
+    periodic_axes = state.plan.periodic_box.axes
+    low = state.parameter("domain_low")
+    width = state.parameter("box_width")
+
+    @ti.func
+    def wrap_position(point):
+        wrapped = point
+        lows = low()
+        widths = width()
+        for axis in ti.static(periodic_axes):
+            wrapped[axis] = point[axis] - widths[axis] * ti.floor((point[axis] - lows[axis]) / widths[axis])
+        return wrapped
+
+    return wrap_position
+
+
+def _build_cross_boundary(state: State) -> Any:
+    """Device function (point, pose): point [m] wrapped across the sheared faces, and decrease of its velocity
+    [m/s].
+
+    Reads:  image_offset, image_speed
+    """
+    real = state.backend.real
+    control = state.control
+    low = state.parameter("domain_low")
+    width = state.parameter("box_width")
+    flow, gradient = _lees_edwards_axes(state.plan.periodic_box)
+
+    @ti.func
+    def cross_boundary(point, pose):
+        image_count = ti.floor((point[gradient] - low()[gradient]) / width()[gradient])
+        wrapped = point
+        velocity_shift = ti.Vector.zero(real, 3)
+        wrapped[gradient] = point[gradient] - width()[gradient] * image_count
+        wrapped[flow] = point[flow] - image_count * control.image_offset[pose]
+        velocity_shift[flow] = ti.cast(image_count, real) * control.image_speed[pose]
+        return wrapped, velocity_shift
+
+    return cross_boundary
+
+
 def build_add_energy_gain(state: State) -> Any:
     """Device function (chunk, i, shift [m], decrease of the velocity [m/s], time_step): add the energy gain.
 
@@ -266,45 +312,3 @@ def build_add_energy_gain(state: State) -> Any:
         add_energy(control.boundary_work, chunk, 0, 1, SHARES, ti.cast(per_unit(), ti.f64) * gained)
 
     return add_energy_gain
-
-
-def _build_cross_boundary(state: State) -> Any:
-    """Device function (point, pose): point [m] wrapped across the sheared faces, and decrease of its velocity
-    [m/s].
-
-    Reads:  image_offset, image_speed
-    """
-    real = state.backend.real
-    control = state.control
-    low = state.parameter("domain_low")
-    width = state.parameter("box_width")
-    flow, gradient = _lees_edwards_axes(state.plan.periodic_box)
-
-    @ti.func
-    def cross_boundary(point, pose):
-        image_count = ti.floor((point[gradient] - low()[gradient]) / width()[gradient])
-        wrapped = point
-        velocity_shift = ti.Vector.zero(real, 3)
-        wrapped[gradient] = point[gradient] - width()[gradient] * image_count
-        wrapped[flow] = point[flow] - image_count * control.image_offset[pose]
-        velocity_shift[flow] = ti.cast(image_count, real) * control.image_speed[pose]
-        return wrapped, velocity_shift
-
-    return cross_boundary
-
-
-def upload_offsets(state: State, step: int) -> None:
-    """Upload offset [m] and velocity [m/s] of the images for WALL_BATCH steps after step number `step`.
-
-    Velocities refer to the middle of each step, because particle velocities are half a step behind.
-
-    Writes:  image_offset, image_speed
-    """
-    periodic_box = state.plan.periodic_box
-    clock = state.clock
-    control = state.control
-    times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
-    position_real = np.float32 if state.backend.precision == "f32" else np.float64
-    real = np.float64 if state.backend.precision == "f64" else np.float32
-    control.image_offset.from_numpy(periodic_box.offsets(times).astype(position_real))
-    control.image_speed.from_numpy(periodic_box.speeds(times - 0.5 * clock.time_step).astype(real))

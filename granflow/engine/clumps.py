@@ -1,4 +1,4 @@
-"""Clumps on the device: rigid bodies whose spheres are particles.
+"""Clumps: rigid bodies whose spheres are particles.
 
 Each sphere has a copy of the state of its clump: center of mass, velocity, angular momentum L in the frame of
 the scene and orientation, a unit quaternion q. Each copy is integrated with the same operations, from the
@@ -15,6 +15,9 @@ I_k, which it does not change (Dullweber, Leimkuhler & McLachlan, J. Chem. Phys.
 symmetric sequence z y x x y z of half steps. Half a step turns by 2 atan(dt L . e_k / (4 I_k)) instead of dt
 L . e_k / (2 I_k): a function of L . e_k, so that the step remains symplectic and of second order, without
 trigonometric functions. L is exact.
+
+The host computes energies and the motion at the time of the positions from arrays with a row per sphere;
+`clump` is the id of the first sphere of its clump, -1 for a single sphere.
 """
 
 from collections.abc import Mapping
@@ -28,10 +31,255 @@ from granflow.engine.state import State
 from granflow.geometry.clump import matrices
 from granflow.kernel_language import ti
 
-# Clumps on the host: arrays of new clumps, their energies, and their motion at the time of the positions.
-#
-# All arrays have a row per sphere; `clump` is the id of the first sphere of its clump, -1 for a single
-# sphere.
+# Integration on the device
+
+
+def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> Any:
+    """Device function (chunk, count, pose, time_step): kick and drift the spheres of clumps of one chunk.
+
+    request, square_of_sums:  device functions of `step.build_integrate`
+
+    Reads, writes:  as `build_move_clump`, `build_wrap` and `request`
+    """
+    particles = state.particles
+    periodic = state.plan.features.periodic != "none"
+    chunk_size = state.parameter("chunk_size")
+    step_limit = state.parameter("travel_limit_squared")
+    move_clump = build_move_clump(state)
+    wrap = build_wrap(state) if periodic else None
+    per_unit = state.parameter("per_unit")
+
+    @ti.func
+    def integrate_clumps(chunk, count, pose, dt):
+        size = chunk_size()
+        step_squared_limit = step_limit()
+        units = per_unit()
+        for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
+            if particles.clump[i] >= 0:
+                step = move_clump(chunk, i, pose, dt).norm_sqr()
+                displacement = (particles.position[i] - particles.position_at_rebuild[i]).norm_sqr()
+                reach = particles.reach[i] * particles.reach[i]
+                sums = square_of_sums(particles.force[i], particles.torque[i], units)
+                request(i, displacement, reach, step, step_squared_limit, sums)
+                if ti.static(periodic):
+                    wrap(chunk, i, pose, dt)
+
+    return integrate_clumps
+
+
+def build_move_clump(state: State) -> Any:
+    """Device function (i, pose, time_step) -> displacement [m] of sphere i: kick and drift of its copy of the
+    clump.
+
+    The velocity of a sphere is its displacement over the time step; its angular velocity is that of the clump
+    at the half step. In a periodic box the center of mass is wrapped, but not yet the sphere.
+
+    Reads:   as `build_clump_sums`; orientation, clump_mass, clump_inertia
+    Writes:  clump_position, clump_velocity, clump_angular_momentum, orientation, position, velocity,
+             velocity_synchronized, angular_velocity, boundary_work
+    """
+    particles = state.particles
+    features = state.plan.features
+    real = state.backend.real
+    exact = state.backend.position_real
+    gravity = state.parameter("gravity")
+    clump_sums = build_clump_sums(state)
+    set_position = _build_set_position(state)
+
+    @ti.func
+    def move_clump(chunk, i, pose, dt):
+        step = ti.cast(dt, exact)
+        offset = particles.clump_offset[i]
+        q = particles.orientation[i]
+        rotation = scaled_rotation(q)
+        force, torque = clump_sums(i, rotation)
+        inertia = ti.cast(particles.clump_inertia[i], exact)
+        kick = step * (force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact))
+        velocity = particles.clump_velocity[i] + kick
+        momentum = particles.clump_angular_momentum[i] + step * torque
+        q_half = half_turned(q, momentum, inertia, step, (2, 1, 0))
+        q_new = half_turned(q_half, momentum, inertia, step, (0, 1, 2))
+        rotation_half = scaled_rotation(q_half)
+        rotation_new = scaled_rotation(q_new)
+        arm = rotation_new @ offset
+        displacement = step * velocity + (arm - rotation @ offset)
+        particles.clump_velocity[i] = velocity
+        particles.clump_angular_momentum[i] = momentum
+        particles.orientation[i] = q_new
+        particles.velocity[i] = ti.cast(displacement / step, real)
+        particles.angular_velocity[i] = ti.cast(angular_velocity_of(rotation_half, momentum, inertia), real)
+        if ti.static(features.rate_dependent):
+            spin = angular_velocity_of(rotation_new, momentum + 0.5 * step * torque, inertia)
+            particles.velocity_synchronized[i] = ti.cast(velocity + 0.5 * kick + spin.cross(arm), real)
+        set_position(chunk, i, step * velocity, arm, displacement, pose, dt)
+        return displacement
+
+    return move_clump
+
+
+def build_clump_sums(state: State) -> Any:
+    """Device function (i, rotation matrix) -> (force [N], torque [N m] about the center of mass) of the clump
+    of i.
+
+    Sums over all contacts of its spheres.
+
+    Reads:  force, torque, clump, clump_size, clump_offset, index_of_id
+    """
+    particles = state.particles
+    real = state.backend.position_real
+
+    @ti.func
+    def clump_sums(i, rotation):
+        force_sum = ti.Vector.zero(real, 3)
+        torque_sum = ti.Vector.zero(real, 3)
+        for member in range(particles.clump_size[i]):
+            j = particles.index_of_id[particles.clump[i] + member]
+            force = ti.cast(particles.force[j], real)
+            arm = rotation @ particles.clump_offset[j]
+            force_sum += force
+            torque_sum += ti.cast(particles.torque[j], real) + arm.cross(force)
+        return force_sum, torque_sum
+
+    return clump_sums
+
+
+def _build_set_position(state: State) -> Any:
+    """Device function: move the center of mass, and place the sphere at an arm from it.
+
+    Arguments: chunk, i, displacement of the center of mass [m], arm [m], displacement of the sphere [m],
+    pose, time_step. In a periodic box the sphere is placed at the image nearest to its displaced position.
+
+    Reads:   position, clump_position
+    Writes:  position, clump_position, boundary_work
+    """
+    particles = state.particles
+    features = state.plan.features
+    periodic = features.periodic != "none"
+    wrap_position = build_wrap_position(state)
+    minimum_image = build_minimum_image(state)
+    add_energy_gain = build_add_energy_gain(state)
+
+    @ti.func
+    def set_position(chunk, i, step, arm, displacement, pose, dt):
+        center = particles.clump_position[i] + step
+        if ti.static(periodic):
+            expected = particles.position[i] + displacement
+            particles.position[i] = expected - minimum_image(expected, center + arm, pose)
+            wrapped = wrap_position(center)
+            if ti.static(features.energy_budget):
+                add_energy_gain(chunk, i, wrapped - center, 0.0 * particles.velocity[i], dt)
+            center = wrapped
+        else:
+            particles.position[i] = center + arm
+        particles.clump_position[i] = center
+
+    return set_position
+
+
+def build_kick_clump(state: State) -> Any:
+    """Device function (i, time [s]): change the copy of the state of a clump by the present forces.
+
+    Reads:   as `build_clump_sums`; orientation, clump_mass
+    Writes:  clump_velocity, clump_angular_momentum
+    """
+    particles = state.particles
+    exact = state.backend.position_real
+    gravity = state.parameter("gravity")
+    clump_sums = build_clump_sums(state)
+
+    @ti.func
+    def kick_clump(i, time):
+        force, torque = clump_sums(i, scaled_rotation(particles.orientation[i]))
+        kick = force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact)
+        particles.clump_velocity[i] = particles.clump_velocity[i] + ti.cast(time, exact) * kick
+        particles.clump_angular_momentum[i] = (
+            particles.clump_angular_momentum[i] + ti.cast(time, exact) * torque
+        )
+
+    return kick_clump
+
+
+@ti.func
+def half_turned(q, momentum, inertia, dt, axes: ti.template()):
+    """A unit quaternion q after rotations of dt/2 about the principal axes in the given order."""
+    found = q
+    square = q.dot(q)
+    quarter = 0.25 * dt / inertia
+    for axis in ti.static(axes):
+        tangent = quarter[axis] * principal_axis(found, axis).dot(momentum) / square
+        found = turned(found, axis, tangent)
+        square = square * (1.0 + tangent * tangent)
+    return found / ti.sqrt(found.dot(found))
+
+
+@ti.func
+def turned(q, axis: ti.template(), tangent):
+    """q after a rotation about a principal axis e by an angle with this tangent of its half: q (1 + tangent
+    e).
+
+    The result is sqrt(1 + tangent^2) times as long as q.
+    """
+    w = q[0]
+    u = q[1 + axis]
+    v = q[1 + (axis + 1) % 3]
+    t = q[1 + (axis + 2) % 3]
+    e = in_order(axis, u + tangent * w, v + tangent * t, t - tangent * v)
+    return ti.Vector([w - tangent * u, e[0], e[1], e[2]])
+
+
+@ti.func
+def principal_axis(q, axis: ti.template()):
+    """|q|^2 times a principal axis of a clump with the quaternion q = (w, x, y, z)."""
+    w = q[0]
+    u = q[1 + axis]
+    v = q[1 + (axis + 1) % 3]
+    t = q[1 + (axis + 2) % 3]
+    return in_order(axis, w * w + u * u - v * v - t * t, 2.0 * (u * v + w * t), 2.0 * (u * t - w * v))
+
+
+@ti.func
+def in_order(axis: ti.template(), first, second, third):
+    """Vector of the components along a principal axis and along the two that follow it."""
+    components = ti.Vector([first, second, third])
+    if ti.static(axis == 1):
+        components = ti.Vector([third, first, second])
+    elif ti.static(axis == 2):
+        components = ti.Vector([second, third, first])
+    return components
+
+
+@ti.func
+def scaled_rotation(q):
+    """|q|^2 times the rotation matrix of a quaternion q; its columns are the principal axes."""
+    return ti.Matrix.cols([principal_axis(q, 0), principal_axis(q, 1), principal_axis(q, 2)])
+
+
+@ti.func
+def angular_velocity_of(rotation, momentum, inertia):
+    """Angular velocity [rad/s] in the frame of the scene of a clump with a rotation matrix R: R (R^T L /
+    I)."""
+    return rotation @ ((rotation.transpose() @ momentum) / inertia)
+
+
+def index_phase(state: State) -> Phase:
+    """Phase of a rebuild that writes the index of each id, by which a sphere finds the others of its clump.
+
+    Reads:   id, clump_position
+    Writes:  index_of_id, clump_position_at_rebuild
+    """
+    particles = state.particles
+    per_task, _ = granularity(state)
+
+    @ti.func
+    def write(task: ti.template(), rebuild: ti.template()):
+        for i in range(task.begin, task.end):
+            particles.index_of_id[particles.id[i]] = i
+            particles.clump_position_at_rebuild[i] = particles.clump_position[i]
+
+    return Phase(write, state.cell_sort.order.shape[0], per_task=per_task)
+
+
+# Arrays on the host
 
 CLUMP_MOTION = (
     "id",
@@ -109,11 +357,12 @@ def synchronized_clumps(arrays: Mapping[str, np.ndarray], half: float, gravity: 
         return {}
     arm = arms(arrays)
     force = arrays["force"].astype(float)
-    force, torque = _sums(arrays, force), _sums(arrays, arrays["torque"] + np.cross(arm, force))
+    force_sum = _sums(arrays, force)
+    torque_sum = _sums(arrays, arrays["torque"] + np.cross(arm, force))
     velocity = arrays["clump_velocity"] + half * (
-        force / arrays["clump_mass"].astype(float)[:, None] + gravity
+        force_sum / arrays["clump_mass"].astype(float)[:, None] + gravity
     )
-    momentum = arrays["clump_angular_momentum"] + half * torque
+    momentum = arrays["clump_angular_momentum"] + half * torque_sum
     spin = angular_velocity({**arrays, "clump_angular_momentum": momentum})
     return {
         "velocity": velocity + np.cross(spin, arm),
@@ -125,255 +374,12 @@ def synchronized_clumps(arrays: Mapping[str, np.ndarray], half: float, gravity: 
 
 def _sums(arrays: Mapping[str, np.ndarray], vectors: np.ndarray) -> np.ndarray:
     """Sums (n, 3) of vectors (n, 3) over the spheres of the clump of each sphere, in the order of the ids."""
+    if not len(vectors):
+        return vectors
     order = np.lexsort((arrays["id"], arrays["clump"]))
     clump = arrays["clump"][order]
-    first = np.flatnonzero(np.r_[True, clump[1:] != clump[:-1]]) if len(clump) else np.zeros(0, np.int64)
+    first = np.flatnonzero(np.r_[True, clump[1:] != clump[:-1]])
     lengths = np.diff(np.r_[first, len(clump)])
     found = np.empty_like(vectors)
-    found[order] = (
-        np.repeat(np.add.reduceat(vectors[order], first, axis=0), lengths, axis=0) if len(clump) else 0.0
-    )
+    found[order] = np.repeat(np.add.reduceat(vectors[order], first, axis=0), lengths, axis=0)
     return found
-
-
-@ti.func
-def in_order(axis: ti.template(), first, second, third):
-    """Vector of the components along a principal axis and along the two that follow it."""
-    return (
-        ti.Vector([first, second, third])
-        if ti.static(axis == 0)
-        else (
-            ti.Vector([third, first, second]) if ti.static(axis == 1) else ti.Vector([second, third, first])
-        )
-    )
-
-
-@ti.func
-def principal_axis(q, axis: ti.template()):
-    """|q|^2 times a principal axis of a clump with the quaternion q = (w, x, y, z)."""
-    w = q[0]
-    u = q[1 + axis]
-    v = q[1 + (axis + 1) % 3]
-    t = q[1 + (axis + 2) % 3]
-    return in_order(axis, w * w + u * u - v * v - t * t, 2.0 * (u * v + w * t), 2.0 * (u * t - w * v))
-
-
-@ti.func
-def scaled_rotation(q):
-    """|q|^2 times the rotation matrix of a quaternion q; its columns are the principal axes."""
-    return ti.Matrix.cols([principal_axis(q, 0), principal_axis(q, 1), principal_axis(q, 2)])
-
-
-@ti.func
-def turned(q, axis: ti.template(), tangent):
-    """q after a rotation about a principal axis e by an angle with this tangent of its half: q (1 + tangent
-    e).
-
-    The result is sqrt(1 + tangent^2) times as long as q.
-    """
-    w = q[0]
-    u = q[1 + axis]
-    v = q[1 + (axis + 1) % 3]
-    t = q[1 + (axis + 2) % 3]
-    e = in_order(axis, u + tangent * w, v + tangent * t, t - tangent * v)
-    return ti.Vector([w - tangent * u, e[0], e[1], e[2]])
-
-
-@ti.func
-def half_turned(q, momentum, inertia, dt, axes: ti.template()):
-    """A unit quaternion q after rotations of dt/2 about the principal axes in the given order."""
-    found = q
-    square = q.dot(q)
-    quarter = 0.25 * dt / inertia
-    for axis in ti.static(axes):
-        tangent = quarter[axis] * principal_axis(found, axis).dot(momentum) / square
-        found = turned(found, axis, tangent)
-        square = square * (1.0 + tangent * tangent)
-    return found / ti.sqrt(found.dot(found))
-
-
-@ti.func
-def angular_velocity_of(rotation, momentum, inertia):
-    """Angular velocity [rad/s] in the frame of the scene of a clump with a rotation matrix R: R (R^T L /
-    I)."""
-    return rotation @ ((rotation.transpose() @ momentum) / inertia)
-
-
-def build_clump_sums(state: State) -> Any:
-    """Device function (i, rotation matrix) -> (force [N], torque [N m] about the center of mass) of the clump
-    of i.
-
-    Sums over all contacts of its spheres.
-
-    Reads:  force, torque, clump, clump_size, clump_offset, index_of_id
-    """
-    particles = state.particles
-    real = state.backend.position_real
-
-    @ti.func
-    def clump_sums(i, rotation):
-        force_sum, torque_sum = ti.Vector.zero(real, 3), ti.Vector.zero(real, 3)
-        for member in range(particles.clump_size[i]):
-            j = particles.index_of_id[particles.clump[i] + member]
-            force = ti.cast(particles.force[j], real)
-            arm = rotation @ particles.clump_offset[j]
-            force_sum += force
-            torque_sum += ti.cast(particles.torque[j], real) + arm.cross(force)
-        return force_sum, torque_sum
-
-    return clump_sums
-
-
-def build_move_clump(state: State) -> Any:
-    """Device function (i, pose, time_step) -> displacement [m] of sphere i: kick and drift of its copy of the
-    clump.
-
-    The velocity of a sphere is its displacement over the time step; its angular velocity is that of the clump
-    at the half step. In a periodic box the center of mass is wrapped, but not yet the sphere.
-
-    Reads:   as `build_clump_sums`; orientation, clump_mass, clump_inertia
-    Writes:  clump_position, clump_velocity, clump_angular_momentum, orientation, position, velocity,
-             velocity_synchronized, angular_velocity, boundary_work
-    """
-    particles = state.particles
-    features = state.plan.features
-    real = state.backend.real
-    exact = state.backend.position_real
-    gravity = state.parameter("gravity")
-    clump_sums = build_clump_sums(state)
-    set_position = _build_set_position(state)
-
-    @ti.func
-    def move_clump(chunk, i, pose, dt):
-        step = ti.cast(dt, exact)
-        offset = particles.clump_offset[i]
-        q = particles.orientation[i]
-        rotation = scaled_rotation(q)
-        force, torque = clump_sums(i, rotation)
-        inertia = ti.cast(particles.clump_inertia[i], exact)
-        kick = step * (force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact))
-        velocity = particles.clump_velocity[i] + kick
-        momentum = particles.clump_angular_momentum[i] + step * torque
-        q_half = half_turned(q, momentum, inertia, step, (2, 1, 0))
-        q_new = half_turned(q_half, momentum, inertia, step, (0, 1, 2))
-        rotation_half = scaled_rotation(q_half)
-        rotation_new = scaled_rotation(q_new)
-        arm = rotation_new @ offset
-        displacement = step * velocity + (arm - rotation @ offset)
-        particles.clump_velocity[i], particles.clump_angular_momentum[i] = velocity, momentum
-        particles.orientation[i] = q_new
-        particles.velocity[i] = ti.cast(displacement / step, real)
-        particles.angular_velocity[i] = ti.cast(angular_velocity_of(rotation_half, momentum, inertia), real)
-        if ti.static(features.rate_dependent):
-            spin = angular_velocity_of(rotation_new, momentum + 0.5 * step * torque, inertia)
-            particles.velocity_synchronized[i] = ti.cast(velocity + 0.5 * kick + spin.cross(arm), real)
-        set_position(chunk, i, step * velocity, arm, displacement, pose, dt)
-        return displacement
-
-    return move_clump
-
-
-def _build_set_position(state: State) -> Any:
-    """Device function: move the center of mass, and place the sphere at an arm from it.
-
-    Arguments: chunk, i, displacement of the center of mass [m], arm [m], displacement of the sphere [m],
-    pose, time_step. In a periodic box the sphere is placed at the image nearest to its displaced position.
-
-    Reads:   position, clump_position
-    Writes:  position, clump_position, boundary_work
-    """
-    particles = state.particles
-    features = state.plan.features
-    periodic = features.periodic != "none"
-    wrap_position = build_wrap_position(state)
-    minimum_image = build_minimum_image(state)
-    add_energy_gain = build_add_energy_gain(state)
-
-    @ti.func
-    def set_position(chunk, i, step, arm, displacement, pose, dt):
-        center = particles.clump_position[i] + step
-        if ti.static(periodic):
-            expected = particles.position[i] + displacement
-            particles.position[i] = expected - minimum_image(expected, center + arm, pose)
-            wrapped = wrap_position(center)
-            if ti.static(features.energy_budget):
-                add_energy_gain(chunk, i, wrapped - center, 0.0 * particles.velocity[i], dt)
-            center = wrapped
-        else:
-            particles.position[i] = center + arm
-        particles.clump_position[i] = center
-
-    return set_position
-
-
-def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> Any:
-    """Device function (chunk, count, pose, time_step): kick and drift the spheres of clumps of one chunk.
-
-    request, square_of_sums:  see `engine.integrate`
-
-    Reads, writes:  as `build_move_clump`, and as `engine.integrate.build_integrate`
-    """
-    particles = state.particles
-    periodic = state.plan.features.periodic != "none"
-    chunk_size = state.parameter("chunk_size")
-    step_limit = state.parameter("travel_limit_squared")
-    move_clump = build_move_clump(state)
-    wrap = build_wrap(state) if periodic else None
-    per_unit = state.parameter("per_unit")
-
-    @ti.func
-    def integrate_clumps(chunk, count, pose, dt):
-        size = chunk_size()
-        step_squared_limit = step_limit()
-        units = per_unit()
-        for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
-            if particles.clump[i] >= 0:
-                step = move_clump(chunk, i, pose, dt).norm_sqr()
-                displacement = (particles.position[i] - particles.position_at_rebuild[i]).norm_sqr()
-                reach = particles.reach[i] * particles.reach[i]
-                sums = square_of_sums(particles.force[i], particles.torque[i], units)
-                request(i, displacement, reach, step, step_squared_limit, sums)
-                if ti.static(periodic):
-                    wrap(chunk, i, pose, dt)
-
-    return integrate_clumps
-
-
-def build_kick_clump(state: State) -> Any:
-    """Device function (i, time [s]): change the copy of the state of a clump by the present forces.
-
-    Reads:   as `build_clump_sums`; orientation, clump_mass
-    Writes:  clump_velocity, clump_angular_momentum
-    """
-    particles = state.particles
-    exact = state.backend.position_real
-    gravity = state.parameter("gravity")
-    clump_sums = build_clump_sums(state)
-
-    @ti.func
-    def kick_clump(i, time):
-        force, torque = clump_sums(i, scaled_rotation(particles.orientation[i]))
-        kick = force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact)
-        particles.clump_velocity[i] = particles.clump_velocity[i] + ti.cast(time, exact) * kick
-        particles.clump_angular_momentum[i] = (
-            particles.clump_angular_momentum[i] + ti.cast(time, exact) * torque
-        )
-
-    return kick_clump
-
-
-def index_phase(state: State) -> Phase:
-    """Phase of a rebuild that writes the index of each id, by which a sphere finds the others of its clump.
-
-    Reads:   id, clump_position
-    Writes:  index_of_id, clump_position_at_rebuild
-    """
-    particles, (per_task, _) = state.particles, granularity(state)
-
-    @ti.func
-    def write(task: ti.template(), rebuild: ti.template()):
-        for i in range(task.begin, task.end):
-            particles.index_of_id[particles.id[i]] = i
-            particles.clump_position_at_rebuild[i] = particles.clump_position[i]
-
-    return Phase(write, state.cell_sort.order.shape[0], per_task=per_task)

@@ -1,14 +1,21 @@
-"""Codes and limits that kernels and host share."""
+"""Numbers that kernels and host share: why a run aborts, and limits that mark a value as not set."""
 
-ABORT_FORCE, ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = (
-    range(1, 8)
-)
+ABORT_FORCE = 1
+"""A contact force is above the range of the sums."""
+ABORT_DISPLACEMENT = 2
+"""A displacement in one step is above its limit."""
+ABORT_NOT_FINITE = 3
+"""A position is not finite."""
+ABORT_OVERLAP = 4
+"""An overlap is above its limit."""
+ABORT_LEFT_DOMAIN = 5
+"""A particle is outside a domain with `on_exit: error`; set by the host."""
+ABORT_WALL = 6
+"""The displacement of a force-controlled wall in one step is above its limit."""
+ABORT_FAR = 7
+"""A particle is so far from the origin that the precision does not resolve its position."""
 ABORT_LIQUID = 8
-"""Codes: a contact force above the range of the sums, a displacement per step above the limit, a position
-that is not finite, an overlap above the limit, a particle outside a domain with `on_exit: error` (set by the
-host), a force-controlled wall above its displacement limit, a particle so far from the origin that the
-precision does not resolve its position (set by the host), and a film from which bridges have taken more
-liquid than it had."""
+"""Bridges have taken more liquid from a film than it had."""
 ABORT_REASONS = {
     ABORT_FORCE: "force",
     ABORT_DISPLACEMENT: "displacement",
@@ -24,8 +31,9 @@ FORCE_REASONS = frozenset({"force", "displacement", "not_finite", "overlap"})
 """Reasons that a force from Python can have caused."""
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that exceeds a limit."""
-INTEGRATION, FORCES = range(2)
-"""Phases of a step on a GPU that can halt the following launches."""
+INTEGRATION = 0
+FORCES = 1
+"""Phases of a step on a GPU that can halt the following launches: indices of `Control.halted_at`."""
 NOT_HALTED = 2**31 - 1
 """Larger than the number of any launch on a GPU."""
 REMOVED_BELOW = 0.0

@@ -1,100 +1,284 @@
-"""One contact of a particle with a partner or a wall: its force, its history and its end."""
+"""One contact of a particle with another particle or a wall, evaluated on its own.
+
+`build_contact` gathers what `pair.py` needs, evaluates the force, writes the contact history and adds the
+losses of the contact to the accounting. All wall contacts take this path, and all particle contacts on a GPU;
+on a CPU, `batch.py` evaluates particle contacts many at a time and shares the parts of this file.
+"""
 
 from typing import Any
 
 import numpy as np
 
+from granflow.engine.box import build_image_velocity
 from granflow.engine.codes import ABORT_OVERLAP
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.history import (
+    IN_CONTACT,
     NO_CONTACT,
     build_acquire_history,
     build_add_plastic_loss,
     build_end_contact,
+    build_normal_loss,
     build_read_history,
     build_release_history,
     build_write_history,
+    cohesive_contact,
     transfers_history,
 )
-from granflow.engine.liquid import (
-    build_distant_force,
-    build_form_bridge,
-    build_in_range,
-    build_return_liquid,
-    transfers_liquid,
-)
+from granflow.engine.liquid import build_form_bridge, build_return_liquid
 from granflow.engine.pair import (
-    build_boundary_work,
     build_effective,
+    build_in_range,
     build_pair_constants,
     build_pair_force,
     build_pair_kinematics,
+    build_slot_vector,
     normal_time_step,
 )
 from granflow.engine.state import State
-from granflow.engine.sums import SHARES, add_energy, build_list_shares, carried, exact_totals
+from granflow.engine.sums import SHARES, add_energy, build_list_shares, build_to_grid, carried, exact_totals
 from granflow.engine.wall_dynamics import build_add_impulse, build_add_wall_force
 from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.kernel_language import ti
-from granflow.plan.capacities import DAMPING, ENERGY, FRICTION, LOSSES, ROLLING, WALL_WORK
-
-# Numbers of collisions by impact energy: each contact counts once, in the step in which it begins.
-#
-#     E = m_eff v_n^2 / 2,     v_n: approach velocity half a step before the first force
-#
-# The counts are integers, so that they do not depend on threads and ranks.
+from granflow.plan.capacities import DAMPING, ENERGY, FORCE, FRICTION, LOSSES, ROLLING, WALL_WORK
 
 
-def build_count_collision(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, list index, j, bodies, overlap rate at the half step): count a contact that
-    begins.
+def build_contact(state: State, with_wall: bool) -> Any:
+    """Device function (chunk, i, list index, j, pose, time_step) -> (force [N], torque [N m]) on i of one
+    contact.
 
-    Without collision energies it does nothing. It precedes `write_history`, which marks the contact.
+    with_wall:  True for walls (j < 0), False for particles
 
-    Reads:   in_contact, collision_edges
-    Writes:  collisions
+    Three cases: the pair overlaps; a cohesion model acts between the separated surfaces; or there is no
+    contact, and a contact that has existed so far ends. Its history is then cleared, unless another face of
+    the walls has the contact now, and its plastic work is added to the losses.
+
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
+    Writes:  history, in_contact, losses, boundary_work, impulses, collisions, wall_force, liquid_film, abort,
+             abort_particle
     """
-    control = state.control
-    neighbors = state.neighbors
-    list_shares = build_list_shares(state)
-    wanted = state.plan.features.collision_energies
-    rows = state.capacities.wall_rows
-    classes = state.capacities.energy_classes
-    first = classes if with_wall else 0
+    transfers = with_wall and transfers_history(state)
+    pair_kinematics = build_pair_kinematics(state, with_wall)
+    effective = build_effective(state, with_wall)
+    angular_velocities_of = _build_angular_velocities(state, with_wall)
+    check_overlap = _build_check_overlap(state, with_wall)
+    pair_constants = build_pair_constants(state)
+    in_range = build_in_range(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
+    distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
+    release_history = build_release_history(state) if transfers else None
+    acquire_history = build_acquire_history(state) if transfers else None
+    read_history = build_read_history(state)
+    write_history = build_write_history(state)
+    pair_force = build_pair_force(state.plan, False)
+    add_to_accounting = build_add_to_accounting(state, with_wall)
+    end_contact = build_end_contact(state)
+    add_plastic_loss = build_add_plastic_loss(state)
+    longest_time_step = state.parameter("longest_time_step")
+    count_collision = build_count_collision(state, with_wall)
+    liquid = state.plan.features.liquid_transfer
+    form_bridge = build_form_bridge(state) if liquid else None
+    return_liquid = build_return_liquid(state) if liquid else None
 
     @ti.func
-    def count_collision(chunk, list_index, j, bodies, overlap_rate):
-        if ti.static(wanted):
-            if neighbors.in_contact[list_index] == NO_CONTACT:
-                velocity = ti.cast(ti.max(overlap_rate, 0.0), ti.f64)
-                number = first
-                energy = 0.5 * ti.cast(bodies.mass_eff, ti.f64) * (velocity * velocity)
-                for edge in range(classes - 1):
-                    number += ti.cast(energy >= control.collision_edges[edge], ti.i32)
-                ti.atomic_add(
-                    control.collisions[chunk % rows, number][0], ti.cast(list_shares(chunk, j), ti.i64)
+    def contact(chunk, i, list_index, j, pose, dt):
+        force = 0.0 * state.particles.velocity[i]
+        torque = 0.0 * state.particles.velocity[i]
+        kinematics = pair_kinematics(i, j, pose, dt)
+        bodies = effective(i, j)
+        constants = pair_constants(i, j)
+        if kinematics.overlap > 0.0:
+            check_overlap(i, j, kinematics.overlap)
+            if ti.static(transfers):
+                acquire_history(i, list_index, j, pose)
+            angular_velocities = angular_velocities_of(i, j, pose)
+            history = read_history(list_index)
+            if ti.static(liquid):
+                history.cohesion = form_bridge(
+                    chunk, i, j, constants, bodies, kinematics.overlap, history.cohesion
                 )
+            found = pair_force(
+                constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step()
+            )
+            force = found.force
+            torque = found.torque
+            count_collision(chunk, list_index, j, bodies, kinematics.overlap_rate_half)
+            write_history(list_index, found.history)
+            add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
+        elif in_range(i, j, kinematics.overlap):
+            if ti.static(acts_at_distance):
+                force = distant_contact(chunk, i, list_index, j, pose, kinematics, dt)
+        else:
+            energy_lost = 0.0 * dt
+            released = 0
+            if ti.static(transfers):
+                released = release_history(i, list_index, j, pose)
+            if released == 0:
+                if ti.static(liquid):
+                    return_liquid(chunk, i, j, list_index)
+                energy_lost = end_contact(list_index, constants, bodies, dt)
+            add_plastic_loss(chunk, j, energy_lost)
+        return force, torque
 
-    return count_collision
+    return contact
 
 
-def collision_counts(state: State) -> dict[str, np.ndarray]:
-    """Numbers of collisions since the start by kind of the partner, "particle" or "wall": arrays (classes,)
-    int64.
+def _build_angular_velocities(state: State, with_wall: bool) -> Any:
+    """Device function (i, j, pose) -> struct of the angular velocities [rad/s] of i and of its partner.
 
-    The first class is below the smallest edge, the last one above the largest. Empty without collision
-    energies.
+    Reads:  angular_velocity of particles and walls
     """
-    if state.control.collisions is None:
-        return {}
-    words = state.ranks.total(state.control.collisions.to_numpy())
-    counts = [exact_totals(words[:, column], np.array([1.0 / SHARES]))[0] for column in range(words.shape[1])]
-    by_kind = np.rint(counts).astype(np.int64).reshape(2, -1)
-    kinds = ("particle", "wall") if state.plan.has_walls else ("particle",)
-    return dict(zip(kinds, by_kind, strict=False))
+    particles = state.particles
+    features = state.plan.features
+    real = state.backend.real
+    wall_of = build_wall_of(state)
+
+    @ti.func
+    def angular_velocities_of(i, j, pose):
+        first = 0.0 * particles.velocity[i]
+        partner = 0.0 * particles.velocity[i]
+        if ti.static(features.rotation):
+            first = particles.angular_velocity[i]
+        if ti.static(features.rotation and not with_wall):
+            partner = particles.angular_velocity[j]
+        elif ti.static(features.rotation and features.moving_walls):
+            partner = ti.cast(state.walls.angular_velocity[pose, wall_of(j)], real)
+        return ti.Struct(first=first, partner=partner)
+
+    return angular_velocities_of
 
 
-# Losses, work and wall forces of one contact.
+def _build_check_overlap(state: State, with_wall: bool) -> Any:
+    """Device function (i, j, overlap): request an abort if the overlap exceeds the limit.
+
+    Reads:   radius
+    Writes:  abort, abort_particle
+    """
+    particles = state.particles
+    control = state.control
+    max_overlap = state.parameter("max_overlap")
+
+    @ti.func
+    def check_overlap(i, j, overlap):
+        radius_min = particles.radius[i]
+        if ti.static(not with_wall):
+            radius_min = ti.min(radius_min, particles.radius[j])
+        if overlap > max_overlap() * radius_min:
+            ti.atomic_max(control.abort[0], ABORT_OVERLAP)
+            ti.atomic_min(control.abort_particle[0], particles.id[i])
+
+    return check_overlap
+
+
+# Attraction of pairs without overlap, for cohesion models that act at a distance
+#
+# Such a pair has no normal, tangential or rolling force. The contact history of the cohesion model is kept
+# until the model ends it or the distance exceeds its range; the histories of the other models end with the
+# overlap.
+
+
+def _build_distant_contact(state: State, with_wall: bool) -> Any:
+    """Device function (chunk, i, list index, j, pose, kinematics, time_step): force [N] on i of a separated
+    pair.
+
+    Reads:   as `build_contact`
+    Writes:  as `build_contact`
+    """
+    distant_force = build_distant_force(state, with_wall)
+    transfers = with_wall and transfers_history(state)
+    acquire_history = build_acquire_history(state) if transfers else None
+    add_to_accounting = build_add_to_accounting(state, with_wall)
+
+    @ti.func
+    def distant_contact(chunk, i, list_index, j, pose, kinematics, dt):
+        if ti.static(transfers):
+            acquire_history(i, list_index, j, pose)
+        attraction = distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
+        nothing = 0.0 * attraction
+        force = -attraction * kinematics.normal
+        found = ti.Struct(force=force, torque=0.0 * force, losses=ti.Vector([nothing, nothing, nothing]))
+        add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
+        return force
+
+    return distant_contact
+
+
+def build_distant_force(state: State, with_wall: bool) -> Any:
+    """Device function (chunk, i, list index, j, overlap, time_step) -> attraction [N] of a pair without
+    overlap.
+
+    with_wall:  True for walls (j < 0), False for particles
+    overlap:    minus the distance of the surfaces [m], above minus the range
+
+    Reads:   radius, mass, history, pair_constants, law_parameters
+    Writes:  history, in_contact, losses, liquid_film
+    """
+    laws = state.plan.laws
+    neighbors = state.neighbors
+    keeps_history = "cohesion" in neighbors.history
+    vector_of = build_slot_vector(laws, "cohesion") if keeps_history else None
+    read_history = build_read_history(state)
+    effective = build_effective(state, with_wall)
+    pair_constants = build_pair_constants(state)
+    end_contact = build_end_contact(state)
+    add_plastic_loss = build_add_plastic_loss(state)
+    end_surface_contact = _build_end_surface_contact(state)
+    liquid = state.plan.features.liquid_transfer
+    return_liquid = build_return_liquid(state) if liquid else None
+
+    @ti.func
+    def distant_force(chunk, i, list_index, j, overlap, dt):
+        constants = pair_constants(i, j)
+        bodies = effective(i, j)
+        history = read_history(list_index)
+        contact = cohesive_contact(bodies, overlap, dt)
+        attraction, history_new = laws.cohesion.force(constants.cohesion, contact, history.cohesion)
+        energy_lost = 0.0 * dt
+        is_kept = False
+        if ti.static(keeps_history):
+            components = vector_of(history_new)
+            is_kept = components[0] > 0.0
+            if ti.static(liquid):
+                if not is_kept:
+                    return_liquid(chunk, i, j, list_index)
+            neighbors.history["cohesion"][list_index] = components
+            if is_kept:
+                neighbors.in_contact[list_index] = IN_CONTACT
+                energy_lost = end_surface_contact(list_index, constants, bodies, dt)
+        if not is_kept:
+            energy_lost = end_contact(list_index, constants, bodies, dt)
+        add_plastic_loss(chunk, j, energy_lost)
+        return attraction
+
+    return distant_force
+
+
+def _build_end_surface_contact(state: State) -> Any:
+    """Device function (list index, constants, bodies, time_step): end the contact of all models but cohesion.
+
+    Returns the plastic work [J] of a contact whose overlap has ended in this step; 0 without the energy
+    budget.
+
+    Writes:  history
+    """
+    neighbors = state.neighbors
+    energy_budget = state.plan.features.energy_budget
+    normal_loss = build_normal_loss(state)
+    names = [name for name in neighbors.history if name != "cohesion"]
+
+    @ti.func
+    def end_surface_contact(list_index, constants, bodies, dt):
+        energy_lost = 0.0 * dt
+        if ti.static(energy_budget):
+            energy_lost = normal_loss(list_index, constants, bodies, dt)
+        for name in ti.static(names):
+            neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
+        return energy_lost
+
+    return end_surface_contact
+
+
+# Losses, work and wall forces of one contact
 #
 # The work of a moving wall in a step has the mean of the forces at both ends of the step, with the velocity
 # V of the wall at its middle:
@@ -124,7 +308,7 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
     loss_count = len(LOSSES)
     force_controlled = with_wall and features.force_controlled_walls
     add_impulse = build_add_impulse(state) if measured else None
-    _clear, add_wall_force = build_add_wall_force(state) if force_controlled else (None, None)
+    add_wall_force = build_add_wall_force(state) if force_controlled else None
 
     @ti.func
     def add_losses(chunk, shares, found):
@@ -181,6 +365,32 @@ def _build_wall_power(state: State) -> Any:
         return power
 
     return wall_power
+
+
+def build_boundary_work(state: State) -> Any:
+    """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a
+    pair [J].
+
+        W = F_ij . (velocity of the image relative to its original) dt, once per pair
+
+    with the force rounded as in the sum of forces: its last bits depend on the instructions that computed it.
+
+    Writes:  boundary_work
+    """
+    list_shares = build_list_shares(state)
+    image_velocity = build_image_velocity(state)
+    control = state.control
+    per_unit = state.parameter("per_unit", ENERGY)
+    shift = state.parameter("shift", FORCE)
+    to_grid = build_to_grid(state.backend.real)
+
+    @ti.func
+    def add_boundary_work(chunk, i, j, force, pose, dt):
+        rounded = to_grid(force, shift())
+        work = per_unit() * dt * rounded.dot(image_velocity(i, j, pose))
+        add_energy(control.boundary_work, chunk, 0, 1, list_shares(chunk, j), work)
+
+    return add_boundary_work
 
 
 def build_clear_wall_work_ahead(state: State) -> Any:
@@ -251,151 +461,57 @@ def build_carry_sums(state: State) -> Any:
     return carry_sums
 
 
-def build_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, pose, time_step) -> (force [N], torque [N m]) on i of one
-    contact.
+# Numbers of collisions by impact energy: each contact counts once, in the step in which it begins
+#
+#     E = m_eff v_n^2 / 2,     v_n: approach velocity half a step before the first force
+#
+# The counts are integers, so that they do not depend on threads and ranks.
 
-    with_wall:  True for walls (j < 0), False for particles
 
-    Without overlap, or beyond the range of a model that acts at a distance, it ends the contact and clears
-    its history; its plastic work is added to the losses.
+def build_count_collision(state: State, with_wall: bool) -> Any:
+    """Device function (chunk, list index, j, bodies, overlap rate at the half step): count a contact that
+    begins.
 
-    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
-    Writes:  history, in_contact, losses, boundary_work, impulses, collisions, wall_force, liquid_film, abort,
-             abort_particle
+    Without collision energies it does nothing. It precedes `write_history`, which marks the contact.
+
+    Reads:   in_contact, collision_edges
+    Writes:  collisions
     """
-    transfers = with_wall and transfers_history(state)
-    pair_kinematics = build_pair_kinematics(state, with_wall)
-    effective = build_effective(state, with_wall)
-    angular_velocities_of = _build_angular_velocities(state, with_wall)
-    check_overlap = _build_check_overlap(state, with_wall)
-    pair_constants = build_pair_constants(state)
-    in_range = build_in_range(state)
-    acts_at_distance = state.plan.laws.acts_at_distance
-    distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
-    release_history, acquire_history = (
-        (build_release_history(state), build_acquire_history(state)) if transfers else (None, None)
-    )
-    read_history = build_read_history(state)
-    write_history = build_write_history(state)
-    pair_force = build_pair_force(state.plan, False)
-    add_to_accounting = build_add_to_accounting(state, with_wall)
-    end_contact = build_end_contact(state)
-    add_plastic_loss = build_add_plastic_loss(state)
-    longest_time_step = state.parameter("longest_time_step")
-    count_collision = build_count_collision(state, with_wall)
-    liquid = transfers_liquid(state)
-    return_liquid = build_return_liquid(state)
-    form_bridge = build_form_bridge(state) if liquid else None
-
-    @ti.func
-    def contact(chunk, i, list_index, j, pose, dt):
-        force, torque = 0.0 * state.particles.velocity[i], 0.0 * state.particles.velocity[i]
-        kinematics = pair_kinematics(i, j, pose, dt)
-        bodies = effective(i, j)
-        constants = pair_constants(i, j)
-        if kinematics.overlap > 0.0:
-            check_overlap(i, j, kinematics.overlap)
-            if ti.static(transfers):
-                acquire_history(i, list_index, j, pose)
-            angular_velocities = angular_velocities_of(i, j, pose)
-            history = read_history(list_index)
-            if ti.static(liquid):
-                history.cohesion = form_bridge(
-                    chunk, i, j, constants, bodies, kinematics.overlap, history.cohesion
-                )
-            found = pair_force(
-                constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step()
-            )
-            force, torque = found.force, found.torque
-            count_collision(chunk, list_index, j, bodies, kinematics.overlap_rate_half)
-            write_history(list_index, found.history)
-            add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
-        elif in_range(i, j, kinematics.overlap):
-            if ti.static(acts_at_distance):
-                force = distant_contact(chunk, i, list_index, j, pose, kinematics, dt)
-        else:
-            energy_lost = 0.0 * dt
-            released = 0
-            if ti.static(transfers):
-                released = release_history(i, list_index, j, pose)
-            if released == 0:
-                return_liquid(chunk, i, j, list_index)
-                energy_lost = end_contact(list_index, constants, bodies, dt)
-            add_plastic_loss(chunk, j, energy_lost)
-        return force, torque
-
-    return contact
-
-
-def _build_distant_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, pose, kinematics, time_step): force [N] on i of a separated
-    pair.
-
-    Reads:   as `build_contact`
-    Writes:  as `build_contact`
-    """
-    distant_force = build_distant_force(state, with_wall)
-    transfers = with_wall and transfers_history(state)
-    acquire_history = build_acquire_history(state) if transfers else None
-    add_to_accounting = build_add_to_accounting(state, with_wall)
-
-    @ti.func
-    def distant_contact(chunk, i, list_index, j, pose, kinematics, dt):
-        if ti.static(transfers):
-            acquire_history(i, list_index, j, pose)
-        attraction = distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
-        nothing = 0.0 * attraction
-        force = -attraction * kinematics.normal
-        found = ti.Struct(force=force, torque=0.0 * force, losses=ti.Vector([nothing, nothing, nothing]))
-        add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
-        return force
-
-    return distant_contact
-
-
-def _build_angular_velocities(state: State, with_wall: bool) -> Any:
-    """Device function (i, j, pose) -> struct of the angular velocities [rad/s] of i and of its partner.
-
-    Reads:  angular_velocity of particles and walls
-    """
-    particles = state.particles
-    features = state.plan.features
-    real = state.backend.real
-    wall_of = build_wall_of(state)
-
-    @ti.func
-    def angular_velocities_of(i, j, pose):
-        first = 0.0 * particles.velocity[i]
-        partner = 0.0 * particles.velocity[i]
-        if ti.static(features.rotation):
-            first = particles.angular_velocity[i]
-        if ti.static(features.rotation and not with_wall):
-            partner = particles.angular_velocity[j]
-        elif ti.static(features.rotation and features.moving_walls):
-            partner = ti.cast(state.walls.angular_velocity[pose, wall_of(j)], real)
-        return ti.Struct(first=first, partner=partner)
-
-    return angular_velocities_of
-
-
-def _build_check_overlap(state: State, with_wall: bool) -> Any:
-    """Device function (i, j, overlap): request an abort if the overlap exceeds the limit.
-
-    Reads:   radius
-    Writes:  abort, abort_particle
-    """
-    particles = state.particles
     control = state.control
-    max_overlap = state.parameter("max_overlap")
+    neighbors = state.neighbors
+    list_shares = build_list_shares(state)
+    wanted = state.plan.features.collision_energies
+    rows = state.capacities.wall_rows
+    classes = state.capacities.energy_classes
+    first = classes if with_wall else 0
 
     @ti.func
-    def check_overlap(i, j, overlap):
-        radius_min = particles.radius[i]
-        if ti.static(not with_wall):
-            radius_min = ti.min(radius_min, particles.radius[j])
-        if overlap > max_overlap() * radius_min:
-            ti.atomic_max(control.abort[0], ABORT_OVERLAP)
-            ti.atomic_min(control.abort_particle[0], particles.id[i])
+    def count_collision(chunk, list_index, j, bodies, overlap_rate):
+        if ti.static(wanted):
+            if neighbors.in_contact[list_index] == NO_CONTACT:
+                velocity = ti.cast(ti.max(overlap_rate, 0.0), ti.f64)
+                number = first
+                energy = 0.5 * ti.cast(bodies.mass_eff, ti.f64) * (velocity * velocity)
+                for edge in range(classes - 1):
+                    number += ti.cast(energy >= control.collision_edges[edge], ti.i32)
+                ti.atomic_add(
+                    control.collisions[chunk % rows, number][0], ti.cast(list_shares(chunk, j), ti.i64)
+                )
 
-    return check_overlap
+    return count_collision
+
+
+def collision_counts(state: State) -> dict[str, np.ndarray]:
+    """Numbers of collisions since the start by kind of the partner, "particle" or "wall": arrays (classes,)
+    int64.
+
+    The first class is below the smallest edge, the last one above the largest. Empty without collision
+    energies.
+    """
+    if state.control.collisions is None:
+        return {}
+    words = state.ranks.total(state.control.collisions.to_numpy())
+    counts = [exact_totals(words[:, column], np.array([1.0 / SHARES]))[0] for column in range(words.shape[1])]
+    by_kind = np.rint(counts).astype(np.int64).reshape(2, -1)
+    kinds = ("particle", "wall") if state.plan.has_walls else ("particle",)
+    return dict(zip(kinds, by_kind, strict=False))

@@ -26,8 +26,7 @@ from granflow.engine.host import (
     particle_table,
     saved_particle_table,
 )
-from granflow.engine.pair import mobility_mask
-from granflow.engine.particle_forces import write_damping
+from granflow.engine.particle_forces import mobility_mask, write_damping
 from granflow.engine.state import FreedState, State
 from granflow.engine.statistics import ContactOutput, ContactStatistics, MaxImpactVelocity
 from granflow.engine.step import build_kick

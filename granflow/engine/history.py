@@ -1,10 +1,12 @@
-"""Transfers the contact history if a contact passes from one face to another, of the same wall or of another
-one.
+"""Contact history: what the contact models remember of a contact from one step to the next.
 
-The history belongs to the contact point: a contact that slides over an edge, from one wall to the next, or
-across a periodic boundary, continues. The wall entries of a particle are evaluated in three passes: existing
-contacts; then new contacts, which may acquire the history that a contact of the first pass released; then the
-released entries, whose remaining history is cleared.
+It is stored per neighbor-list entry, by slot (normal, tangential, rolling, twisting, cohesion) as a vector of
+components; the models get it as structs (`pair.build_read_slots`). `in_contact` is the state of the entry. A
+step reads the history, writes the new one, and ends the contact if the pair has separated.
+
+A history outlives its entry in two cases: a contact that slides from one face of the walls to another takes
+it along, and a neighbor-list rebuild saves the histories before it sorts the particles and restores them in
+the new lists.
 """
 
 from typing import Any
@@ -17,23 +19,12 @@ from granflow.engine.walls import WallGeometry
 from granflow.kernel_language import ti
 from granflow.plan.capacities import ENERGY, LOSSES, PLASTIC
 
-# Contact history of one neighbor-list entry: read, written and cleared.
-
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)
 """State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this
 step."""
 
 
-@ti.func
-def cohesive_contact(bodies, overlap, dt):
-    """The struct `contact` of cohesion models, for a pair whose overlap [m] is constant during the step."""
-    return ti.Struct(
-        radius_eff=bodies.radius_eff,
-        mass_eff=bodies.mass_eff,
-        time_step=dt,
-        overlap=overlap,
-        overlap_rate=0.0 * overlap,
-    )
+# One entry: read, write, end
 
 
 def build_read_history(state: State) -> Any:
@@ -73,43 +64,6 @@ def build_write_history(state: State) -> Any:
             stored[slot][list_index] = vector_of(member(history, slot))
 
     return write_history
-
-
-def build_normal_loss(state: State) -> Any:
-    """Device function (list index, constants, bodies, time_step) -> plastic work [J] of a contact whose
-    overlap ends.
-
-    A bond without overlap has an empty history of the normal model, of which models with stored stiffness
-    make 0/0.
-
-    Reads:  history
-    """
-    law = state.plan.laws.normal
-    neighbors = state.neighbors
-    read_history = build_read_history(state)
-    has_history = "normal" in neighbors.history
-    with_bonds = state.plan.laws.acts_at_distance
-
-    @ti.func
-    def normal_loss(list_index, constants, bodies, dt):
-        energy = 0.0 * dt
-        nothing = 0.0 * bodies.radius_eff
-        if ti.static(has_history):
-            has_overlapped = True
-            if ti.static(with_bonds):
-                has_overlapped = ti.abs(neighbors.history["normal"][list_index]).max() > 0.0
-            if has_overlapped:
-                contact = ti.Struct(
-                    radius_eff=bodies.radius_eff,
-                    mass_eff=bodies.mass_eff,
-                    time_step=dt,
-                    overlap=nothing,
-                    overlap_rate=nothing,
-                )
-                energy = law.lost_energy(constants.normal, contact, read_history(list_index).normal)
-        return energy
-
-    return normal_loss
 
 
 def build_end_contact(state: State) -> Any:
@@ -154,6 +108,55 @@ def build_end_contact(state: State) -> Any:
     return end_contact
 
 
+def build_normal_loss(state: State) -> Any:
+    """Device function (list index, constants, bodies, time_step) -> plastic work [J] of a contact whose
+    overlap ends.
+
+    A bond without overlap has an empty history of the normal model, of which models with stored stiffness
+    make 0/0.
+
+    Reads:  history
+    """
+    law = state.plan.laws.normal
+    neighbors = state.neighbors
+    read_history = build_read_history(state)
+    has_history = "normal" in neighbors.history
+    with_bonds = state.plan.laws.acts_at_distance
+
+    @ti.func
+    def normal_loss(list_index, constants, bodies, dt):
+        energy = 0.0 * dt
+        nothing = 0.0 * bodies.radius_eff
+        if ti.static(has_history):
+            has_overlapped = True
+            if ti.static(with_bonds):
+                has_overlapped = ti.abs(neighbors.history["normal"][list_index]).max() > 0.0
+            if has_overlapped:
+                contact = ti.Struct(
+                    radius_eff=bodies.radius_eff,
+                    mass_eff=bodies.mass_eff,
+                    time_step=dt,
+                    overlap=nothing,
+                    overlap_rate=nothing,
+                )
+                energy = law.lost_energy(constants.normal, contact, read_history(list_index).normal)
+        return energy
+
+    return normal_loss
+
+
+@ti.func
+def cohesive_contact(bodies, overlap, dt):
+    """The struct `contact` of cohesion models, for a pair whose overlap [m] is constant during the step."""
+    return ti.Struct(
+        radius_eff=bodies.radius_eff,
+        mass_eff=bodies.mass_eff,
+        time_step=dt,
+        overlap=overlap,
+        overlap_rate=0.0 * overlap,
+    )
+
+
 def build_add_plastic_loss(state: State) -> Any:
     """Device function (chunk, j, energy [J]): add the plastic work of a contact that has ended.
 
@@ -174,8 +177,108 @@ def build_add_plastic_loss(state: State) -> Any:
     return add_plastic_loss
 
 
-# Contact history during the sort: saved before the particles are permuted, restored for each new list
-# entry.
+# Transfer of the history if a contact passes from one face to another, of the same wall or of another one
+#
+# The history belongs to the contact point: a contact that slides over an edge, from one wall to the next, or
+# across a periodic boundary, continues. The wall entries of a particle are evaluated in three passes:
+# existing contacts; then new contacts, which may acquire the history that a contact of the first pass
+# released; then the released entries, whose remaining history is cleared.
+
+CONTACT_ORDER = (IN_CONTACT, NO_CONTACT, RELEASED)
+"""State of the entries evaluated in each pass."""
+
+
+def transfers_history(state: State) -> bool:
+    """True if wall contacts can pass to another list entry and have a history to transfer."""
+    features = state.plan.features
+    return (features.mesh_walls or features.joined_walls) and bool(state.neighbors.history)
+
+
+def build_release_history(state: State) -> Any:
+    """Device function (i, list index, j, pose): release the history of an entry for another entry; 1 if
+    released.
+
+    The history is released if the face no longer has the contact although the sphere still reaches it:
+    another face has the contact now.
+
+    Reads:   position, radius, walls, mesh
+    Writes:  in_contact
+    """
+    particles = state.particles
+    neighbors = state.neighbors
+    geometry = WallGeometry(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
+    pair_constants = build_pair_constants(state)
+
+    @ti.func
+    def release_history(i, list_index, j, pose):
+        released = 0
+        if neighbors.in_contact[list_index] == IN_CONTACT:
+            reach = particles.radius[i]
+            if ti.static(acts_at_distance):
+                reach += pair_constants(i, j).cohesion.range
+            if geometry.from_surface(-1 - j, pose, particles.position[i]).norm() < reach:
+                neighbors.in_contact[list_index] = RELEASED
+                released = 1
+        return released
+
+    return release_history
+
+
+def build_acquire_history(state: State) -> Any:
+    """Device function (i, list index, j, pose): a new contact acquires the nearest released history.
+
+    The distance is that between the nearest points of the two faces, at most one radius: a contact with the
+    other side of a corner is another contact. The history moves: the source entry is cleared.
+
+    Reads:   position, radius, neighbor lists, walls, mesh
+    Writes:  history, in_contact
+    """
+    particles = state.particles
+    neighbors = state.neighbors
+    geometry = WallGeometry(state)
+    names = list(neighbors.history)
+
+    @ti.func
+    def released_near(i, j, pose):
+        """List index of the nearest released history; -1 if none."""
+        found = -1
+        nearest = particles.radius[i]
+        position = particles.position[i]
+        from_nearest = 0.0 * position
+        is_known = 0
+        # A sphere has few wall entries, so that a search among all of them is cheap.
+        for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
+            if neighbors.in_contact[list_index] == RELEASED:
+                for side in range(2):  # this face, then the other: `from_surface` is compiled once
+                    if side == 1 or is_known == 0:
+                        face = -1 - j
+                        if side == 1:
+                            face = -1 - neighbors.partner[list_index]
+                        separation = geometry.from_surface(face, pose, position)
+                        if side == 0:
+                            from_nearest = separation
+                            is_known = 1
+                        elif (separation - from_nearest).norm() < nearest:
+                            found = list_index
+                            nearest = (separation - from_nearest).norm()
+        return found
+
+    @ti.func
+    def acquire_history(i, list_index, j, pose):
+        if neighbors.in_contact[list_index] == NO_CONTACT:
+            source = released_near(i, j, pose)
+            if source >= 0:
+                for name in ti.static(names):
+                    neighbors.history[name][list_index] = neighbors.history[name][source]
+                    neighbors.history[name][source] = 0.0 * neighbors.history[name][source]
+                neighbors.in_contact[source] = NO_CONTACT
+                neighbors.in_contact[list_index] = IN_CONTACT
+
+    return acquire_history
+
+
+# Neighbor-list rebuild: saved before the particles are sorted, restored for each new list entry
 
 
 def vector_components(state: State, slot: str) -> list[bool]:
@@ -208,7 +311,7 @@ def build_save_history(state: State) -> Any:
         count = 0
         list_index = neighbors.list_begin[i]
         while (list_index < neighbors.list_end[i]) & is_count(count):
-            count += ti.cast(neighbors.in_contact[list_index] == 1, ti.i32)
+            count += ti.cast(neighbors.in_contact[list_index] == IN_CONTACT, ti.i32)
             list_index += 1
         return count
 
@@ -236,7 +339,7 @@ def build_save_history(state: State) -> Any:
             neighbors.list_begin_before[i] = saved_index
             list_index = neighbors.list_begin[i]
             while (list_index < neighbors.list_end[i]) & is_count(saved_index):
-                if neighbors.in_contact[list_index] == 1:
+                if neighbors.in_contact[list_index] == IN_CONTACT:
                     if saved_index < limit:
                         save_entry(list_index, saved_index)
                     saved_index += 1
@@ -344,96 +447,3 @@ def _build_source(state: State) -> Any:
         return find_either(i, partner, j, state.particles.id[i], is_particle)
 
     return source_by_id if state.plan.has_ghosts else source_before_sort
-
-
-CONTACT_ORDER = (IN_CONTACT, NO_CONTACT, RELEASED)
-"""State of the entries evaluated in each pass."""
-
-
-def transfers_history(state: State) -> bool:
-    """True if wall contacts can pass to another list entry and have a history to transfer."""
-    features = state.plan.features
-    return (features.mesh_walls or features.joined_walls) and bool(state.neighbors.history)
-
-
-def build_release_history(state: State) -> Any:
-    """Device function (i, list index, j, pose): release the history of an entry for another entry; 1 if
-    released.
-
-    The history is released if the face no longer has the contact although the sphere still reaches it:
-    another face has the contact now.
-
-    Reads:   position, radius, walls, mesh
-    Writes:  in_contact
-    """
-    particles = state.particles
-    neighbors = state.neighbors
-    geometry = WallGeometry(state)
-    acts_at_distance = state.plan.laws.acts_at_distance
-    pair_constants = build_pair_constants(state)
-
-    @ti.func
-    def release_history(i, list_index, j, pose):
-        released = 0
-        if neighbors.in_contact[list_index] == IN_CONTACT:
-            reach = particles.radius[i]
-            if ti.static(acts_at_distance):
-                reach += pair_constants(i, j).cohesion.range
-            if geometry.from_surface(-1 - j, pose, particles.position[i]).norm() < reach:
-                neighbors.in_contact[list_index] = RELEASED
-                released = 1
-        return released
-
-    return release_history
-
-
-def build_acquire_history(state: State) -> Any:
-    """Device function (i, list index, j, pose): a new contact acquires the nearest released history.
-
-    The distance is that between the nearest points of the two faces, at most one radius: a contact with the
-    other side of a corner is another contact. The history moves: the source entry is cleared.
-
-    Reads:   position, radius, neighbor lists, walls, mesh
-    Writes:  history, in_contact
-    """
-    particles = state.particles
-    neighbors = state.neighbors
-    geometry = WallGeometry(state)
-    names = list(neighbors.history)
-
-    @ti.func
-    def released_near(i, j, pose):
-        """List index of the nearest released history; -1 if none."""
-        found = -1
-        nearest = particles.radius[i]
-        position = particles.position[i]
-        from_nearest = 0.0 * position
-        is_known = 0
-        # A sphere has few wall entries, so that a search among all of them is cheap.
-        for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
-            if neighbors.in_contact[list_index] == RELEASED:
-                for side in range(2):  # this face, then the other: `from_surface` is compiled once
-                    if side == 1 or is_known == 0:
-                        face = -1 - j
-                        if side == 1:
-                            face = -1 - neighbors.partner[list_index]
-                        separation = geometry.from_surface(face, pose, position)
-                        if side == 0:
-                            from_nearest = separation
-                            is_known = 1
-                        elif (separation - from_nearest).norm() < nearest:
-                            found = list_index
-                            nearest = (separation - from_nearest).norm()
-        return found
-
-    @ti.func
-    def acquire_history(i, list_index, j, pose):
-        if neighbors.in_contact[list_index] == NO_CONTACT:
-            source = released_near(i, j, pose)
-            if source >= 0:
-                for name in ti.static(names):
-                    neighbors.history[name][list_index] = neighbors.history[name][source]
-                    neighbors.history[name][source] = 0.0 * neighbors.history[name][source]
-                neighbors.in_contact[source], neighbors.in_contact[list_index] = NO_CONTACT, IN_CONTACT
-
-    return acquire_history

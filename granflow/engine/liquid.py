@@ -1,10 +1,12 @@
-"""Transfer of liquid between the films of particles and bridges; only with a cohesion model that transfers
-liquid.
+"""Liquid of wet particles: transfer between their films and the bridges of their contacts.
 
-A bridge that forms takes from the films as they are before the forces of the step (`liquid_film_before`), so
-that the order of the contacts does not matter. All volumes it takes are whole units, see
-`granflow.plan.parts`: sums are exact. A pair in two neighbor lists is evaluated in both; each changes the
-film of its owner only.
+Only scenes with a cohesion model that transfers liquid compile these functions. Each step saves the films
+(`build_save_film`); a contact that begins forms a bridge from them (`build_form_bridge`), and a bridge that
+ruptures returns its liquid (`build_return_liquid`).
+
+A bridge takes from the films as they are before the forces of the step (`liquid_film_before`), so that the
+order of the contacts does not matter. All volumes are whole units, `plan.liquid_unit`: sums are exact. A pair
+in two neighbor lists is evaluated in both; each changes the film of its owner only.
 """
 
 from typing import Any
@@ -13,36 +15,29 @@ from granflow.engine.codes import ABORT_LIQUID
 from granflow.engine.history import (
     IN_CONTACT,
     NO_CONTACT,
-    build_add_plastic_loss,
-    build_end_contact,
-    build_normal_loss,
-    build_read_history,
-    cohesive_contact,
 )
-from granflow.engine.pair import build_effective, build_pair_constants, build_slot_vector
 from granflow.engine.state import State
 from granflow.engine.walls import build_wall_of
 from granflow.kernel_language import ti
 
 
-@ti.func
-def cap_share(radius, radius_partner):
-    """Share of a film in the cap of a sphere that faces its partner, 1/15 for equal spheres (Shi & McCarthy
-    2008).
+def build_save_film(state: State) -> Any:
+    """Device function (i): take the film of particle i as that before the forces of this step; abort if it is
+    below 0.
 
-    [1 - sqrt(1 - R_j^2 / (R_i + R_j)^2)] / 2
-
-    The caps of spheres that touch one sphere, and do not overlap each other, are disjoint: the sum is at most
-    1.
+    Writes:  liquid_film_before, abort, abort_particle
     """
-    ratio = radius_partner / (radius + radius_partner)
-    return 0.5 * (1.0 - ti.sqrt(1.0 - ratio * ratio))
+    particles = state.particles
+    control = state.control
 
+    @ti.func
+    def save_film(i):
+        particles.liquid_film_before[i] = particles.liquid_film[i]
+        if particles.liquid_film[i] < 0.0:
+            ti.atomic_max(control.abort[0], ABORT_LIQUID)
+            ti.atomic_min(control.abort_particle[0], particles.id[i])
 
-@ti.func
-def whole_units(volume, unit):
-    """A volume rounded down to units [m3]."""
-    return unit * ti.floor(volume / unit)
+    return save_film
 
 
 def build_form_bridge(state: State) -> Any:
@@ -106,6 +101,26 @@ def _build_taken(state: State) -> Any:
     return taken
 
 
+@ti.func
+def cap_share(radius, radius_partner):
+    """Share of a film in the cap of a sphere that faces its partner, 1/15 for equal spheres (Shi & McCarthy
+    2008).
+
+    [1 - sqrt(1 - R_j^2 / (R_i + R_j)^2)] / 2
+
+    The caps of spheres that touch one sphere, and do not overlap each other, are disjoint: the sum is at most
+    1.
+    """
+    ratio = radius_partner / (radius + radius_partner)
+    return 0.5 * (1.0 - ti.sqrt(1.0 - ratio * ratio))
+
+
+@ti.func
+def whole_units(volume, unit):
+    """A volume rounded down to units [m3]."""
+    return unit * ti.floor(volume / unit)
+
+
 def build_return_liquid(state: State) -> Any:
     """Device function (chunk, i, j, list index): return the liquid of a bridge that ruptures; does not clear
     it.
@@ -116,23 +131,40 @@ def build_return_liquid(state: State) -> Any:
     Writes:  liquid_film
     """
     history = state.neighbors.history
-    transfers = transfers_liquid(state)
     add_liquid = _build_add_liquid(state)
 
     @ti.func
     def return_liquid(chunk, i, j, list_index):
-        if ti.static(transfers):
-            volume = history["cohesion"][list_index][0]
-            if volume > 0.0:
-                if j >= 0:
-                    volume *= 0.5
-                add_liquid(chunk, i, j, volume, volume)
+        volume = history["cohesion"][list_index][0]
+        if volume > 0.0:
+            if j >= 0:
+                volume *= 0.5
+            add_liquid(chunk, i, j, volume, volume)
 
     return return_liquid
 
 
+def _build_add_liquid(state: State) -> Any:
+    """Device function (chunk, i, j, volume for i, volume for j [m3]): change the films of i, and of j in this
+    chunk.
+
+    Writes:  liquid_film
+    """
+    particles = state.particles
+    chunk_size = state.parameter("chunk_size")
+
+    @ti.func
+    def add_liquid(chunk, i, j, volume, volume_partner):
+        first = chunk * chunk_size()
+        particles.liquid_film[i] = particles.liquid_film[i] + volume
+        if j >= first and j < first + chunk_size():
+            particles.liquid_film[j] = particles.liquid_film[j] + volume_partner
+
+    return add_liquid
+
+
 def build_prepare_films(state: State) -> Any:
-    """Device function (chunk, i): what a rebuild needs before the sort, as each step in `build_begin_step`.
+    """Device function (chunk, i): what a rebuild needs before the sort, as each step in `build_save_film`.
 
     Bridges to walls that are no longer present return their liquid; these contacts end.
 
@@ -164,148 +196,3 @@ def build_prepare_films(state: State) -> Any:
         particles.liquid_film_before[i] = particles.liquid_film[i]
 
     return prepare_films
-
-
-def build_begin_step(state: State) -> Any:
-    """Device function (i): take the film of particle i as that before the forces of this step; abort if it is
-    below 0.
-
-    Writes:  liquid_film_before, abort, abort_particle
-    """
-    particles = state.particles
-    control = state.control
-    transfers = transfers_liquid(state)
-
-    @ti.func
-    def begin_step(i):
-        if ti.static(transfers):
-            particles.liquid_film_before[i] = particles.liquid_film[i]
-            if particles.liquid_film[i] < 0.0:
-                ti.atomic_max(control.abort[0], ABORT_LIQUID)
-                ti.atomic_min(control.abort_particle[0], particles.id[i])
-
-    return begin_step
-
-
-def transfers_liquid(state: State) -> bool:
-    """Whether the scene has films."""
-    return bool(state.plan.features.liquid_transfer)
-
-
-def _build_add_liquid(state: State) -> Any:
-    """Device function (chunk, i, j, volume for i, volume for j [m3]): change the films of i, and of j in this
-    chunk.
-
-    Writes:  liquid_film
-    """
-    particles = state.particles
-    chunk_size = state.parameter("chunk_size")
-
-    @ti.func
-    def add_liquid(chunk, i, j, volume, volume_partner):
-        first = chunk * chunk_size()
-        particles.liquid_film[i] = particles.liquid_film[i] + volume
-        if j >= first and j < first + chunk_size():
-            particles.liquid_film[j] = particles.liquid_film[j] + volume_partner
-
-    return add_liquid
-
-
-# Attraction of pairs without overlap, for cohesion models that act at a distance; no other scene compiles
-# it.
-#
-# Such a pair has no normal, tangential or rolling force. The contact history of the cohesion model is kept
-# until the model ends it or the distance exceeds its range; the histories of the other models end with the
-# overlap.
-
-
-def build_distant_force(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, overlap, time_step) -> attraction [N] of a pair without
-    overlap.
-
-    with_wall:  True for walls (j < 0), False for particles
-    overlap:    minus the distance of the surfaces [m], above minus the range
-
-    Reads:   radius, mass, history, pair_constants, law_parameters
-    Writes:  history, in_contact, losses, liquid_film
-    """
-    laws = state.plan.laws
-    neighbors = state.neighbors
-    keeps_history = "cohesion" in neighbors.history
-    vector_of = build_slot_vector(laws, "cohesion") if keeps_history else None
-    read_history = build_read_history(state)
-    effective = build_effective(state, with_wall)
-    pair_constants = build_pair_constants(state)
-    end_contact = build_end_contact(state)
-    add_plastic_loss = build_add_plastic_loss(state)
-    end_surface_contact = _build_end_surface_contact(state)
-    return_liquid = build_return_liquid(state)
-
-    @ti.func
-    def distant_force(chunk, i, list_index, j, overlap, dt):
-        constants = pair_constants(i, j)
-        bodies = effective(i, j)
-        history = read_history(list_index)
-        contact = cohesive_contact(bodies, overlap, dt)
-        attraction, history_new = laws.cohesion.force(constants.cohesion, contact, history.cohesion)
-        energy_lost = 0.0 * dt
-        is_kept = False
-        if ti.static(keeps_history):
-            components = vector_of(history_new)
-            is_kept = components[0] > 0.0
-            if not is_kept:
-                return_liquid(chunk, i, j, list_index)
-            neighbors.history["cohesion"][list_index] = components
-            if is_kept:
-                neighbors.in_contact[list_index] = IN_CONTACT
-                energy_lost = end_surface_contact(list_index, constants, bodies, dt)
-        if not is_kept:
-            energy_lost = end_contact(list_index, constants, bodies, dt)
-        add_plastic_loss(chunk, j, energy_lost)
-        return attraction
-
-    return distant_force
-
-
-def _build_end_surface_contact(state: State) -> Any:
-    """Device function (list index, constants, bodies, time_step): end the contact of all models but cohesion.
-
-    Returns the plastic work [J] of a contact whose overlap has ended in this step; 0 without the energy
-    budget.
-
-    Writes:  history
-    """
-    neighbors = state.neighbors
-    energy_budget = state.plan.features.energy_budget
-    normal_loss = build_normal_loss(state)
-    names = [name for name in neighbors.history if name != "cohesion"]
-
-    @ti.func
-    def end_surface_contact(list_index, constants, bodies, dt):
-        energy_lost = 0.0 * dt
-        if ti.static(energy_budget):
-            energy_lost = normal_loss(list_index, constants, bodies, dt)
-        for name in ti.static(names):
-            neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
-        return energy_lost
-
-    return end_surface_contact
-
-
-def build_in_range(state: State) -> Any:
-    """Device function (i, j, overlap): true if the cohesion model acts at this overlap, which may be
-    negative.
-
-    Reads:  law_parameters
-    """
-    acts_at_distance = state.plan.laws.acts_at_distance
-    pair_constants = build_pair_constants(state)
-
-    @ti.func
-    def in_range(i, j, overlap):
-        found = overlap > 0.0
-        if ti.static(acts_at_distance):
-            found = overlap > -pair_constants(i, j).cohesion.range
-        return found
-
-    return in_range

@@ -1,617 +1,38 @@
-"""The contact of a particle with one face of a wall, unless it is found on another face as well.
+"""One pair of partners in contact: its kinematics, its constants and its force.
 
-Where surfaces touch, one contact is found several times: two flush blocks have an edge in the surface of each
-other, patches can overlap, a plate can end on another wall. The distance of the particle from all surfaces
-together has one minimum there, and the nearest face has the contact. With the distances h >= h' of two faces
-from the center and the angle theta between the directions, the farther contact point is in the tangent plane
-of the nearer contact if
+A pair is a particle i and a partner j, which is another particle, or a wall or triangle if j < 0 (see
+`walls.build_wall_of`). The state gives
 
-    |h' - h cos(theta)| <= tolerance
+    kinematics   overlap, normal, relative velocity and lever arms (`build_pair_kinematics`)
+    bodies       effective radius, mass and inertia (`build_effective`)
+    constants    numbers of the contact models for the two materials (`build_pair_constants`)
 
-It is no contact of its own then: along the nearer surface, the distance decreases from there. Where the
-farther surface rises from that plane, as at a bend, it is left alone. Corners and grooves have contact points
-outside of both planes.
+and `build_pair_force` turns these and the history of the contact into forces, torques, the new history and
+the losses: it calls the normal, cohesion, tangential, rolling and twisting models of the scene, which
+`contact/law.py` describes.
+
+`build_sphere_kinematics` and `build_pair_force` are functions of values, which read and write no field, so
+that the scalar contact loop (`contact.py`) and the batched one (`batch.py`) share them. If the partners are
+exchanged, each of their results is bit-identical or has exactly the opposite sign.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
-
-import numpy as np
 
 from granflow.contact.law import in_contact_plane
 from granflow.contact.laws import ContactLaws
 from granflow.device_functions import at_compile_time
 from granflow.engine.box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
-from granflow.engine.sums import add_energy, build_list_shares, build_to_grid
-from granflow.engine.walls import WallGeometry, build_wall_of
-from granflow.geometry.catalog import SHAPE_KINDS
-from granflow.geometry.revolved import REVOLVED
-from granflow.geometry.shape import FAR_AWAY
+from granflow.engine.walls import WallGeometry, build_wall_contact, build_wall_of
 from granflow.kernel_language import ti
-from granflow.plan.capacities import ENERGY, FORCE
-from granflow.plan.joined_walls import ITSELF, OTHERS
 from granflow.plan.plan import Plan
 
-# Force and torque of one contact as a function of values: positions and velocities in, forces and history
-# out.
-#
-# No function reads or writes a field, so that the scalar and the batched contact loops share them. If the
-# partners are exchanged, each result is bit-identical or has exactly the opposite sign.
-
-ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
-"""Eight units in the last place of 1: pairs with a relative overlap below this are not in contact; no overlap
-is 0."""
-
-
-def build_in_contact(real: Any) -> Any:
-    """Device function (squared distance [m2], sum of radii [m]): true if the overlap is above rounding.
-
-    real:  Taichi type of the arguments
-    """
-    ratio = 1.0 - ROUNDING[real]
-
-    @ti.func
-    def in_contact(square, contact_distance):
-        return square < ratio * (contact_distance * contact_distance)
-
-    return in_contact
-
-
-def build_sphere_kinematics(plan: Plan) -> Any:
-    """Device function: kinematics of two spheres in contact, relative to the first.
-
-    Arguments: radii [m], `branch` vector b from the second to the first [m], relative velocity v at the half
-    step and now [m/s], time step [s]. Returns a struct of overlap [m]; normal n; normal_half p, see
-    `contact.surface_law`; relative velocity at the half step [m/s]; overlap rate at the half step and now
-    [m/s] (positive if approaching); and the lever arms of both, now and at the half step [m]: the contact
-    point halves the overlap.
-
-        b(t - dt/2) = b - v dt/2    =>    p = n - dt/(2 |b|) (v - (v . n) n),    overlap rate  -v . p
-
-    Without a dashpot the overlap rate of the normal models is -v . n, of which no model accumulates an error.
-    """
-    rate_dependent = plan.features.rate_dependent
-
-    @ti.func
-    def sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, dt):
-        distance = ti.sqrt(branch.dot(branch))
-        inverse = 1.0 / distance
-        contact_distance = radius + radius_partner
-        overlap = contact_distance - distance
-        normal = inverse * branch
-        approach = -velocity_rel_half.dot(normal)
-        rate = approach
-        if ti.static(rate_dependent):
-            rate = -velocity_rel.dot(normal)
-        normal_half = normal - (0.5 * dt * inverse) * (velocity_rel_half + approach * normal)
-        arm = radius - 0.5 * overlap
-        arm_partner = radius_partner - 0.5 * overlap
-        growth = 0.25 * dt * approach  # half of the overlap grew by this in half a step
-        return ti.Struct(
-            overlap=overlap,
-            normal=normal,
-            normal_half=normal_half,
-            velocity_rel_half=velocity_rel_half,
-            overlap_rate_half=-velocity_rel_half.dot(normal_half),
-            overlap_rate=rate,
-            arm=arm,
-            arm_partner=arm_partner,
-            arm_half=arm + growth,
-            arm_partner_half=arm_partner + growth,
-        )
-
-    return sphere_kinematics
-
-
-@ti.func
-def effective_value(one, other):
-    """Effective radius, mass or inertia of a pair: a b / (a + b)."""
-    return one * other / (one + other)
-
-
-@ti.func
-def normal_time_step(dt, longest_time_step):
-    """Time step [s] of normal models: that of the run if the one of this force evaluation is 0, without
-    motion."""
-    return ti.select(dt > 0.0, dt, longest_time_step)
-
-
-def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
-    """Device function (constants, contact, history): normal force of one contact, cohesion included.
-
-    is_prepared:  True if `NormalLaw.prepare` has been evaluated before
-    Returns:      normal force [N], load [N] that presses the surfaces together, viscous force [N], history
-    """
-    normal = laws.normal
-    cohesion = laws.cohesion
-
-    @ti.func
-    def normal_force_of(constants, contact, history):
-        history_new = history
-        if ti.static(normal.prepares and not is_prepared):
-            history_new.normal = normal.prepare(constants.normal, contact, history.normal)
-        force, viscous, normal_history = normal.force(constants.normal, contact, history_new.normal)
-        history_new.normal = normal_history
-        attraction = 0.0 * force
-        if ti.static(laws.has_cohesion):
-            attraction, cohesion_history = cohesion.force(constants.cohesion, contact, history.cohesion)
-            history_new.cohesion = cohesion_history
-            force -= attraction
-        if ti.static(normal.attracts):
-            attraction += normal.attraction(constants.normal, contact, normal_history)
-        load = force
-        if ti.static(laws.attracts):
-            load += attraction
-        return force, load, viscous, history_new
-
-    return normal_force_of
-
-
-def build_surface_contact(plan: Plan) -> Any:
-    """Device function: struct `contact` of the surface models, see `granflow.contact.law`.
-
-    Arguments: pair constants, struct `contact`, load [N], history, structs and times as for
-    `build_pair_force`. The time step is 0 in a force evaluation without motion, so that displacements do not
-    change.
-    """
-    law = plan.laws.normal
-    laws = plan.laws
-
-    @ti.func
-    def surface_contact(
-        constants, contact, load, history, bodies, kinematics, angular_velocities, dt, longest_time_step
-    ):
-        ratio = 0.0 * contact.overlap + 1.0  # of the previous to the present stiffness
-        if ti.static(law.tangential_stiffness_grows):
-            overlap_before = contact.overlap - dt * kinematics.overlap_rate_half
-            ratio = ti.sqrt(ti.max(overlap_before, 0.0) / contact.overlap)
-        normal_damping = 0.0 * contact.overlap
-        if ti.static(len(laws.damped_slots) > 0):
-            normal_damping = law.damping(constants.normal, contact, history.normal)
-        rotation = (
-            kinematics.arm_half * angular_velocities.first
-            + kinematics.arm_partner_half * angular_velocities.partner
-        )
-        surface_velocity = kinematics.velocity_rel_half - rotation.cross(kinematics.normal_half)
-        slip_rate = in_contact_plane(surface_velocity, kinematics.normal, kinematics.normal_half)
-        return ti.Struct(
-            radius_eff=contact.radius_eff,
-            mass_eff=contact.mass_eff,
-            inertia_eff=bodies.inertia_eff,
-            time_step=dt,
-            longest_time_step=longest_time_step,
-            overlap=contact.overlap,
-            overlap_rate=contact.overlap_rate,
-            normal=kinematics.normal,
-            normal_half=kinematics.normal_half,
-            normal_load=load,
-            stiffness=law.tangential_stiffness(constants.normal, contact, history.normal),
-            stiffness_ratio=ratio,
-            normal_damping=normal_damping,
-            slip=dt * slip_rate,
-            slip_rate=slip_rate,
-            rolling_rate=angular_velocities.first - angular_velocities.partner,
-        )
-
-    return surface_contact
-
-
-@ti.func
-def normal_contact(bodies, kinematics, time_step):
-    """Argument `contact` of the normal and cohesion models."""
-    return ti.Struct(
-        radius_eff=bodies.radius_eff,
-        mass_eff=bodies.mass_eff,
-        time_step=time_step,
-        overlap=kinematics.overlap,
-        overlap_rate=kinematics.overlap_rate,
-    )
-
-
-def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
-    """Device function: force and torques of one contact in a step.
-
-    is_prepared:  True if `NormalLaw.prepare` has been evaluated before
-
-    Arguments: pair constants; bodies, a struct of the effective radius [m], mass [kg] and inertia [kg m2];
-    kinematics of `build_sphere_kinematics`; angular_velocities, a struct of those of the first and the
-    partner [rad/s]; history; time step, and longest time step of the run [s].
-
-    Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses
-    (friction, rolling and twisting, damping): energy [J] dissipated in this step.
-    """
-    features = plan.features
-    laws = plan.laws
-    tangential = plan.laws.tangential
-    rolling = plan.laws.rolling
-    twisting = plan.laws.twisting
-    normal_force_of = build_normal_force(plan.laws, is_prepared)
-    surface_contact = build_surface_contact(plan)
-
-    @ti.func
-    def pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step):
-        contact = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step))
-        normal_force, load, viscous, history_new = normal_force_of(constants, contact, history)
-        force = normal_force * kinematics.normal
-        torque = 0.0 * force
-        torque_partner = 0.0 * force
-        friction_loss = 0.0 * load
-        rolling_loss = 0.0 * load
-        if ti.static(features.rotation):
-            surface = surface_contact(
-                constants,
-                contact,
-                load,
-                history_new,
-                bodies,
-                kinematics,
-                angular_velocities,
-                dt,
-                longest_time_step,
-            )
-            if ti.static(laws.has_tangential):
-                tangential_force, tangential_history, friction_loss = tangential.force(
-                    constants.tangential, surface, history.tangential
-                )
-                force += tangential_force
-                moment = kinematics.normal.cross(tangential_force)
-                torque = -kinematics.arm * moment
-                torque_partner = -kinematics.arm_partner * moment
-                history_new.tangential = tangential_history
-            if ti.static(laws.has_rolling):
-                rolling_torque, rolling_history, rolling_loss = rolling.torque(
-                    constants.rolling, surface, history.rolling
-                )
-                torque = torque + rolling_torque
-                torque_partner = torque_partner - rolling_torque
-                history_new.rolling = rolling_history
-            if ti.static(laws.has_twisting):
-                twisting_torque, twisting_history, twisting_loss = twisting.torque(
-                    constants.twisting, surface, history.twisting
-                )
-                torque = torque + twisting_torque
-                torque_partner = torque_partner - twisting_torque
-                rolling_loss += twisting_loss
-                history_new.twisting = twisting_history
-        return ti.Struct(
-            force=force,
-            torque=torque,
-            torque_partner=torque_partner,
-            history=history_new,
-            losses=ti.Vector([friction_loss, rolling_loss, viscous * kinematics.overlap_rate * dt]),
-        )
-
-    return pair_force
-
-
-# Structs of pair constants and contact history, by slot and name, from the vectors that fields store.
-
-
-@at_compile_time
-def member(struct: Any, name: str) -> Any:
-    """Member of a struct by a name that is known when the kernel is compiled."""
-    return getattr(struct, name)
-
-
-@ti.func
-def _of_pair(pair, parameters, k: ti.template()):
-    return pair[k]
-
-
-@ti.func
-def _of_law(pair, parameters, k: ti.template()):
-    return parameters[k]
-
-
-def build_constants(laws: ContactLaws) -> Any:
-    """Device function (row of the pair constants, row of the law parameters) -> struct of slots, each of
-    constants.
-
-    A struct contains the pair constants and the parameters of its law by name.
-    """
-    parts: dict[str, list[tuple[str, Any, int]]] = {slot: [] for slot in laws.by_slot}
-    for part, names_by_slot in ((_of_pair, laws.constant_names), (_of_law, laws.parameters)):
-        names = [(slot, name) for slot, own in names_by_slot.items() for name in own]
-        for k, (slot, name) in enumerate(names):
-            parts[slot].append((name, part, k))
-    slots = list(parts.items())
-
-    @ti.func
-    def constants_of(pair, parameters):
-        return ti.Struct(
-            {
-                slot: ti.Struct({name: part(pair, parameters, k) for name, part, k in ti.static(own)})
-                for slot, own in ti.static(slots)
-            }
-        )
-
-    return constants_of
-
-
-@ti.func
-def number_at(vector, k: ti.template()):
-    """Entry k of a vector or field."""
-    return vector[k]
-
-
-@ti.func
-def vector_at(vector, k: ti.template()):
-    """Entries k to k + 2 of a vector or field, as a vector."""
-    return ti.Vector([vector[k], vector[k + 1], vector[k + 2]])
-
-
-def build_slot_history(laws: ContactLaws, slot: str) -> Any:
-    """Device function (vector of components) -> struct of the history fields of a slot."""
-    parts = []
-    count = 0
-    for each in laws.history[slot]:
-        parts.append((each.name, number_at if each.size == 1 else vector_at, count))
-        count += each.size
-
-    @ti.func
-    def slot_history(vector):
-        return ti.Struct({name: part(vector, k) for name, part, k in ti.static(parts)})
-
-    return slot_history
-
-
-@ti.func
-def _number_of(history, name: ti.template(), k: ti.template()):
-    return member(history, name)
-
-
-@ti.func
-def _component_of(history, name: ti.template(), k: ti.template()):
-    return member(history, name)[k]
-
-
-def build_slot_vector(laws: ContactLaws, slot: str) -> Any:
-    """Device function (struct of the history fields of a slot) -> vector of components."""
-    components = [
-        (each.name, _number_of if each.size == 1 else _component_of, k)
-        for each in laws.history[slot]
-        for k in range(each.size)
-    ]
-
-    @ti.func
-    def slot_vector(history):
-        return ti.Vector([component(history, name, k) for name, component, k in ti.static(components)])
-
-    return slot_vector
-
-
-def build_read_slots(laws: ContactLaws, read_vector: Any, stored: Iterable[str]) -> Any:
-    """Device function (two indices) -> struct of slots, each a struct of the history fields of its model.
-
-    read_vector:  device function (slot, two indices) -> vector of components of a slot
-    stored:       slots with history; the structs of the others are empty
-    """
-    slots = [(slot, build_slot_history(laws, slot), slot in stored) for slot in laws.by_slot]
-    read = [
-        (slot, history_of, _stored_slot if is_stored else _empty_slot)
-        for slot, history_of, is_stored in slots
-    ]
-
-    @ti.func
-    def read_slots(first, second):
-        return ti.Struct(
-            {
-                slot: read_slot(history_of, read_vector, slot, first, second)
-                for slot, history_of, read_slot in ti.static(read)
-            }
-        )
-
-    return read_slots
-
-
-@ti.func
-def _stored_slot(history_of: ti.template(), read_vector: ti.template(), slot: ti.template(), first, second):
-    return history_of(read_vector(slot, first, second))
-
-
-@ti.func
-def _empty_slot(history_of: ti.template(), read_vector: ti.template(), slot: ti.template(), first, second):
-    return history_of(0)
-
-
-# Fixed particles on the device: they do not move, and other particles collide with them as with an infinite
-# mass.
-
-FROZEN_MASS_FACTOR = 2.0**60
-"""Mass factor of a fixed particle in contacts: the term of its partner's mass is below rounding, also in
-f64."""
-
-
-def build_mobility(state: State) -> Any:
-    """Device function (i): 1, or 0 for a fixed particle.
-
-    Reads:  fixed
-    """
-    particles = state.particles
-    real = state.backend.real
-
-    @ti.func
-    def mobility(i):
-        share = ti.cast(1.0, real)
-        if ti.static(state.plan.features.fixed_particles):
-            share = ti.cast(1 - particles.fixed[i], real)
-        return share
-
-    return mobility
-
-
-def build_contact_mass(state: State) -> Any:
-    """Device function (i): mass [kg] of a particle in its contacts, FROZEN_MASS_FACTOR times as large if it
-    is fixed.
-
-    A sphere of a clump has the mass of the clump, as in LIGGGHTS and MercuryDPM.
-
-    Reads:  mass, fixed, clump_mass
-    """
-    particles = state.particles
-    real = state.backend.real
-    mass_field = particles.clump_mass if state.plan.features.clumps else particles.mass
-
-    @ti.func
-    def contact_mass(i):
-        mass = mass_field[i]
-        if ti.static(state.plan.features.fixed_particles):
-            mass *= ti.select(particles.fixed[i] == 1, ti.cast(FROZEN_MASS_FACTOR, real), ti.cast(1.0, real))
-        return mass
-
-    return contact_mass
-
-
-def build_can_touch(state: State) -> Any:
-    """Device function (i, j): false for two fixed particles, a fixed particle and a wall (j < 0), and in a
-    clump.
-
-    Reads:  fixed, clump
-    """
-    particles = state.particles
-
-    @ti.func
-    def can_touch(i, j):
-        can = True
-        if ti.static(state.plan.features.fixed_particles):
-            if particles.fixed[i] == 1:
-                can = j >= 0
-                if j >= 0:
-                    can = particles.fixed[j] == 0
-        if ti.static(state.plan.features.clumps):
-            if j >= 0:
-                can = can and (particles.clump[i] < 0 or particles.clump[i] != particles.clump[j])
-        return can
-
-    return can_touch
-
-
-def mobility_mask(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """1.0 for mobile and 0.0 for fixed particles, float64 (n,).
-
-    arrays:  particle fields: mass (n,), and `fixed` (n,) only if some are fixed
-    """
-    fixed = arrays.get("fixed", np.zeros(len(arrays["mass"]), np.int32))
-    return 1.0 - np.asarray(fixed, float)
-
-
-SAME_PLACE = 1e-4
-"""Tolerance over the radius of the particle: above rounding in float32 and of mesh files, below usual
-overlaps."""
-SAME_DISTANCE = 1e-11
-"""Distances of a particle from two faces are equal within this part of its radius: the face with the lower
-number is the nearer one."""
-LEAST_COSINE = 0.5
-"""Cosine of the angle between two directions above which they can belong to one contact."""
-
-
-def build_wall_contact(state: State, geometry: WallGeometry) -> Any:
-    """Device function (i, j, pose) -> (gap [m], direction) of particle i and partner j < 0, see
-    `WallGeometry.closest`.
-
-    The gap is FAR_AWAY if a nearer face in the neighbor list of the particle has the same contact.
-
-    Reads:  position, radius, neighbor lists, walls, mesh
-    """
-    particles = state.particles
-    neighbors = state.neighbors
-    walls = state.walls
-    real = state.backend.position_real
-    wall_of = build_wall_of(state)
-    force_range = state.parameter("force_range")
-    joined = state.plan.features.joined_walls
-    revolved = SHAPE_KINDS.index(REVOLVED) if SHAPE_KINDS.index(REVOLVED) in geometry.kinds else -1
-
-    @ti.func
-    def is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
-        """Whether the contact with face j at `gap` is that with another face at `other_gap`, and this one has
-        it."""
-        unit = SAME_DISTANCE * radius
-        same = False
-        rank = ti.floor(gap / unit)
-        other_rank = ti.floor(other_gap / unit)
-        cosine = direction.dot(other_direction)
-        if (other_rank < rank or (other_rank == rank and other > j)) and cosine > LEAST_COSINE:
-            contact_point = point - gap * direction
-            # A point that the farther surface would be nearer to, if it rose from the tangent plane.
-            face = -1 - j
-            probe = contact_point + gap * other_direction
-            in_plane = ti.abs(other_gap - gap * cosine) <= SAME_PLACE * radius
-            on_curve = False
-            if ti.static(revolved >= 0):
-                if not in_plane and walls.kind[wall_of(other)] == revolved:
-                    on_curve = True
-                    face = -1 - other
-                    probe = contact_point
-            if in_plane or on_curve:
-                distance = geometry.surface_distance(face, pose, probe)
-                same = (in_plane and distance >= gap - SAME_PLACE * radius) or (
-                    on_curve and distance <= SAME_PLACE * radius
-                )
-        return same
-
-    @ti.func
-    def may_be_same(w, j, other):
-        wanted = OTHERS
-        if wall_of(other) == w:
-            wanted = ITSELF
-        return other != j and (walls.joints[wall_of(other)] & wanted) != 0
-
-    @ti.func
-    def joined_contact(i, j, pose):
-        point = particles.position[i]
-        radius = ti.cast(particles.radius[i], real)
-        w = wall_of(j)
-        gap = ti.cast(FAR_AWAY, real)
-        direction = 0.0 * point
-        first = True
-        list_index = neighbors.list_begin[i]
-        end = neighbors.list_walls_end[i]
-        while (
-            first or list_index < end
-        ):  # this face, then the others: one loop, so that `closest` is compiled once
-            other = j
-            if not first:
-                other = neighbors.partner[list_index]
-                list_index += 1
-            if first or may_be_same(w, j, other):
-                # The distance without regard to shared edges is cheaper, and at most that of a contact.
-                if (
-                    first
-                    or geometry.surface_distance(-1 - other, pose, point) <= gap + SAME_DISTANCE * radius
-                ):
-                    other_gap, other_direction = geometry.closest(-1 - other, pose, point)
-                    if first:
-                        gap = other_gap
-                        direction = other_direction
-                        if walls.joints[w] == 0 or gap > radius + force_range():
-                            end = list_index
-                    elif is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
-                        gap = ti.cast(FAR_AWAY, real)
-                        end = list_index
-            first = False
-        return gap, direction
-
-    @ti.func
-    def wall_contact(i, j, pose):
-        gap = 0.0 * particles.position[i][0]
-        direction = 0.0 * particles.position[i]
-        if ti.static(joined):
-            gap, direction = joined_contact(i, j, pose)
-        else:
-            gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
-        return gap, direction
-
-    return wall_contact
-
-
-# Geometry and kinematics of one candidate pair, read from the state, with a particle or a wall as the
-# partner.
+# Kinematics
 
 
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:
-    """Device function (i, j, pose, time_step) -> kinematics of a candidate pair; for a wall, j is -1 - index.
+    """Device function (i, j, pose, time_step) -> kinematics of a candidate pair, read from the state.
 
     with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds
                 of partner
@@ -622,25 +43,6 @@ def build_pair_kinematics(state: State, with_wall: bool) -> Any:
     Reads:  position, velocity, velocity_synchronized, radius, walls, image_offset, image_speed
     """
     return _build_wall_kinematics(state) if with_wall else _build_particle_kinematics(state)
-
-
-@ti.func
-def no_contact(overlap, vector):
-    """Kinematics of a pair without contact; `vector` has the type of the 3-vectors."""
-    zero = 0.0 * vector
-    nothing = 0.0 * overlap
-    return ti.Struct(
-        overlap=overlap,
-        normal=zero,
-        normal_half=zero,
-        velocity_rel_half=zero,
-        overlap_rate_half=nothing,
-        overlap_rate=nothing,
-        arm=nothing,
-        arm_partner=nothing,
-        arm_half=nothing,
-        arm_partner_half=nothing,
-    )
 
 
 def _build_particle_kinematics(state: State) -> Any:
@@ -731,6 +133,93 @@ def _build_wall_kinematics(state: State) -> Any:
     return wall_kinematics
 
 
+@ti.func
+def no_contact(overlap, vector):
+    """Kinematics of a pair without contact; `vector` has the type of the 3-vectors."""
+    zero = 0.0 * vector
+    nothing = 0.0 * overlap
+    return ti.Struct(
+        overlap=overlap,
+        normal=zero,
+        normal_half=zero,
+        velocity_rel_half=zero,
+        overlap_rate_half=nothing,
+        overlap_rate=nothing,
+        arm=nothing,
+        arm_partner=nothing,
+        arm_half=nothing,
+        arm_partner_half=nothing,
+    )
+
+
+ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
+"""Eight units in the last place of 1: pairs with a relative overlap below this are not in contact; no overlap
+is 0."""
+
+
+def build_in_contact(real: Any) -> Any:
+    """Device function (squared distance [m2], sum of radii [m]): true if the overlap is above rounding.
+
+    real:  Taichi type of the arguments
+    """
+    ratio = 1.0 - ROUNDING[real]
+
+    @ti.func
+    def in_contact(square, contact_distance):
+        return square < ratio * (contact_distance * contact_distance)
+
+    return in_contact
+
+
+def build_sphere_kinematics(plan: Plan) -> Any:
+    """Device function: kinematics of two spheres in contact, relative to the first.
+
+    Arguments: radii [m], `branch` vector b from the second to the first [m], relative velocity v at the half
+    step and now [m/s], time step [s]. Returns a struct of overlap [m]; normal n; normal_half p, see
+    `contact/law.py`; relative velocity at the half step [m/s]; overlap rate at the half step and now
+    [m/s] (positive if approaching); and the lever arms of both, now and at the half step [m]: the contact
+    point halves the overlap.
+
+        b(t - dt/2) = b - v dt/2    =>    p = n - dt/(2 |b|) (v - (v . n) n),    overlap rate  -v . p
+
+    Without a dashpot the overlap rate of the normal models is -v . n, of which no model accumulates an error.
+    """
+    rate_dependent = plan.features.rate_dependent
+
+    @ti.func
+    def sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, dt):
+        distance = ti.sqrt(branch.dot(branch))
+        inverse = 1.0 / distance
+        contact_distance = radius + radius_partner
+        overlap = contact_distance - distance
+        normal = inverse * branch
+        approach = -velocity_rel_half.dot(normal)
+        rate = approach
+        if ti.static(rate_dependent):
+            rate = -velocity_rel.dot(normal)
+        normal_half = normal - (0.5 * dt * inverse) * (velocity_rel_half + approach * normal)
+        arm = radius - 0.5 * overlap
+        arm_partner = radius_partner - 0.5 * overlap
+        growth = 0.25 * dt * approach  # half of the overlap grew by this in half a step
+        return ti.Struct(
+            overlap=overlap,
+            normal=normal,
+            normal_half=normal_half,
+            velocity_rel_half=velocity_rel_half,
+            overlap_rate_half=-velocity_rel_half.dot(normal_half),
+            overlap_rate=rate,
+            arm=arm,
+            arm_partner=arm_partner,
+            arm_half=arm + growth,
+            arm_partner_half=arm_partner + growth,
+        )
+
+    return sphere_kinematics
+
+
+# Bodies and constants
+
+
 def build_effective(state: State, with_wall: bool) -> Any:
     """Device function (i, j) -> struct `bodies`: effective radius [m], mass [kg] and inertia [kg m2] of a
     pair.
@@ -759,65 +248,53 @@ def build_effective(state: State, with_wall: bool) -> Any:
     return effective
 
 
-def build_any_kinematics(state: State) -> Any:
-    """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not
-    matter.
+@ti.func
+def effective_value(one, other):
+    """Effective radius, mass or inertia of a pair: a b / (a + b)."""
+    return one * other / (one + other)
 
-    Returns the normal, and the struct `contact` of the contact models.
 
-    Reads:  as `build_pair_kinematics`
+FROZEN_MASS_FACTOR = 2.0**60
+"""Mass factor of a fixed particle in contacts, as of an infinite mass: the term of its partner's mass is
+below rounding, also in f64."""
+
+
+def build_contact_mass(state: State) -> Any:
+    """Device function (i): mass [kg] of a particle in its contacts, FROZEN_MASS_FACTOR times as large if it
+    is fixed.
+
+    A sphere of a clump has the mass of the clump, as in LIGGGHTS and MercuryDPM.
+
+    Reads:  mass, fixed, clump_mass
     """
-    has_walls = state.plan.has_walls
-    particle_kinematics = build_pair_kinematics(state, False)
-    particle_effective = build_effective(state, False)
-    wall_kinematics = build_pair_kinematics(state, True) if has_walls else particle_kinematics
-    wall_effective = build_effective(state, True)
+    particles = state.particles
+    real = state.backend.real
+    mass_field = particles.clump_mass if state.plan.features.clumps else particles.mass
 
     @ti.func
-    def any_kinematics(i, j, pose, time_step):
-        bodies = wall_effective(i, j)
-        found = no_contact(0.0 * bodies.radius_eff, state.particles.velocity[i])
-        if j < 0:
-            found = wall_kinematics(i, j, pose, time_step)
-        else:
-            bodies = particle_effective(i, j)
-            found = particle_kinematics(i, j, pose, time_step)
-        contact = ti.Struct(
-            radius_eff=bodies.radius_eff,
-            mass_eff=bodies.mass_eff,
-            time_step=time_step,
-            overlap=found.overlap,
-            overlap_rate=found.overlap_rate,
-        )
-        return found.normal, contact
+    def contact_mass(i):
+        mass = mass_field[i]
+        if ti.static(state.plan.features.fixed_particles):
+            mass *= ti.select(particles.fixed[i] == 1, ti.cast(FROZEN_MASS_FACTOR, real), ti.cast(1.0, real))
+        return mass
 
-    return any_kinematics
+    return contact_mass
 
 
-def build_boundary_work(state: State) -> Any:
-    """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a
-    pair [J].
+def build_pair_constants(state: State) -> Any:
+    """Device function (i, j) -> struct of the constants of the contact laws for particle i and partner j.
 
-        W = F_ij . (velocity of the image relative to its original) dt, once per pair
-
-    with the force rounded as in the sum of forces: its last bits depend on the instructions that computed it.
-
-    Writes:  boundary_work
+    Reads:  pair_constants, law_parameters, material of particles and walls
     """
-    list_shares = build_list_shares(state)
-    image_velocity = build_image_velocity(state)
     control = state.control
-    per_unit = state.parameter("per_unit", ENERGY)
-    shift = state.parameter("shift", FORCE)
-    to_grid = build_to_grid(state.backend.real)
+    constants_of = build_constants(state.plan.laws)
+    pair_number = build_pair_number(state)
 
     @ti.func
-    def add_boundary_work(chunk, i, j, force, pose, dt):
-        rounded = to_grid(force, shift())
-        work = per_unit() * dt * rounded.dot(image_velocity(i, j, pose))
-        add_energy(control.boundary_work, chunk, 0, 1, list_shares(chunk, j), work)
+    def pair_constants(i, j):
+        return constants_of(control.pair_constants[pair_number(i, j)], control.law_parameters[0])
 
-    return add_boundary_work
+    return pair_constants
 
 
 def build_pair_number(state: State) -> Any:
@@ -849,17 +326,327 @@ def build_pair_number(state: State) -> Any:
     return pair_number
 
 
-def build_pair_constants(state: State) -> Any:
-    """Device function (i, j) -> struct of the constants of the contact laws for particle i and partner j.
+def build_in_range(state: State) -> Any:
+    """Device function (i, j, overlap): true if the cohesion model acts at this overlap, which may be
+    negative.
 
-    Reads:  pair_constants, law_parameters, material of particles and walls
+    Reads:  law_parameters
     """
-    control = state.control
-    constants_of = build_constants(state.plan.laws)
-    pair_number = build_pair_number(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
+    pair_constants = build_pair_constants(state)
 
     @ti.func
-    def pair_constants(i, j):
-        return constants_of(control.pair_constants[pair_number(i, j)], control.law_parameters[0])
+    def in_range(i, j, overlap):
+        found = overlap > 0.0
+        if ti.static(acts_at_distance):
+            found = overlap > -pair_constants(i, j).cohesion.range
+        return found
 
-    return pair_constants
+    return in_range
+
+
+# Force
+
+
+def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
+    """Device function: force and torques of one contact in a step.
+
+    is_prepared:  True if `NormalLaw.prepare` has been evaluated before
+
+    Arguments: pair constants; bodies, a struct of the effective radius [m], mass [kg] and inertia [kg m2];
+    kinematics of `build_sphere_kinematics`; angular_velocities, a struct of those of the first and the
+    partner [rad/s]; history; time step, and longest time step of the run [s].
+
+    Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses
+    (friction, rolling and twisting, damping): energy [J] dissipated in this step.
+    """
+    features = plan.features
+    laws = plan.laws
+    tangential = laws.tangential
+    rolling = laws.rolling
+    twisting = laws.twisting
+    normal_force_of = build_normal_force(laws, is_prepared)
+    surface_contact = build_surface_contact(plan)
+
+    @ti.func
+    def pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step):
+        contact = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step))
+        normal_force, load, viscous, history_new = normal_force_of(constants, contact, history)
+        force = normal_force * kinematics.normal
+        torque = 0.0 * force
+        torque_partner = 0.0 * force
+        friction_loss = 0.0 * load
+        rolling_loss = 0.0 * load
+        if ti.static(features.rotation):
+            surface = surface_contact(
+                constants,
+                contact,
+                load,
+                history_new,
+                bodies,
+                kinematics,
+                angular_velocities,
+                dt,
+                longest_time_step,
+            )
+            if ti.static(laws.has_tangential):
+                tangential_force, tangential_history, friction_loss = tangential.force(
+                    constants.tangential, surface, history.tangential
+                )
+                force += tangential_force
+                moment = kinematics.normal.cross(tangential_force)
+                torque = -kinematics.arm * moment
+                torque_partner = -kinematics.arm_partner * moment
+                history_new.tangential = tangential_history
+            if ti.static(laws.has_rolling):
+                rolling_torque, rolling_history, rolling_loss = rolling.torque(
+                    constants.rolling, surface, history.rolling
+                )
+                torque = torque + rolling_torque
+                torque_partner = torque_partner - rolling_torque
+                history_new.rolling = rolling_history
+            if ti.static(laws.has_twisting):
+                twisting_torque, twisting_history, twisting_loss = twisting.torque(
+                    constants.twisting, surface, history.twisting
+                )
+                torque = torque + twisting_torque
+                torque_partner = torque_partner - twisting_torque
+                rolling_loss += twisting_loss
+                history_new.twisting = twisting_history
+        return ti.Struct(
+            force=force,
+            torque=torque,
+            torque_partner=torque_partner,
+            history=history_new,
+            losses=ti.Vector([friction_loss, rolling_loss, viscous * kinematics.overlap_rate * dt]),
+        )
+
+    return pair_force
+
+
+@ti.func
+def normal_contact(bodies, kinematics, time_step):
+    """Argument `contact` of the normal and cohesion models."""
+    return ti.Struct(
+        radius_eff=bodies.radius_eff,
+        mass_eff=bodies.mass_eff,
+        time_step=time_step,
+        overlap=kinematics.overlap,
+        overlap_rate=kinematics.overlap_rate,
+    )
+
+
+@ti.func
+def normal_time_step(dt, longest_time_step):
+    """Time step [s] of normal models: that of the run if the one of this force evaluation is 0, without
+    motion."""
+    return ti.select(dt > 0.0, dt, longest_time_step)
+
+
+def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
+    """Device function (constants, contact, history): normal force of one contact, cohesion included.
+
+    is_prepared:  True if `NormalLaw.prepare` has been evaluated before
+    Returns:      normal force [N], load [N] that presses the surfaces together, viscous force [N], history
+    """
+    normal = laws.normal
+    cohesion = laws.cohesion
+
+    @ti.func
+    def normal_force_of(constants, contact, history):
+        history_new = history
+        if ti.static(normal.prepares and not is_prepared):
+            history_new.normal = normal.prepare(constants.normal, contact, history.normal)
+        force, viscous, normal_history = normal.force(constants.normal, contact, history_new.normal)
+        history_new.normal = normal_history
+        attraction = 0.0 * force
+        if ti.static(laws.has_cohesion):
+            attraction, cohesion_history = cohesion.force(constants.cohesion, contact, history.cohesion)
+            history_new.cohesion = cohesion_history
+            force -= attraction
+        if ti.static(normal.attracts):
+            attraction += normal.attraction(constants.normal, contact, normal_history)
+        load = force
+        if ti.static(laws.attracts):
+            load += attraction
+        return force, load, viscous, history_new
+
+    return normal_force_of
+
+
+def build_surface_contact(plan: Plan) -> Any:
+    """Device function: struct `contact` of the surface models, see `contact/law.py`.
+
+    Arguments: pair constants, struct `contact`, load [N], history, structs and times as for
+    `build_pair_force`. The time step is 0 in a force evaluation without motion, so that displacements do not
+    change.
+    """
+    laws = plan.laws
+    law = laws.normal
+
+    @ti.func
+    def surface_contact(
+        constants, contact, load, history, bodies, kinematics, angular_velocities, dt, longest_time_step
+    ):
+        ratio = 0.0 * contact.overlap + 1.0  # of the previous to the present stiffness
+        if ti.static(law.tangential_stiffness_grows):
+            overlap_before = contact.overlap - dt * kinematics.overlap_rate_half
+            ratio = ti.sqrt(ti.max(overlap_before, 0.0) / contact.overlap)
+        normal_damping = 0.0 * contact.overlap
+        if ti.static(len(laws.damped_slots) > 0):
+            normal_damping = law.damping(constants.normal, contact, history.normal)
+        rotation = (
+            kinematics.arm_half * angular_velocities.first
+            + kinematics.arm_partner_half * angular_velocities.partner
+        )
+        surface_velocity = kinematics.velocity_rel_half - rotation.cross(kinematics.normal_half)
+        slip_rate = in_contact_plane(surface_velocity, kinematics.normal, kinematics.normal_half)
+        return ti.Struct(
+            radius_eff=contact.radius_eff,
+            mass_eff=contact.mass_eff,
+            inertia_eff=bodies.inertia_eff,
+            time_step=dt,
+            longest_time_step=longest_time_step,
+            overlap=contact.overlap,
+            overlap_rate=contact.overlap_rate,
+            normal=kinematics.normal,
+            normal_half=kinematics.normal_half,
+            normal_load=load,
+            stiffness=law.tangential_stiffness(constants.normal, contact, history.normal),
+            stiffness_ratio=ratio,
+            normal_damping=normal_damping,
+            slip=dt * slip_rate,
+            slip_rate=slip_rate,
+            rolling_rate=angular_velocities.first - angular_velocities.partner,
+        )
+
+    return surface_contact
+
+
+# Structs of pair constants and contact history by slot and name, from the vectors that fields store
+
+
+def build_constants(laws: ContactLaws) -> Any:
+    """Device function (row of the pair constants, row of the law parameters) -> struct of slots, each of
+    constants.
+
+    A struct contains the pair constants and the parameters of its law by name.
+    """
+    parts: dict[str, list[tuple[str, Any, int]]] = {slot: [] for slot in laws.by_slot}
+    for part, names_by_slot in ((_of_pair, laws.constant_names), (_of_law, laws.parameters)):
+        names = [(slot, name) for slot, own in names_by_slot.items() for name in own]
+        for k, (slot, name) in enumerate(names):
+            parts[slot].append((name, part, k))
+    slots = list(parts.items())
+
+    @ti.func
+    def constants_of(pair, parameters):
+        return ti.Struct(
+            {
+                slot: ti.Struct({name: part(pair, parameters, k) for name, part, k in ti.static(own)})
+                for slot, own in ti.static(slots)
+            }
+        )
+
+    return constants_of
+
+
+@ti.func
+def _of_pair(pair, parameters, k: ti.template()):
+    return pair[k]
+
+
+@ti.func
+def _of_law(pair, parameters, k: ti.template()):
+    return parameters[k]
+
+
+def build_read_slots(laws: ContactLaws, read_vector: Any, stored: Iterable[str]) -> Any:
+    """Device function (two indices) -> struct of slots, each a struct of the history fields of its model.
+
+    read_vector:  device function (slot, two indices) -> vector of components of a slot
+    stored:       slots with history; the structs of the others are empty
+    """
+    read = [
+        (slot, build_slot_history(laws, slot), _stored_slot if slot in stored else _empty_slot)
+        for slot in laws.by_slot
+    ]
+
+    @ti.func
+    def read_slots(first, second):
+        return ti.Struct(
+            {
+                slot: read_slot(history_of, read_vector, slot, first, second)
+                for slot, history_of, read_slot in ti.static(read)
+            }
+        )
+
+    return read_slots
+
+
+@ti.func
+def _stored_slot(history_of: ti.template(), read_vector: ti.template(), slot: ti.template(), first, second):
+    return history_of(read_vector(slot, first, second))
+
+
+@ti.func
+def _empty_slot(history_of: ti.template(), read_vector: ti.template(), slot: ti.template(), first, second):
+    return history_of(0)
+
+
+def build_slot_history(laws: ContactLaws, slot: str) -> Any:
+    """Device function (vector of components) -> struct of the history fields of a slot."""
+    parts = []
+    count = 0
+    for each in laws.history[slot]:
+        parts.append((each.name, number_at if each.size == 1 else vector_at, count))
+        count += each.size
+
+    @ti.func
+    def slot_history(vector):
+        return ti.Struct({name: part(vector, k) for name, part, k in ti.static(parts)})
+
+    return slot_history
+
+
+@ti.func
+def number_at(vector, k: ti.template()):
+    """Entry k of a vector or field."""
+    return vector[k]
+
+
+@ti.func
+def vector_at(vector, k: ti.template()):
+    """Entries k to k + 2 of a vector or field, as a vector."""
+    return ti.Vector([vector[k], vector[k + 1], vector[k + 2]])
+
+
+def build_slot_vector(laws: ContactLaws, slot: str) -> Any:
+    """Device function (struct of the history fields of a slot) -> vector of components."""
+    components = [
+        (each.name, _number_of if each.size == 1 else _component_of, k)
+        for each in laws.history[slot]
+        for k in range(each.size)
+    ]
+
+    @ti.func
+    def slot_vector(history):
+        return ti.Vector([component(history, name, k) for name, component, k in ti.static(components)])
+
+    return slot_vector
+
+
+@ti.func
+def _number_of(history, name: ti.template(), k: ti.template()):
+    return member(history, name)
+
+
+@ti.func
+def _component_of(history, name: ti.template(), k: ti.template()):
+    return member(history, name)[k]
+
+
+@at_compile_time
+def member(struct: Any, name: str) -> Any:
+    """Member of a struct by a name that is known when the kernel is compiled."""
+    return getattr(struct, name)

@@ -1,4 +1,12 @@
-"""Contact output: one record per contact. Its arrays exist only if the scene requests contacts."""
+"""What the host measures of all contacts, for snapshots and limits; no time step evaluates it.
+
+ContactOutput        one record per contact; its arrays exist only if the scene requests contacts
+ContactStatistics    numbers of contacts, overlaps and energies, summed over all contacts
+MaxImpactVelocity    the largest velocity of an impact, from which an adaptive time step follows
+
+Each has a kernel over the entries of the neighbor lists that is compiled at its first use, and reads contact
+histories without changing them.
+"""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -9,13 +17,15 @@ from granflow.engine.box import build_image_velocity, build_minimum_image, build
 from granflow.engine.fields import FieldBlock
 from granflow.engine.history import build_read_history, vector_components
 from granflow.engine.host import FieldTable, consecutive, list_table
-from granflow.engine.liquid import build_in_range, transfers_liquid
 from granflow.engine.pair import (
-    build_any_kinematics,
     build_effective,
+    build_in_range,
     build_normal_force,
     build_pair_constants,
+    build_pair_kinematics,
     build_sphere_kinematics,
+    no_contact,
+    normal_contact,
 )
 from granflow.engine.state import State
 from granflow.engine.sums import (
@@ -31,9 +41,6 @@ from granflow.engine.walls import WallGeometry, triangles_of, walls_of
 from granflow.kernel_language import ti
 from granflow.plan.capacities import ENERGY
 
-AT_LIMIT = 1.0 - 1e-6
-"""Share of the Coulomb limit above which a contact counts as sliding."""
-
 
 def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All candidate pairs on the host; pairs across two chunks occur twice.
@@ -42,20 +49,47 @@ def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
               `walls_of`
     """
     rows = state.built(list_table).take(slice(0, state.count))
-    begin, end = rows["begin"], rows["end"]
-    owner = np.repeat(np.arange(state.count), end - begin)
-    list_index = consecutive(begin, end - begin).astype(np.int64)
+    begin = rows["begin"]
+    lengths = rows["end"] - begin
+    owner = np.repeat(np.arange(state.count), lengths)
+    list_index = consecutive(begin, lengths).astype(np.int64)
     return owner, list_index, state.built(_partner_table).take(list_index)["partner"].astype(np.int64)
-
-
-def _position_table(state: State) -> FieldTable:
-    """Table of the positions of all particles."""
-    return FieldTable({"position": state.particles.position})
 
 
 def _partner_table(state: State) -> FieldTable:
     """Table of the partners of all list entries."""
     return FieldTable({"partner": state.neighbors.partner})
+
+
+def build_any_kinematics(state: State) -> Any:
+    """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not
+    matter.
+
+    Returns the normal, and the struct `contact` of the contact models.
+
+    Reads:  as `build_pair_kinematics`
+    """
+    has_walls = state.plan.has_walls
+    particle_kinematics = build_pair_kinematics(state, False)
+    particle_effective = build_effective(state, False)
+    wall_kinematics = build_pair_kinematics(state, True) if has_walls else particle_kinematics
+    wall_effective = build_effective(state, True)
+
+    @ti.func
+    def any_kinematics(i, j, pose, time_step):
+        bodies = wall_effective(i, j)
+        found = no_contact(0.0 * bodies.radius_eff, state.particles.velocity[i])
+        if j < 0:
+            found = wall_kinematics(i, j, pose, time_step)
+        else:
+            bodies = particle_effective(i, j)
+            found = particle_kinematics(i, j, pose, time_step)
+        return found.normal, normal_contact(bodies, found, time_step)
+
+    return any_kinematics
+
+
+# One record per contact
 
 
 class ContactOutput:
@@ -89,14 +123,16 @@ class ContactOutput:
 
     def _of_this_process(self, ids: np.ndarray, pose: int) -> dict[str, np.ndarray]:
         """As `take`, in any order, without those that another rank takes."""
-        state, owner, partner, entries = self.state, *self._pairs(ids, pose)
+        state = self.state
+        owner, partner, entries = self._pairs(ids, pose)
         found = dict(zip(QUANTITIES, entries["numbers"].T.astype(float), strict=True))
         normal_history = self._history(entries, found["overlap"])
         loading = found["overlap"] >= normal_history["overlap_max"]
         other = np.maximum(partner, 0)
         with_wall = partner < 0
-        wall, triangle = (np.full(len(partner), -1, np.int32) for _ in range(2))
+        wall = np.full(len(partner), -1, np.int32)
         wall[with_wall] = walls_of(state, partner[with_wall])
+        triangle = np.full(len(partner), -1, np.int32)
         triangle[with_wall] = triangles_of(state, partner[with_wall])
         box = state.plan.periodic_box.at(state.clock.time)
         position = box.wrap(state.built(_position_table).take(slice(0, len(ids)))["position"].astype(float))
@@ -135,7 +171,9 @@ class ContactOutput:
         id_partner = np.where(partner < 0, np.iinfo(np.int32).max, ids[np.maximum(partner, 0)])
         counts = (ids[owner] < id_partner) | (owner // size == partner // size)
         is_contact = counts & (entries["numbers"][:, OVERLAP] > 0.0)
-        owner, partner, turned = (each[is_contact] for each in (owner, partner, ids[owner] > id_partner))
+        turned = (ids[owner] > id_partner)[is_contact]
+        owner = owner[is_contact]
+        partner = partner[is_contact]
         entries = {name: each[is_contact] for name, each in entries.items()}
         owner, partner = np.where(turned, partner, owner), np.where(turned, owner, partner)
         entries["force"][turned] *= -1.0
@@ -164,9 +202,16 @@ class ContactOutput:
         return found
 
 
+def _position_table(state: State) -> FieldTable:
+    """Table of the positions of all particles."""
+    return FieldTable({"position": state.particles.position})
+
+
 QUANTITIES = ("overlap", "normal_force", "tangential_force", "friction_limit")
 """Quantities that `_build_evaluate` records for each list entry, in N except for the overlap in m."""
 OVERLAP, NORMAL, TANGENTIAL, LIMIT = range(len(QUANTITIES))
+AT_LIMIT = 1.0 - 1e-6
+"""Share of the Coulomb limit above which a contact counts as sliding."""
 
 
 def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
@@ -255,7 +300,7 @@ def _build_surface_forces(state: State) -> Any:
     return surface_forces
 
 
-# Contact statistics and contact energies for snapshots; no step evaluates them.
+# Sums over all contacts
 
 SUMS = ("contact_count", "overlap_sum")
 """Sums over contacts: count, overlap over the smaller radius."""
@@ -278,7 +323,7 @@ class ContactStatistics:
         self.block = FieldBlock(state.backend)
         chunks = state.plan.capacities.chunks
         self._rows = chunks if state.backend.on_cpu else min(chunks, GPU_ROWS)
-        self._names = (*SUMS, *LIQUID_SUMS) if transfers_liquid(state) else SUMS
+        self._names = (*SUMS, *LIQUID_SUMS) if state.plan.features.liquid_transfer else SUMS
         self.sums = self.block.vector(ti.i64, self._rows, count=len(self._names))
         self.energies = self.block.vector(ti.i64, self._rows, count=2 * len(ENERGIES))
         self.largest = self.block.scalar(state.backend.real, self._rows)
@@ -294,8 +339,8 @@ class ContactStatistics:
         LIQUID_SUMS with a model that transfers liquid.
         """
         state = self.state
-        ranks = self.state.ranks
-        chunks = self.state.chunk_count
+        ranks = state.ranks
+        chunks = state.chunk_count
         rows = min(chunks, self._rows)
         if chunks:
             self._measure(chunks, rows, state.count, pose, state.clock.time_step)
@@ -307,14 +352,6 @@ class ContactStatistics:
         largest = ranks.largest(float(self.largest.to_numpy()[:rows].max(initial=0.0)))
         values = (*sums, *energies.tolist(), largest)
         return dict(zip((*self._names, *ENERGIES, "overlap_largest"), values, strict=True))
-
-
-@ti.func
-def particles_of_row(row, rows, chunks, size, count):
-    """Number of particles of the chunks row, row + rows, ...; only the last chunk can be incomplete."""
-    chunk_count = (chunks - row + rows - 1) // rows
-    last = row + (chunk_count - 1) * rows
-    return chunk_count * size - ti.max((last + 1) * size - count, 0)
 
 
 def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> Callable[..., None]:
@@ -338,7 +375,8 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
     pair_constants = build_pair_constants(state)
     in_range = build_in_range(state)
     stride = state.stride
-    per_unit, (with_film, with_bridge) = state.parameter("per_unit", ENERGY), _build_liquid_sums(state)
+    per_unit = state.parameter("per_unit", ENERGY)
+    with_film, with_bridge = _build_liquid_sums(state)
 
     @ti.kernel
     def measure(chunks: ti.i32, rows: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
@@ -351,7 +389,8 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                 row = task // stride
                 found = ti.Vector.zero(ti.i64, sum_count)
                 overlap_largest = ti.cast(0.0, real)
-                low, high = ti.Vector.zero(ti.i64, 2), ti.Vector.zero(ti.i64, 2)
+                low = ti.Vector.zero(ti.i64, 2)
+                high = ti.Vector.zero(ti.i64, 2)
                 per_joule = per_unit()
                 size = chunk_size()
                 for k in range(particles_of_row(row, rows, chunks, size, count)):
@@ -383,10 +422,19 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                                     particles.coordination_number[j] += 1
                             elif ti.static(has_walls):
                                 particles.wall_contact_count[i] += 1
-                sums[row], largest[row] = found, overlap_largest
+                sums[row] = found
+                largest[row] = overlap_largest
                 energy_sums[row] = carried(ti.Vector([low[0], low[1], high[0], high[1]]), 2)
 
     return measure
+
+
+@ti.func
+def particles_of_row(row, rows, chunks, size, count):
+    """Number of particles of the chunks row, row + rows, ...; only the last chunk can be incomplete."""
+    chunk_count = (chunks - row + rows - 1) // rows
+    last = row + (chunk_count - 1) * rows
+    return chunk_count * size - ti.max((last + 1) * size - count, 0)
 
 
 def _build_liquid_sums(state: State) -> tuple[Any, Any]:
@@ -396,7 +444,7 @@ def _build_liquid_sums(state: State) -> tuple[Any, Any]:
 
     Reads:  liquid_film, history
     """
-    liquid = transfers_liquid(state)
+    liquid = state.plan.features.liquid_transfer
     particles = state.particles
     history = state.neighbors.history
     unit = state.parameter("liquid_unit") if liquid else None
@@ -468,7 +516,7 @@ def build_energies(state: State) -> Any:
     return energies
 
 
-# Maximum impact velocity of the present state, from which an adaptive time step is computed.
+# Largest impact velocity
 
 
 class MaxImpactVelocity:

@@ -1,331 +1,107 @@
-"""Kernel of a time step on a GPU, in two dispatches: integration, then contact forces; each chunk is a task.
+"""One time step: integrate the particles, move the walls, compute the forces at the new positions.
 
-The host launches many steps before it reads a flag. A step that requests a rebuild, or aborts, records the
-number of its launch in `halted_at`; all later launches then do nothing. A phase compares numbers that no task
-of the same phase can change for it, so that all of its tasks decide alike, and no serial task is needed
-between the phases.
+Integration is the leapfrog form of velocity Verlet. Between two steps, positions and forces are at t,
+velocities and angular velocities half a step earlier. A kick changes the velocity, a drift the position:
+
+    v(t + dt/2) = v(t - dt/2) + dt F(t) / m          x(t + dt) = x(t) + dt v(t + dt/2)
+
+Dashpots need the velocity at the time of the positions; it is extrapolated with the force at t:
+
+    velocity_synchronized = v(t + dt/2) + dt F(t) / (2 m)
+
+Walls with a prescribed motion take the next of the poses that the host has uploaded (`walls.py`);
+force-controlled walls move by the force that the particles exerted on them (`wall_dynamics.py`). Then the
+forces are summed: weight, wall contacts, particle contacts (`contact.py`, on a CPU `batch.py`), external
+forces and damping (`particle_forces.py`). All sums are exact (`sums.py`), so that their order does not
+matter.
+
+Consecutive particles form a chunk, on a GPU each particle is one. `integrate` and `forces` process one chunk
+and write to its particles only: a pair across two chunks is evaluated in both. Therefore chunks can be
+processed in any order, by any number of threads, with the same bits. Between the two phases, all threads must
+have finished:
+
+    CPU    one launch takes many steps. Workers take one chunk after the other; a barrier separates the two
+           phases (`CpuSteps`, `threads.py`).
+    GPU    each step is a launch of two dispatches; each chunk is a task (`build_gpu_step`).
+
+A particle that has moved by more than its reach since the last neighbor-list rebuild requests the next one;
+a force, a displacement or a position beyond its limit requests an abort. All later phases of the launch, or
+all later launches on a GPU, then do nothing until the host has reacted (`stepper.py`). No step
+transfers anything to the host.
+
+Device functions write `a[i] = a[i] + b`: Taichi compiles `a[i] += b` on a field to an atomic operation, which
+costs more than the whole contact model and is not needed within a chunk.
 """
 
 from collections.abc import Callable
 from typing import Any
 
-from granflow.engine.batch import build_batched_forces
+from granflow.engine.batch import build_batched_forces, build_load_sums, build_store_sums
 from granflow.engine.box import build_wrap
 from granflow.engine.clumps import build_integrate_clumps, build_kick_clump
 from granflow.engine.codes import ABORT_DISPLACEMENT, ABORT_FORCE, ABORT_NOT_FINITE, FORCES, INTEGRATION
 from granflow.engine.contact import build_carry_sums, build_clear_wall_work_ahead, build_contact
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.history import CONTACT_ORDER, transfers_history
-from granflow.engine.liquid import build_begin_step
-from granflow.engine.pair import build_mobility
-from granflow.engine.particle_forces import build_add_damping_loss, build_add_external_work, build_set_forces
+from granflow.engine.liquid import build_save_film
+from granflow.engine.particle_forces import (
+    build_add_damping_loss,
+    build_add_external_work,
+    build_mobility,
+    build_set_forces,
+)
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
-from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest, holds_sums
+from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest, holds_sums, shares_rows
 from granflow.engine.threads import arrive, release, wait
-from granflow.engine.wall_dynamics import build_add_wall_force, build_carry_impulses, build_move_walls
+from granflow.engine.wall_dynamics import build_carry_impulses, build_clear_wall_forces, build_move_walls
 from granflow.kernel_language import ti
 from granflow.plan.capacities import FORCE, SUM_BITS, TORQUE
 
-# Contact forces on one chunk of particles: wall contacts one at a time, particle contacts in batches on a
-# CPU.
-#
-# Forces and torques are summed exactly, see `exact_sums`. Sums are written `a[i] = a[i] + b`: Taichi
-# compiles `a[i] += b` on a field to an atomic operation, which costs more than the whole contact model and
-# is not needed within a chunk.
+
+def build_steps(state: State) -> Callable[..., None]:
+    """The kernel of the time steps on the device of the state."""
+    build = build_cpu_steps if state.backend.on_cpu else build_gpu_step
+    return build(state, build_integrate(state), build_forces(state))
 
 
-def _build_passes(state: State) -> tuple[int, Any]:
-    """Number of passes over the walls of a particle, and device function (list index, pass number).
-
-    The function returns 1 if the entry is evaluated in this pass; see CONTACT_ORDER.
-
-    Reads:  in_contact
-    """
-    neighbors = state.neighbors
-    pass_count = len(CONTACT_ORDER) if transfers_history(state) else 1
-
-    @ti.func
-    def in_this_pass(list_index, pass_index):
-        chosen = 1
-        if ti.static(pass_count > 1):
-            chosen = ti.cast(neighbors.in_contact[list_index] == ti.Vector(CONTACT_ORDER)[pass_index], ti.i32)
-        return chosen
-
-    return pass_count, in_this_pass
-
-
-def _build_particle_forces(state: State) -> Any:
-    """Device function (chunk, i, acceleration, pose, time_step): sums of the forces and torques on one
-    particle.
-
-    Those of walls and, without batches, of particles; in f64 with the rounded weight. Integration adds the
-    rest of the weight. A further loop over the particles, which adds the weight to the sums, takes an eighth
-    of the time of the forces.
-
-    Reads:   mass, neighbor lists, and as `build_contact`
-    Writes:  as `build_contact`
-    """
-    plan = state.plan
-    neighbors = state.neighbors
-    particles = state.particles
-    exact = holds_sums(state)
-    batched = state.batch is not None
-    shift = state.parameter("shift", FORCE)
-    shift_torque = state.parameter("shift", TORQUE)
-    to_grid = build_to_grid(state.backend.real)
-    particle_contact = None if batched else build_contact(state, False)
-    wall_contact = build_contact(state, True) if plan.has_walls else None
-    pass_count, in_this_pass = _build_passes(state)
-
-    @ti.func
-    def add_contact(force, torque, force_sum, torque_sum):
-        force_added, torque_added = to_grid(force, shift()), to_grid(torque, shift_torque())
-        return force_sum + ti.cast(force_added, ti.f64), torque_sum + ti.cast(torque_added, ti.f64)
-
-    @ti.func
-    def particle_forces(chunk, i, acceleration, pose, dt):
-        force_sum, torque_sum = ti.Vector.zero(ti.f64, 3), ti.Vector.zero(ti.f64, 3)
-        if ti.static(exact):
-            force_sum = to_grid(particles.mass[i] * acceleration, shift())
-            if ti.static(plan.features.clumps):  # the weight of a clump acts at its center of mass
-                force_sum *= ti.cast(particles.clump[i] < 0, ti.f64)
-        if ti.static(plan.has_walls):
-            for pass_index in range(pass_count):
-                for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
-                    if in_this_pass(list_index, pass_index) == 1:
-                        force, torque = wall_contact(
-                            chunk, i, list_index, neighbors.partner[list_index], pose, dt
-                        )
-                        force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
-        if ti.static(not batched):
-            for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
-                force, torque = particle_contact(
-                    chunk, i, list_index, neighbors.partner[list_index], pose, dt
-                )
-                force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
-        return force_sum, torque_sum
-
-    return particle_forces
-
-
-def _build_sums_of(state: State) -> Any:
-    """Device function (worker, i, place in the chunk): sums of the forces and torques on a particle after the
-    batches.
-
-    Reads:  force, torque; or the sums of the batch, see `holds_sums`
-    """
-    particles = state.particles
-    batch = state.batch
-    exact = holds_sums(state)
-    rotation = state.plan.features.rotation
-
-    @ti.func
-    def sums_of(worker, i, local):
-        force_sum, torque_sum = ti.Vector.zero(ti.f64, 3), ti.Vector.zero(ti.f64, 3)
-        if ti.static(exact):
-            force_sum = particles.force[i]
-            if ti.static(rotation):
-                torque_sum = particles.torque[i]
-        else:
-            sums = batch.sums[worker, local]
-            force_sum = ti.Vector([sums[0], sums[1], sums[2]])
-            if ti.static(rotation):
-                torque_sum = ti.Vector([sums[3], sums[4], sums[5]])
-        return force_sum, torque_sum
-
-    return sums_of
-
-
-def build_forces(state: State) -> Any:
-    """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one
-    chunk.
-
-    Forces are at the time of the positions and include the weight. A pair across two chunks is evaluated in
-    both, so that no two workers write to the same particle.
-
-    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
-    Writes:  force, torque, history, losses, impulses, wall forces, abort
-    """
-    features = state.plan.features
-    particles = state.particles
-    batch = state.batch
-    exact = holds_sums(state)
-    adds_others = features.external_forces or features.damping != "none"
-    chunk_size = state.parameter("chunk_size")
-    gravity = state.parameter("gravity")
-    real = state.backend.real
-    batched = batch is not None
-    set_forces = build_set_forces(state)
-    carry_sums = build_carry_sums(state)
-    batched_forces = build_batched_forces(state) if batched else None
-    particle_forces = _build_particle_forces(state)
-    sums_of = _build_sums_of(state)
-    force_controlled = features.force_controlled_walls
-    clear_wall_work_ahead = build_clear_wall_work_ahead(state)
-    clear_wall_forces, _add = build_add_wall_force(state) if force_controlled else (None, None)
-
-    @ti.func
-    def forces(worker, chunk, count, pose, dt):
-        size = chunk_size()
-        acceleration = ti.cast(gravity(), real)
-        first, last = chunk * size, ti.min((chunk + 1) * size, count)
-        clear_wall_work_ahead(chunk)
-        if ti.static(force_controlled):
-            clear_wall_forces(chunk)
-        for i in range(first, last):
-            force_sum, torque_sum = particle_forces(chunk, i, acceleration, pose, dt)
-            if ti.static(batched and exact):
-                particles.force[i] = force_sum
-                if ti.static(features.rotation):
-                    particles.torque[i] = torque_sum
-            elif ti.static(batched):
-                for axis in ti.static(range(3)):
-                    batch.sums[worker, i - first][axis] = force_sum[axis]
-                    if ti.static(features.rotation):
-                        batch.sums[worker, i - first][3 + axis] = torque_sum[axis]
-            else:
-                set_forces(chunk, i, force_sum, torque_sum, acceleration, dt)
-        if ti.static(batched):
-            batched_forces(worker, chunk, first, last, pose, dt)
-        if ti.static(batched and (adds_others or not exact)):
-            for i in range(first, last):
-                force_sum, torque_sum = sums_of(worker, i, i - first)
-                set_forces(chunk, i, force_sum, torque_sum, acceleration, dt)
-        carry_sums(chunk)
-
-    return forces
-
-
-def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
-    """Kernel for one step on a GPU.
-
-    integrate, forces:  device functions of `build_integrate` and `build_forces`
-
-    Arguments: number of the launch, number of steps before it since the flags were read, number of chunks,
-    particle count, pose, time step [s], and whether to integrate (`moving`) and compute forces (`forcing`).
-
-    The loops have constant lengths: Taichi computes any other length in a dispatch of its own.
-
-    Reads:   as the phases
-    Writes:  as the phases; halted_at, steps_done
-    """
-    control = state.control
-    real = state.backend.real
-    most_chunks = state.plan.capacities.chunks
-    threads = thread_count(most_chunks)
-    move, compute_forces = (
-        build_tasks_of_thread(body, most_chunks) for body in _build_phases(state, integrate, forces)
-    )
-
-    @ti.kernel
-    def step_on_gpu(
-        number: ti.i32,
-        steps_before: ti.i32,
-        chunks: ti.i32,
-        count: ti.i32,
-        pose: ti.i32,
-        dt: real,
-        moving: ti.i32,
-        forcing: ti.i32,
-    ):
-        for thread in range(threads):
-            if moving == 1 and ti.min(control.halted_at[INTEGRATION], control.halted_at[FORCES]) >= number:
-                launch = ti.Struct(
-                    number=number, steps_before=steps_before, chunks=chunks, count=count, pose=pose, dt=dt
-                )
-                move(thread, chunks, launch)
-        for thread in range(threads):
-            if forcing == 1 and control.halted_at[INTEGRATION] > number:
-                if control.halted_at[FORCES] >= number:
-                    launch = ti.Struct(number=number, count=count, pose=pose, dt=dt)
-                    compute_forces(thread, chunks, launch)
-
-    return step_on_gpu
-
-
-def _build_phases(state: State, integrate: Any, forces: Any) -> tuple[Any, Any]:
-    """Device functions (chunk, launch) of the integration and of the forces; `launch`: arguments of the
-    kernel."""
-    control = state.control
-    force_controlled = state.plan.features.force_controlled_walls
-    move_walls = build_move_walls(state) if force_controlled else None
-
-    @ti.func
-    def record_halt(phase: ti.template(), number):
-        """Record that this launch requests a rebuild or aborts; each task that does so sees its own
-        request."""
-        if control.abort[0] != 0 or (phase == INTEGRATION and control.rebuild_requested[0] == 1):
-            if control.halted_at[phase] != number:
-                control.halted_at[phase] = number
-
-    @ti.func
-    def move(chunk, launch):
-        if chunk == 0:
-            control.steps_done[0] = launch.steps_before
-            if ti.static(force_controlled):
-                move_walls(launch.chunks, launch.pose, launch.dt)
-        integrate(chunk, launch.count, launch.pose, launch.dt)
-        record_halt(INTEGRATION, launch.number)
-
-    @ti.func
-    def compute_forces(chunk, launch):
-        forces(0, chunk, launch.count, launch.pose, launch.dt)
-        record_halt(FORCES, launch.number)
-
-    return move, compute_forces
-
-
-# Time integration of one chunk of particles: the leapfrog form of velocity Verlet.
-#
-# Before a step, positions and forces are at t, velocities and angular velocities half a step earlier:
-#
-#     v(t + dt/2) = v(t - dt/2) + dt F(t) / m          x(t + dt) = x(t) + dt v(t + dt/2)
-#
-# Dashpots need the velocity at the time of the positions; it is extrapolated with the force at t:
-#
-#     velocity_synchronized = v(t + dt/2) + dt F(t) / (2 m)
-
-LIMIT_SQUARED = 2.0 ** (2 * SUM_BITS)
-"""Largest squared sum of forces or torques in units: below it, all sums are exact."""
+# Integration
 
 
 def build_integrate(state: State) -> Any:
     """Device function (chunk, count, pose, time_step): kick and drift the particles of one chunk.
 
-    Requests a rebuild if a particle has moved by more than its reach since the last one; aborts if a position
-    is not finite, a displacement in one step exceeds `plan.travel_limit`, or a force the range of exact sums.
-
     Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
-    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort,
-             abort_particle, external_work, losses, impulses; as `build_changed`, `build_wrap`,
-             `build_begin_step`, `build_move_clump`
+    Writes:  velocity, velocity_synchronized, angular_velocity, position, external_work, losses, impulses; as
+             `_build_request`, `build_changed`, `build_wrap`, `build_save_film`, `build_integrate_clumps`
     """
     particles = state.particles
     features = state.plan.features
+    real = state.backend.real
     periodic = features.periodic != "none"
     counts_damping = features.damping != "none" and features.energy_budget
+    gravity = state.parameter("gravity")
+    shift = state.parameter("shift")
+    per_unit = state.parameter("per_unit")
+    chunk_size = state.parameter("chunk_size")
     step_limit = state.parameter("travel_limit_squared")
-    wrap = build_wrap(state) if periodic else None
-    add_work = build_add_external_work(state)
-    carry_impulses = build_carry_impulses(state)
-    add_damping_loss = build_add_damping_loss(state) if counts_damping else None
-    weight_rest = build_weight_rest(state)
-    begin_step = build_begin_step(state)
     mobility = build_mobility(state)
+    weight_rest = build_weight_rest(state)
+    changed_velocity = build_changed(state, "velocity")
+    changed_rotation = build_changed(state, "angular_velocity")
     square_of_sums = _build_square_of_sums(state)
     request = _build_request(state)
-    real = state.backend.real
-    changed_velocity, changed_rotation = (
-        build_changed(state, name) for name in ("velocity", "angular_velocity")
-    )
+    carries_impulses = state.control.impulses is not None and shares_rows(state)
+    carry_impulses = build_carry_impulses(state) if carries_impulses else None
+    save_film = build_save_film(state) if features.liquid_transfer else None
+    add_work = build_add_external_work(state)
+    add_damping_loss = build_add_damping_loss(state) if counts_damping else None
+    wrap = build_wrap(state) if periodic else None
     integrate_clumps = build_integrate_clumps(state, request, square_of_sums) if features.clumps else None
-    gravity, shift, per_unit, chunk_size = map(
-        state.parameter, ("gravity", "shift", "per_unit", "chunk_size")
-    )
 
     @ti.func
     def integrate(chunk, count, pose, dt):
-        carry_impulses(chunk)
+        if ti.static(carries_impulses):
+            carry_impulses(chunk)
         size = chunk_size()
         step_squared_limit = step_limit()
         acceleration = ti.cast(gravity(), real)
@@ -335,7 +111,8 @@ def build_integrate(state: State) -> Any:
             if ti.static(features.clumps):
                 if particles.clump[i] >= 0:
                     continue
-            begin_step(i)
+            if ti.static(features.liquid_transfer):
+                save_film(i)
             mass = particles.mass[i]
             force = particles.force[i]
             torque = 0.0 * particles.force[i]
@@ -343,9 +120,7 @@ def build_integrate(state: State) -> Any:
             velocity = changed_velocity(i, kick)
             if ti.static(features.rate_dependent):
                 particles.velocity_synchronized[i] = velocity + 0.5 * kick
-            particles.velocity[i] = (
-                velocity  # an assignment: Taichi compiles `+=` on a field to an atomic operation
-            )
+            particles.velocity[i] = velocity
             if ti.static(features.external_forces and features.energy_budget):
                 add_work(chunk, i, particles.external_force[i], velocity, dt)
             step_displacement = dt * velocity
@@ -375,11 +150,29 @@ def build_integrate(state: State) -> Any:
     return integrate
 
 
+LIMIT_SQUARED = 2.0 ** (2 * SUM_BITS)
+"""Largest squared sum of forces or torques in units: below it, all sums are exact."""
+
+
+def _build_square_of_sums(state: State) -> Any:
+    """Device function (force, torque, per_unit): the larger of their squares in units, for LIMIT_SQUARED."""
+    rotation = state.plan.features.rotation
+
+    @ti.func
+    def square_of_sums(force, torque, units):
+        square = (ti.cast(units[FORCE], ti.f64) * ti.cast(force, ti.f64)).norm_sqr()
+        if ti.static(rotation):
+            square = ti.max(square, (ti.cast(units[TORQUE], ti.f64) * ti.cast(torque, ti.f64)).norm_sqr())
+        return square
+
+    return square_of_sums
+
+
 def _build_request(state: State) -> Any:
     """Device function: request a rebuild or an abort because of particle i.
 
     Arguments: i, squares of the displacement since the last rebuild and of the reach [m^2], squares of the
-    displacement in this step and of its limit [m^2], `square_of_sums`.
+    displacement in this step and of its limit, `plan.travel_limit` [m^2], `square_of_sums`.
 
     Writes:  rebuild_requested, abort, abort_particle
     """
@@ -405,67 +198,128 @@ def _build_request(state: State) -> Any:
     return request
 
 
-def _build_square_of_sums(state: State) -> Any:
-    """Device function (force, torque, per_unit): the larger of their squares in units; sums are exact below a
-    limit."""
-    rotation = state.plan.features.rotation
+# Forces
+
+
+def build_forces(state: State) -> Any:
+    """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one
+    chunk, at the time of the positions.
+
+    With batches, the wall contacts of all particles of the chunk are summed first, then the particle
+    contacts. External forces and damping need the sum of all others; below f64 the weight is also added at
+    the end.
+
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
+    Writes:  force, torque, history, losses, impulses, wall forces, abort
+    """
+    features = state.plan.features
+    real = state.backend.real
+    batched = state.batch is not None
+    sets_forces_last = not holds_sums(state) or features.external_forces or features.damping != "none"
+    chunk_size = state.parameter("chunk_size")
+    gravity = state.parameter("gravity")
+    sum_contacts = _build_sum_contacts(state)
+    batched_forces = build_batched_forces(state) if batched else None
+    store_sums = build_store_sums(state) if batched else None
+    load_sums = build_load_sums(state) if batched else None
+    set_forces = build_set_forces(state)
+    force_controlled = features.force_controlled_walls
+    clear_wall_forces = build_clear_wall_forces(state) if force_controlled else None
+    clear_wall_work_ahead = build_clear_wall_work_ahead(state)
+    carry_sums = build_carry_sums(state)
 
     @ti.func
-    def square_of_sums(force, torque, units):
-        square = (ti.cast(units[FORCE], ti.f64) * ti.cast(force, ti.f64)).norm_sqr()
-        if ti.static(rotation):
-            square = ti.max(square, (ti.cast(units[TORQUE], ti.f64) * ti.cast(torque, ti.f64)).norm_sqr())
-        return square
+    def forces(worker, chunk, count, pose, dt):
+        size = chunk_size()
+        acceleration = ti.cast(gravity(), real)
+        first = chunk * size
+        last = ti.min((chunk + 1) * size, count)
+        clear_wall_work_ahead(chunk)
+        if ti.static(force_controlled):
+            clear_wall_forces(chunk)
+        for i in range(first, last):
+            force_sum, torque_sum = sum_contacts(chunk, i, acceleration, pose, dt)
+            if ti.static(batched):
+                store_sums(worker, i, first, force_sum, torque_sum)
+            else:
+                set_forces(chunk, i, force_sum, torque_sum, acceleration, dt)
+        if ti.static(batched):
+            batched_forces(worker, chunk, first, last, pose, dt)
+        if ti.static(batched and sets_forces_last):
+            for i in range(first, last):
+                force_sum, torque_sum = load_sums(worker, i, first)
+                set_forces(chunk, i, force_sum, torque_sum, acceleration, dt)
+        carry_sums(chunk)
 
-    return square_of_sums
+    return forces
 
 
-def build_kick(state: State) -> Any:
-    """Kernel (count, time [s]): change velocities by the present forces; backwards if the time is negative.
+def _build_sum_contacts(state: State) -> Any:
+    """Device function (chunk, i, acceleration, pose, time_step): sums of force and torque on one particle.
 
-        v += time F / m,   w += time M / I,   I = (2/5) m R^2
+    Summed are the rounded weight in f64, the wall contacts and, without batches, the particle contacts. The
+    kick adds what rounding has taken from the weight. (A further loop over the particles, which adds the
+    weight to the sums, takes an eighth of the time of the forces.)
 
-    Fixed particles keep their velocity; of clumps the state changes, not yet the velocities of the spheres.
+    Wall contacts that can pass from one face to another are evaluated in several passes, see `history.py`.
 
-    Reads:   force, torque, mass, radius, fixed, clump
-    Writes:  velocity, angular_velocity; clumps as `build_kick_clump`
+    Reads:   mass, neighbor lists, in_contact, and as `build_contact`
+    Writes:  as `build_contact`
     """
+    plan = state.plan
+    neighbors = state.neighbors
     particles = state.particles
-    rotation = state.plan.features.rotation
-    real = state.backend.real
-    mobility = build_mobility(state)
-    clumps = state.plan.features.clumps
-    kick_clump = build_kick_clump(state) if clumps else None
+    exact = holds_sums(state)
+    batched = state.batch is not None
+    transfers = transfers_history(state)
+    pass_count = len(CONTACT_ORDER) if transfers else 1
+    shift = state.parameter("shift", FORCE)
+    shift_torque = state.parameter("shift", TORQUE)
+    to_grid = build_to_grid(state.backend.real)
+    wall_contact = build_contact(state, True) if plan.has_walls else None
+    particle_contact = None if batched else build_contact(state, False)
 
-    @ti.kernel
-    def kick(count: ti.i32, time: real):
-        for i in range(count):
-            if ti.static(clumps):
-                if particles.clump[i] >= 0:
-                    kick_clump(i, time)
-                    continue
-            particles.velocity[i] = (
-                particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
-            )
-            if ti.static(rotation):
-                inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
-                particles.angular_velocity[i] = (
-                    particles.angular_velocity[i] + mobility(i) * time / inertia * particles.torque[i]
+    @ti.func
+    def in_this_pass(list_index, pass_index):
+        chosen = 1
+        if ti.static(transfers):
+            chosen = ti.cast(neighbors.in_contact[list_index] == ti.Vector(CONTACT_ORDER)[pass_index], ti.i32)
+        return chosen
+
+    @ti.func
+    def add_contact(force, torque, force_sum, torque_sum):
+        force_added = to_grid(force, shift())
+        torque_added = to_grid(torque, shift_torque())
+        return force_sum + ti.cast(force_added, ti.f64), torque_sum + ti.cast(torque_added, ti.f64)
+
+    @ti.func
+    def sum_contacts(chunk, i, acceleration, pose, dt):
+        force_sum = ti.Vector.zero(ti.f64, 3)
+        torque_sum = ti.Vector.zero(ti.f64, 3)
+        if ti.static(exact):
+            force_sum = to_grid(particles.mass[i] * acceleration, shift())
+            if ti.static(plan.features.clumps):  # the weight of a clump acts at its center of mass
+                force_sum *= ti.cast(particles.clump[i] < 0, ti.f64)
+        if ti.static(plan.has_walls):
+            for pass_index in range(pass_count):
+                for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
+                    if in_this_pass(list_index, pass_index) == 1:
+                        force, torque = wall_contact(
+                            chunk, i, list_index, neighbors.partner[list_index], pose, dt
+                        )
+                        force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
+        if ti.static(not batched):
+            for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
+                force, torque = particle_contact(
+                    chunk, i, list_index, neighbors.partner[list_index], pose, dt
                 )
+                force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
+        return force_sum, torque_sum
 
-    return kick
-
-
-# Kernels of the time step: integration, wall motion and contact forces, in one launch for many steps on a
-# CPU.
-#
-# If a neighbor-list rebuild is due, all further phases of a launch do nothing.
+    return sum_contacts
 
 
-def build_steps(state: State) -> Callable[..., None]:
-    """The kernel of the time steps on the device of the state."""
-    build = build_cpu_steps if state.backend.on_cpu else build_gpu_step
-    return build(state, build_integrate(state), build_forces(state))
+# CPU: one launch for many steps
 
 
 def build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
@@ -520,8 +374,7 @@ def build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., 
 
 
 class CpuSteps:
-    """Device functions of one worker in a launch; `launch` is a struct of its number and the arguments of the
-    kernel.
+    """What one worker does in a launch: `launch` is a struct of its number and the arguments of the kernel.
 
     Workers process one chunk after the other; a barrier separates the phases. Taking chunks dynamically
     balances the load, and does not affect the results, because each chunk writes to its particles only.
@@ -593,7 +446,125 @@ class CpuSteps:
         if number == 1:
             self.control.started_count[0] = self.control.worker_count[0]
         if computes_forces == 1 and self.control.worker_count[0] < self.control.started_count[0]:
-            continues = (
-                False  # without a worker the rest of a launch costs more than the start of the next one
-            )
+            # Without a worker the rest of a launch costs more than the start of the next one.
+            continues = False
         self.control.running[0] = ti.cast(continues, ti.i32)
+
+
+# GPU: one launch of two dispatches for each step
+
+
+def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
+    """Kernel for one step on a GPU.
+
+    integrate, forces:  device functions of `build_integrate` and `build_forces`
+
+    Arguments: number of the launch, number of steps before it since the flags were read, number of chunks,
+    particle count, pose, time step [s], and whether to integrate (`moving`) and compute forces (`forcing`).
+
+    The host launches many steps before it reads a flag. A launch whose phase requests a rebuild or aborts
+    records its number in `halted_at`; all later launches then do nothing. A phase compares numbers that no
+    task of the same phase can change for it, so that all of its tasks decide alike, and no serial task is
+    needed between the phases.
+
+    Reads:   as the phases
+    Writes:  as the phases; halted_at, steps_done
+    """
+    control = state.control
+    real = state.backend.real
+    force_controlled = state.plan.features.force_controlled_walls
+    move_walls = build_move_walls(state) if force_controlled else None
+    most_chunks = state.plan.capacities.chunks
+    # The loops have constant lengths: Taichi computes any other length in a dispatch of its own.
+    threads = thread_count(most_chunks)
+
+    @ti.func
+    def record_halt(phase: ti.template(), number):
+        """Record that this launch requests a rebuild or aborts; each task that does so sees its own
+        request."""
+        if control.abort[0] != 0 or (phase == INTEGRATION and control.rebuild_requested[0] == 1):
+            if control.halted_at[phase] != number:
+                control.halted_at[phase] = number
+
+    @ti.func
+    def move_chunk(chunk, launch):
+        if chunk == 0:
+            control.steps_done[0] = launch.steps_before
+            if ti.static(force_controlled):
+                move_walls(launch.chunks, launch.pose, launch.dt)
+        integrate(chunk, launch.count, launch.pose, launch.dt)
+        record_halt(INTEGRATION, launch.number)
+
+    @ti.func
+    def compute_forces_of_chunk(chunk, launch):
+        forces(0, chunk, launch.count, launch.pose, launch.dt)
+        record_halt(FORCES, launch.number)
+
+    move = build_tasks_of_thread(move_chunk, most_chunks)
+    compute_forces = build_tasks_of_thread(compute_forces_of_chunk, most_chunks)
+
+    @ti.kernel
+    def step_on_gpu(
+        number: ti.i32,
+        steps_before: ti.i32,
+        chunks: ti.i32,
+        count: ti.i32,
+        pose: ti.i32,
+        dt: real,
+        moving: ti.i32,
+        forcing: ti.i32,
+    ):
+        for thread in range(threads):
+            if moving == 1 and ti.min(control.halted_at[INTEGRATION], control.halted_at[FORCES]) >= number:
+                launch = ti.Struct(
+                    number=number, steps_before=steps_before, chunks=chunks, count=count, pose=pose, dt=dt
+                )
+                move(thread, chunks, launch)
+        for thread in range(threads):
+            if forcing == 1 and control.halted_at[INTEGRATION] > number:
+                if control.halted_at[FORCES] >= number:
+                    launch = ti.Struct(number=number, count=count, pose=pose, dt=dt)
+                    compute_forces(thread, chunks, launch)
+
+    return step_on_gpu
+
+
+# A kick outside of the steps
+
+
+def build_kick(state: State) -> Callable[..., None]:
+    """Kernel (count, time [s]): change velocities by the present forces; backwards if the time is negative.
+
+        v += time F / m,   w += time M / I,   I = (2/5) m R^2
+
+    The start of a run shifts all velocities back by half a step, a change of the time step by half of the
+    difference. Fixed particles keep their velocity; of clumps the state changes, not yet the velocities of
+    the spheres.
+
+    Reads:   force, torque, mass, radius, fixed, clump
+    Writes:  velocity, angular_velocity; clumps as `build_kick_clump`
+    """
+    particles = state.particles
+    rotation = state.plan.features.rotation
+    real = state.backend.real
+    mobility = build_mobility(state)
+    clumps = state.plan.features.clumps
+    kick_clump = build_kick_clump(state) if clumps else None
+
+    @ti.kernel
+    def kick(count: ti.i32, time: real):
+        for i in range(count):
+            if ti.static(clumps):
+                if particles.clump[i] >= 0:
+                    kick_clump(i, time)
+                    continue
+            particles.velocity[i] = (
+                particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
+            )
+            if ti.static(rotation):
+                inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+                particles.angular_velocity[i] = (
+                    particles.angular_velocity[i] + mobility(i) * time / inertia * particles.torque[i]
+                )
+
+    return kick

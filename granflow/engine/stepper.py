@@ -16,7 +16,7 @@ from granflow.engine.backend import free_device_memory
 from granflow.engine.box import upload_offsets
 from granflow.engine.codes import NOT_HALTED
 from granflow.engine.contact import build_end_wall_work
-from granflow.engine.gpu import DeviceFlags, read_flags
+from granflow.engine.flags import DeviceFlags, read_flags
 from granflow.engine.host import HistoryTable, HostParticles, saved_particle_table
 from granflow.engine.neighbor.rebuild import NeighborListRebuild, Rebuild
 from granflow.engine.particle_forces import write_force_inputs

@@ -1,9 +1,12 @@
-"""Sums of velocities over many steps in float32, which would otherwise lose small changes of large
-velocities.
+"""Exact sums: terms are rounded to multiples of a unit before they are added, so that their order does not
+matter.
 
-The change of a velocity in one step, such as g dt, can be smaller than half the spacing of float32 at the
-velocity (5e-7 m/s at 8 m/s). Each particle therefore keeps the remainder of the sum for the next step (Kahan,
-Commun. ACM 8 (1965) 40). Clumps sum their velocities in the precision of positions instead.
+Therefore the bits of a run do not depend on threads, chunks, neighbor lists or ranks. `plan/capacities.py`
+gives the units. Forces and torques are summed in f64 after rounding to a grid (`build_to_grid`). Energies and
+impulses are integers, converted with the parameter `per_unit`; they are summed over a whole run and have two
+words each: the low one in units, the high one in 2^CARRY_BITS units. The host adds up the chunks.
+
+The last section keeps the remainders of float32 velocities, which is another kind of sum over many steps.
 """
 
 from typing import Any
@@ -14,49 +17,30 @@ from granflow.engine.state import ALONE, Gathering, State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import CARRY_BITS
 
-# Exact sums of contact forces, energies and impulses: terms are rounded to multiples of a unit before they
-# are added.
-#
-# The order of the terms does not change such a sum. `granflow.plan.capacities` gives the units. Forces and
-# torques are summed in f64, all others as integers, with the parameter `per_unit` to convert them. Sums
-# over a run are in two words: the low one in units, the high one in 2^CARRY_BITS units.
-
-SHARES = 2
-"""Energies of a pair are in units and count once in each of two neighbor lists, SHARES times in a single
-one."""
-REDUCED_ROWS = 1024
-"""Rows to which a GPU adds up the sums over chunks before the host reads them."""
+# Forces and torques
 
 
-@ti.func
-def to_units(value):
-    """A number in units, rounded toward zero, as a 64-bit integer: exactly opposite for opposite values."""
-    return ti.cast(value, ti.i64)
+def build_to_grid(real: Any) -> Any:
+    """Device function (force or torque, shift): the nearest multiple of a unit; opposite for opposite
+    arguments.
 
+        (f + s) - s,   s = 3/2 unit / eps        with the rounding eps of the type
 
-@ti.func
-def energy_words(value):
-    """Low and high word of an energy, each rounded toward zero.
+    f + s and f - s have the same spacing as long as |f| < s / 3. In f64, forces are below s / 3 (see
+    `step.LIMIT_SQUARED`). In f32, a larger force is a multiple of half a unit anyway and remains as it
+    is; sums are in f64 there, too.
 
-    value:  energy in units of the high word, i.e. in 2^CARRY_BITS units of an energy
+    real:  type of the argument
     """
-    high = to_units(value)
-    return to_units((value - high) * 2.0**CARRY_BITS), high
 
+    @ti.func
+    def to_grid(value, shift):
+        rounded = (value + shift) - shift
+        if ti.static(real == ti.f32):
+            rounded = ti.select(3.0 * ti.abs(value) < shift, rounded, value)
+        return rounded
 
-@ti.func
-def add_energy(sums: ti.template(), chunk, term: ti.template(), terms: ti.template(), shares, value):
-    """Add `shares` times an energy to one of the two-word sums of a chunk.
-
-    sums:   field of vectors of `terms` low words and `terms` high words
-    value:  as in `energy_words`
-
-    Writes:  sums
-    """
-    low, high = energy_words(value)
-    high_word = ti.static(term + terms)  # an index that is not static crashes the kernel compiler
-    sums[chunk][term] = sums[chunk][term] + shares * low
-    sums[chunk][high_word] = sums[chunk][high_word] + shares * high
+    return to_grid
 
 
 def holds_sums(state: State) -> bool:
@@ -83,27 +67,28 @@ def build_weight_rest(state: State) -> Any:
     return weight_rest
 
 
-def build_to_grid(real: Any) -> Any:
-    """Device function (force or torque, shift): the nearest multiple of a unit; opposite for opposite
-    arguments.
+# Energies and impulses, by chunk
 
-        (f + s) - s,   s = 3/2 unit / eps        with the rounding eps of the type
 
-    f + s and f - s have the same spacing as long as |f| < s / 3. In f64, forces are below s / 3 (see
-    `engine.force.set_forces`). In f32, a larger force is a multiple of half a unit anyway and remains as it
-    is; sums are in f64 there, too.
+@ti.func
+def to_units(value):
+    """A number in units, rounded toward zero, as a 64-bit integer: exactly opposite for opposite values."""
+    return ti.cast(value, ti.i64)
 
-    real:  type of the argument
+
+@ti.func
+def energy_words(value):
+    """Low and high word of an energy, each rounded toward zero.
+
+    value:  energy in units of the high word, i.e. in 2^CARRY_BITS units of an energy
     """
+    high = to_units(value)
+    return to_units((value - high) * 2.0**CARRY_BITS), high
 
-    @ti.func
-    def to_grid(value, shift):
-        rounded = (value + shift) - shift
-        if ti.static(real == ti.f32):
-            rounded = ti.select(3.0 * ti.abs(value) < shift, rounded, value)
-        return rounded
 
-    return to_grid
+SHARES = 2
+"""Energies of a pair are in units and count once in each of two neighbor lists, SHARES times in a single
+one."""
 
 
 def build_list_shares(state: State) -> Any:
@@ -125,6 +110,21 @@ def build_list_shares(state: State) -> Any:
 
 
 @ti.func
+def add_energy(sums: ti.template(), chunk, term: ti.template(), terms: ti.template(), shares, value):
+    """Add `shares` times an energy to one of the two-word sums of a chunk.
+
+    sums:   field of vectors of `terms` low words and `terms` high words
+    value:  as in `energy_words`
+
+    Writes:  sums
+    """
+    low, high = energy_words(value)
+    high_word = ti.static(term + terms)  # an index that is not static crashes the kernel compiler
+    sums[chunk][term] = sums[chunk][term] + shares * low
+    sums[chunk][high_word] = sums[chunk][high_word] + shares * high
+
+
+@ti.func
 def carried(sums, count: ti.template()):
     """Two-word sums with the carries moved from the low words to the high words.
 
@@ -141,6 +141,12 @@ def carried(sums, count: ti.template()):
 def shares_rows(state: State) -> bool:
     """Whether chunks of one particle share the rows of the sums of wall forces, by atomic additions."""
     return state.plan.chunk_size == 1
+
+
+# Totals on the host
+
+REDUCED_ROWS = 1024
+"""Rows to which a GPU adds up the sums over chunks before the host reads them."""
 
 
 def chunk_words(state: State, field: Any) -> np.ndarray:
@@ -176,21 +182,6 @@ def _build_reduce(state: State, field: Any) -> Any:
     return reduce_chunks
 
 
-def build_to_nearest() -> Any:
-    """Device function (f64 number): the nearest integer as i64, the even one of two, as `numpy.rint`."""
-
-    @ti.func
-    def to_nearest(value):
-        lower = ti.floor(value)
-        rest = value - lower
-        integer = ti.cast(lower, ti.i64)
-        if rest > 0.5 or (rest == 0.5 and integer % 2 != 0):
-            integer += 1
-        return integer
-
-    return to_nearest
-
-
 def canonical(sums: np.ndarray) -> np.ndarray:
     """Two-word sums (..., 2 terms), int64, with the same totals and low words in [0, 2^CARRY_BITS)."""
     low, high = np.split(sums, 2, axis=-1)
@@ -211,17 +202,6 @@ def exact_totals(sums: np.ndarray, unit: float | np.ndarray) -> np.ndarray:
     return unit * np.array([float(total) for total in totals])
 
 
-def scale_exponent(largest: float, count: int) -> int:
-    """Exponent of the power of two by which `exact_sum` scales numbers before it rounds them to integers.
-
-    largest:  largest magnitude of the numbers
-    count:    number of numbers
-    """
-    if not np.isfinite(largest) or largest == 0.0:
-        return 0
-    return 62 - int(np.frexp(largest * count)[1])
-
-
 def exact_total(values: np.ndarray) -> float:
     """Sum of int64 numbers, also if it exceeds their range, rounded once."""
     high = values >> CARRY_BITS
@@ -240,6 +220,39 @@ def exact_sum(values: np.ndarray, ranks: Gathering = ALONE) -> float:
     exponent = scale_exponent(largest, int(ranks.total(np.array([len(values)]))[0]))
     units = np.rint(np.ldexp(values.astype(float), exponent)).astype(np.int64).sum()
     return float(np.ldexp(float(ranks.total(np.array([units]))[0]), -exponent))
+
+
+def scale_exponent(largest: float, count: int) -> int:
+    """Exponent of the power of two by which `exact_sum` scales numbers before it rounds them to integers.
+
+    largest:  largest magnitude of the numbers
+    count:    number of numbers
+    """
+    if not np.isfinite(largest) or largest == 0.0:
+        return 0
+    return 62 - int(np.frexp(largest * count)[1])
+
+
+def build_to_nearest() -> Any:
+    """Device function (f64 number): the nearest integer as i64, the even one of two, as `numpy.rint`."""
+
+    @ti.func
+    def to_nearest(value):
+        lower = ti.floor(value)
+        rest = value - lower
+        integer = ti.cast(lower, ti.i64)
+        if rest > 0.5 or (rest == 0.5 and integer % 2 != 0):
+            integer += 1
+        return integer
+
+    return to_nearest
+
+
+# Velocities in float32, which would otherwise lose small changes of large velocities
+#
+# The change of a velocity in one step, such as g dt, can be smaller than half the spacing of float32 at the
+# velocity (5e-7 m/s at 8 m/s). Each particle therefore keeps the remainder of the sum for the next step
+# (Kahan, Commun. ACM 8 (1965) 40). Clumps sum their velocities in the precision of positions instead.
 
 
 def build_changed(state: State, name: str) -> Any:

@@ -1,10 +1,14 @@
-"""A barrier that a worker can leave: no launch blocks on a core that another process uses.
+"""Workers of a CPU launch: the barrier between their phases, their number, and the cores of their threads.
 
-A worker that polls a barrier more than `control.patience` times leaves the launch; the others complete the
-step without it, and the launch ends (if it leaves the first barrier, the others complete the launch). The
-operating system then has a free core for the interrupted worker. A worker that has left returns with the next
-launch. Because workers can leave, a launch also ends if the thread pool of Taichi has fewer threads than
-workers.
+Workers wait for each other after each phase of a step. The barrier is one that a worker can leave, so that no
+launch blocks on a core that another process uses: a worker that polls it more than `control.patience` times
+leaves the launch; the others complete the step without it, and the launch ends (if it leaves the first
+barrier, the others complete the launch). The operating system then has a free core for the interrupted
+worker, which returns with the next launch. Because workers can leave, a launch also ends if the thread pool
+of Taichi has fewer threads than workers.
+
+On the host, `Workers` chooses the number of workers of each launch, their patience and their cores from the
+previous launches. Results depend on none of them.
 """
 
 import os
@@ -18,93 +22,13 @@ from granflow.engine.backend import Backend
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, Control, State
 from granflow.kernel_language import ti
 
-# Pins the threads of Taichi's pool to cores while the workers of a launch use all cores of this process
-# (Linux only).
-#
-# A launch wakes one thread per worker. The scheduler can put two of them on one core for several
-# milliseconds although another core is free, and the others wait at the barrier. Pinned threads start on
-# different cores. If fewer workers than cores are in use, because other processes use the cores, the
-# scheduler places the threads.
-
-PER_THREAD_CPU_CLOCK = 6
-"""Low bits of the number of a Linux clock that measures the CPU time of one thread; the others are ~id."""
-MIN_SHARE = 0.5
-"""A thread of the pool has at least this share of the largest CPU time of a thread in an identifying
-launch."""
-ATTEMPTS = 60
-"""Launches that identify the threads. While two threads share a core, one of them often runs all tasks of a
-launch, which one differs between launches: on a loaded machine 5 launches showed both threads in one process
-of five."""
-
-
-class WorkerAffinity:
-    """Cores of the pool's threads.
-
-    thread_count:  threads of the pool
-    launch:        runs a task of about 1 ms on each thread of the pool
-    """
-
-    def __init__(self, thread_count: int, launch: Callable[[], object]) -> None:
-        self._cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-        covers_all = 1 < thread_count == len(self._cores)
-        self._threads = identify_threads(thread_count, launch) if covers_all else []
-        self._pinned = False
-
-    def set_workers(self, workers: int) -> None:
-        """Pin the threads for a launch with `workers` workers, or let the scheduler place them."""
-        pinned = workers == len(self._threads)
-        if pinned == self._pinned:
-            return
-        self._pinned = pinned
-        for thread, core in zip(self._threads, self._cores, strict=False):
-            try:
-                os.sched_setaffinity(thread, {core} if pinned else self._cores)
-            except OSError:  # the cores of the process have changed since its start
-                self._threads = []
-                return
-
-
-def identify_threads(count: int, launch: Callable[[], object]) -> list[int]:
-    """Ids of the `count` threads that run tasks of launches, without the calling one; empty if not found."""
-    found: set[int] = set()
-    for _ in range(ATTEMPTS):
-        before = thread_seconds()
-        launch()
-        used = {thread: seconds - before.get(thread, 0.0) for thread, seconds in thread_seconds().items()}
-        used.pop(threading.get_native_id(), None)
-        limit = MIN_SHARE * max(used.values(), default=0.0)
-        found |= {thread for thread, seconds in used.items() if seconds > limit}
-        if len(found) >= count:
-            break
-    return sorted(found) if len(found) == count else []
-
-
-def thread_seconds() -> dict[int, float]:
-    """CPU time [s] of each thread of this process; empty if the operating system does not show it."""
-    found = {}
-    try:
-        for thread in map(int, os.listdir("/proc/self/task")):
-            found[thread] = time.clock_gettime(~thread << 3 | PER_THREAD_CPU_CLOCK)
-    except (OSError, AttributeError, ValueError):
-        return {}
-    return found
-
+# The barrier, in kernels
 
 ARRIVAL_BITS = 16
-LEAVE, ARRIVALS = 1 << ARRIVAL_BITS, (1 << ARRIVAL_BITS) - 1
+LEAVE = 1 << ARRIVAL_BITS
+ARRIVALS = LEAVE - 1
 """The counter of a barrier holds the arrivals in its low bits and the departures above them: one atomic
 operation decides whether a worker leaves before or after the last arrival."""
-CALIBRATION_POLLS = 50_000
-"""Number of polls of one measurement of `seconds_per_poll`."""
-SHORTEST_POLL = 1e-9
-"""Lower bound of the time of one poll [s], an atomic operation: two launches can differ by more than the
-polls take."""
-
-
-@ti.func
-def _counter(number):
-    """Index of the counter of a barrier in `arrived`; counters occupy separate cache lines."""
-    return CACHE_LINE * (1 + number % 2)
 
 
 @ti.func
@@ -158,50 +82,20 @@ def wait(control: ti.template(), number):
     return left
 
 
-def build_poll(control: Control) -> Callable[[int, int], float]:
-    """Function (polls, workers) -> wall-clock time [s] of a launch in which each worker polls a barrier.
-
-    Writes:  released
-    """
-
-    @ti.kernel
-    def poll(polls: ti.i32, workers: ti.i32):
-        for task in range(workers * CPU_STRIDE):
-            if task % CPU_STRIDE == 0:
-                poll_count = 0
-                while poll_count < polls and ti.atomic_add(control.released[CACHE_LINE], 0) < polls:
-                    poll_count += 1
-
-    def seconds_of(polls: int, workers: int) -> float:
-        control.released[CACHE_LINE] = 0
-        began = time.perf_counter()
-        poll(polls, workers)
-        return time.perf_counter() - began
-
-    seconds_of(0, 1)
-    return seconds_of
+@ti.func
+def _counter(number):
+    """Index of the counter of a barrier in `arrived`; counters occupy separate cache lines."""
+    return CACHE_LINE * (1 + number % 2)
 
 
-def seconds_per_poll(seconds_of: Callable[[int, int], float]) -> float:
-    """Wall-clock time [s] of one poll of the barrier by a waiting worker, without the time of the launch.
-
-    seconds_of:  function of `build_poll`
-    """
-    launch, polling = (min(seconds_of(polls, 1) for _ in range(3)) for polls in (1, CALIBRATION_POLLS + 1))
-    return max(polling - launch, SHORTEST_POLL * CALIBRATION_POLLS) / CALIBRATION_POLLS
-
-
-# Chooses the number of CPU workers of a launch during the run; results do not depend on it.
-#
-# Workers wait for each other after each phase of a step. If other processes use the cores, fewer workers
-# can be faster. Trials with twice or half the workers measure it; contention makes a trial with half the
-# workers due at once.
+# Number of workers
 
 WINDOW = 0.02
 """Launch time [s] over which a rate is measured; also the length of a trial."""
 UP_INTERVAL = 0.7
 """Launch time [s] between two trials with more workers."""
-FIRST_DOWN_INTERVAL, LAST_DOWN_INTERVAL = 0.25, 8.0
+FIRST_DOWN_INTERVAL = 0.25
+LAST_DOWN_INTERVAL = 8.0
 """Launch time [s] until a trial with fewer workers; doubled after each trial that was not faster."""
 CONTENDED_DOWN_INTERVAL = 0.25
 """Launch time [s] between two trials with fewer workers that contention makes due."""
@@ -217,6 +111,9 @@ tried."""
 
 class WorkerTuner:
     """Proposes the number of workers of each launch from the rate and the contention of previous launches.
+
+    If other processes use the cores, fewer workers can be faster. Trials with twice or half the workers
+    measure it; contention makes a trial with half the workers due at once.
 
     max_size:  largest number of workers, with which the first launch starts
 
@@ -272,20 +169,16 @@ class WorkerTuner:
         `rate`: work per second during the trial. The interval between trials with fewer workers doubles after
         each of them that is not faster.
         """
-        faster, down, self._candidate, candidate = (
-            rate > MIN_SPEEDUP * self._rate,
-            self._candidate < self.size,
-            0,
-            self._candidate,
-        )
-        self._contention = 0
+        faster = rate > MIN_SPEEDUP * self._rate
+        down = self._candidate < self.size
         if faster:
-            self.size = candidate
+            self.size = self._candidate
             self._rate = rate
-        if faster or not down:
-            self._down_interval = FIRST_DOWN_INTERVAL if faster else self._down_interval
-        else:
+            self._down_interval = FIRST_DOWN_INTERVAL
+        elif down:
             self._down_interval = min(2 * self._down_interval, LAST_DOWN_INTERVAL)
+        self._candidate = 0
+        self._contention = 0
 
     def _next_trial(self) -> int:
         """Number of workers of the next trial; 0 if no trial is due."""
@@ -305,12 +198,127 @@ class WorkerTuner:
         return contended or self._since_down >= self._down_interval
 
 
-# Number of workers of each launch, their cores, and the time that they wait for each other.
+# Cores of the threads
 
-BARRIER_CONTENTION_LIMIT, PATIENCE_CHUNKS = 3e-4, 4.0
-"""A worker leaves the launch after waiting this time [s] plus the time for this number of chunks: longer than
-the differences in cost between chunks, and shorter than the time for which an operating system preempts a
-thread."""
+PER_THREAD_CPU_CLOCK = 6
+"""Low bits of the number of a Linux clock that measures the CPU time of one thread; the others are ~id."""
+MIN_SHARE = 0.5
+"""A thread of the pool has at least this share of the largest CPU time of a thread in an identifying
+launch."""
+ATTEMPTS = 60
+"""Launches that identify the threads. While two threads share a core, one of them often runs all tasks of a
+launch, which one differs between launches: on a loaded machine 5 launches showed both threads in one process
+of five."""
+
+
+class WorkerAffinity:
+    """Pins the threads of Taichi's pool to cores while the workers of a launch use all cores of this process.
+
+    A launch wakes one thread per worker. The scheduler can put two of them on one core for several
+    milliseconds although another core is free, and the others wait at the barrier. Pinned threads start on
+    different cores. If fewer workers than cores are in use, because other processes use the cores, the
+    scheduler places the threads. Linux only.
+
+    thread_count:  threads of the pool
+    launch:        runs a task of about 1 ms on each thread of the pool
+    """
+
+    def __init__(self, thread_count: int, launch: Callable[[], object]) -> None:
+        self._cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+        covers_all = 1 < thread_count == len(self._cores)
+        self._threads = identify_threads(thread_count, launch) if covers_all else []
+        self._pinned = False
+
+    def set_workers(self, workers: int) -> None:
+        """Pin the threads for a launch with `workers` workers, or let the scheduler place them."""
+        pinned = workers == len(self._threads)
+        if pinned == self._pinned:
+            return
+        self._pinned = pinned
+        for thread, core in zip(self._threads, self._cores, strict=False):
+            try:
+                os.sched_setaffinity(thread, {core} if pinned else self._cores)
+            except OSError:  # the cores of the process have changed since its start
+                self._threads = []
+                return
+
+
+def identify_threads(count: int, launch: Callable[[], object]) -> list[int]:
+    """Ids of the `count` threads that run tasks of launches, without the calling one; empty if not found."""
+    found: set[int] = set()
+    for _ in range(ATTEMPTS):
+        before = thread_seconds()
+        launch()
+        used = {thread: seconds - before.get(thread, 0.0) for thread, seconds in thread_seconds().items()}
+        used.pop(threading.get_native_id(), None)
+        limit = MIN_SHARE * max(used.values(), default=0.0)
+        found |= {thread for thread, seconds in used.items() if seconds > limit}
+        if len(found) >= count:
+            break
+    return sorted(found) if len(found) == count else []
+
+
+def thread_seconds() -> dict[int, float]:
+    """CPU time [s] of each thread of this process; empty if the operating system does not show it."""
+    found = {}
+    try:
+        for name in os.listdir("/proc/self/task"):
+            found[int(name)] = time.clock_gettime(~int(name) << 3 | PER_THREAD_CPU_CLOCK)
+    except (OSError, AttributeError, ValueError):
+        return {}
+    return found
+
+
+# Time of one poll of the barrier
+
+CALIBRATION_POLLS = 50_000
+"""Number of polls of one measurement of `seconds_per_poll`."""
+SHORTEST_POLL = 1e-9
+"""Lower bound of the time of one poll [s], an atomic operation: two launches can differ by more than the
+polls take."""
+
+
+def build_poll(control: Control) -> Callable[[int, int], float]:
+    """Function (polls, workers) -> wall-clock time [s] of a launch in which each worker polls a barrier.
+
+    Writes:  released
+    """
+
+    @ti.kernel
+    def poll(polls: ti.i32, workers: ti.i32):
+        for task in range(workers * CPU_STRIDE):
+            if task % CPU_STRIDE == 0:
+                poll_count = 0
+                while poll_count < polls and ti.atomic_add(control.released[CACHE_LINE], 0) < polls:
+                    poll_count += 1
+
+    def seconds_of(polls: int, workers: int) -> float:
+        control.released[CACHE_LINE] = 0
+        began = time.perf_counter()
+        poll(polls, workers)
+        return time.perf_counter() - began
+
+    seconds_of(0, 1)
+    return seconds_of
+
+
+def seconds_per_poll(seconds_of: Callable[[int, int], float]) -> float:
+    """Wall-clock time [s] of one poll of the barrier by a waiting worker, without the time of the launch.
+
+    seconds_of:  function of `build_poll`
+    """
+    launch = min(seconds_of(1, 1) for _ in range(3))
+    launch_and_polls = min(seconds_of(CALIBRATION_POLLS + 1, 1) for _ in range(3))
+    return max(launch_and_polls - launch, SHORTEST_POLL * CALIBRATION_POLLS) / CALIBRATION_POLLS
+
+
+# Workers of each launch
+
+BARRIER_CONTENTION_LIMIT = 3e-4
+PATIENCE_CHUNKS = 4.0
+"""A worker leaves the launch after waiting for BARRIER_CONTENTION_LIMIT [s] plus the time of PATIENCE_CHUNKS
+chunks: longer than the differences in cost between chunks, and shorter than the time for which an operating
+system preempts a thread."""
 START_PATIENCE = 3e-3
 """Additional waiting time at the first barrier of a launch [s], for the start of the threads."""
 SINGLE_WORKER_PARTICLES = 512

@@ -11,7 +11,7 @@ import numpy as np
 from granflow.engine.clumps import CLUMP_MOTION, ROTATION_SHARE, of_clumps
 from granflow.engine.codes import ABORT_LEFT_DOMAIN, REMOVED_BELOW
 from granflow.engine.host import copy_to_host
-from granflow.engine.pair import build_mobility, mobility_mask
+from granflow.engine.particle_forces import build_mobility, mobility_mask
 from granflow.engine.state import ALONE, Gathering, State
 from granflow.engine.statistics import LIQUID_SUMS
 from granflow.engine.sums import (

@@ -1,4 +1,6 @@
-"""Force-controlled walls on the device: the force of the particles on a wall, and the resulting motion.
+"""Forces of the particles on walls: force-controlled walls, which move by them, and measured walls.
+
+A force-controlled wall has one or more motions of the kinds servo and free:
 
     servo   v(t + dt/2) = v(t - dt/2) + {gain [F - f(t)] - v(t - dt/2)} / (1 + lag), limited to +-velocity_max
     free    v(t + dt/2) = [(1 - a) v(t - dt/2) + dt/M (F - f(t))] / (1 + a),   a = c dt / 2M
@@ -8,6 +10,10 @@ with f [N] the force of the wall on the particles along its direction, and F [N]
 or the weight and the applied force of a free wall; gain [m/(N s)], lag [steps], mass M [kg] and damping c [N
 s/m] are those of the plan. As in the leapfrog scheme of the particles, the velocity of a wall is half a step
 behind its position, and both are integrated in the same phase of the step.
+
+The force phase of a step sums f exactly per chunk (`build_add_wall_force`); the integration phase of the next
+one moves the walls (`build_move_walls`). Measured walls have time integrals of their forces
+(`build_add_impulse`), from which the host computes means over any interval.
 """
 
 from typing import Any
@@ -21,91 +27,7 @@ from granflow.geometry.motion import is_running, pose
 from granflow.kernel_language import ti
 from granflow.plan.capacities import ANGULAR_IMPULSE, CARRY_BITS, IMPULSE, IMPULSE_SIZE, WALL_FORCE
 
-# Wall forces: time integrals of the forces of the particles, summed exactly per chunk.
-
-
-def build_add_impulse(state: State) -> Any:
-    """Device function (chunk, wall, i, normal, force on i, torque on i, time_step): add one contact in one
-    step.
-
-        J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
-
-    with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are exact,
-    because a wall force is the difference of two sums. Chunks of one particle share rows by atomic additions.
-
-    Reads:   position, impulse_row, pivot
-    Writes:  impulses
-    """
-    particles = state.particles
-    walls = state.walls
-    impulses = state.control.impulses
-    per_unit = state.parameter("per_unit")
-    shared = shares_rows(state)
-    rows = state.capacities.wall_rows
-
-    @ti.func
-    def add_to_shared(chunk, row, terms):
-        for k in ti.static(range(IMPULSE_SIZE)):
-            high = terms[k] >> CARRY_BITS
-            ti.atomic_add(impulses[chunk % rows, row][k], terms[k] - (high << CARRY_BITS))
-            ti.atomic_add(impulses[chunk % rows, row][IMPULSE_SIZE + k], high)
-
-    @ti.func
-    def add_impulse(chunk, w, i, normal, force, torque, dt):
-        row = walls.impulse_row[w]
-        if row >= 0:
-            time = ti.cast(dt, ti.f64)
-            impulse = -time * ti.cast(force, ti.f64)
-            angular_impulse = -time * ti.cast(torque, ti.f64)
-            arm = ti.cast(particles.position[i], ti.f64) - ti.cast(walls.pivot[w], ti.f64)
-            angular_impulse += arm.cross(impulse)
-            units = ti.cast(per_unit(), ti.f64)
-            terms = ti.Vector.zero(ti.i64, 2 * IMPULSE_SIZE)
-            for axis in ti.static(range(3)):
-                terms[axis] = to_units(units[IMPULSE] * impulse[axis])
-                terms[3 + axis] = to_units(units[ANGULAR_IMPULSE] * angular_impulse[axis])
-            terms[6] = -to_units(units[IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
-            if ti.static(shared):
-                add_to_shared(chunk, row, terms)
-            else:
-                impulses[chunk, row] = carried(impulses[chunk, row] + terms, IMPULSE_SIZE)
-
-    return add_impulse
-
-
-def build_carry_impulses(state: State) -> Any:
-    """Device function (chunk): move the carries of a row that chunks share, once per step and not beside
-    additions.
-
-    Writes:  impulses
-    """
-    impulses = state.control.impulses
-    rows = state.capacities.wall_rows
-    shared = impulses is not None and shares_rows(state)
-    measured = state.capacities.measured_walls
-
-    @ti.func
-    def carry_impulses(chunk):
-        if ti.static(shared):
-            if chunk < rows:
-                for row in range(measured):
-                    impulses[chunk, row] = carried(impulses[chunk, row], IMPULSE_SIZE)
-
-    return carry_impulses
-
-
-def wall_impulses(state: State) -> dict[str, np.ndarray]:
-    """Time integrals since the start of each measured wall by name.
-
-    Returns:  arrays (7,) float64: impulse (3) [N s], angular impulse (3) [N m s] and normal impulse [N s] of
-              the particles on the wall; empty without measured walls
-    """
-    if state.control.impulses is None:
-        return {}
-    sums = state.ranks.total(state.control.impulses.to_numpy())
-    units = state.plan.sum_units
-    unit = np.array([units.impulse] * 3 + [units.angular_impulse] * 3 + [units.impulse])
-    return {name: exact_totals(sums[:, row], unit) for row, name in enumerate(state.plan.measured_walls)}
+# Force-controlled walls on the device
 
 
 class MotionParameters:
@@ -113,31 +35,43 @@ class MotionParameters:
 
     def __init__(self, state: State, index: int) -> None:
         self.is_servo = state.plan.controlled_motions[index].kind == "servo"
-        (
-            self.wall,
-            self.direction,
-            self.force,
-            self.gain,
-            self.lag,
-            self.velocity_max,
-            self.mass,
-            self.damping,
-        ) = (
-            state.parameter(f"motion.{index}.{name}")
-            for name in ("wall", "direction", "force", "gain", "lag", "velocity_max", "mass", "damping")
-        )
+        self.wall = state.parameter(f"motion.{index}.wall")
+        self.direction = state.parameter(f"motion.{index}.direction")
+        self.force = state.parameter(f"motion.{index}.force")
+        self.gain = state.parameter(f"motion.{index}.gain")
+        self.lag = state.parameter(f"motion.{index}.lag")
+        self.velocity_max = state.parameter(f"motion.{index}.velocity_max")
+        self.mass = state.parameter(f"motion.{index}.mass")
+        self.damping = state.parameter(f"motion.{index}.damping")
 
 
 def _motions(state: State) -> list[MotionParameters]:
     return [MotionParameters(state, index) for index in range(len(state.plan.controlled_motions))]
 
 
-def build_add_wall_force(state: State) -> tuple[Any, Any]:
-    """Device functions that clear and sum the forces on force-controlled walls.
+def build_clear_wall_forces(state: State) -> Any:
+    """Device function (chunk): clear the forces of a chunk; rows that chunks share are cleared when the walls
+    move.
 
-    clear:  (chunk); rows that chunks share are cleared when the walls move
-    add:    (chunk, wall, force on a particle [N]); the component along the direction of each motion counts,
-            with opposite sign
+    Writes:  wall_force
+    """
+    fields = state.wall_dynamics
+    motion_count = len(state.plan.controlled_motions)
+    shared = shares_rows(state)
+
+    @ti.func
+    def clear_wall_forces(chunk):
+        if ti.static(not shared):
+            for r in ti.static(range(motion_count)):
+                fields.wall_force[chunk, r] = 0
+
+    return clear_wall_forces
+
+
+def build_add_wall_force(state: State) -> Any:
+    """Device function (chunk, wall, force on a particle [N]): add the force of one contact.
+
+    The component along the direction of each motion of the wall counts, with opposite sign.
 
     Writes:  wall_force
     """
@@ -146,12 +80,6 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
     per_unit = state.parameter("per_unit", WALL_FORCE)
     shared = shares_rows(state)
     rows = state.capacities.wall_rows
-
-    @ti.func
-    def clear_wall_forces(chunk):
-        if ti.static(not shared):
-            for r in ti.static(range(len(motions))):
-                fields.wall_force[chunk, r] = 0
 
     @ti.func
     def add_wall_force(chunk, w, force):
@@ -164,7 +92,7 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
                 else:
                     fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - in_units
 
-    return clear_wall_forces, add_wall_force
+    return add_wall_force
 
 
 def build_move_walls(state: State) -> Any:
@@ -269,7 +197,7 @@ def build_controlled_vector(state: State, values: Any) -> Any:
 
     values:  field with an entry per motion, such as `offset` [m] or `velocity` [m/s]
 
-    The vector is zero for other walls, and without force-controlled motions.
+    The vector is zero for other walls.
 
     Reads:  values
     """
@@ -285,6 +213,9 @@ def build_controlled_vector(state: State, values: Any) -> Any:
         return total
 
     return controlled_vector
+
+
+# Force-controlled walls on the host
 
 
 def upload_running(state: State, times: np.ndarray) -> None:
@@ -349,10 +280,8 @@ def controlled_totals(state: State) -> dict[str, float]:
     """
     if state.wall_dynamics is None:
         return {}
-    controlled_motions, (velocity, _work_on_particles, work) = (
-        state.plan.controlled_motions,
-        _synchronized(state),
-    )
+    controlled_motions = state.plan.controlled_motions
+    velocity, _, work = _synchronized(state)
     displacements = controlled_displacements(state)
     velocities = _summed_per_wall(state, velocity)
     found: dict[str, float] = {}
@@ -397,14 +326,15 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     positions."""
     fields = state.wall_dynamics
     half = 0.5 * state.clock.time_step
-    velocity_half, work_on_particles, work = (
-        field.to_numpy() for field in (fields.velocity, fields.work_on_particles, fields.work)
-    )
+    velocity_half = fields.velocity.to_numpy()
+    work_on_particles = fields.work_on_particles.to_numpy()
+    work = fields.work.to_numpy()
     force_on_wall = _forces_on_walls(state)
     velocity = velocity_half.copy()
     for r in np.flatnonzero(fields.was_active.to_numpy()):
         controlled = state.plan.controlled_motions[r]
-        if controlled.kind == "free":
+        is_free = controlled.kind == "free"
+        if is_free:
             drag = 0.5 * controlled.damping * half / controlled.mass
             velocity[r] = (
                 (1.0 - drag) * velocity_half[r]
@@ -412,10 +342,91 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             ) / (1.0 + drag)
         velocity_mean = 0.5 * (velocity_half[r] + velocity[r])
         work_on_particles[r] -= half * velocity_mean * force_on_wall[r]
-        work[r] += (
-            half
-            * velocity_mean
-            * (controlled.force - controlled.damping * velocity_mean)
-            * (controlled.kind == "free")
-        )
+        if is_free:
+            work[r] += half * velocity_mean * (controlled.force - controlled.damping * velocity_mean)
     return velocity, work_on_particles, work
+
+
+# Measured walls: time integrals of the forces of the particles, summed exactly per chunk
+
+
+def build_add_impulse(state: State) -> Any:
+    """Device function (chunk, wall, i, normal, force on i, torque on i, time_step): add one contact in one
+    step.
+
+        J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
+
+    with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are exact,
+    because a wall force is the difference of two sums. Chunks of one particle share rows by atomic additions.
+
+    Reads:   position, impulse_row, pivot
+    Writes:  impulses
+    """
+    particles = state.particles
+    walls = state.walls
+    impulses = state.control.impulses
+    per_unit = state.parameter("per_unit")
+    shared = shares_rows(state)
+    rows = state.capacities.wall_rows
+
+    @ti.func
+    def add_to_shared(chunk, row, terms):
+        for k in ti.static(range(IMPULSE_SIZE)):
+            high = terms[k] >> CARRY_BITS
+            ti.atomic_add(impulses[chunk % rows, row][k], terms[k] - (high << CARRY_BITS))
+            ti.atomic_add(impulses[chunk % rows, row][IMPULSE_SIZE + k], high)
+
+    @ti.func
+    def add_impulse(chunk, w, i, normal, force, torque, dt):
+        row = walls.impulse_row[w]
+        if row >= 0:
+            time = ti.cast(dt, ti.f64)
+            impulse = -time * ti.cast(force, ti.f64)
+            angular_impulse = -time * ti.cast(torque, ti.f64)
+            arm = ti.cast(particles.position[i], ti.f64) - ti.cast(walls.pivot[w], ti.f64)
+            angular_impulse += arm.cross(impulse)
+            units = ti.cast(per_unit(), ti.f64)
+            terms = ti.Vector.zero(ti.i64, 2 * IMPULSE_SIZE)
+            for axis in ti.static(range(3)):
+                terms[axis] = to_units(units[IMPULSE] * impulse[axis])
+                terms[3 + axis] = to_units(units[ANGULAR_IMPULSE] * angular_impulse[axis])
+            terms[6] = -to_units(units[IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
+            if ti.static(shared):
+                add_to_shared(chunk, row, terms)
+            else:
+                impulses[chunk, row] = carried(impulses[chunk, row] + terms, IMPULSE_SIZE)
+
+    return add_impulse
+
+
+def build_carry_impulses(state: State) -> Any:
+    """Device function (chunk): move the carries of a row that chunks share, once per step and not beside
+    additions.
+
+    Writes:  impulses
+    """
+    impulses = state.control.impulses
+    rows = state.capacities.wall_rows
+    measured = state.capacities.measured_walls
+
+    @ti.func
+    def carry_impulses(chunk):
+        if chunk < rows:
+            for row in range(measured):
+                impulses[chunk, row] = carried(impulses[chunk, row], IMPULSE_SIZE)
+
+    return carry_impulses
+
+
+def wall_impulses(state: State) -> dict[str, np.ndarray]:
+    """Time integrals since the start of each measured wall by name.
+
+    Returns:  arrays (7,) float64: impulse (3) [N s], angular impulse (3) [N m s] and normal impulse [N s] of
+              the particles on the wall; empty without measured walls
+    """
+    if state.control.impulses is None:
+        return {}
+    sums = state.ranks.total(state.control.impulses.to_numpy())
+    units = state.plan.sum_units
+    unit = np.array([units.impulse] * 3 + [units.angular_impulse] * 3 + [units.impulse])
+    return {name: exact_totals(sums[:, row], unit) for row, name in enumerate(state.plan.measured_walls)}

@@ -1,4 +1,12 @@
-"""Walls on the device: distance, normal and surface velocity at a point for the present pose."""
+"""Walls on the device: their poses, and the distance, direction and velocity of their surfaces at a point.
+
+The host uploads the poses of prescribed motions for many steps in advance (`upload_poses`); force-controlled
+motions are added to them (`wall_dynamics.py`). `WallGeometry` evaluates one face: a wall of one of the shapes
+in `geometry/`, or a triangle of a mesh.
+
+A contact with a surface made of several faces has one owner. Of the triangles of a mesh, `triangle_contact`
+finds it; where several walls touch or overlap, `build_wall_contact`, which the contact kinematics call.
+"""
 
 from typing import Any
 
@@ -11,269 +19,94 @@ from granflow.geometry.catalog import SHAPE_KINDS
 from granflow.geometry.mesh import NOT_OWNED, OPEN_EDGE, ROUNDING
 from granflow.geometry.motion import pose
 from granflow.geometry.plane import HALF_SPACE
+from granflow.geometry.revolved import REVOLVED
 from granflow.geometry.shape import FAR_AWAY, Shape
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
-
-# Mesh walls on the device: nearby triangles, and the triangle that owns a contact.
-#
-# `geometry/mesh.py` defines the owner of a contact, `geometry/mesh.py` is the numpy
-# reference implementation. All coordinates are in the frame of the mesh at rest; triangles are numbered
-# consecutively over all meshes.
-
-EPSILON = {ti.f64: float(np.finfo(np.float64).eps), ti.f32: float(np.finfo(np.float32).eps)}
-"""Relative rounding error of each type."""
-SAME_DIRECTION = 1e-6
-"""Largest sine of the angle between two normals that count as equal; above rounding in float32."""
+from granflow.plan.joined_walls import ITSELF, OTHERS
 
 
-@ti.func
-def triangle_range(mesh: ti.template(), w, point):
-    """Range of the triangles near the point in `MeshFields.cell_triangles`; empty outside the grid of wall w.
+def upload_poses(state: State, step: int) -> None:
+    """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each
+    step.
 
-    Reads:  low, side, shape, first_cell, cell_start
+    Velocities have one more row, for the work in the step that follows the last pose.
+
+    Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles
+    of the steps are evaluated together, and a wall without motion once.
+
+    Writes:  center, rotation, velocity, angular_velocity, surface_velocity of walls; active
     """
-    cell_position = ti.floor((point - mesh.low[w]) / mesh.side[w])
-    begin, end = 0, 0
-    shape = mesh.shape[w]
-    inside = (cell_position[0] >= 0.0) & (cell_position[1] >= 0.0) & (cell_position[2] >= 0.0)
-    inside = (
-        inside & (cell_position[0] < shape[0]) & (cell_position[1] < shape[1]) & (cell_position[2] < shape[2])
-    )
-    if inside:
-        x, y, z = (
-            ti.cast(cell_position[0], ti.i32),
-            ti.cast(cell_position[1], ti.i32),
-            ti.cast(cell_position[2], ti.i32),
-        )
-        number = mesh.first_cell[w] + (z * shape[1] + y) * shape[0] + x
-        begin, end = mesh.cell_start[number], mesh.cell_start[number + 1]
-    return begin, end
+    walls = state.walls
+    clock = state.clock
+    ends = np.asarray(clock.time_after(step + np.arange(WALL_BATCH + 1)))
+    times = ends[:WALL_BATCH]
+    middles = ends - 0.5 * clock.time_step
+    at_rest = pose((), ends)
+    both = [
+        pose(motions, np.concatenate([times, middles])) if motions else at_rest
+        for motions in state.wall_motions
+    ]
+    # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
+    real = np.float64 if state.backend.precision == "f64" else np.float32
+    position_real = np.float32 if state.backend.precision == "f32" else np.float64
+
+    def upload(field: Any, arrays: list[np.ndarray], dtype: Any) -> None:
+        padded = np.zeros((len(arrays[0]), state.plan.capacities.walls, *arrays[0].shape[1:]), dtype)
+        padded[:, : len(arrays)] = np.stack(arrays, axis=1)
+        field.from_numpy(padded)
+
+    upload_running(state, middles[:WALL_BATCH])
+    upload(walls.center, [p.offset[:WALL_BATCH] + p.pivot for p in both], position_real)
+    upload(walls.rotation, [p.rotation[:WALL_BATCH] for p in both], position_real)
+    upload(walls.velocity, [p.velocity[-len(middles) :] for p in both], real)
+    upload(walls.angular_velocity, [p.angular_velocity[-len(middles) :] for p in both], real)
+    if state.plan.features.surface_velocity:
+        upload(walls.surface_velocity, [p.surface_velocity[-len(middles) :] for p in both], real)
 
 
-@ti.func
-def from_nearest(mesh: ti.template(), t, point):
-    """Vector [m] to the point from the nearest point of triangle t, on its face, an edge or a vertex.
+# Faces and their numbers
 
-    Reads:  normal, vertex, edge_direction, length
+
+def build_wall_of(state: State) -> Any:
+    """Device function (j): the wall of a partner j < 0.
+
+    Partner -1 - p is the wall p, or the triangle p - wall count, numbered over all meshes.
+
+    Reads:  wall of the mesh triangles
     """
-    normal = mesh.normal[t]
-    found = (point - mesh.vertex[3 * t]).dot(normal) * normal
-    over = 1
-    nearest = ti.cast(FAR_AWAY, mesh.length.dtype)
-    from_edge_nearest = found
-    for k in range(3):
-        from_corner = point - mesh.vertex[3 * t + k]
-        edge_direction = mesh.edge_direction[3 * t + k]
-        if normal.cross(edge_direction).dot(from_corner) <= 0.0:
-            over = 0
-        from_edge = (
-            from_corner
-            - ti.min(ti.max(from_corner.dot(edge_direction), 0.0), mesh.length[3 * t + k]) * edge_direction
-        )
-        if from_edge.norm() < nearest:
-            nearest = from_edge.norm()
-            from_edge_nearest = from_edge
-    if over == 0:
-        found = from_edge_nearest
-    return found
+    wall_count = state.parameter("wall_count")
+    mesh = state.mesh
+    has_mesh = state.mesh is not None
+
+    @ti.func
+    def wall_of(j):
+        w = -1 - j
+        if ti.static(has_mesh):
+            if w >= wall_count():
+                w = mesh.wall[w - wall_count()]
+        return w
+
+    return wall_of
 
 
-@ti.func
-def normal_near(mesh: ti.template(), t, point, normal):
-    """Unit normal at a point near a contact of triangle t with this normal.
-
-    On the face it is that of the contact, although the triangle may own no contact of the point: the next
-    triangle of a flat surface has the same normal. Near an edge or a vertex it is the direction from the
-    triangle.
-
-    Reads:  as `from_nearest`
-    """
-    found = normal
-    if normal.cross(mesh.normal[t]).norm_sqr() > ti.static(SAME_DIRECTION * SAME_DIRECTION):
-        separation = from_nearest(mesh, t, point)
-        distance = separation.norm()
-        if distance > 0.0:
-            found = separation / distance
-    return found
+def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
+    """Wall index (n,) of each partner (n,) below 0; see `build_wall_of`."""
+    walls = np.arange(len(state.plan.walls))
+    if state.mesh is not None:
+        walls = np.concatenate([walls, state.mesh.wall.to_numpy()])
+    return walls[-1 - partner].astype(np.int64)
 
 
-@ti.func
-def may_own(mesh: ti.template(), t, point, slack):
-    """0 if triangle t owns no contact of any point within `slack` [m] of this point.
-
-    This is `triangle_contact` with all comparisons relaxed by `slack`: each length that it compares changes
-    by at most the displacement of the point. Without this test the neighbor list of a sphere would contain
-    all triangles within its radius, although only one or two can own a contact.
-
-    Reads:  edges, vertices and their adjacency
-    """
-    possible = _may_be_over_face(mesh, t, point, slack)
-    k = 0
-    while possible == 0 and k < 3:
-        possible = ti.max(
-            _may_be_in_edge_region(mesh, t, k, point, slack), _may_be_above_vertex(mesh, t, k, point, slack)
-        )
-        k += 1
-    return possible
+def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
+    """Triangle index (n,) within its wall of each partner (n,) below 0; -1 if the wall is not a mesh."""
+    plan = state.plan
+    first = np.array([plan.first_triangle(index) for index in range(len(plan.walls))])
+    triangle = -1 - partner - len(plan.walls)
+    return np.where(triangle < 0, -1, triangle - first[walls_of(state, partner)])
 
 
-@ti.func
-def _may_be_over_face(mesh: ti.template(), t, point, slack):
-    over = 1
-    for k in range(3):
-        edge = 3 * t + k
-        if (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge]) < -slack:
-            over = 0
-    return over
-
-
-@ti.func
-def _may_be_in_edge_region(mesh: ti.template(), t, k, point, slack):
-    edge = 3 * t + k
-    possible = 0
-    if mesh.role[edge] != NOT_OWNED:
-        from_vertex = point - mesh.vertex[edge]
-        along = from_vertex.dot(mesh.edge_direction[edge])
-        length = mesh.length[edge]
-        beyond = from_vertex.dot(mesh.inward[edge]) <= slack
-        beyond = beyond and (
-            mesh.role[edge] == OPEN_EDGE or from_vertex.dot(mesh.inward_other[edge]) <= slack
-        )
-        possible = ti.cast(beyond and along > -slack and along < length + slack, ti.i32)
-    return possible
-
-
-@ti.func
-def _may_be_above_vertex(mesh: ti.template(), t, k, point, slack):
-    vertex_index = mesh.point[3 * t + k]
-    above = 0
-    if mesh.owner[vertex_index] == t:
-        above = 1
-        from_vertex = point - mesh.vertex[3 * t + k]
-        vertex_edge = mesh.vertex_edge_start[vertex_index]
-        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
-            if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
-                above = 0
-            vertex_edge += 1
-    return above
-
-
-@ti.func
-def triangle_contact(mesh: ti.template(), t, point):
-    """Gap [m] and normal of the contact of a point with triangle t; FAR_AWAY if another triangle owns the
-    contact.
-
-    Reads:  faces, edges, vertices and their adjacency, competitor_start, competitor
-    """
-    gap = ti.cast(FAR_AWAY, mesh.length.dtype)
-    gap_alone = ti.cast(FAR_AWAY, mesh.length.dtype)
-    normal = 0.0 * point
-    row = 2 * t + ti.cast(_height(mesh, t, point) < 0.0, ti.i32)
-    begin = mesh.competitor_start[row]
-    entry = -1
-    end = mesh.competitor_start[row + 1] - mesh.competitor_start[row]
-    while (
-        entry < end
-    ):  # this triangle, then its competitors: one loop, so that `_contact_alone` is compiled once
-        candidate = t
-        if entry >= 0:
-            candidate = mesh.competitor[begin + entry]
-        if entry < 0 or ti.abs(_height(mesh, candidate, point)) <= gap_alone:
-            found, direction = _contact_alone(mesh, candidate, point)
-            if entry < 0:
-                gap = found
-                gap_alone = found
-                normal = direction
-                if not found < FAR_AWAY:
-                    end = 0
-            elif found < gap_alone or (found == gap_alone and candidate < t):
-                gap = ti.cast(FAR_AWAY, mesh.length.dtype)
-                end = 0
-        entry += 1
-    return gap, normal
-
-
-@ti.func
-def _height(mesh: ti.template(), t, point):
-    return (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
-
-
-@ti.func
-def _contact_alone(mesh: ti.template(), t, point):
-    """As `triangle_contact`, before the comparison with competing faces."""
-    height = (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
-    normal = ti.select(height < 0.0, -1.0, 1.0) * mesh.normal[t]
-    gap = ti.cast(FAR_AWAY, mesh.length.dtype)
-    near = 0.0 * normal
-    over_count = 0
-    is_vertex = 0
-    for k in range(3):
-        over_count += _over_edge(mesh, t, k, point)
-        if _above_vertex(mesh, t, k, point) == 1:
-            is_vertex = 1
-            if mesh.owner[mesh.point[3 * t + k]] == t:
-                near = point - mesh.vertex[3 * t + k]
-                gap = near.norm()
-    if is_vertex == 0 and over_count == 3:
-        gap = ti.abs(height)
-    elif is_vertex == 0:
-        for k in range(3):
-            owns, from_nearest = _in_edge_region(mesh, t, k, point)
-            if owns == 1:
-                near = from_nearest
-                gap = from_nearest.norm()
-    if over_count < 3 or is_vertex == 1:
-        if gap > 0.0 and gap < FAR_AWAY:
-            normal = near / gap
-    return gap, normal
-
-
-@ti.func
-def _over_edge(mesh: ti.template(), t, k, point):
-    """1 if the point is over the face at edge k, or exactly above an edge whose ties the triangle owns."""
-    edge = 3 * t + k
-    s = (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge])
-    return ti.cast(s > 0.0 or (s == 0.0 and mesh.owns_tie[edge] == 1), ti.i32)
-
-
-@ti.func
-def _in_edge_region(mesh: ti.template(), t, k, point):
-    """Whether the triangle owns a contact at edge k, and the vector [m] from the edge."""
-    edge = 3 * t + k
-    from_nearest = point - mesh.vertex[edge]
-    owns = 0
-    if mesh.role[edge] != NOT_OWNED:
-        along = from_nearest.dot(mesh.edge_direction[edge])
-        from_base = point - mesh.vertex[3 * t + mesh.base[edge]]
-        beyond = from_base.dot(mesh.inward[edge]) <= 0.0
-        beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_base.dot(mesh.inward_other[edge]) <= 0.0)
-        owns = ti.cast(beyond and along > 0.0 and along < mesh.length[edge], ti.i32)
-        from_nearest -= along * mesh.edge_direction[edge]
-    return owns, from_nearest
-
-
-@ti.func
-def _above_vertex(mesh: ti.template(), t, k, point):
-    """1 if no edge at corner k is nearer to the point than the corner."""
-    vertex_index = mesh.point[3 * t + k]
-    from_vertex = point - mesh.vertex[3 * t + k]
-    slack = ti.static(ROUNDING * EPSILON[mesh.length.dtype]) * (
-        mesh.longest[vertex_index] + from_vertex.norm()
-    )
-    above = 1
-    if (
-        from_vertex.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
-        or from_vertex.dot(mesh.edge_direction[3 * t + (k + 2) % 3]) < -2.0 * slack
-    ):
-        above = 0
-    if above == 1:
-        vertex_edge = mesh.vertex_edge_start[vertex_index]
-        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
-            if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
-                above = 0
-            vertex_edge += 1
-    return above
+# One face
 
 
 class WallGeometry:
@@ -302,10 +135,9 @@ class WallGeometry:
         self.near_image = build_near_image(state)
         self.image_count = 3 ** len(state.plan.periodic_box.axes)
         fields = state.wall_dynamics
-        self.controlled_offset, self.controlled_velocity = (
-            build_controlled_vector(state, None if fields is None else getattr(fields, name))
-            for name in ("offset", "velocity")
-        )
+        if self.features.force_controlled_walls:
+            self.controlled_offset = build_controlled_vector(state, fields.offset)
+            self.controlled_velocity = build_controlled_vector(state, fields.velocity)
 
     @ti.func
     def to_wall_frame(self, w, pose, point):
@@ -502,78 +334,386 @@ class WallGeometry:
         return center
 
 
-def build_wall_of(state: State) -> Any:
-    """Device function (j): the wall of a partner j < 0.
+# Meshes: nearby triangles, and the triangle that owns a contact
+#
+# `geometry/mesh.py` defines the owner of a contact and has the numpy reference implementation. All
+# coordinates are in the frame of the mesh at rest; triangles are numbered consecutively over all meshes.
 
-    Partner -1 - p is the wall p, or the triangle p - wall count, numbered over all meshes.
 
-    Reads:  wall of the mesh triangles
+@ti.func
+def triangle_range(mesh: ti.template(), w, point):
+    """Range of the triangles near the point in `MeshFields.cell_triangles`; empty outside the grid of wall w.
+
+    Reads:  low, side, shape, first_cell, cell_start
     """
-    wall_count = state.parameter("wall_count")
-    mesh = state.mesh
-    has_mesh = state.mesh is not None
+    cell_position = ti.floor((point - mesh.low[w]) / mesh.side[w])
+    begin = 0
+    end = 0
+    shape = mesh.shape[w]
+    inside = (cell_position[0] >= 0.0) & (cell_position[1] >= 0.0) & (cell_position[2] >= 0.0)
+    inside = (
+        inside & (cell_position[0] < shape[0]) & (cell_position[1] < shape[1]) & (cell_position[2] < shape[2])
+    )
+    if inside:
+        x = ti.cast(cell_position[0], ti.i32)
+        y = ti.cast(cell_position[1], ti.i32)
+        z = ti.cast(cell_position[2], ti.i32)
+        number = mesh.first_cell[w] + (z * shape[1] + y) * shape[0] + x
+        begin = mesh.cell_start[number]
+        end = mesh.cell_start[number + 1]
+    return begin, end
+
+
+@ti.func
+def may_own(mesh: ti.template(), t, point, slack):
+    """0 if triangle t owns no contact of any point within `slack` [m] of this point.
+
+    This is `triangle_contact` with all comparisons relaxed by `slack`: each length that it compares changes
+    by at most the displacement of the point. Without this test the neighbor list of a sphere would contain
+    all triangles within its radius, although only one or two can own a contact.
+
+    Reads:  edges, vertices and their adjacency
+    """
+    possible = _may_be_over_face(mesh, t, point, slack)
+    k = 0
+    while possible == 0 and k < 3:
+        possible = ti.max(
+            _may_be_in_edge_region(mesh, t, k, point, slack), _may_be_above_vertex(mesh, t, k, point, slack)
+        )
+        k += 1
+    return possible
+
+
+@ti.func
+def _may_be_over_face(mesh: ti.template(), t, point, slack):
+    over = 1
+    for k in range(3):
+        edge = 3 * t + k
+        if (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge]) < -slack:
+            over = 0
+    return over
+
+
+@ti.func
+def _may_be_in_edge_region(mesh: ti.template(), t, k, point, slack):
+    edge = 3 * t + k
+    possible = 0
+    if mesh.role[edge] != NOT_OWNED:
+        from_vertex = point - mesh.vertex[edge]
+        along = from_vertex.dot(mesh.edge_direction[edge])
+        length = mesh.length[edge]
+        beyond = from_vertex.dot(mesh.inward[edge]) <= slack
+        beyond = beyond and (
+            mesh.role[edge] == OPEN_EDGE or from_vertex.dot(mesh.inward_other[edge]) <= slack
+        )
+        possible = ti.cast(beyond and along > -slack and along < length + slack, ti.i32)
+    return possible
+
+
+@ti.func
+def _may_be_above_vertex(mesh: ti.template(), t, k, point, slack):
+    vertex_index = mesh.point[3 * t + k]
+    above = 0
+    if mesh.owner[vertex_index] == t:
+        above = 1
+        from_vertex = point - mesh.vertex[3 * t + k]
+        vertex_edge = mesh.vertex_edge_start[vertex_index]
+        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
+            if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
+                above = 0
+            vertex_edge += 1
+    return above
+
+
+@ti.func
+def triangle_contact(mesh: ti.template(), t, point):
+    """Gap [m] and normal of the contact of a point with triangle t; FAR_AWAY if another triangle owns the
+    contact.
+
+    Reads:  faces, edges, vertices and their adjacency, competitor_start, competitor
+    """
+    gap = ti.cast(FAR_AWAY, mesh.length.dtype)
+    gap_alone = ti.cast(FAR_AWAY, mesh.length.dtype)
+    normal = 0.0 * point
+    row = 2 * t + ti.cast(_height(mesh, t, point) < 0.0, ti.i32)
+    begin = mesh.competitor_start[row]
+    entry = -1
+    end = mesh.competitor_start[row + 1] - mesh.competitor_start[row]
+    # This triangle, then its competitors: one loop, so that `_contact_alone` is compiled once.
+    while entry < end:
+        candidate = t
+        if entry >= 0:
+            candidate = mesh.competitor[begin + entry]
+        if entry < 0 or ti.abs(_height(mesh, candidate, point)) <= gap_alone:
+            found, direction = _contact_alone(mesh, candidate, point)
+            if entry < 0:
+                gap = found
+                gap_alone = found
+                normal = direction
+                if not found < FAR_AWAY:
+                    end = 0
+            elif found < gap_alone or (found == gap_alone and candidate < t):
+                gap = ti.cast(FAR_AWAY, mesh.length.dtype)
+                end = 0
+        entry += 1
+    return gap, normal
+
+
+@ti.func
+def _contact_alone(mesh: ti.template(), t, point):
+    """As `triangle_contact`, before the comparison with competing faces."""
+    height = (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
+    normal = ti.select(height < 0.0, -1.0, 1.0) * mesh.normal[t]
+    gap = ti.cast(FAR_AWAY, mesh.length.dtype)
+    near = 0.0 * normal
+    over_count = 0
+    is_vertex = 0
+    for k in range(3):
+        over_count += _over_edge(mesh, t, k, point)
+        if _above_vertex(mesh, t, k, point) == 1:
+            is_vertex = 1
+            if mesh.owner[mesh.point[3 * t + k]] == t:
+                near = point - mesh.vertex[3 * t + k]
+                gap = near.norm()
+    if is_vertex == 0 and over_count == 3:
+        gap = ti.abs(height)
+    elif is_vertex == 0:
+        for k in range(3):
+            owns, from_nearest = _in_edge_region(mesh, t, k, point)
+            if owns == 1:
+                near = from_nearest
+                gap = from_nearest.norm()
+    if over_count < 3 or is_vertex == 1:
+        if gap > 0.0 and gap < FAR_AWAY:
+            normal = near / gap
+    return gap, normal
+
+
+EPSILON = {ti.f64: float(np.finfo(np.float64).eps), ti.f32: float(np.finfo(np.float32).eps)}
+"""Relative rounding error of each type."""
+
+
+@ti.func
+def _height(mesh: ti.template(), t, point):
+    return (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
+
+
+@ti.func
+def _over_edge(mesh: ti.template(), t, k, point):
+    """1 if the point is over the face at edge k, or exactly above an edge whose ties the triangle owns."""
+    edge = 3 * t + k
+    s = (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge])
+    return ti.cast(s > 0.0 or (s == 0.0 and mesh.owns_tie[edge] == 1), ti.i32)
+
+
+@ti.func
+def _in_edge_region(mesh: ti.template(), t, k, point):
+    """Whether the triangle owns a contact at edge k, and the vector [m] from the edge."""
+    edge = 3 * t + k
+    from_nearest = point - mesh.vertex[edge]
+    owns = 0
+    if mesh.role[edge] != NOT_OWNED:
+        along = from_nearest.dot(mesh.edge_direction[edge])
+        from_base = point - mesh.vertex[3 * t + mesh.base[edge]]
+        beyond = from_base.dot(mesh.inward[edge]) <= 0.0
+        beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_base.dot(mesh.inward_other[edge]) <= 0.0)
+        owns = ti.cast(beyond and along > 0.0 and along < mesh.length[edge], ti.i32)
+        from_nearest -= along * mesh.edge_direction[edge]
+    return owns, from_nearest
+
+
+@ti.func
+def _above_vertex(mesh: ti.template(), t, k, point):
+    """1 if no edge at corner k is nearer to the point than the corner."""
+    vertex_index = mesh.point[3 * t + k]
+    from_vertex = point - mesh.vertex[3 * t + k]
+    slack = ti.static(ROUNDING * EPSILON[mesh.length.dtype]) * (
+        mesh.longest[vertex_index] + from_vertex.norm()
+    )
+    above = 1
+    if (
+        from_vertex.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
+        or from_vertex.dot(mesh.edge_direction[3 * t + (k + 2) % 3]) < -2.0 * slack
+    ):
+        above = 0
+    if above == 1:
+        vertex_edge = mesh.vertex_edge_start[vertex_index]
+        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
+            if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
+                above = 0
+            vertex_edge += 1
+    return above
+
+
+@ti.func
+def from_nearest(mesh: ti.template(), t, point):
+    """Vector [m] to the point from the nearest point of triangle t, on its face, an edge or a vertex.
+
+    Reads:  normal, vertex, edge_direction, length
+    """
+    normal = mesh.normal[t]
+    found = (point - mesh.vertex[3 * t]).dot(normal) * normal
+    over = 1
+    nearest = ti.cast(FAR_AWAY, mesh.length.dtype)
+    from_edge_nearest = found
+    for k in range(3):
+        from_corner = point - mesh.vertex[3 * t + k]
+        edge_direction = mesh.edge_direction[3 * t + k]
+        if normal.cross(edge_direction).dot(from_corner) <= 0.0:
+            over = 0
+        from_edge = (
+            from_corner
+            - ti.min(ti.max(from_corner.dot(edge_direction), 0.0), mesh.length[3 * t + k]) * edge_direction
+        )
+        if from_edge.norm() < nearest:
+            nearest = from_edge.norm()
+            from_edge_nearest = from_edge
+    if over == 0:
+        found = from_edge_nearest
+    return found
+
+
+SAME_DIRECTION = 1e-6
+"""Largest sine of the angle between two normals that count as equal; above rounding in float32."""
+
+
+@ti.func
+def normal_near(mesh: ti.template(), t, point, normal):
+    """Unit normal at a point near a contact of triangle t with this normal.
+
+    On the face it is that of the contact, although the triangle may own no contact of the point: the next
+    triangle of a flat surface has the same normal. Near an edge or a vertex it is the direction from the
+    triangle.
+
+    Reads:  as `from_nearest`
+    """
+    found = normal
+    if normal.cross(mesh.normal[t]).norm_sqr() > ti.static(SAME_DIRECTION * SAME_DIRECTION):
+        separation = from_nearest(mesh, t, point)
+        distance = separation.norm()
+        if distance > 0.0:
+            found = separation / distance
+    return found
+
+
+# Joined walls: the contact of a particle with one face, unless it is found on another face as well
+#
+# Where surfaces touch, one contact is found several times: two flush blocks have an edge in the surface of
+# each other, patches can overlap, a plate can end on another wall. The distance of the particle from all
+# surfaces together has one minimum there, and the nearest face has the contact. With the distances h >= h' of
+# two faces from the center and the angle theta between the directions, the farther contact point is in the
+# tangent plane of the nearer contact if
+#
+#     |h' - h cos(theta)| <= tolerance
+#
+# It is no contact of its own then: along the nearer surface, the distance decreases from there. Where the
+# farther surface rises from that plane, as at a bend, it is left alone. Corners and grooves have contact
+# points outside of both planes.
+
+SAME_PLACE = 1e-4
+"""Tolerance over the radius of the particle: above rounding in float32 and of mesh files, below usual
+overlaps."""
+SAME_DISTANCE = 1e-11
+"""Distances of a particle from two faces are equal within this part of its radius: the face with the lower
+number is the nearer one."""
+LEAST_COSINE = 0.5
+"""Cosine of the angle between two directions above which they can belong to one contact."""
+
+
+def build_wall_contact(state: State, geometry: WallGeometry) -> Any:
+    """Device function (i, j, pose) -> (gap [m], direction) of particle i and partner j < 0, see
+    `WallGeometry.closest`.
+
+    The gap is FAR_AWAY if a nearer face in the neighbor list of the particle has the same contact.
+
+    Reads:  position, radius, neighbor lists, walls, mesh
+    """
+    particles = state.particles
+    neighbors = state.neighbors
+    walls = state.walls
+    real = state.backend.position_real
+    wall_of = build_wall_of(state)
+    force_range = state.parameter("force_range")
+    joined = state.plan.features.joined_walls
+    revolved = SHAPE_KINDS.index(REVOLVED) if SHAPE_KINDS.index(REVOLVED) in geometry.kinds else -1
 
     @ti.func
-    def wall_of(j):
-        w = -1 - j
-        if ti.static(has_mesh):
-            if w >= wall_count():
-                w = mesh.wall[w - wall_count()]
-        return w
+    def is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
+        """Whether the contact with face j at `gap` is that with another face at `other_gap`, and this one has
+        it."""
+        unit = SAME_DISTANCE * radius
+        same = False
+        rank = ti.floor(gap / unit)
+        other_rank = ti.floor(other_gap / unit)
+        cosine = direction.dot(other_direction)
+        if (other_rank < rank or (other_rank == rank and other > j)) and cosine > LEAST_COSINE:
+            contact_point = point - gap * direction
+            # A point that the farther surface would be nearer to, if it rose from the tangent plane.
+            face = -1 - j
+            probe = contact_point + gap * other_direction
+            in_plane = ti.abs(other_gap - gap * cosine) <= SAME_PLACE * radius
+            on_curve = False
+            if ti.static(revolved >= 0):
+                if not in_plane and walls.kind[wall_of(other)] == revolved:
+                    on_curve = True
+                    face = -1 - other
+                    probe = contact_point
+            if in_plane or on_curve:
+                distance = geometry.surface_distance(face, pose, probe)
+                same = (in_plane and distance >= gap - SAME_PLACE * radius) or (
+                    on_curve and distance <= SAME_PLACE * radius
+                )
+        return same
 
-    return wall_of
+    @ti.func
+    def may_be_same(w, j, other):
+        wanted = OTHERS
+        if wall_of(other) == w:
+            wanted = ITSELF
+        return other != j and (walls.joints[wall_of(other)] & wanted) != 0
 
+    @ti.func
+    def joined_contact(i, j, pose):
+        point = particles.position[i]
+        radius = ti.cast(particles.radius[i], real)
+        w = wall_of(j)
+        gap = ti.cast(FAR_AWAY, real)
+        direction = 0.0 * point
+        first = True
+        list_index = neighbors.list_begin[i]
+        end = neighbors.list_walls_end[i]
+        # This face, then the others: one loop, so that `closest` is compiled once.
+        while first or list_index < end:
+            other = j
+            if not first:
+                other = neighbors.partner[list_index]
+                list_index += 1
+            if first or may_be_same(w, j, other):
+                # The distance without regard to shared edges is cheaper, and at most that of a contact.
+                if (
+                    first
+                    or geometry.surface_distance(-1 - other, pose, point) <= gap + SAME_DISTANCE * radius
+                ):
+                    other_gap, other_direction = geometry.closest(-1 - other, pose, point)
+                    if first:
+                        gap = other_gap
+                        direction = other_direction
+                        if walls.joints[w] == 0 or gap > radius + force_range():
+                            end = list_index
+                    elif is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
+                        gap = ti.cast(FAR_AWAY, real)
+                        end = list_index
+            first = False
+        return gap, direction
 
-def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
-    """Wall index (n,) of each partner (n,) below 0; see `build_wall_of`."""
-    walls = np.arange(len(state.plan.walls))
-    if state.mesh is not None:
-        walls = np.concatenate([walls, state.mesh.wall.to_numpy()])
-    return walls[-1 - partner].astype(np.int64)
+    @ti.func
+    def wall_contact(i, j, pose):
+        gap = 0.0 * particles.position[i][0]
+        direction = 0.0 * particles.position[i]
+        if ti.static(joined):
+            gap, direction = joined_contact(i, j, pose)
+        else:
+            gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
+        return gap, direction
 
-
-def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
-    """Triangle index (n,) within its wall of each partner (n,) below 0; -1 if the wall is not a mesh."""
-    plan = state.plan
-    first = np.array([plan.first_triangle(index) for index in range(len(plan.walls))])
-    triangle = -1 - partner - len(plan.walls)
-    return np.where(triangle < 0, -1, triangle - first[walls_of(state, partner)])
-
-
-def upload_poses(state: State, step: int) -> None:
-    """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each
-    step.
-
-    Velocities have one more row, for the work in the step that follows the last pose.
-
-    Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles
-    of the steps are evaluated together, and a wall without motion once.
-
-    Writes:  center, rotation, velocity, angular_velocity, surface_velocity of walls; active
-    """
-    walls = state.walls
-    clock = state.clock
-    ends = np.asarray(clock.time_after(step + np.arange(WALL_BATCH + 1)))
-    times = ends[:WALL_BATCH]
-    middles = ends - 0.5 * clock.time_step
-    at_rest = pose((), ends)
-    both = [
-        pose(motions, np.concatenate([times, middles])) if motions else at_rest
-        for motions in state.wall_motions
-    ]
-    # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
-    real = np.float64 if state.backend.precision == "f64" else np.float32
-    position_real = np.float32 if state.backend.precision == "f32" else np.float64
-
-    def upload(field: Any, arrays: list[np.ndarray], dtype: Any) -> None:
-        padded = np.zeros((len(arrays[0]), state.plan.capacities.walls, *arrays[0].shape[1:]), dtype)
-        padded[:, : len(arrays)] = np.stack(arrays, axis=1)
-        field.from_numpy(padded)
-
-    upload_running(state, middles[:WALL_BATCH])
-    upload(walls.center, [p.offset[:WALL_BATCH] + p.pivot for p in both], position_real)
-    upload(walls.rotation, [p.rotation[:WALL_BATCH] for p in both], position_real)
-    upload(walls.velocity, [p.velocity[-len(middles) :] for p in both], real)
-    upload(walls.angular_velocity, [p.angular_velocity[-len(middles) :] for p in both], real)
-    if state.plan.features.surface_velocity:
-        upload(walls.surface_velocity, [p.surface_velocity[-len(middles) :] for p in both], real)
+    return wall_contact

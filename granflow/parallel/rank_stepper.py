@@ -18,9 +18,10 @@ from granflow.engine.host import (
     particle_table,
     saved_particle_table,
 )
+from granflow.engine.neighbor.deletion import find_farthest, remaining
 from granflow.engine.neighbor.list import TOO_LONG
 from granflow.engine.neighbor.rebuild import ChunkKernel, RebuildKernel
-from granflow.engine.neighbor.sort import KEPT_REACH, find_farthest, remaining
+from granflow.engine.neighbor.sort import KEPT_REACH
 from granflow.engine.particle_forces import write_force_inputs
 from granflow.engine.state import BATCH, LANES, Arrays, State
 from granflow.engine.stepper import Stepper

@@ -5,8 +5,8 @@ from inspect import unwrap
 
 from granflow.arguments import refuse_other, shown
 from granflow.contact import registry
-from granflow.contact.device import run_time_branches, source_lines
 from granflow.contact.law import SLOTS, Amount, Choice, ContactModel
+from granflow.device_functions import run_time_branches, source_lines
 from granflow.errors import GranflowError
 from granflow.scene import partial
 from granflow.scene import reference as schema_keys

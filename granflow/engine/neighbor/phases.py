@@ -1,8 +1,8 @@
-"""Phases of a neighbor-list rebuild in one launch: tasks in any order, then a serial part, one phase after
-the other.
+"""How a neighbor-list rebuild runs: a list of phases in one launch.
 
-On a CPU, workers share the tasks of each phase, with a barrier after it: waking the threads of Taichi for
-each phase takes 15 to 60 us, a barrier 1 us. On a GPU each phase is a loop over its tasks.
+A phase has tasks, which run in any order, and then perhaps a serial part. On a CPU, workers share the tasks
+of each phase, with a barrier after it: waking the threads of Taichi for each phase takes 15 to 60 us, a
+barrier 1 us. On a GPU each phase is a loop over its tasks. `rebuild.py` lists the phases.
 """
 
 from collections.abc import Callable
@@ -17,17 +17,6 @@ from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 
 EVENLY = 0
 """Entries per task of a phase that distributes its entries evenly over at most BOUNDS tasks."""
-
-
-@ti.func
-def is_count(number: ti.template()):
-    """True for all counts and indices, which the compiler does not know.
-
-    A loop that ends where a number from memory is no count is neither unrolled nor vectorized. Unrolled eight
-    times, with versions for each remainder, the short loops of a rebuild are half of its machine code, and no
-    faster.
-    """
-    return number >= 0
 
 
 @ti.func
@@ -65,33 +54,6 @@ def granularity(state: State) -> tuple[int, int]:
     return (EVENLY, SCAN_BLOCK) if state.backend.on_cpu else (1, 1)
 
 
-@ti.func
-def task_count(entries, per_task):
-    """Number of tasks of a phase."""
-    tasks = ti.min(entries, BOUNDS)
-    if per_task != EVENLY:
-        tasks = (entries + per_task - 1) // per_task
-    return tasks
-
-
-@ti.func
-def entry_range(index, entries, per_task):
-    """Begin and end of the entries of a task."""
-    begin, end = index * per_task, ti.min((index + 1) * per_task, entries)
-    if per_task == EVENLY:
-        begin, end = part_range(index, ti.min(entries, BOUNDS), entries)
-    return begin, end
-
-
-@ti.func
-def part_range(part, parts, count):
-    """Begin and end of a part of `count` consecutive entries, distributed evenly."""
-    share = count // parts
-    rest = count % parts
-    begin = part * share + ti.min(part, rest)
-    return begin, begin + share + ti.cast(part < rest, ti.i32)
-
-
 def build_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
     """Kernel that runs the phases from number `first`.
 
@@ -103,62 +65,6 @@ def build_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
     Writes:  as the phases; running; on a CPU the fields of the barrier
     """
     return _build_cpu_rebuild(state, phases) if state.backend.on_cpu else _build_gpu_rebuild(state, phases)
-
-
-def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
-    control = state.control
-    real = state.backend.real
-    position_real = state.backend.position_real
-    numbered = [
-        (number, phase, thread_count(phase.most), _build_tasks_of_thread(phase))
-        for number, phase in enumerate(phases)
-    ]
-
-    @ti.kernel
-    def rebuild_on_gpu(
-        workers: ti.i32,
-        first: ti.i32,
-        count: ti.i32,
-        skin: position_real,
-        reach_time: position_real,
-        dt: real,
-        pose: ti.i32,
-    ):
-        control.running[0], control.list_length_needed[0] = 1, 0
-        for number, phase, threads, tasks_of_thread in ti.static(numbered):
-            # A constant length: Taichi computes any other one in a dispatch of its own.
-            for thread in range(threads):
-                rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
-                if number >= first and control.running[0] == 1:
-                    tasks_of_thread(thread, rebuild)
-            if ti.static(phase.has_serial):
-                for _ in range(1):  # one task of the kernel
-                    if number >= first and control.running[0] == 1:
-                        phase.serial(
-                            ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
-                        )
-
-    return rebuild_on_gpu
-
-
-def _build_tasks_of_thread(phase: Phase) -> Any:
-    """Device function (thread, rebuild): the tasks of a phase that one thread of a GPU has."""
-    per_task = phase.per_task
-
-    @ti.func
-    def body(index, rebuild: ti.template()):
-        begin, end = index, index + 1
-        if ti.static(per_task != 1):
-            begin, end = entry_range(index, phase.count(rebuild), per_task)
-        phase.body(ti.Struct(index=index, begin=begin, end=end), rebuild)
-
-    tasks = build_tasks_of_thread(body, phase.most)
-
-    @ti.func
-    def tasks_of_thread(thread, rebuild: ti.template()):
-        tasks(thread, task_count(phase.count(rebuild), per_task), rebuild)
-
-    return tasks_of_thread
 
 
 def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
@@ -218,9 +124,13 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
         dt: real,
         pose: ti.i32,
     ):
-        control.worker_count[0], control.running[0], control.list_length_needed[0] = workers, 1, 0
-        control.next_chunk[CACHE_LINE], control.released[CACHE_LINE] = 0, 0
-        control.arrived[CACHE_LINE], control.arrived[2 * CACHE_LINE] = 0, 0
+        control.worker_count[0] = workers
+        control.running[0] = 1
+        control.list_length_needed[0] = 0
+        control.next_chunk[CACHE_LINE] = 0
+        control.released[CACHE_LINE] = 0
+        control.arrived[CACHE_LINE] = 0
+        control.arrived[2 * CACHE_LINE] = 0
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
                 rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
@@ -233,3 +143,100 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
                     current += 1
 
     return rebuild_on_cpu
+
+
+def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
+    control = state.control
+    real = state.backend.real
+    position_real = state.backend.position_real
+    numbered = [
+        (number, phase, thread_count(phase.most), _build_tasks_of_thread(phase))
+        for number, phase in enumerate(phases)
+    ]
+
+    @ti.kernel
+    def rebuild_on_gpu(
+        workers: ti.i32,
+        first: ti.i32,
+        count: ti.i32,
+        skin: position_real,
+        reach_time: position_real,
+        dt: real,
+        pose: ti.i32,
+    ):
+        control.running[0] = 1
+        control.list_length_needed[0] = 0
+        for number, phase, threads, tasks_of_thread in ti.static(numbered):
+            # A constant length: Taichi computes any other one in a dispatch of its own.
+            for thread in range(threads):
+                rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
+                if number >= first and control.running[0] == 1:
+                    tasks_of_thread(thread, rebuild)
+            if ti.static(phase.has_serial):
+                for _ in range(1):  # one task of the kernel
+                    if number >= first and control.running[0] == 1:
+                        phase.serial(
+                            ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
+                        )
+
+    return rebuild_on_gpu
+
+
+def _build_tasks_of_thread(phase: Phase) -> Any:
+    """Device function (thread, rebuild): the tasks of a phase that one thread of a GPU has."""
+    per_task = phase.per_task
+
+    @ti.func
+    def body(index, rebuild: ti.template()):
+        begin = index
+        end = index + 1
+        if ti.static(per_task != 1):
+            begin, end = entry_range(index, phase.count(rebuild), per_task)
+        phase.body(ti.Struct(index=index, begin=begin, end=end), rebuild)
+
+    tasks = build_tasks_of_thread(body, phase.most)
+
+    @ti.func
+    def tasks_of_thread(thread, rebuild: ti.template()):
+        tasks(thread, task_count(phase.count(rebuild), per_task), rebuild)
+
+    return tasks_of_thread
+
+
+@ti.func
+def task_count(entries, per_task):
+    """Number of tasks of a phase."""
+    tasks = ti.min(entries, BOUNDS)
+    if per_task != EVENLY:
+        tasks = (entries + per_task - 1) // per_task
+    return tasks
+
+
+@ti.func
+def entry_range(index, entries, per_task):
+    """Begin and end of the entries of a task."""
+    begin = index * per_task
+    end = ti.min((index + 1) * per_task, entries)
+    if per_task == EVENLY:
+        begin, end = part_range(index, ti.min(entries, BOUNDS), entries)
+    return begin, end
+
+
+@ti.func
+def part_range(part, parts, count):
+    """Begin and end of a part of `count` consecutive entries, distributed evenly."""
+    share = count // parts
+    rest = count % parts
+    begin = part * share + ti.min(part, rest)
+    return begin, begin + share + ti.cast(part < rest, ti.i32)
+
+
+@ti.func
+def is_count(number: ti.template()):
+    """True for all counts and indices, which the compiler does not know.
+
+    A loop that ends where a number from memory is no count is neither unrolled nor vectorized. Unrolled eight
+    times, with versions for each remainder, the short loops of a rebuild are half of its machine code, and no
+    faster.
+    """
+    return number >= 0

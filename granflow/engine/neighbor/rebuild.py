@@ -1,4 +1,10 @@
-"""Rebuild of the neighbor lists: wrap, sort and delete particles, then fill the lists, in one launch."""
+"""Neighbor-list rebuild: wrap, sort and delete the particles, then fill their lists, in one launch.
+
+`RebuildKernel` lists the phases in order: wrap the particles and save their contact histories (here); the
+grid of cells and the order of the particles by cell (`sort.py`); all fields permuted to that order (here);
+the lists, with the contact histories restored (`list.py`). `NeighborListRebuild` launches them when a
+particle has requested it, and again with larger arrays if a list does not fit.
+"""
 
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -9,88 +15,19 @@ from granflow.engine.box import build_wrap
 from granflow.engine.clumps import index_phase
 from granflow.engine.codes import ABORT_FAR
 from granflow.engine.fields import components
-from granflow.engine.gpu import DeviceFlags, read_flags
+from granflow.engine.flags import DeviceFlags, read_flags
 from granflow.engine.history import build_save_history
 from granflow.engine.host import HistoryTable, HostParticles, copy_to_host, saved_particle_table
-from granflow.engine.liquid import build_prepare_films, transfers_liquid
+from granflow.engine.liquid import build_prepare_films
+from granflow.engine.neighbor.deletion import find_farthest
 from granflow.engine.neighbor.list import TOO_LONG, fill_phase
 from granflow.engine.neighbor.phases import Phase, build_rebuild, granularity, is_count
-from granflow.engine.neighbor.sort import KEPT_REACH, bounds_phases, class_phases, find_farthest, sort_phases
+from granflow.engine.neighbor.sort import KEPT_REACH, bounds_phases, class_phases, sort_phases
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.errors import GranflowError
 from granflow.kernel_language import ti
 from granflow.plan.capacities import REACH_STEPS
-
-# Permutation of all particle fields into cell order at a neighbor-list rebuild.
-
-
-def reorder_phases(state: State) -> list[Phase]:
-    """Move all particle fields to the new order: copied to buffers, then back.
-
-    Fields that are written again before they are read serve as buffers. A vector buffer takes a vector or
-    three numbers. `position_at_rebuild` keeps the positions; before, it takes the reals that are wider than a
-    force.
-
-    Reads:   order
-    Writes:  all fields of `Particles.sorted_fields`, position_at_rebuild, force, torque, coordination_number
-    """
-    particles = state.particles
-    phases = []
-    fields = [field for field in particles.sorted_fields() if field is not particles.position]
-    reals = [component for field in fields if field.dtype != ti.i32 for component in components(field)]
-    at_rebuild = components(particles.position_at_rebuild)
-    widest = at_rebuild[0].dtype if at_rebuild[0].dtype != particles.force.dtype else None
-    wide = [each for each in reals if each.dtype == widest]
-    reals = [each for each in reals if each.dtype != widest]
-    for k in range(0, len(wide), len(at_rebuild)):
-        phases += _copy_phases(state, [*zip(wide[k:], at_rebuild, strict=False)])
-    integers = [field for field in fields if field.dtype == ti.i32]
-    buffers = [
-        *components(particles.force),
-        *(components(particles.torque) if particles.torque is not None else ()),
-    ]
-    first = [*zip(components(particles.position), at_rebuild, strict=True)]
-    while reals or integers:
-        pairs = [*first, *zip(reals, buffers, strict=False)]
-        pairs += zip(integers, [particles.coordination_number], strict=False)
-        reals = reals[len(buffers) :]
-        integers = integers[1:]
-        first = []
-        phases += _copy_phases(state, pairs)
-    return phases
-
-
-def _copy_phases(state: State, pairs: list[Any]) -> list[Phase]:
-    """Phases that permute some components: to the buffers in the new order, then back.
-
-    pairs:  scalar fields (field, buffer)
-
-    Reads:   order
-    Writes:  fields and buffers of `pairs`
-    """
-    order, (per_task, _) = state.cell_sort.order, granularity(state)
-
-    @ti.func
-    def gather(task: ti.template(), rebuild: ti.template()):
-        source = 0
-        k = task.begin
-        while (k < task.end) & is_count(source):
-            source = order[k]
-            for field, buffer in ti.static(pairs):
-                buffer[k] = ti.cast(field[source], buffer.dtype)
-            k += 1
-
-    @ti.func
-    def copy_back(task: ti.template(), rebuild: ti.template()):
-        k = task.begin
-        while k < task.end and is_count(order[k]):
-            for field, buffer in ti.static(pairs):
-                field[k] = ti.cast(buffer[k], field.dtype)
-            k += 1
-
-    most = order.shape[0]
-    return [Phase(gather, most, per_task=per_task), Phase(copy_back, most, per_task=per_task)]
 
 
 class RebuildKernel:
@@ -125,6 +62,9 @@ class ChunkKernel:
     def __init__(self, state: State) -> None:
         phases = _chunk_phases(state)
         self.launch = build_rebuild(state, phases) if phases else None
+
+
+# On the host
 
 
 class Rebuild(Protocol):
@@ -182,11 +122,10 @@ class NeighborListRebuild:
         """Put particles, in the order of their ids, on a device without particles; the next rebuild lists
         them."""
         state = self._state
-        histories = HistoryTable(self._state)
+        histories = HistoryTable(state)
         state.count = len(particles.arrays["id"])
-        if (
-            needed := histories.longest_segment(particles.histories)
-        ) > state.capacities.list_entries_per_segment:
+        needed = histories.longest_segment(particles.histories)
+        if needed > state.capacities.list_entries_per_segment:
             self._grow(needed, 0)
         saved_particle_table(state).put(np.arange(state.count), particles.arrays)
         histories.write_lists(particles.histories, particles.arrays["id"])
@@ -246,6 +185,9 @@ class NeighborListRebuild:
             find_farthest(state)
 
 
+# Phase before the sort, chunk by chunk
+
+
 def _chunk_phases(state: State) -> list[Phase]:
     """Wrap the particles, prepare films and save the contact histories, chunk by chunk; none if none is
     needed.
@@ -262,7 +204,7 @@ def _chunk_phases(state: State) -> list[Phase]:
     save_history = build_save_history(state) if saves else None
     chunk_size = state.parameter("chunk_size")
     saved_capacity = state.parameter("saved_capacity")
-    liquid = transfers_liquid(state)
+    liquid = state.plan.features.liquid_transfer
     prepare_films = build_prepare_films(state) if liquid else None
 
     @ti.func
@@ -272,7 +214,8 @@ def _chunk_phases(state: State) -> list[Phase]:
     @ti.func
     def prepare(task: ti.template(), rebuild: ti.template()):
         chunk = task.index
-        first, last = chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), rebuild.count)
+        first = chunk * chunk_size()
+        last = ti.min((chunk + 1) * chunk_size(), rebuild.count)
         if ti.static(wraps):
             for i in range(first, last):
                 wrap(chunk, i, rebuild.pose, rebuild.dt)
@@ -292,3 +235,74 @@ def _chunk_phases(state: State) -> list[Phase]:
 
     phase = Phase(prepare, state.plan.capacities.chunks, chunk_count, per_task=1, serial=check_capacity)
     return [phase] if wraps or saves else []
+
+
+# Phases that permute all particle fields into cell order
+
+
+def reorder_phases(state: State) -> list[Phase]:
+    """Move all particle fields to the new order: copied to buffers, then back.
+
+    Fields that are written again before they are read serve as buffers. A vector buffer takes a vector or
+    three numbers. `position_at_rebuild` keeps the positions; before, it takes the reals that are wider than a
+    force.
+
+    Reads:   order
+    Writes:  all fields of `Particles.sorted_fields`, position_at_rebuild, force, torque, coordination_number
+    """
+    particles = state.particles
+    phases = []
+    fields = [field for field in particles.sorted_fields() if field is not particles.position]
+    reals = [component for field in fields if field.dtype != ti.i32 for component in components(field)]
+    at_rebuild = components(particles.position_at_rebuild)
+    widest = at_rebuild[0].dtype if at_rebuild[0].dtype != particles.force.dtype else None
+    wide = [each for each in reals if each.dtype == widest]
+    reals = [each for each in reals if each.dtype != widest]
+    for k in range(0, len(wide), len(at_rebuild)):
+        phases += _copy_phases(state, [*zip(wide[k:], at_rebuild, strict=False)])
+    integers = [field for field in fields if field.dtype == ti.i32]
+    buffers = components(particles.force)
+    if particles.torque is not None:
+        buffers += components(particles.torque)
+    first = [*zip(components(particles.position), at_rebuild, strict=True)]
+    while reals or integers:
+        pairs = [*first, *zip(reals, buffers, strict=False)]
+        pairs += zip(integers, [particles.coordination_number], strict=False)
+        reals = reals[len(buffers) :]
+        integers = integers[1:]
+        first = []
+        phases += _copy_phases(state, pairs)
+    return phases
+
+
+def _copy_phases(state: State, pairs: list[Any]) -> list[Phase]:
+    """Phases that permute some components: to the buffers in the new order, then back.
+
+    pairs:  scalar fields (field, buffer)
+
+    Reads:   order
+    Writes:  fields and buffers of `pairs`
+    """
+    order = state.cell_sort.order
+    per_task, _ = granularity(state)
+
+    @ti.func
+    def gather(task: ti.template(), rebuild: ti.template()):
+        source = 0
+        k = task.begin
+        while (k < task.end) & is_count(source):
+            source = order[k]
+            for field, buffer in ti.static(pairs):
+                buffer[k] = ti.cast(field[source], buffer.dtype)
+            k += 1
+
+    @ti.func
+    def copy_back(task: ti.template(), rebuild: ti.template()):
+        k = task.begin
+        while k < task.end and is_count(order[k]):
+            for field, buffer in ti.static(pairs):
+                field[k] = ti.cast(buffer[k], field.dtype)
+            k += 1
+
+    most = order.shape[0]
+    return [Phase(gather, most, per_task=per_task), Phase(copy_back, most, per_task=per_task)]

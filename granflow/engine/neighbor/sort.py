@@ -1,15 +1,17 @@
-"""Cell grid over the particles, computed on the device.
+"""Order of the particles by cell at a neighbor-list rebuild: the grid of cells, and a counting sort.
 
-Cells are numbered in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is compact and few pairs
-connect two chunks.
+`bounds_phases` finds the box around all particles and lays the grid over it, `sort_phases` orders the
+particles by cell. Cells are numbered in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is
+compact and few pairs connect two chunks. If particle sizes differ widely, `class_phases` orders the sorted
+particles once more, by size class and the cell of a grid of the class.
+
+In device functions, `sorting` is `State.cell_sort`; cell coordinates are 3-vectors of integers, from 0.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from granflow.engine.codes import ABORT_FAR, REMOVED_BELOW
+from granflow.engine.codes import ABORT_FAR
+from granflow.engine.neighbor.deletion import build_remains
 from granflow.engine.neighbor.phases import (
     Phase,
     all_particles,
@@ -23,290 +25,7 @@ from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK, SUBPARTS
 from granflow.plan.plan import BLOCK_CELLS
 
-# Cells of the grids on the device: cell of a point, and the cells that can contain neighbors.
-#
-# `sorting` is `State.cell_sort`; cell coordinates are 3-vectors of integers, from 0.
-
-BLOCK_SIDE = 8
-"""Number of cells along each edge of a block."""
-ROUNDING = 1e-5
-"""Relative margin of the cell range within a radius, because cell coordinates are rounded."""
-
-
-@ti.func
-def cell_number(cell, cells):
-    """Number of a cell in a grid of `cells` cells along each axis, in block order.
-
-    Blocks are numbered with x fastest, and so are the cells within a block.
-    """
-    blocks_x, blocks_y = (cells[0] + BLOCK_SIDE - 1) // BLOCK_SIDE, (cells[1] + BLOCK_SIDE - 1) // BLOCK_SIDE
-    block = ((cell[2] // BLOCK_SIDE) * blocks_y + cell[1] // BLOCK_SIDE) * blocks_x + cell[0] // BLOCK_SIDE
-    inside = ((cell[2] % BLOCK_SIDE) * BLOCK_SIDE + cell[1] % BLOCK_SIDE) * BLOCK_SIDE + cell[0] % BLOCK_SIDE
-    return block * BLOCK_CELLS + inside
-
-
-@ti.func
-def cell_of_point(sorting: ti.template(), grid, point):
-    """Cell of a grid that contains the point [m], or the nearest cell of the grid.
-
-    Reads:  grid_low, cell_side, cells
-    """
-    cell_position = (point - sorting.grid_low[grid]) / sorting.cell_side[grid]
-    last = ti.cast(sorting.cells[grid], sorting.cell_side.dtype) - 1.0
-    # Clamped before the conversion, which is undefined for a coordinate far outside the grid.
-    return ti.cast(ti.max(ti.min(cell_position, last), 0.0), ti.i32)
-
-
-@ti.func
-def adjacent_cells(periodic: ti.template(), cell, cells):
-    """Begin and end of the ranges of cells adjacent to a cell, which may extend beyond the grid along
-    periodic axes.
-
-    periodic:  axes along which the first and the last cell are adjacent; with fewer than three cells, all are
-    """
-    first = cell - 1
-    end = cell + 2
-    for axis in ti.static(range(3)):
-        if ti.static(axis in periodic):
-            if cells[axis] < 3:
-                first[axis], end[axis] = 0, cells[axis]
-        else:
-            first[axis], end[axis] = ti.max(first[axis], 0), ti.min(end[axis], cells[axis])
-    return first, end
-
-
-@ti.func
-def cells_within(
-    sorting: ti.template(), periodic: ti.template(), gradient: ti.template(), grid, point, reach
-):
-    """Begin and end of the ranges of cells of a grid that a sphere intersects.
-
-    periodic:  axes that are periodic without shear
-    gradient:  axis of the gradient of a sheared box, or -1
-    reach:     radius of the sphere [m], enlarged by ROUNDING
-
-    Along a periodic axis the range may extend beyond the grid, but contains no cell twice. Images along a
-    sheared gradient are searched separately, and the range ends at the grid.
-
-    Reads:  grid_low, cell_side, cells
-    """
-    middle = (point - sorting.grid_low[grid]) / sorting.cell_side[grid]
-    reach_in_cells = ti.static(1.0 + ROUNDING) * reach / sorting.cell_side[grid]
-    last = ti.cast(sorting.cells[grid], sorting.cell_side.dtype) - 1.0
-    lowest, highest = ti.floor(middle - reach_in_cells), ti.floor(middle + reach_in_cells)
-    for axis in ti.static(range(3)):
-        if ti.static(axis in periodic):
-            if highest[axis] - lowest[axis] >= last[axis]:
-                lowest[axis], highest[axis] = 0.0, last[axis]
-        elif ti.static(axis == gradient):
-            lowest[axis], highest[axis] = ti.max(lowest[axis], 0.0), ti.min(highest[axis], last[axis])
-        else:
-            lowest[axis] = ti.max(ti.min(lowest[axis], last[axis]), 0.0)
-            highest[axis] = ti.max(ti.min(highest[axis], last[axis]), 0.0)
-    return ti.cast(lowest, ti.i32), ti.cast(highest, ti.i32) + 1
-
-
-@ti.func
-def wrapped_cell(periodic: ti.template(), cell, cells):
-    """The cell of coordinates outside the grid, along the periodic axes."""
-    wrapped = cell
-    for axis in ti.static(range(3)):
-        if ti.static(axis in periodic):
-            wrapped[axis] = (cell[axis] + cells[axis]) % cells[axis]
-    return wrapped
-
-
-OUTLIER_SHARE = 1 / 16
-"""Share of the parts of the particle list that may be outside the grid at each end; see `_build_lay_grid`."""
-VOLUME_RATIO = 1 / 2
-"""Ratio of cell volumes below which the grid excludes outliers."""
-COARSER = 1.25
-"""Factor of the cell side of a grid that would have too many cells."""
-MARGIN = 1e-6
-"""Relative margin of the cell side above rounding, so that a neighbor is never two cells away."""
-
-
-def build_lay_grids(state: State) -> Any:
-    """Device function (count): the grid for sorting; if particle sizes differ widely, one per size class.
-
-    The cells are at least as wide as the largest diameter of the class plus two of the largest reaches and
-    the range of the forces. Aborts if an expanding domain has become too large for the precision.
-
-    Reads:   radius of the size classes; low, high, reach of the cell sort (see `bounds_phases`)
-    Writes:  grid_low, cell_side, cells, cell_count, first_cell, reach_largest, abort
-    """
-    sorting = state.cell_sort
-    by_class = state.cell_sort.class_order is not None
-    lay_grid = _build_lay_grid(state)
-    expands = state.plan.domain.on_exit == "expand"
-    class_count, force_range, coordinate_limit = (
-        state.parameter(name) for name in ("class_count", "force_range", "coordinate_limit")
-    )
-
-    @ti.func
-    def lay_grids(count):
-        parts = ti.min(count, BOUNDS)
-        low = sorting.low[0]
-        high = sorting.high[0]
-        reach = sorting.reach[0]
-        part = 0
-        while (part < parts) & is_count(reach):
-            low, high = ti.min(low, sorting.low[part]), ti.max(high, sorting.high[part])
-            reach = ti.max(reach, sorting.reach[part])
-            part += 1
-        sorting.reach_largest[0] = reach
-        if ti.static(expands):
-            if ti.max(-low.min(), high.max()) > coordinate_limit():
-                ti.atomic_max(state.control.abort[0], ABORT_FAR)
-        first_cell = 0
-        for grid in range(class_count()):
-            if ti.static(by_class):
-                sorting.first_cell[grid] = first_cell
-            side = (2.0 * sorting.radius[grid] + 2.0 * reach + force_range()) * (1.0 + MARGIN)
-            lay_grid(grid, parts, low, high, side)
-            first_cell += sorting.cell_count[grid]
-        sorting.cell_count[class_count()] = first_cell
-
-    return lay_grids
-
-
-def _build_lay_grid(state: State) -> Any:
-    """Device function (grid, parts, low, high, side): write one grid over all particles.
-
-    low, high:  corners [m] of their bounding box
-    side:       smallest cell side [m]
-
-    If a few outliers make the cells much larger than requested, the grid excludes them; an outlier is then
-    assigned to the nearest cell at the edge of the grid.
-
-    Reads:   low, high of the cell sort
-    Writes:  grid_low, cell_side, cells, cell_count
-    """
-    sorting = state.cell_sort
-    axes = state.plan.periodic_box.axes
-    grid_over = build_grid_over(state)
-    within = _build_within(state)
-    other_axes = [axis for axis in range(3) if axis not in axes]
-    cell_capacity = state.parameter("cell_capacity")
-
-    @ti.func
-    def lay_grid(grid, parts, low, high, side):
-        limit = cell_capacity() >> grid
-        box_low = low
-        box_high = high
-        is_coarse = True
-        found_low = low
-        sides = high - low
-        cells = ti.Vector([0, 0, 0])
-        attempt = 0
-        while is_coarse & (attempt < 2):  # one call of `grid_over`, which is compiled once
-            if attempt == 1:
-                box_low, box_high = within(parts, low, high)
-            finer_low, finer_sides, finer_cells = grid_over(box_low, box_high, side, limit)
-            finer_volume = finer_sides[0] * finer_sides[1] * finer_sides[2]
-            volume = sides[0] * sides[1] * sides[2]
-            if (attempt == 0) | (finer_volume < VOLUME_RATIO * volume):
-                found_low = finer_low
-                sides = finer_sides
-                cells = finer_cells
-            is_coarse = False
-            attempt = attempt + 1
-            for axis in ti.static(other_axes):
-                is_coarse = is_coarse | (sides[axis] > side)
-        sorting.grid_low[grid], sorting.cell_side[grid], sorting.cells[grid] = found_low, sides, cells
-        blocks = (cells + BLOCK_SIDE - 1) // BLOCK_SIDE
-        sorting.cell_count[grid] = blocks[0] * blocks[1] * blocks[2] * BLOCK_CELLS
-
-    return lay_grid
-
-
-def _build_within(state: State) -> Any:
-    """Device function (parts, low, high): corners [m] of the box without OUTLIER_SHARE of the parts at each
-    end.
-
-    A bisection along each axis: the corner between which and `low` at most that share of the parts begin, ...
-
-    Reads:  low, high of the cell sort
-    """
-    sorting = state.cell_sort
-    bisections = 30
-
-    @ti.func
-    def within(parts, low, high):
-        outliers = ti.cast(OUTLIER_SHARE * ti.cast(parts, ti.f32), ti.i32)
-        begin, end = low, high  # at most `outliers` parts are below `begin`
-        first, last = low, high  # at most `outliers` parts are above `last`
-        below = ti.Vector([0, 0, 0])
-        above = ti.Vector([0, 0, 0])
-        bisection = 0
-        while (bisection < bisections) & is_count(below[0]):
-            bisection += 1
-            middle_low, middle_high = 0.5 * (begin + end), 0.5 * (first + last)
-            below = ti.Vector([0, 0, 0])
-            above = ti.Vector([0, 0, 0])
-            part = 0
-            while (part < parts) & ((below.min() <= outliers) | (above.min() <= outliers)):
-                below += ti.cast(sorting.low[part] < middle_low, ti.i32)
-                above += ti.cast(sorting.high[part] > middle_high, ti.i32)
-                part += 1
-            few_below = below <= outliers
-            few_above = above <= outliers
-            begin, end = ti.select(few_below, middle_low, begin), ti.select(few_below, end, middle_low)
-            first, last = ti.select(few_above, first, middle_high), ti.select(few_above, middle_high, last)
-        return begin, last
-
-    return within
-
-
-def build_grid_over(state: State) -> Any:
-    """Device function (low, high, side, cell limit): low corner [m], cell sides [m] and cells along each
-    axis.
-
-    The smallest grid of cells at least `side` wide over a box clipped to the domain, unless the domain
-    expands, coarsened to at most the limit of cells, exceeded only by a grid of one block. Along periodic
-    axes the cells fill the domain exactly; along the other axes they are `side` wide, in whole blocks.
-    """
-    real = state.backend.position_real
-    domain_low = state.parameter("domain_low")
-    domain_high = state.parameter("domain_high")
-    axes = state.plan.periodic_box.axes
-    expands = state.plan.domain.on_exit == "expand"
-
-    @ti.func
-    def grid_over(low, high, side_requested, limit):
-        box_low = low
-        box_high = high
-        side = side_requested
-        lows = domain_low()
-        highs = domain_high()
-        for axis in ti.static(range(3)):
-            if ti.static(axis in axes):
-                box_low[axis], box_high[axis] = lows[axis], highs[axis]
-            elif ti.static(not expands):
-                box_low[axis] = ti.max(low[axis], lows[axis])
-                box_high[axis] = ti.min(high[axis], highs[axis])
-        size = ti.max(box_high - box_low, 0.0)
-        cells = size
-        sides = size
-        fits = False
-        while not fits:
-            for axis in ti.static(range(3)):
-                cells[axis] = BLOCK_SIDE * ti.max(ti.ceil(size[axis] / (side * BLOCK_SIDE) + 1e-9), 1.0)
-                sides[axis] = side
-                if ti.static(axis in axes):
-                    cells[axis] = ti.max(ti.floor(size[axis] / side), 1.0)
-                    sides[axis] = size[axis] / cells[axis]
-            blocks = ti.ceil(cells / BLOCK_SIDE)
-            block_count = blocks[0] * blocks[1] * blocks[2]
-            # The negation is also true for NaN.
-            fits = not (block_count * BLOCK_CELLS > ti.cast(limit, real) and block_count > 1.0)
-            side *= COARSER
-        return box_low, sides, ti.cast(cells, ti.i32)
-
-    return grid_over
-
-
-# Reach and bounding boxes of the particles at a neighbor-list rebuild.
+# Reach and bounding box of the particles
 
 KEPT_REACH = -1.0
 """Time of the reach for which the particles keep the reach that they have."""
@@ -331,7 +50,9 @@ def bounds_phases(state: State) -> list[Phase]:
     @ti.func
     def bounds(task: ti.template(), rebuild: ti.template()):
         low, high, reach = bounds_of(task.begin, task.begin, task.end, rebuild)
-        sorting.low[task.index], sorting.high[task.index], sorting.reach[task.index] = low, high, reach
+        sorting.low[task.index] = low
+        sorting.high[task.index] = high
+        sorting.reach[task.index] = reach
 
     @ti.func
     def lay(rebuild: ti.template()):
@@ -396,11 +117,9 @@ def _build_subparts(state: State, bounds_of: Any) -> tuple[Any, Any, Any]:
         first, end = part_range(subpart // SUBPARTS, ti.min(rebuild.count, BOUNDS), rebuild.count)
         begin, last = part_range(subpart % SUBPARTS, SUBPARTS, end - first)
         low, high, reach = bounds_of(first, first + begin, first + last, rebuild)
-        sorting.subpart_low[subpart], sorting.subpart_high[subpart], sorting.subpart_reach[subpart] = (
-            low,
-            high,
-            reach,
-        )
+        sorting.subpart_low[subpart] = low
+        sorting.subpart_high[subpart] = high
+        sorting.subpart_reach[subpart] = reach
 
     @ti.func
     def joined(task: ti.template(), rebuild: ti.template()):
@@ -413,170 +132,319 @@ def _build_subparts(state: State, bounds_of: Any) -> tuple[Any, Any, Any]:
             low = ti.min(low, sorting.subpart_low[subpart])
             high = ti.max(high, sorting.subpart_high[subpart])
             reach = ti.max(reach, sorting.subpart_reach[subpart])
-        sorting.low[part], sorting.high[part], sorting.reach[part] = low, high, reach
+        sorting.low[part] = low
+        sorting.high[part] = high
+        sorting.reach[part] = reach
 
     return subpart_count, subpart_bounds, joined
 
 
-# Particle deletion. Checked at neighbor-list rebuilds only.
+# Grids
+
+MARGIN = 1e-6
+"""Relative margin of the cell side above rounding, so that a neighbor is never two cells away."""
 
 
-def find_farthest(state: State) -> None:
-    """Set the particle of an abort because of a coordinate above `plan.coordinate_limit` [m].
+def build_lay_grids(state: State) -> Any:
+    """Device function (count): the grid for sorting; if particle sizes differ widely, one per size class.
 
-    Reads:   position, id
-    Writes:  abort_particle
+    The cells are at least as wide as the largest diameter of the class plus two of the largest reaches and
+    the range of the forces. Aborts if an expanding domain has become too large for the precision.
+
+    Reads:   radius of the size classes; low, high, reach of the cell sort (see `bounds_phases`)
+    Writes:  grid_low, cell_side, cells, cell_count, first_cell, reach_largest, abort
     """
-    position = np.nan_to_num(np.abs(state.particles.position.to_numpy()[: state.count]), nan=0.0)
-    state.control.abort_particle[0] = int(state.particles.id[int(position.max(axis=1).argmax())])
-
-
-def build_remains(state: State) -> Any:
-    """Device function (i): true if particle i is in the domain, not in an outlet, and not removed from
-    Python.
-
-    The spheres of a clump remain if its center of mass does.
-
-    Reads:  position, radius, fixed, clump, clump_position
-    """
-    particles = state.particles
-    fixed_particles = state.plan.features.fixed_particles
-    remains_at = _build_remains(state)
-    clumps = state.plan.features.clumps
+    sorting = state.cell_sort
+    by_class = state.cell_sort.class_order is not None
+    lay_grid = _build_lay_grid(state)
+    expands = state.plan.domain.on_exit == "expand"
+    class_count = state.parameter("class_count")
+    force_range = state.parameter("force_range")
+    coordinate_limit = state.parameter("coordinate_limit")
 
     @ti.func
-    def remains(i):
-        fixed = 0
-        if ti.static(fixed_particles):
-            fixed = particles.fixed[i]
-        return remains_at(particles.position[i], particles.radius[i], fixed)
+    def lay_grids(count):
+        parts = ti.min(count, BOUNDS)
+        low = sorting.low[0]
+        high = sorting.high[0]
+        reach = sorting.reach[0]
+        part = 0
+        while (part < parts) & is_count(reach):
+            low = ti.min(low, sorting.low[part])
+            high = ti.max(high, sorting.high[part])
+            reach = ti.max(reach, sorting.reach[part])
+            part += 1
+        sorting.reach_largest[0] = reach
+        if ti.static(expands):
+            if ti.max(-low.min(), high.max()) > coordinate_limit():
+                ti.atomic_max(state.control.abort[0], ABORT_FAR)
+        first_cell = 0
+        for grid in range(class_count()):
+            if ti.static(by_class):
+                sorting.first_cell[grid] = first_cell
+            side = (2.0 * sorting.radius[grid] + 2.0 * reach + force_range()) * (1.0 + MARGIN)
+            lay_grid(grid, parts, low, high, side)
+            first_cell += sorting.cell_count[grid]
+        sorting.cell_count[class_count()] = first_cell
+
+    return lay_grids
+
+
+OUTLIER_SHARE = 1 / 16
+"""Share of the parts of the particle list that may be outside the grid at each end; see `_build_lay_grid`."""
+VOLUME_RATIO = 1 / 2
+"""Ratio of cell volumes below which the grid excludes outliers."""
+
+
+def _build_lay_grid(state: State) -> Any:
+    """Device function (grid, parts, low, high, side): write one grid over all particles.
+
+    low, high:  corners [m] of their bounding box
+    side:       smallest cell side [m]
+
+    If a few outliers make the cells much larger than requested, the grid excludes them; an outlier is then
+    assigned to the nearest cell at the edge of the grid.
+
+    Reads:   low, high of the cell sort
+    Writes:  grid_low, cell_side, cells, cell_count
+    """
+    sorting = state.cell_sort
+    axes = state.plan.periodic_box.axes
+    grid_over = build_grid_over(state)
+    within = _build_within(state)
+    other_axes = [axis for axis in range(3) if axis not in axes]
+    cell_capacity = state.parameter("cell_capacity")
 
     @ti.func
-    def clump_remains(i):
-        found = remains(i)
-        if particles.clump[i] >= 0:
-            found = remains_at(particles.clump_position[i], particles.radius[i], 0)
-        return found
+    def lay_grid(grid, parts, low, high, side):
+        limit = cell_capacity() >> grid
+        box_low = low
+        box_high = high
+        is_coarse = True
+        found_low = low
+        sides = high - low
+        cells = ti.Vector([0, 0, 0])
+        attempt = 0
+        while is_coarse & (attempt < 2):  # one call of `grid_over`, which is compiled once
+            if attempt == 1:
+                box_low, box_high = within(parts, low, high)
+            finer_low, finer_sides, finer_cells = grid_over(box_low, box_high, side, limit)
+            finer_volume = finer_sides[0] * finer_sides[1] * finer_sides[2]
+            volume = sides[0] * sides[1] * sides[2]
+            if (attempt == 0) | (finer_volume < VOLUME_RATIO * volume):
+                found_low = finer_low
+                sides = finer_sides
+                cells = finer_cells
+            is_coarse = False
+            attempt = attempt + 1
+            for axis in ti.static(other_axes):
+                is_coarse = is_coarse | (sides[axis] > side)
+        sorting.grid_low[grid] = found_low
+        sorting.cell_side[grid] = sides
+        sorting.cells[grid] = cells
+        blocks = (cells + BLOCK_SIDE - 1) // BLOCK_SIDE
+        sorting.cell_count[grid] = blocks[0] * blocks[1] * blocks[2] * BLOCK_CELLS
 
-    return clump_remains if clumps else remains
+    return lay_grid
 
 
-def remaining(state: State, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Which of n particles on the host remain (n,), as `build_remains` decides.
+def _build_within(state: State) -> Any:
+    """Device function (parts, low, high): corners [m] of the box without OUTLIER_SHARE of the parts at each
+    end.
 
-    arrays:  position (n, 3), radius (n,) and, with fixed particles, fixed (n,), in the types of the fields
+    A bisection along each axis finds the corner below which at most that share of the parts begins, and the
+    one above which at most that share ends.
+
+    Reads:  low, high of the cell sort
     """
-    count = len(arrays["radius"])
-    found = np.zeros(count, np.int32)
-    if count:
-        fixed = arrays.get("fixed", np.zeros(count, np.int32))
-        state.built(_build_remaining)(
-            *map(np.ascontiguousarray, (arrays["position"], arrays["radius"], fixed)), found
-        )
-    return found.astype(bool)
+    sorting = state.cell_sort
+    bisections = 30
+
+    @ti.func
+    def within(parts, low, high):
+        outliers = ti.cast(OUTLIER_SHARE * ti.cast(parts, ti.f32), ti.i32)
+        begin = low  # at most `outliers` parts are below `begin`
+        end = high
+        first = low
+        last = high  # at most `outliers` parts are above `last`
+        below = ti.Vector([0, 0, 0])
+        above = ti.Vector([0, 0, 0])
+        bisection = 0
+        while (bisection < bisections) & is_count(below[0]):
+            bisection += 1
+            middle_low = 0.5 * (begin + end)
+            middle_high = 0.5 * (first + last)
+            below = ti.Vector([0, 0, 0])
+            above = ti.Vector([0, 0, 0])
+            part = 0
+            while (part < parts) & ((below.min() <= outliers) | (above.min() <= outliers)):
+                below += ti.cast(sorting.low[part] < middle_low, ti.i32)
+                above += ti.cast(sorting.high[part] > middle_high, ti.i32)
+                part += 1
+            few_below = below <= outliers
+            few_above = above <= outliers
+            begin = ti.select(few_below, middle_low, begin)
+            end = ti.select(few_below, end, middle_low)
+            first = ti.select(few_above, first, middle_high)
+            last = ti.select(few_above, middle_high, last)
+        return begin, last
+
+    return within
 
 
-def _build_remaining(state: State) -> Any:
-    """Kernel (position, radius, fixed, found): the result of `remaining`."""
-    remains_at = _build_remains(state)
+COARSER = 1.25
+"""Factor of the cell side of a grid that would have too many cells."""
+
+
+def build_grid_over(state: State) -> Any:
+    """Device function (low, high, side, cell limit): low corner [m], cell sides [m] and cells along each
+    axis.
+
+    The smallest grid of cells at least `side` wide over a box clipped to the domain, unless the domain
+    expands, coarsened to at most the limit of cells, exceeded only by a grid of one block. Along periodic
+    axes the cells fill the domain exactly; along the other axes they are `side` wide, in whole blocks.
+    """
     real = state.backend.position_real
-    external: Any = ti.types.ndarray()
-
-    @ti.kernel
-    def remaining_particles(position: external, radius: external, fixed: external, found: external):
-        for i in range(found.shape[0]):
-            p = ti.Vector([position[i, 0], position[i, 1], position[i, 2]], dt=real)
-            found[i] = ti.cast(remains_at(p, radius[i], fixed[i]), ti.i32)
-
-    return remaining_particles
-
-
-def _build_remains(state: State) -> Any:
-    """Device function (position, radius, fixed): true if such a particle remains.
-
-    Along periodic axes, and in an expanding domain, only the outlets delete. A position that is NaN is
-    outside; an outlet does not delete fixed particles. `changes.remove_particles` marks particles by a
-    negative radius.
-    """
-    in_one_outlet = [_build_in_one_outlet(state, index) for index in range(len(state.plan.outlets))]
-    low, high = state.parameter("domain_low"), state.parameter("domain_high")
-    unchecked_axes = range(3) if state.plan.domain.on_exit == "expand" else state.plan.periodic_box.axes
+    domain_low = state.parameter("domain_low")
+    domain_high = state.parameter("domain_high")
+    axes = state.plan.periodic_box.axes
+    expands = state.plan.domain.on_exit == "expand"
 
     @ti.func
-    def in_outlet(p):
-        out = False
-        for d in ti.static(range(len(in_one_outlet))):
-            out = out or in_one_outlet[d](p)
-        return out
-
-    @ti.func
-    def remains_at(p, radius, fixed):
-        inside = radius > REMOVED_BELOW
-        lows = low()
-        highs = high()
+    def grid_over(low, high, side_requested, limit):
+        box_low = low
+        box_high = high
+        side = side_requested
+        lows = domain_low()
+        highs = domain_high()
         for axis in ti.static(range(3)):
-            if ti.static(axis in unchecked_axes):
-                inside = inside & (p[axis] == p[axis])  # false for NaN
-            else:
-                inside = inside & (p[axis] >= lows[axis]) & (p[axis] <= highs[axis])
-        if ti.static(state.plan.features.outlets):
-            inside = inside and not (in_outlet(p) and fixed == 0)
-        return inside
+            if ti.static(axis in axes):
+                box_low[axis] = lows[axis]
+                box_high[axis] = highs[axis]
+            elif ti.static(not expands):
+                box_low[axis] = ti.max(low[axis], lows[axis])
+                box_high[axis] = ti.min(high[axis], highs[axis])
+        size = ti.max(box_high - box_low, 0.0)
+        cells = size
+        sides = size
+        fits = False
+        while not fits:
+            for axis in ti.static(range(3)):
+                cells[axis] = BLOCK_SIDE * ti.max(ti.ceil(size[axis] / (side * BLOCK_SIDE) + 1e-9), 1.0)
+                sides[axis] = side
+                if ti.static(axis in axes):
+                    cells[axis] = ti.max(ti.floor(size[axis] / side), 1.0)
+                    sides[axis] = size[axis] / cells[axis]
+            blocks = ti.ceil(cells / BLOCK_SIDE)
+            block_count = blocks[0] * blocks[1] * blocks[2]
+            # The negation is also true for NaN.
+            fits = not (block_count * BLOCK_CELLS > ti.cast(limit, real) and block_count > 1.0)
+            side *= COARSER
+        return box_low, sides, ti.cast(cells, ti.i32)
 
-    return remains_at
+    return grid_over
 
 
-def _build_in_one_outlet(state: State, index: int) -> Any:
-    """Device function (point): true if the point [m] is in one outlet.
+# Cells: that of a point, and those that can contain neighbors
 
-    An outlet is a box, a half space, or the part of a half space within a radius of its axis (disc).
+BLOCK_SIDE = 8
+"""Number of cells along each edge of a block."""
+
+
+@ti.func
+def cell_number(cell, cells):
+    """Number of a cell in a grid of `cells` cells along each axis, in block order.
+
+    Blocks are numbered with x fastest, and so are the cells within a block.
     """
-    outlet = state.plan.outlets[index]
-    return (
-        _build_in_box(state, index)
-        if outlet.kind == "box"
-        else _build_in_half_space(state, index, outlet.kind)
-    )
+    blocks_x = (cells[0] + BLOCK_SIDE - 1) // BLOCK_SIDE
+    blocks_y = (cells[1] + BLOCK_SIDE - 1) // BLOCK_SIDE
+    block = ((cell[2] // BLOCK_SIDE) * blocks_y + cell[1] // BLOCK_SIDE) * blocks_x + cell[0] // BLOCK_SIDE
+    inside = ((cell[2] % BLOCK_SIDE) * BLOCK_SIDE + cell[1] % BLOCK_SIDE) * BLOCK_SIDE + cell[0] % BLOCK_SIDE
+    return block * BLOCK_CELLS + inside
 
 
-def _build_in_box(state: State, index: int) -> Any:
-    low, high = state.parameter(f"outlet.{index}.low"), state.parameter(f"outlet.{index}.high")
+@ti.func
+def cell_of_point(sorting: ti.template(), grid, point):
+    """Cell of a grid that contains the point [m], or the nearest cell of the grid.
 
-    @ti.func
-    def in_box(p):
-        is_inside = True
-        lows = low()
-        highs = high()
-        for axis in ti.static(range(3)):
-            is_inside = is_inside & (p[axis] >= lows[axis]) & (p[axis] <= highs[axis])
-        return is_inside
-
-    return in_box
+    Reads:  grid_low, cell_side, cells
+    """
+    cell_position = (point - sorting.grid_low[grid]) / sorting.cell_side[grid]
+    last = ti.cast(sorting.cells[grid], sorting.cell_side.dtype) - 1.0
+    # Clamped before the conversion, which is undefined for a coordinate far outside the grid.
+    return ti.cast(ti.max(ti.min(cell_position, last), 0.0), ti.i32)
 
 
-def _build_in_half_space(state: State, index: int, kind: str) -> Any:
-    point = state.parameter(f"outlet.{index}.point")
-    normal = state.parameter(f"outlet.{index}.normal")
-    is_disc = kind == "disc"
-    radius = state.parameter(f"outlet.{index}.radius") if is_disc else None
+@ti.func
+def adjacent_cells(periodic: ti.template(), cell, cells):
+    """Begin and end of the ranges of cells adjacent to a cell, which may extend beyond the grid along
+    periodic axes.
 
-    @ti.func
-    def in_half_space(p):
-        from_point = p - point()
-        direction = normal()
-        along = from_point.dot(direction)
-        is_inside = along >= 0.0
-        if ti.static(is_disc):
-            radial = from_point - along * direction
-            is_inside = is_inside and radial.dot(radial) <= radius() * radius()
-        return is_inside
+    periodic:  axes along which the first and the last cell are adjacent; with fewer than three cells, all are
+    """
+    first = cell - 1
+    end = cell + 2
+    for axis in ti.static(range(3)):
+        if ti.static(axis in periodic):
+            if cells[axis] < 3:
+                first[axis] = 0
+                end[axis] = cells[axis]
+        else:
+            first[axis] = ti.max(first[axis], 0)
+            end[axis] = ti.min(end[axis], cells[axis])
+    return first, end
 
-    return in_half_space
+
+ROUNDING = 1e-5
+"""Relative margin of the cell range within a radius, because cell coordinates are rounded."""
 
 
-# Order of the particles by cell at a neighbor-list rebuild: a counting sort, in phases.
-#
-# Integers determine all results: the order is the same for any number of threads.
+@ti.func
+def cells_within(
+    sorting: ti.template(), periodic: ti.template(), gradient: ti.template(), grid, point, reach
+):
+    """Begin and end of the ranges of cells of a grid that a sphere intersects.
+
+    periodic:  axes that are periodic without shear
+    gradient:  axis of the gradient of a sheared box, or -1
+    reach:     radius of the sphere [m], enlarged by ROUNDING
+
+    Along a periodic axis the range may extend beyond the grid, but contains no cell twice. Images along a
+    sheared gradient are searched separately, and the range ends at the grid.
+
+    Reads:  grid_low, cell_side, cells
+    """
+    middle = (point - sorting.grid_low[grid]) / sorting.cell_side[grid]
+    reach_in_cells = ti.static(1.0 + ROUNDING) * reach / sorting.cell_side[grid]
+    last = ti.cast(sorting.cells[grid], sorting.cell_side.dtype) - 1.0
+    lowest = ti.floor(middle - reach_in_cells)
+    highest = ti.floor(middle + reach_in_cells)
+    for axis in ti.static(range(3)):
+        if ti.static(axis in periodic):
+            if highest[axis] - lowest[axis] >= last[axis]:
+                lowest[axis] = 0.0
+                highest[axis] = last[axis]
+        elif ti.static(axis == gradient):
+            lowest[axis] = ti.max(lowest[axis], 0.0)
+            highest[axis] = ti.min(highest[axis], last[axis])
+        else:
+            lowest[axis] = ti.max(ti.min(lowest[axis], last[axis]), 0.0)
+            highest[axis] = ti.max(ti.min(highest[axis], last[axis]), 0.0)
+    return ti.cast(lowest, ti.i32), ti.cast(highest, ti.i32) + 1
+
+
+@ti.func
+def wrapped_cell(periodic: ti.template(), cell, cells):
+    """The cell of coordinates outside the grid, along the periodic axes."""
+    wrapped = cell
+    for axis in ti.static(range(3)):
+        if ti.static(axis in periodic):
+            wrapped[axis] = (cell[axis] + cells[axis]) % cells[axis]
+    return wrapped
+
+
+# Counting sort, in phases; integers determine the order, so that it is the same for any number of threads
 
 
 def sort_phases(state: State) -> list[Phase]:
@@ -716,6 +584,22 @@ def _build_cell_tasks(key: Any, start: Any, order: Any) -> tuple[Any, Any]:
     return clear, order_cells
 
 
+@ti.func
+def _order_by_key(order: ti.template(), key: ti.template(), begin, end):
+    """Insertion sort of order[begin:end] by key; a cell holds few particles.
+
+    Writes:  order
+    """
+    for k in range(begin + 1, end):
+        moving = order[k]
+        rank = k
+        # The index is clamped in case both sides of `and` are evaluated.
+        while rank > begin and key(order[ti.max(rank - 1, 0)]) > key(moving):
+            order[rank] = order[rank - 1]
+            rank -= 1
+        order[rank] = moving
+
+
 def _build_particle_parts(
     state: State, count_of: Any, cell_of: Any, cells_of_all: Any, start: Any, order: Any
 ) -> tuple[Any, Any]:
@@ -791,19 +675,3 @@ def _scan_phases(state: State, counts_of_cells: Any, start: Any) -> list[Phase]:
         Phase(sum_block, most_blocks, counts_of_cells, SCAN_BLOCK, sum_blocks),
         Phase(scan_block, most_blocks, counts_of_cells, SCAN_BLOCK),
     ]
-
-
-@ti.func
-def _order_by_key(order: ti.template(), key: ti.template(), begin, end):
-    """Insertion sort of order[begin:end] by key; a cell holds few particles.
-
-    Writes:  order
-    """
-    for k in range(begin + 1, end):
-        moving = order[k]
-        rank = k
-        # The index is clamped in case both sides of `and` are evaluated.
-        while rank > begin and key(order[ti.max(rank - 1, 0)]) > key(moving):
-            order[rank] = order[rank - 1]
-            rank -= 1
-        order[rank] = moving

@@ -1,5 +1,4 @@
-"""Flags and counters that the host reads after a launch: on a GPU one kernel and one transfer for all of
-them."""
+"""Flags and counters of the device that the host reads after a launch."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -21,12 +20,18 @@ class DeviceFlags(NamedTuple):
 
 
 def read_flags(state: State) -> DeviceFlags:
-    """The present flags."""
-    if state.control.halted_at is not None:
-        return DeviceFlags(*(int(value) for value in state.built(_build_flags)()))
+    """The present flags; on a GPU one kernel and one transfer for all of them."""
     control = state.control
-    fields = (control.abort, control.running, control.list_length_needed, state.cell_sort.present)
-    return DeviceFlags(0, 0, *(int(field[0]) for field in fields))
+    if control.halted_at is not None:
+        return DeviceFlags(*(int(value) for value in state.built(_build_flags)()))
+    return DeviceFlags(
+        integration_halted_at=0,
+        forces_halted_at=0,
+        abort=int(control.abort[0]),
+        running=int(control.running[0]),
+        list_length_needed=int(control.list_length_needed[0]),
+        present=int(state.cell_sort.present[0]),
+    )
 
 
 def _build_flags(state: State) -> Callable[[], Any]:
