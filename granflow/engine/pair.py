@@ -254,13 +254,13 @@ def effective_value(one, other):
     return one * other / (one + other)
 
 
-FROZEN_MASS_FACTOR = 2.0**60
+FIXED_MASS_FACTOR = 2.0**60
 """Mass factor of a fixed particle in contacts, as of an infinite mass: the term of its partner's mass is
 below rounding, also in f64."""
 
 
 def build_contact_mass(state: State) -> Any:
-    """Device function (i): mass [kg] of a particle in its contacts, FROZEN_MASS_FACTOR times as large if it
+    """Device function (i): mass [kg] of a particle in its contacts, FIXED_MASS_FACTOR times as large if it
     is fixed.
 
     A sphere of a clump has the mass of the clump, as in LIGGGHTS and MercuryDPM.
@@ -275,7 +275,7 @@ def build_contact_mass(state: State) -> Any:
     def contact_mass(i):
         mass = mass_field[i]
         if ti.static(state.plan.features.fixed_particles):
-            mass *= ti.select(particles.fixed[i] == 1, ti.cast(FROZEN_MASS_FACTOR, real), ti.cast(1.0, real))
+            mass *= ti.select(particles.fixed[i] == 1, ti.cast(FIXED_MASS_FACTOR, real), ti.cast(1.0, real))
         return mass
 
     return contact_mass
