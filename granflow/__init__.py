@@ -67,7 +67,7 @@ if TYPE_CHECKING:
         UniformSizes,
     )
     from granflow.scene.blocks.run import Damping, Expectation, Numerics, RunSettings, Stage, StageCondition
-    from granflow.scene.blocks.shapes import Box
+    from granflow.scene.blocks.shapes import Box, RotationStep
     from granflow.scene.blocks.walls import (
         BoxWall,
         Cone,
@@ -78,7 +78,6 @@ if TYPE_CHECKING:
         Plane,
         Rectangle,
         Rotation,
-        RotationStep,
         Servo,
         SurfaceVelocity,
         TableMotion,

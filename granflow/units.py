@@ -1,63 +1,29 @@
-"""Units: conversion of text such as "4 mm" or "0.31 GPa" to SI numbers with a single rounding."""
+"""Units: text such as "4 mm" or "0.31 GPa" becomes an SI number, with a single rounding.
+
+`DIMENSIONS` lists the units of each dimension with exact factors. `to_si` converts text of a known dimension;
+the functions for tables find the unit in a heading, and `GivenNumber` keeps the unit in which a number of any
+dimension was given, for studies that print it again.
+"""
 
 import difflib
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from numbers import Real
-from typing import Annotated, Any
-
-from pydantic import GetCoreSchemaHandler
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from typing import Any
 
 from granflow.arguments import shown
 from granflow.errors import GranflowError
 
-KeyPath = tuple[str | int, ...]
-"""Keys and list indices from the root of a scene, such as ("stages", 0, "duration")."""
+# Dimensions and their units
 
 
-# Faults: invalid values and combinations of values in a scene, each with its key path and a reason.
-
-
-@dataclass(frozen=True)
-class Fault:
-    """An invalid value at `path`; the message is "X is Y, but {reason}".
-
-    With `whole`, the message is "X {reason}". `messages.problem_at` adds the position and the period. The
-    path of a fault from `Model.faults` is relative to the model.
-    """
-
-    path: KeyPath
-    reason: str
-    whole: bool = False
-
-
-def whole(path: KeyPath, reason: str) -> Fault:
-    """The fault with the message "X {reason}"."""
-    return Fault(path, reason, whole=True)
-
-
-def redundant(key: str, other: str, keep: str = "one of them") -> Fault:
-    """The fault of a key that excludes another key."""
-    return Fault((key,), f"{other} is given too: keep {keep}")
-
-
-def missing(path: KeyPath, description: str) -> Fault:
-    """The fault of a missing key; `description` states its meaning or the reason why it is required."""
-    return whole(path, f"is missing: {description}")
-
-
-_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IGNORECASE | re.DOTALL)
-_COMMA = re.compile(r"^\s*[-+]?[0-9]+,[0-9]+(\D|$)")
-_HEADING = re.compile(r"\s*(.*?)\s*([\[(])([^\])]*)[\])]\s*", re.DOTALL)
 _PI = Fraction(math.pi)
+
+
 _STANDARD_GRAVITY = "9.80665"
-_LONGEST_EXACT = 100  # characters; longer numbers are rounded before the unit is applied
-_LARGEST = Fraction(10) ** 300
 
 
 @dataclass(frozen=True)
@@ -152,16 +118,52 @@ DIMENSIONS: dict[str, Dimension] = {
     "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
 }
 """Dimensions by name; the first unit of each is the SI unit."""
+
+
 _ANY = Dimension("a number or text with a unit", "2 t/h", {})
-
-
-class UnitError(ValueError):
-    """Text that is not a quantity of the expected dimension; the message follows "X is Y, but "."""
 
 
 def dimension_of(name: str) -> Dimension:
     """The dimension with the given name; "any" accepts all units. Raises KeyError for an unknown name."""
     return _ANY if name == "any" else DIMENSIONS[name]
+
+
+def dimensions_with(unit: str) -> dict[str, Dimension]:
+    """The dimensions that have a unit, by name; none for an unknown unit."""
+    return {name: each for name, each in DIMENSIONS.items() if unit in each.units}
+
+
+def si_unit_of(unit: str) -> str:
+    """The SI unit that all dimensions of a unit have in common, "rad" for "deg"; empty for "%" and without a
+    unit."""
+    units = [
+        [name for name, factor in each.units.items() if factor == 1]
+        for each in dimensions_with(unit).values()
+    ]
+    common = [name for name in (units[0] if units else ()) if all(name in each for each in units)]
+    return unit if unit in common else next(iter(common), "")
+
+
+# Text with a unit
+
+
+_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+
+
+_AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IGNORECASE | re.DOTALL)
+
+
+_COMMA = re.compile(r"^\s*[-+]?[0-9]+,[0-9]+(\D|$)")
+
+
+_LONGEST_EXACT = 100  # characters; longer numbers are rounded before the unit is applied
+
+
+_LARGEST = Fraction(10) ** 300
+
+
+class UnitError(ValueError):
+    """Text that is not a quantity of the expected dimension; the message follows "X is Y, but "."""
 
 
 def to_si(text: str, dimension: str) -> float:
@@ -192,78 +194,6 @@ def exact_si(text: str, dimension: str) -> Fraction | float:
     if plain == 0 or not math.isfinite(plain):
         return plain
     return (Fraction(number) if len(number) < _LONGEST_EXACT else Fraction(plain)) * factor
-
-
-def unit_in(text: str) -> str:
-    """Return the unit in a text such as "4 mm"; empty without one."""
-    match = _AMOUNT.fullmatch(text)
-    return (match.group(2) or "").strip() if match else ""
-
-
-def split_heading(heading: str) -> tuple[str, str]:
-    """Name and unit of a column of a table: "time [ms]" is ("time", "ms"); the unit is empty without one.
-
-    What is in square brackets is a unit, what is in round ones only if it is a known unit.
-    """
-    match = _HEADING.fullmatch(heading)
-    if match is None or (match[2] == "(" and not dimensions_with(match[3].strip())):
-        return heading.strip(), ""
-    return match[1], match[3].strip()
-
-
-def with_unit(cell: str, unit: str) -> str:
-    """A cell of a table as text with a unit: its own, otherwise that of its column, which may be empty."""
-    return f"{cell} {unit}" if cell and unit and not unit_in(cell) else cell
-
-
-def column_factor(unit: str, si_unit: str) -> float:
-    """Factor of a column with a unit to the SI unit of its quantity ("" for a number); 1 without a unit.
-
-    Raises UnitError for a unit that is unknown or of another dimension.
-    """
-    if unit in ("", si_unit):
-        return 1.0
-    known = [each for each in DIMENSIONS.values() if next(iter(each.units)) == si_unit]
-    if not si_unit:
-        known = [DIMENSIONS["number"]]
-    for each in known:
-        if unit in each.units:
-            return float(each.units[unit])
-    if not si_unit:
-        raise UnitError(f"{unit} is no unit of a number; the only one is %")
-    names = dict.fromkeys(name for each in known for name in each.units if name.isascii())
-    raise UnitError(f"{unit} is no unit of it; give {', '.join(names) or si_unit}")
-
-
-def dimensions_with(unit: str) -> dict[str, Dimension]:
-    """The dimensions that have a unit, by name; none for an unknown unit."""
-    return {name: each for name, each in DIMENSIONS.items() if unit in each.units}
-
-
-def si_unit_of(unit: str) -> str:
-    """The SI unit that all dimensions of a unit have in common, "rad" for "deg"; empty for "%" and without a
-    unit."""
-    units = [
-        [name for name, factor in each.units.items() if factor == 1]
-        for each in dimensions_with(unit).values()
-    ]
-    common = [name for name in (units[0] if units else ()) if all(name in each for each in units)]
-    return unit if unit in common else next(iter(common), "")
-
-
-def seconds_of(name: str, time: float | str) -> float:
-    """The argument `name` of a function in s, a number [s] or text with a unit ("1 ms"). Raises
-    GranflowError."""
-    try:
-        if isinstance(time, str):
-            return to_si(time, "time")
-        if isinstance(time, bool) or not isinstance(time, Real):
-            raise GranflowError(
-                f'{name} is {shown(time)}, but must be a number [s] or text with a unit ("1 ms").'
-            )
-        return float(time)
-    except UnitError as error:
-        raise GranflowError(f"{name} is {time}, but {error}.") from None
 
 
 def _factor(unit: str, dimension: str) -> Fraction:
@@ -308,142 +238,69 @@ def _without_article(noun: str) -> str:
     return noun.partition(" ")[2]
 
 
-# Numbers in a scene: plain in SI, or text with a unit, within bounds; and errors of values.
-
-LARGEST = 1e30  # limit of the magnitude of SI numbers in a scene
-SMALLEST = 1e-30  # lower limit of numbers that must be positive
-LARGEST_COUNT = 2**31 - 1  # particle numbers have 32 bits
-
-
-def value_error(reason: str, *at: str) -> PydanticCustomError:
-    """The error "key.path is VALUE, but REASON."; `at` is the path of a key within the value."""
-    return PydanticCustomError("but", "{reason}", {"reason": reason, "at": at})
+def unit_in(text: str) -> str:
+    """Return the unit in a text such as "4 mm"; empty without one."""
+    match = _AMOUNT.fullmatch(text)
+    return (match.group(2) or "").strip() if match else ""
 
 
-def whole_error(reason: str) -> PydanticCustomError:
-    """The error "key.path REASON."."""
-    return PydanticCustomError("whole", "{reason}", {"reason": reason})
-
-
-@dataclass(frozen=True)
-class Number:
-    """Reads one number: a plain one in SI, or text with a unit of `dimension`; rejects values out of range.
-
-    `noun`: for messages, default is that of the dimension. `above`, `at_least`, `at_most`: bounds in SI
-    units. `words`:
-    texts that are accepted in place of a number. `whole`: the number is an int without a unit. Used as
-    metadata of a pydantic field.
-    """
-
-    dimension: str = "number"
-    noun: str = ""
-    above: float | None = None
-    at_least: float | None = None
-    at_most: float | None = None
-    words: tuple[str, ...] = ()
-    whole: bool = False
-    scaling: int = 0
-    """Exponent of `scale` of a scene in this number."""
-
-    def read(self, value: Any) -> float | int | str:
-        """Convert a value from the file to a number within the bounds (SI), or to one of the words.
-
-        Raises PydanticCustomError for another type, an unknown unit, a value that is not finite or out of
-        bounds.
-        """
-        if isinstance(value, str) and value in self.words:
-            return value
-        number = self._number(value)
-        if not math.isfinite(number):
-            raise value_error("a finite number is expected")
-        if not self._inside(number):
-            raise value_error(f"{self._noun} {self._bounds()}")
-        if abs(number) > LARGEST or (number != 0 and self.above == 0 and number < SMALLEST):
-            raise value_error(f"{self._noun} of this magnitude is out of range")
-        return self._count(number) if self.whole else number
-
-    def _number(self, value: Any) -> float:
-        """The SI value of a number or text; infinite for an integer beyond the range of float.
-
-        Raises PydanticCustomError.
-        """
-        if isinstance(value, str) and not self.whole:
-            try:
-                return to_si(value, self.dimension)
-            except UnitError as error:
-                raise value_error(f"{error}{self._word_hint()}") from None
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise value_error(f"{self._noun} is expected{self._example()}{self._word_hint()}")
-        try:
-            return float(value)
-        except OverflowError:
-            return math.inf
-
-    def _count(self, number: float) -> int:
-        """The number as an int. Raises PydanticCustomError if it has a fraction or exceeds 32 bits."""
-        if number != int(number):
-            raise value_error(f"{self._noun} must be a whole number")
-        if number > LARGEST_COUNT:
-            raise value_error(f"{self._noun} must be at most {LARGEST_COUNT}")
-        return int(number)
-
-    def _inside(self, number: float) -> bool:
-        """Whether a number satisfies the bounds; False for NaN if there are any."""
-        return (
-            (self.above is None or number > self.above)
-            and (self.at_least is None or number >= self.at_least)
-            and (self.at_most is None or number <= self.at_most)
-        )
-
-    @property
-    def _noun(self) -> str:
-        return self.noun or dimension_of(self.dimension).noun
-
-    def _example(self) -> str:
-        """An example value; for whole numbers not that of the dimension."""
-        if self.whole:
-            return ", a whole number such as 10"
-        return f", such as {dimension_of(self.dimension).example}"
-
-    def _word_hint(self) -> str:
-        return f", or {' or '.join(self.words)}" if self.words else ""
-
-    def _bounds(self) -> str:
-        """Text of the bounds for a message."""
-        if self.at_least is not None and self.at_most is not None:
-            return f"must be in [{self.at_least:g}, {self.at_most:g}]"
-        parts = [
-            f"{word} {bound:g}"
-            for word, bound in (("above", self.above), ("at least", self.at_least), ("at most", self.at_most))
-            if bound is not None
-        ]
-        return f"must be {' and '.join(parts)}"
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Validation by `read`; serialization without change."""
-        return core_schema.no_info_plain_validator_function(self.read)
-
-    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """JSON Schema of the valid input: a number within the bounds, text with a unit, or a word.
-
-        Text must match a pattern of a number and one of the units of the dimension.
-        """
-        number: dict[str, Any] = {"type": "integer" if self.whole else "number"}
-        bounds = {"exclusiveMinimum": self.above, "minimum": self.at_least, "maximum": self.at_most}
-        number.update({key: bound for key, bound in bounds.items() if bound is not None})
-        choices: list[dict[str, Any]] = [number]
-        units = dimension_of(self.dimension).units
-        if not self.whole:
-            unit = "|".join(re.escape(name) for name in units) if units else ".*"
-            choices.append(
-                {"type": "string", "pattern": rf"^\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*({unit})?\s*$"}
+def seconds_of(name: str, time: float | str) -> float:
+    """The argument `name` of a function in s, a number [s] or text with a unit ("1 ms"). Raises
+    GranflowError."""
+    try:
+        if isinstance(time, str):
+            return to_si(time, "time")
+        if isinstance(time, bool) or not isinstance(time, Real):
+            raise GranflowError(
+                f'{name} is {shown(time)}, but must be a number [s] or text with a unit ("1 ms").'
             )
-        if self.words:
-            choices.append({"enum": list(self.words)})
-        return {"anyOf": choices} if len(choices) > 1 else number
+        return float(time)
+    except UnitError as error:
+        raise GranflowError(f"{name} is {time}, but {error}.") from None
 
 
-# Numbers of any dimension that keep the unit in which they are given, such as the bounds of a varied key.
+# Columns of tables
+
+
+_HEADING = re.compile(r"\s*(.*?)\s*([\[(])([^\])]*)[\])]\s*", re.DOTALL)
+
+
+def split_heading(heading: str) -> tuple[str, str]:
+    """Name and unit of a column of a table: "time [ms]" is ("time", "ms"); the unit is empty without one.
+
+    What is in square brackets is a unit, what is in round ones only if it is a known unit.
+    """
+    match = _HEADING.fullmatch(heading)
+    if match is None or (match[2] == "(" and not dimensions_with(match[3].strip())):
+        return heading.strip(), ""
+    return match[1], match[3].strip()
+
+
+def with_unit(cell: str, unit: str) -> str:
+    """A cell of a table as text with a unit: its own, otherwise that of its column, which may be empty."""
+    return f"{cell} {unit}" if cell and unit and not unit_in(cell) else cell
+
+
+def column_factor(unit: str, si_unit: str) -> float:
+    """Factor of a column with a unit to the SI unit of its quantity ("" for a number); 1 without a unit.
+
+    Raises UnitError for a unit that is unknown or of another dimension.
+    """
+    if unit in ("", si_unit):
+        return 1.0
+    known = [each for each in DIMENSIONS.values() if next(iter(each.units)) == si_unit]
+    if not si_unit:
+        known = [DIMENSIONS["number"]]
+    for each in known:
+        if unit in each.units:
+            return float(each.units[unit])
+    if not si_unit:
+        raise UnitError(f"{unit} is no unit of a number; the only one is %")
+    names = dict.fromkeys(name for each in known for name in each.units if name.isascii())
+    raise UnitError(f"{unit} is no unit of it; give {', '.join(names) or si_unit}")
+
+
+# Numbers of any dimension that keep the unit in which they are given
 
 
 class GivenNumber(float):
@@ -466,20 +323,6 @@ class GivenNumber(float):
         number.unit = unit_in(text)
         number.exact = Fraction(exact_si(text, "any"))
         return number
-
-
-class NumberWithUnit(Number):
-    """Reads a number of any dimension that keeps its unit."""
-
-    def read(self, value: Any) -> GivenNumber:
-        """Convert a value from the file. Raises PydanticCustomError as `Number.read`."""
-        if isinstance(value, GivenNumber):
-            return value
-        number = super().read(value)
-        return GivenNumber(value if isinstance(value, str) else number)
-
-
-GivenQuantity = Annotated[GivenNumber, NumberWithUnit("any")]
 
 
 def number_of(value: Any) -> GivenNumber | None:
@@ -542,14 +385,3 @@ def in_si(value: float, unit: str) -> float | str:
     checked."""
     si_unit = si_unit_of(unit)
     return f"{float(value)!r} {si_unit}" if si_unit else float(value)
-
-
-def bound_faults(start: GivenNumber, stop: GivenNumber, scale: str) -> Iterator[Fault]:
-    """Faults of the bounds `from` and `to`: not ascending, of different units, or not positive on the scale
-    "log"."""
-    if reason := mixed_units((start, stop)):
-        yield Fault(("to",), reason)
-    elif not start < stop:
-        yield Fault(("to",), f"it must be larger than from, {start.text}")
-    if scale == "log" and start <= 0.0:
-        yield Fault(("from",), "it must be above 0 on a logarithmic scale, such as 1e-3")

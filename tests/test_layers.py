@@ -54,6 +54,7 @@ STUDIES_IMPORT = {
     "granflow.fields",
     "granflow.geometry.shape",
     "granflow.load",
+    "granflow.scene.faults",
     "granflow.scene.model",
     "granflow.scene.suggest",
     "granflow.scene.validated_file",

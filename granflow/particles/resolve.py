@@ -16,9 +16,9 @@ from granflow.particles.file import ParticleTable, rows_of, unassigned_rows, wit
 from granflow.particles.group import SceneGroup, count_for_volume, groups_of
 from granflow.particles.packing import near_pairs
 from granflow.scene.blocks.particles import FileInsertion, FileSummary, Group, InletInsertion, RainInsertion
+from granflow.scene.blocks.quantities import LARGEST_COUNT, Number
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.model import Model
-from granflow.units import LARGEST_COUNT, Number
 
 ROUNDING_SHARE = 1e-9
 """Tolerance for rounding at the end of an insertion, as a fraction of one particle."""

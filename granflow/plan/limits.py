@@ -22,7 +22,7 @@ from granflow.plan.time_step import STEP_SHARE, PairCase
 from granflow.plan.walls import PlannedWall, always, surface_speed
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.particles import FileInsertion, Group
-from granflow.scene.blocks.shapes import Vector3
+from granflow.scene.blocks.quantities import Vector3
 from granflow.scene.blocks.walls import FreeWall, Rotation, Servo, Vibration
 
 # Checks of the domain: size of periodic boxes, and walls that cross periodic boundaries.

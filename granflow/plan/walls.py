@@ -22,8 +22,8 @@ from granflow.io.files import FormatError, resolved
 from granflow.load import Scene
 from granflow.plan.parts import diameter_range
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.quantities import Vector3
 from granflow.scene.blocks.run import Stage
-from granflow.scene.blocks.shapes import Vector3
 from granflow.scene.blocks.walls import (
     AnyWall,
     Cone,

@@ -41,13 +41,14 @@ from granflow.scene.blocks.particles import (
     RectangleFace,
     TimedInsertion,
 )
+from granflow.scene.blocks.quantities import Vector3
 from granflow.scene.blocks.run import Damping
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.blocks.shapes import Box, Vector3
+from granflow.scene.blocks.shapes import Box
 from granflow.scene.blocks.walls import FreeWall, MotionSpec, Plane, Servo, Vibration, Wall
+from granflow.scene.faults import Fault, KeyPath, missing, whole
 from granflow.scene.partial import PartialScene, unknown
 from granflow.scene.suggest import nearest, suggestion_or_list
-from granflow.units import Fault, KeyPath, missing, whole
 from granflow.visible_text import alternatives
 
 # Parts of a scene that cannot be combined with clumps.

@@ -27,7 +27,7 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
-from granflow.units import KeyPath
+from granflow.scene.faults import KeyPath
 
 _LONGEST_SHOWN = 60  # characters of a value shown in a message
 

@@ -17,8 +17,8 @@ from pydantic_core import ErrorDetails
 from granflow.contact import registry
 from granflow.contact.law import SLOTS
 from granflow.scene.document import Document, Node, Problem
+from granflow.scene.faults import Fault, KeyPath, missing, whole
 from granflow.scene.suggest import nearest, suggestion_or_list
-from granflow.units import Fault, KeyPath, missing, whole
 
 # Tags of the members of unions, which pydantic puts into the locations of errors, and the keys that select
 # them.

@@ -17,8 +17,8 @@ from pydantic_core import CoreSchema, core_schema
 
 from granflow.errors import SceneError
 from granflow.scene.document import document_of
+from granflow.scene.faults import Fault, KeyPath, value_error
 from granflow.scene.messages import problem_at, problems_of, selecting_keys, tag_of
-from granflow.units import Fault, KeyPath, value_error
 from granflow.visible_text import visible
 
 _NAME = r"[a-z][a-z0-9_]*"

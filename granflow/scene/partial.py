@@ -10,9 +10,9 @@ from pydantic import BaseModel, Field, create_model
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.walls import FACES
 from granflow.scene.document import Document
+from granflow.scene.faults import Fault, KeyPath
 from granflow.scene.model import faults_of
 from granflow.scene.suggest import nearest
-from granflow.units import Fault, KeyPath
 
 
 @dataclass(frozen=True)

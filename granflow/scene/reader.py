@@ -37,10 +37,10 @@ from granflow.scene.document import (
     SourcePosition,
     parse,
 )
+from granflow.scene.faults import Fault, whole
 from granflow.scene.messages import dotted, model_at, problem_at, problems_of
 from granflow.scene.partial import PartialScene, partial_scene_of
 from granflow.scene.suggest import nearest, suggestion_or_list
-from granflow.units import Fault, whole
 
 # Overrides from the command line, `key.path=value`, applied to the tree of a scene before validation.
 

@@ -22,7 +22,7 @@ from pydantic import Field
 from granflow.errors import GranflowError
 from granflow.io.files import holder_of
 from granflow.io.machine import worker_count
-from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks import quantities as q
 from granflow.scene.model import ListOf, Model, Text
 from granflow.scene.validated_file import validated_file
 from granflow.studies.run_process import (

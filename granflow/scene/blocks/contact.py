@@ -8,8 +8,8 @@ from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
 from granflow.contact.law import SLOTS, Amount, Choice, ContactModel, Option
+from granflow.scene.blocks.quantities import Number
 from granflow.scene.model import Model, ShortForm, choose_by, choose_by_key, shorthand
-from granflow.units import Number
 
 
 class LawSettings(Model):

@@ -9,10 +9,11 @@ from pydantic import ConfigDict, Field, Tag, model_validator
 from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
-from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.quantities import Number
+from granflow.scene.faults import value_error
 from granflow.scene.model import Model, Text, choose_by, pair_list, required_unless
 from granflow.scene.suggest import suggestion_or_list
-from granflow.units import Number, value_error
 
 # Material presets, each with its source.
 

@@ -7,11 +7,12 @@ from pydantic import Field
 
 from granflow.fields import FIELD_QUANTITIES
 from granflow.geometry.shape import are_perpendicular
-from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.shapes import Box
+from granflow.scene.faults import Fault, redundant, whole
 from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, choose_by_key
 from granflow.scene.suggest import suggestion_or_list
-from granflow.units import Fault, Number, redundant, whole
 
 # Schema of the quantities computed from particles and contacts during a run: fields on a grid, and metrics.
 

@@ -1,4 +1,8 @@
-"""Schema of the block `particles`: number, sizes, material and insertion of particle groups."""
+"""Schema of the block `particles`: groups of particles of one material with one kind of insertion.
+
+`Group` is last: it has all keys of a group, in the order of a scene file. The parts that its keys contain
+precede it in the same order: sizes, clumps, initial velocities, insertion.
+"""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
@@ -7,9 +11,10 @@ import numpy as np
 from pydantic import AfterValidator, Field, Tag, model_validator
 
 from granflow.geometry.clump import ClumpShape, clump_shape
-from granflow.scene.blocks import shapes as q
-from granflow.scene.blocks.shapes import Box, CylinderShape, Rectangular
-from granflow.scene.blocks.walls import RotationStep
+from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.quantities import Number
+from granflow.scene.blocks.shapes import Box, CylinderShape, Rectangular, RotationStep
+from granflow.scene.faults import Fault, KeyPath, missing, redundant, whole, whole_error
 from granflow.scene.model import (
     FileName,
     Flag,
@@ -20,9 +25,144 @@ from granflow.scene.model import (
     choose_by_first_key,
     choose_by_key,
 )
-from granflow.units import Fault, KeyPath, Number, missing, redundant, whole, whole_error
 
-# Schema of the key `clump` of particle groups: rigid bodies of spheres, and their orientation.
+# Keys `diameter` and `radius`
+
+
+class TruncatedSizes(Model):
+    """A size distribution that is truncated to an interval: diameters outside [`min`, `max`] do not occur
+    [m]."""
+
+    min: q.Diameter = Field(description="smallest diameter [m]")
+    max: q.Diameter = Field(description="largest diameter [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the largest diameter exceeds the smallest."""
+        if self.max <= self.min:
+            yield Fault(("max",), f"it must be above min, {self.min:g} m")
+
+    def _center_fault(self, key: str, value: float) -> Iterator[Fault]:
+        """Yield a fault unless the mean or median [m] lies between the limits."""
+        if self.min < self.max and not self.min < value < self.max:
+            yield Fault((key,), f"it must lie between min and max, {self.min:g} and {self.max:g} m")
+
+
+class UniformSizes(TruncatedSizes):
+    """Uniformly distributed diameters from `min` to `max` [m].
+
+    >>> gf.UniformSizes(min="3 mm", max="5 mm")
+    UniformSizes(min=0.003, max=0.005)
+    """
+
+    distribution: Literal["uniform"] = Field("uniform", description="kind of size distribution")
+
+
+class NormalSizes(TruncatedSizes):
+    """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
+
+    >>> gf.NormalSizes(mean="4 mm", deviation="0.5 mm", min="3 mm", max="5 mm").mean
+    0.004
+    """
+
+    distribution: Literal["normal"] = Field("normal", description="kind of size distribution")
+    mean: q.Diameter = Field(description="mean diameter before truncation [m]")
+    deviation: q.UnscaledLength = Field(description="standard deviation before truncation [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        yield from super().faults()
+        yield from self._center_fault("mean", self.mean)
+
+
+class LogNormalSizes(TruncatedSizes):
+    """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
+
+    >>> gf.LogNormalSizes(median="4 mm", sigma=0.2, min="2 mm", max="8 mm").sigma
+    0.2
+    """
+
+    distribution: Literal["log_normal"] = Field("log_normal", description="kind of size distribution")
+    median: q.Diameter = Field(description="median diameter before truncation [m]")
+    sigma: q.Positive = Field(description="standard deviation of ln(diameter) before truncation")
+
+    def faults(self) -> Iterator[Fault]:
+        yield from super().faults()
+        yield from self._center_fault("median", self.median)
+
+
+class SizeClass(Model):
+    """One diameter and its fraction of all particles.
+
+    >>> gf.SizeClass(diameter="4 mm", fraction=0.5)
+    SizeClass(diameter=0.004, fraction=0.5)
+    """
+
+    diameter: q.Diameter = Field(description="diameter [m]")
+    fraction: q.Share = Field(description="fraction of this class; the fractions are normalized to the sum 1")
+
+
+_ROUNDING = 1e-12  # tolerance of the sum of fractions
+
+
+def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
+    """The classes with fractions normalized to the sum 1; unchanged if normalized, so that reading is
+    idempotent.
+
+    Raises PydanticCustomError if all fractions are 0.
+    """
+    total = sum(each.fraction for each in classes)
+    if total == 0:
+        raise whole_error("has only fractions of 0; give at least one class a fraction above 0")
+    if abs(total - 1) <= _ROUNDING:
+        return classes
+    return tuple(SizeClass(diameter=each.diameter, fraction=each.fraction / total) for each in classes)
+
+
+Classes = Annotated[
+    tuple[SizeClass, ...], ListOf(some="[{diameter: 4 mm, fraction: 1}]"), AfterValidator(_scaled)
+]
+"""List of diameters with fractions, which are normalized to the sum 1."""
+
+
+class ClassSizes(Model):
+    """A list of diameters with their fractions by number or by mass. The reader normalizes the fractions.
+
+    The number of particles of each class is exact to one particle.
+
+    >>> sizes = [gf.SizeClass(diameter=0.004, fraction=1), gf.SizeClass(diameter=0.006, fraction=3)]
+    >>> gf.ClassSizes(by="mass", classes=sizes).classes[1].fraction
+    0.75
+    """
+
+    distribution: Literal["classes"] = Field("classes", description="kind of size distribution")
+    by: Literal["number", "mass"] = Field(
+        description="number: fractions of the particle count; mass: fractions of the mass"
+    )
+    classes: Classes = Field(description="list of {diameter, fraction}")
+
+
+SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
+"""Diameters after reading: one, one per particle, or a distribution [m]."""
+
+
+Sizes = Annotated[
+    q.Diameter | tuple[q.Diameter, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes | None,
+    choose_by_key("distribution"),
+]
+"""Diameters as in a scene; None if a file defines them."""
+
+
+RadiusOrMany = Annotated[
+    Annotated[q.Radius, Tag("<one>")] | Annotated[tuple[q.Radius, ...], Tag("<list>")],
+    choose_by(
+        lambda value: "<list>" if isinstance(value, list | tuple) else "<one>",
+        "one radius or a list of radii",
+    ),
+]
+"""One radius [m] for all particles, or one for each."""
+
+
+# Key `clump`
+
 
 MOST_SPHERES = 100
 """Largest number of spheres of a clump: the integration of each sphere adds up the forces on all of them."""
@@ -95,10 +235,63 @@ class Clump(Model):
         return 2.0 * self.shape.outer_radius
 
 
-# Schema of the key `insert` of particle groups: regions, faces, and the kinds of insertion.
+# Keys `velocity`, `angular_velocity` and `thermal`
 
-Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
-"""Random displacement over the free gap: 0 to 1."""
+
+def _many_tag(value: Any) -> str:
+    """Distinguish a list of vectors from one vector."""
+    nested = isinstance(value, list | tuple) and bool(value) and isinstance(value[0], list | tuple)
+    return "<list>" if nested else "<one>"
+
+
+_one_or_many = choose_by(_many_tag, "a vector is expected, or a list of vectors")
+
+
+VelocityOrMany = Annotated[
+    Annotated[q.VelocityVector, Tag("<one>")] | Annotated[tuple[q.VelocityVector, ...], Tag("<list>")],
+    _one_or_many,
+]
+"""One velocity (3,) [m/s] for all particles, or one for each."""
+
+
+AngularVelocityOrMany = Annotated[
+    Annotated[q.AngularVelocityVector, Tag("<one>")]
+    | Annotated[tuple[q.AngularVelocityVector, ...], Tag("<list>")],
+    _one_or_many,
+]
+"""One angular velocity (3,) [rad/s] for all particles, or one for each."""
+
+
+class ThermalMotion(Model):
+    """Random initial velocities with the Maxwell distribution, in addition to `velocity`; from the seed of
+    the scene.
+
+    All particles of the group have the same distribution, whatever their mass.
+    """
+
+    velocity_rms: q.Speed | None = Field(
+        None, description="root mean square of the random velocities [m/s], which they have exactly"
+    )
+    granular_temperature: q.GranularTemperature | None = Field(
+        None,
+        description="a third of the mean square of the random velocities [m2/s2], instead of velocity_rms",
+    )
+    zero_momentum: Flag = Field(True, description="remove the total momentum of the random velocities")
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the random velocities [m/s]: sqrt(3 T)."""
+        return self.velocity_rms or (3.0 * (self.granular_temperature or 0.0)) ** 0.5
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one measure of the velocities is given."""
+        if self.velocity_rms is None and self.granular_temperature is None:
+            yield missing(("velocity_rms",), "root mean square velocity [m/s]; or give granular_temperature")
+        elif self.velocity_rms is not None and self.granular_temperature is not None:
+            yield redundant("granular_temperature", "velocity_rms")
+
+
+# Key `insert`: particles that exist from the start
 
 
 class BoxRegion(Model):
@@ -130,6 +323,10 @@ Region = Annotated[
 """A box or a cylinder, in which particles lie entirely inside."""
 
 
+Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
+"""Random displacement over the free gap: 0 to 1."""
+
+
 class LatticeInsertion(Model):
     """Particles on a regular lattice in a region, in layers from the bottom, with the widest spacing that
     fits.
@@ -154,6 +351,61 @@ class PackInsertion(Model):
 
     kind: Literal["pack"] = Field("pack", description="kind of insertion")
     region: Region = Field(description="region to fill: a box or a cylinder")
+
+
+class PositionsInsertion(Model):
+    """Particles at given positions.
+
+    >>> gf.PositionsInsertion(positions=[[0, 0, 0], ["1 cm", 0, 0]]).positions
+    ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0))
+    """
+
+    kind: Literal["positions"] = Field("positions", description="kind of insertion")
+    positions: Annotated[tuple[q.Point, ...], ListOf(some="[[0, 0, 0]]")] = Field(description="centers [m]")
+
+
+class FileSummary(Model):
+    """Summary of the particles in a file; granflow fills it in when it reads the file."""
+
+    count: q.ParticleCount = Field(description="number of particles read from the file")
+    diameter_min: q.UnscaledLength = Field(description="smallest diameter [m]")
+    diameter_max: q.UnscaledLength = Field(description="largest diameter [m]")
+    speed_max: q.AnySpeed = Field(description="largest speed [m/s]")
+    angular_velocity_max: q.AngularVelocity = Field(description="largest angular velocity [rad/s]")
+    overlap_max: q.Share = Field(description="largest overlap of two particles over the smaller radius")
+    overlap_rows: str = Field("", description="lines or points of the file with the largest overlap")
+
+
+class FileInsertion(Model):
+    """Particles from a table: CSV, or a VTU frame.
+
+    Required columns: x, y, z and r (or diameter); optional: velocity, angular velocity, material. With a
+    material column, the group gets the rows of its material.
+
+    >>> gf.FileInsertion(file="start.csv")
+    FileInsertion(file='start.csv')
+    """
+
+    kind: Literal["file"] = Field("file", description="kind of insertion")
+    file: FileName = Field(description="CSV, text or VTU file; path relative to the folder of the scene")
+    found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
+
+
+class PythonInsertion(Model):
+    """No particles from the scene: a Python program adds them, with `simulation.particles.add` or from
+    arrays.
+
+    `count` of the group is the number of particles for which arrays and chunks are sized; more can be added.
+
+    >>> sizes = gf.UniformSizes(min="3 mm", max="4 mm")
+    >>> gf.Group(material="glass", count=5000, diameter=sizes, insert=gf.PythonInsertion()).insert.kind
+    'python'
+    """
+
+    kind: Literal["python"] = Field("python", description="kind of insertion")
+
+
+# Key `insert`: particles that enter during the run
 
 
 class TimedInsertion(Model):
@@ -260,56 +512,7 @@ class InletInsertion(TimedInsertion):
     face: Face = Field(description="face of the inlet: a rectangle or a disc")
 
 
-class FileSummary(Model):
-    """Summary of the particles in a file; granflow fills it in when it reads the file."""
-
-    count: q.ParticleCount = Field(description="number of particles read from the file")
-    diameter_min: q.UnscaledLength = Field(description="smallest diameter [m]")
-    diameter_max: q.UnscaledLength = Field(description="largest diameter [m]")
-    speed_max: q.AnySpeed = Field(description="largest speed [m/s]")
-    angular_velocity_max: q.AngularVelocity = Field(description="largest angular velocity [rad/s]")
-    overlap_max: q.Share = Field(description="largest overlap of two particles over the smaller radius")
-    overlap_rows: str = Field("", description="lines or points of the file with the largest overlap")
-
-
-class FileInsertion(Model):
-    """Particles from a table: CSV, or a VTU frame.
-
-    Required columns: x, y, z and r (or diameter); optional: velocity, angular velocity, material. With a
-    material column, the group gets the rows of its material.
-
-    >>> gf.FileInsertion(file="start.csv")
-    FileInsertion(file='start.csv')
-    """
-
-    kind: Literal["file"] = Field("file", description="kind of insertion")
-    file: FileName = Field(description="CSV, text or VTU file; path relative to the folder of the scene")
-    found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
-
-
-class PositionsInsertion(Model):
-    """Particles at given positions.
-
-    >>> gf.PositionsInsertion(positions=[[0, 0, 0], ["1 cm", 0, 0]]).positions
-    ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0))
-    """
-
-    kind: Literal["positions"] = Field("positions", description="kind of insertion")
-    positions: Annotated[tuple[q.Point, ...], ListOf(some="[[0, 0, 0]]")] = Field(description="centers [m]")
-
-
-class PythonInsertion(Model):
-    """No particles from the scene: a Python program adds them, with `simulation.particles.add` or from
-    arrays.
-
-    `count` of the group is the number of particles for which arrays and chunks are sized; more can be added.
-
-    >>> sizes = gf.UniformSizes(min="3 mm", max="4 mm")
-    >>> gf.Group(material="glass", count=5000, diameter=sizes, insert=gf.PythonInsertion()).insert.kind
-    'python'
-    """
-
-    kind: Literal["python"] = Field("python", description="kind of insertion")
+# Groups
 
 
 Insertion = Annotated[
@@ -323,185 +526,6 @@ Insertion = Annotated[
     choose_by_key("kind"),
 ]
 """Any kind of insertion; the key `kind` selects it."""
-
-
-# Schema of the key `diameter` of particle groups: one diameter, one per particle, or a distribution.
-
-_ROUNDING = 1e-12  # tolerance of the sum of fractions
-
-
-class TruncatedSizes(Model):
-    """A size distribution that is truncated to an interval: diameters outside [`min`, `max`] do not occur
-    [m]."""
-
-    min: q.Diameter = Field(description="smallest diameter [m]")
-    max: q.Diameter = Field(description="largest diameter [m]")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the largest diameter exceeds the smallest."""
-        if self.max <= self.min:
-            yield Fault(("max",), f"it must be above min, {self.min:g} m")
-
-    def _center_fault(self, key: str, value: float) -> Iterator[Fault]:
-        """Yield a fault unless the mean or median [m] lies between the limits."""
-        if self.min < self.max and not self.min < value < self.max:
-            yield Fault((key,), f"it must lie between min and max, {self.min:g} and {self.max:g} m")
-
-
-class UniformSizes(TruncatedSizes):
-    """Uniformly distributed diameters from `min` to `max` [m].
-
-    >>> gf.UniformSizes(min="3 mm", max="5 mm")
-    UniformSizes(min=0.003, max=0.005)
-    """
-
-    distribution: Literal["uniform"] = Field("uniform", description="kind of size distribution")
-
-
-class NormalSizes(TruncatedSizes):
-    """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
-
-    >>> gf.NormalSizes(mean="4 mm", deviation="0.5 mm", min="3 mm", max="5 mm").mean
-    0.004
-    """
-
-    distribution: Literal["normal"] = Field("normal", description="kind of size distribution")
-    mean: q.Diameter = Field(description="mean diameter before truncation [m]")
-    deviation: q.UnscaledLength = Field(description="standard deviation before truncation [m]")
-
-    def faults(self) -> Iterator[Fault]:
-        yield from super().faults()
-        yield from self._center_fault("mean", self.mean)
-
-
-class LogNormalSizes(TruncatedSizes):
-    """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
-
-    >>> gf.LogNormalSizes(median="4 mm", sigma=0.2, min="2 mm", max="8 mm").sigma
-    0.2
-    """
-
-    distribution: Literal["log_normal"] = Field("log_normal", description="kind of size distribution")
-    median: q.Diameter = Field(description="median diameter before truncation [m]")
-    sigma: q.Positive = Field(description="standard deviation of ln(diameter) before truncation")
-
-    def faults(self) -> Iterator[Fault]:
-        yield from super().faults()
-        yield from self._center_fault("median", self.median)
-
-
-class SizeClass(Model):
-    """One diameter and its fraction of all particles.
-
-    >>> gf.SizeClass(diameter="4 mm", fraction=0.5)
-    SizeClass(diameter=0.004, fraction=0.5)
-    """
-
-    diameter: q.Diameter = Field(description="diameter [m]")
-    fraction: q.Share = Field(description="fraction of this class; the fractions are normalized to the sum 1")
-
-
-def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
-    """The classes with fractions normalized to the sum 1; unchanged if normalized, so that reading is
-    idempotent.
-
-    Raises PydanticCustomError if all fractions are 0.
-    """
-    total = sum(each.fraction for each in classes)
-    if total == 0:
-        raise whole_error("has only fractions of 0; give at least one class a fraction above 0")
-    if abs(total - 1) <= _ROUNDING:
-        return classes
-    return tuple(SizeClass(diameter=each.diameter, fraction=each.fraction / total) for each in classes)
-
-
-Classes = Annotated[
-    tuple[SizeClass, ...], ListOf(some="[{diameter: 4 mm, fraction: 1}]"), AfterValidator(_scaled)
-]
-"""List of diameters with fractions, which are normalized to the sum 1."""
-
-
-class ClassSizes(Model):
-    """A list of diameters with their fractions by number or by mass. The reader normalizes the fractions.
-
-    The number of particles of each class is exact to one particle.
-
-    >>> sizes = [gf.SizeClass(diameter=0.004, fraction=1), gf.SizeClass(diameter=0.006, fraction=3)]
-    >>> gf.ClassSizes(by="mass", classes=sizes).classes[1].fraction
-    0.75
-    """
-
-    distribution: Literal["classes"] = Field("classes", description="kind of size distribution")
-    by: Literal["number", "mass"] = Field(
-        description="number: fractions of the particle count; mass: fractions of the mass"
-    )
-    classes: Classes = Field(description="list of {diameter, fraction}")
-
-
-SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
-"""Diameters after reading: one, one per particle, or a distribution [m]."""
-Sizes = Annotated[
-    q.Diameter | tuple[q.Diameter, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes | None,
-    choose_by_key("distribution"),
-]
-"""Diameters as in a scene; None if a file defines them."""
-
-
-def _many_tag(value: Any) -> str:
-    """Distinguish a list of vectors from one vector."""
-    nested = isinstance(value, list | tuple) and bool(value) and isinstance(value[0], list | tuple)
-    return "<list>" if nested else "<one>"
-
-
-_one_or_many = choose_by(_many_tag, "a vector is expected, or a list of vectors")
-VelocityOrMany = Annotated[
-    Annotated[q.VelocityVector, Tag("<one>")] | Annotated[tuple[q.VelocityVector, ...], Tag("<list>")],
-    _one_or_many,
-]
-"""One velocity (3,) [m/s] for all particles, or one for each."""
-AngularVelocityOrMany = Annotated[
-    Annotated[q.AngularVelocityVector, Tag("<one>")]
-    | Annotated[tuple[q.AngularVelocityVector, ...], Tag("<list>")],
-    _one_or_many,
-]
-"""One angular velocity (3,) [rad/s] for all particles, or one for each."""
-RadiusOrMany = Annotated[
-    Annotated[q.Radius, Tag("<one>")] | Annotated[tuple[q.Radius, ...], Tag("<list>")],
-    choose_by(
-        lambda value: "<list>" if isinstance(value, list | tuple) else "<one>",
-        "one radius or a list of radii",
-    ),
-]
-"""One radius [m] for all particles, or one for each."""
-
-
-class ThermalMotion(Model):
-    """Random initial velocities with the Maxwell distribution, in addition to `velocity`; from the seed of
-    the scene.
-
-    All particles of the group have the same distribution, whatever their mass.
-    """
-
-    velocity_rms: q.Speed | None = Field(
-        None, description="root mean square of the random velocities [m/s], which they have exactly"
-    )
-    granular_temperature: q.GranularTemperature | None = Field(
-        None,
-        description="a third of the mean square of the random velocities [m2/s2], instead of velocity_rms",
-    )
-    zero_momentum: Flag = Field(True, description="remove the total momentum of the random velocities")
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of the random velocities [m/s]: sqrt(3 T)."""
-        return self.velocity_rms or (3.0 * (self.granular_temperature or 0.0)) ** 0.5
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless exactly one measure of the velocities is given."""
-        if self.velocity_rms is None and self.granular_temperature is None:
-            yield missing(("velocity_rms",), "root mean square velocity [m/s]; or give granular_temperature")
-        elif self.velocity_rms is not None and self.granular_temperature is not None:
-            yield redundant("granular_temperature", "velocity_rms")
 
 
 class Group(Model, populate_by_name=False, serialize_by_alias=True):

@@ -5,9 +5,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.quantities import Number
+from granflow.scene.faults import Fault, missing, redundant, whole
 from granflow.scene.model import Flag, ListOf, Model, Name, Names, Text, pair_list
-from granflow.units import Fault, Number, missing, redundant, whole
 
 # Schema of the block `damping`: damping of all motion, for settling.
 

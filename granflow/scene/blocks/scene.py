@@ -11,17 +11,17 @@ from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
-from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain, Outlet
 from granflow.scene.blocks.materials import Material, MaterialPair
 from granflow.scene.blocks.output import Output
 from granflow.scene.blocks.particles import Group
+from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.run import Damping, Expectation, Numerics, RunSettings, Stage
 from granflow.scene.blocks.walls import AnyWall, with_faces
 from granflow.scene.document import Document, resolve
 from granflow.scene.model import FileName, ListOf, Model, Name, PairName, Text, WallName
-from granflow.units import Number
 
 # Writes a scene as YAML with all defaults; the text loads to an equal scene.
 #

@@ -1,4 +1,9 @@
-"""Schema of the block `walls`: shapes, materials and presence of walls."""
+"""Schema of the block `walls`: shapes, materials, presence and motions of walls.
+
+`Wall` has the keys that all shapes share; each shape adds its own. The motions, which the key `motion` of a
+wall contains, precede it. A box stands for up to six walls, by which `with_faces` replaces it while a scene
+is read.
+"""
 
 import math
 from collections.abc import Iterator
@@ -7,16 +12,13 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import Field
 
-from granflow.scene.blocks import shapes as q
-from granflow.scene.blocks.shapes import Axial, Rectangular
+from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.quantities import Number
+from granflow.scene.blocks.shapes import Axial, Rectangular, RotationStep
+from granflow.scene.faults import Fault, missing, redundant, value_error, whole
 from granflow.scene.model import FileName, Flag, ListOf, Model, Names, Text, choose_by_key
-from granflow.units import Fault, Number, missing, redundant, value_error, whole
 
-# Schema of the motions of walls.
-
-_T = TypeVar("_T")
-_Column = Annotated[tuple[_T, ...], ListOf(some="[0, 0.1, 0.2]")]
-_Displacement = Annotated[float, Number("length")]
+# Key `motion`
 
 
 class TimedMotion(Model):
@@ -187,8 +189,19 @@ TABLE_COLUMNS = {
     "angular_velocities": "angular_velocity",
 }
 """Columns of a table of a motion besides the times, and their dimensions."""
+
+
 MOST_ROWS = 10_000
 """Largest number of rows of a table; the resolved scene contains them."""
+
+
+_T = TypeVar("_T")
+
+
+_Column = Annotated[tuple[_T, ...], ListOf(some="[0, 0.1, 0.2]")]
+
+
+_Displacement = Annotated[float, Number("length")]
 
 
 class TableMotion(TimedMotion):
@@ -327,8 +340,8 @@ MotionSpec = Annotated[
 ]
 """Any kind of motion; the key `kind` selects it."""
 
-MeshScale = Annotated[float, Number(above=0, scaling=1)]
-"""Factor from the length unit of a mesh file to m, above 0; proportional to `scale`."""
+
+# Walls
 
 
 class Wall(Model):
@@ -448,15 +461,8 @@ class Disc(Wall):
             )
 
 
-class RotationStep(Model):
-    """A right-handed rotation about an axis through the origin.
-
-    >>> gf.RotationStep(axis=[1, 0, 0], angle="90 deg")
-    RotationStep(axis=(1.0, 0.0, 0.0), angle=1.5707963267948966)
-    """
-
-    axis: q.Direction = Field(description="direction of the axis; its length does not matter")
-    angle: q.Angle = Field(description="angle [rad], such as 90 deg")
+MeshScale = Annotated[float, Number(above=0, scaling=1)]
+"""Factor from the length unit of a mesh file to m, above 0; proportional to `scale`."""
 
 
 class MeshWall(Wall):
@@ -482,8 +488,13 @@ class MeshWall(Wall):
     translate: q.Point = Field((0.0, 0.0, 0.0), description="displacement of the mesh [m]")
 
 
+# Boxes, which stand for several walls
+
+
 FaceName = Literal["left", "right", "front", "back", "bottom", "top"]
 """Faces of a box at the smallest and the largest x, y and z."""
+
+
 FACES: tuple[FaceName, ...] = get_args(FaceName)
 
 

@@ -6,23 +6,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from granflow.fields import unit_of
-from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.quantities import GivenQuantity, NumberWithUnit, bound_faults
 from granflow.scene.blocks.scene import Seed
+from granflow.scene.faults import Fault, missing, redundant, whole
 from granflow.scene.model import FileName, ListOf, Model, Name, Text
 from granflow.scene.suggest import suggestion_or_list
-from granflow.units import (
-    Fault,
-    GivenNumber,
-    GivenQuantity,
-    NumberWithUnit,
-    bound_faults,
-    in_unit,
-    missing,
-    mixed_units,
-    redundant,
-    unit_conflict,
-    whole,
-)
+from granflow.units import GivenNumber, in_unit, mixed_units, unit_conflict
 
 Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[pairs.glass-glass.friction]")]
 Tolerance = Annotated[GivenNumber, NumberWithUnit("any", noun="a tolerance", above=0)]

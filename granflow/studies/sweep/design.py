@@ -11,11 +11,13 @@ import numpy as np
 from pydantic import Field, Tag
 from scipy.stats import qmc
 
-from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.quantities import GivenQuantity, Number, bound_faults
 from granflow.scene.blocks.scene import Seed
+from granflow.scene.faults import Fault, missing, whole
 from granflow.scene.model import FileName, ListOf, Model, Text, choose_by, choose_by_key, shorthand
 from granflow.studies.run_process import si_value
-from granflow.units import Fault, GivenQuantity, Number, bound_faults, in_si, missing, mixed_units, whole
+from granflow.units import in_si, mixed_units
 
 # Schema of sweep files.
 
