@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         CollisionEnergies,
         ContentMetric,
         CoordinationMetric,
+        Expectation,
         FabricMetric,
         FieldGrid,
         FlowMeter,
@@ -66,7 +67,7 @@ if TYPE_CHECKING:
         SizeClass,
         UniformSizes,
     )
-    from granflow.scene.blocks.run import Damping, Expectation, Numerics, RunSettings, Stage, StageCondition
+    from granflow.scene.blocks.run import Damping, Numerics, RunSettings, Stage, StageCondition
     from granflow.scene.blocks.shapes import Box, RotationStep
     from granflow.scene.blocks.walls import (
         BoxWall,

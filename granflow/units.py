@@ -19,10 +19,7 @@ from granflow.errors import GranflowError
 
 # Dimensions and their units
 
-
 _PI = Fraction(math.pi)
-
-
 _STANDARD_GRAVITY = "9.80665"
 
 
@@ -118,8 +115,6 @@ DIMENSIONS: dict[str, Dimension] = {
     "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
 }
 """Dimensions by name; the first unit of each is the SI unit."""
-
-
 _ANY = Dimension("a number or text with a unit", "2 t/h", {})
 
 
@@ -146,19 +141,10 @@ def si_unit_of(unit: str) -> str:
 
 # Text with a unit
 
-
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-
-
 _AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IGNORECASE | re.DOTALL)
-
-
 _COMMA = re.compile(r"^\s*[-+]?[0-9]+,[0-9]+(\D|$)")
-
-
 _LONGEST_EXACT = 100  # characters; longer numbers are rounded before the unit is applied
-
-
 _LARGEST = Fraction(10) ** 300
 
 
@@ -260,7 +246,6 @@ def seconds_of(name: str, time: float | str) -> float:
 
 
 # Columns of tables
-
 
 _HEADING = re.compile(r"\s*(.*?)\s*([\[(])([^\])]*)[\])]\s*", re.DOTALL)
 

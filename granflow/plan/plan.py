@@ -52,8 +52,8 @@ from granflow.plan.time_step import (
 from granflow.plan.walls import MeshNote, PlannedWall
 from granflow.scene.blocks.contact import LawSettings
 from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.output import Output
-from granflow.scene.blocks.run import Expectation, Precision
+from granflow.scene.blocks.output import Expectation, Output
+from granflow.scene.blocks.run import Precision
 
 # Forces on particles that a program adds with device functions.
 

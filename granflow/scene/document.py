@@ -1,6 +1,7 @@
-"""YAML 1.2 text as a tree with the source position of each key and value.
+"""Documents: YAML 1.2 text or a Python mapping as a tree with the source position of each key and value.
 
-`granflow.scene.document` builds it.
+`parse` reads the text of a file, `document_of` a mapping; both return a `Document`, whose positions messages
+name. `yaml_text` writes plain data as YAML that loads to equal data.
 """
 
 import itertools
@@ -29,7 +30,7 @@ from ruamel.yaml.events import (
 
 from granflow.scene.faults import KeyPath
 
-_LONGEST_SHOWN = 60  # characters of a value shown in a message
+# The tree
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,9 @@ class DocumentError(Exception):
     def __init__(self, problem: Problem) -> None:
         super().__init__(str(problem))
         self.problem = problem
+
+
+_LONGEST_SHOWN = 60  # characters of a value shown in a message
 
 
 @dataclass(slots=True)
@@ -190,69 +194,11 @@ class Document:
         return f"{position.source}:{position.line}" if position.line else position.source
 
 
-# Scenes given as Python mappings: a document with key paths as positions, such as
-# `materials.glass.restitution`.
-
-ROOT = "scene"
-"""Position of the whole scene in messages."""
-
-
-def document_of(data: Mapping[str, Any], root: str = ROOT) -> Document:
-    """The tree of a mapping of keys to values, as in a scene file; `root`: name of the whole mapping in
-    messages.
-
-    Values: numbers, text with units, lists, tuples, numpy arrays, mappings, paths, and parts of another
-    scene. Problems of the document: keys that are not text, and values of other types.
-    """
-    document = Document(root, Node(SourcePosition(root)), subject="the scene" if root == ROOT else root)
-    document.root = _node(data, (), document)
-    return document
-
-
-def _node(value: Any, path: KeyPath, document: Document) -> Node:
-    """The value at a path of keys and indices, and all values below it."""
-    position = _position(path, document.source)
-    if isinstance(value, BaseModel):
-        value = value.model_dump(by_alias=True, exclude_unset=True, exclude_none=True)
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        entries = {}
-        for key, each in value.items():
-            if not isinstance(key, str):
-                document.problems.append(Problem(position, f"the key {key!r} is not text; put it in quotes."))
-            below = (*path, str(key))
-            entries[str(key)] = MappingEntry(_position(below, document.source), _node(each, below, document))
-        return Node(position, entries=entries)
-    if isinstance(value, list | tuple):
-        return Node(
-            position, items=[_node(each, (*path, index), document) for index, each in enumerate(value)]
-        )
-    if isinstance(value, Path):
-        value = str(value)
-    if not isinstance(value, str | int | float | None):
-        kind = type(value).__name__
-        document.problems.append(
-            Problem(position, f"a value is of type {kind}; give a number, text, list or mapping.")
-        )
-        value = None
-    return Node(position, scalar=value, text=_text(value))
-
-
-def _text(value: str | float | None) -> str:
-    """The value in the notation of scene files; empty for None."""
-    return value if isinstance(value, str) else "" if value is None else json.dumps(value)
-
-
-def _position(path: KeyPath, root: str) -> SourcePosition:
-    return SourcePosition(".".join(map(str, path)) or root)
-
-
-# Parser of YAML 1.2 text into a `Document`.
+# YAML 1.2 text to a tree
 #
-# Supports the core schema: mappings, lists, text, numbers, true, false and null; anchors and aliases; no
-# tags, no merge keys. Errors: duplicate keys, aliases that contain themselves, and aliases that add too
-# many values.
+# The core schema is supported: mappings, lists, text, numbers, true, false and null; anchors and aliases; no
+# tags, no merge keys. Duplicate keys, aliases that contain themselves and aliases that add too many values
+# are errors.
 #
 # The scanner and the parser are those of ruamel.yaml; the tree is built from their events. The round-trip
 # loader of ruamel.yaml is not used: it reads `1_000`, `0b11` and dates as in YAML 1.1, reports only the
@@ -263,19 +209,8 @@ MAX_DEPTH = 40  # a scene is at most 9 deep
 _MAX_ALIASED = 100_000  # largest number of nodes added by aliases
 _MAX_VALUES = 250_000  # 60 000 positions; the same number of errors takes 0.7 GB
 _MAX_KEYS = 5000  # in one mapping
-_MAX_INTEGER_DIGITS = 400  # longer integers exceed the range of float
 _YAML_TAGS = "tag:yaml.org,2002:"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-_WORDS = {
-    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
-    **dict.fromkeys(("true", "True", "TRUE"), True),
-    **dict.fromkeys(("false", "False", "FALSE"), False),
-}
-_INTEGER = re.compile(r"[-+]?[0-9]+")
-_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
-_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-_INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
-_NAN = re.compile(r"\.(nan|NaN|NAN)")
 
 
 def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
@@ -463,23 +398,6 @@ class _Composer:
         return event.value
 
 
-def resolve(text: str) -> Any:
-    """The YAML 1.2 value of plain text (core schema): `012` is 12, `1e-5` is 0.00001, `yes` is text.
-
-    None, bool, int, float or str; an integer with more than 400 digits is infinity.
-    """
-    if text in _WORDS:
-        return _WORDS[text]
-    if _INTEGER.fullmatch(text) or _BASED.fullmatch(text):
-        base = 0 if text.startswith(("0o", "0x")) else 10
-        return int(text, base) if len(text) <= _MAX_INTEGER_DIGITS else math.inf
-    if _FLOAT.fullmatch(text):
-        return float(text)
-    if _INFINITY.fullmatch(text):
-        return -math.inf if text.startswith("-") else math.inf
-    return math.nan if _NAN.fullmatch(text) else text
-
-
 def _starts_helps_more(error: MarkedYAMLError) -> bool:
     """Whether the start of the construct is a more useful position than the point of failure of the
     parser."""
@@ -510,3 +428,143 @@ def _syntax_sentence(error: MarkedYAMLError, line: str) -> str:
         if "flow " + kind in context:
             return f"the {opening} that opens here is not closed by {closing}, or a comma is missing in it."
     return f"this is not YAML: {problem}."
+
+
+_WORDS = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
+_NAN = re.compile(r"\.(nan|NaN|NAN)")
+_MAX_INTEGER_DIGITS = 400  # longer integers exceed the range of float
+
+
+def resolve(text: str) -> Any:
+    """The YAML 1.2 value of plain text (core schema): `012` is 12, `1e-5` is 0.00001, `yes` is text.
+
+    None, bool, int, float or str; an integer with more than 400 digits is infinity.
+    """
+    if text in _WORDS:
+        return _WORDS[text]
+    if _INTEGER.fullmatch(text) or _BASED.fullmatch(text):
+        base = 0 if text.startswith(("0o", "0x")) else 10
+        return int(text, base) if len(text) <= _MAX_INTEGER_DIGITS else math.inf
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if _INFINITY.fullmatch(text):
+        return -math.inf if text.startswith("-") else math.inf
+    return math.nan if _NAN.fullmatch(text) else text
+
+
+# A Python mapping to a tree, whose positions are key paths such as `materials.glass.restitution`
+
+ROOT = "scene"
+"""Position of the whole scene in messages."""
+
+
+def document_of(data: Mapping[str, Any], root: str = ROOT) -> Document:
+    """The tree of a mapping of keys to values, as in a scene file; `root`: name of the whole mapping in
+    messages.
+
+    Values: numbers, text with units, lists, tuples, numpy arrays, mappings, paths, and parts of another
+    scene. Problems of the document: keys that are not text, and values of other types.
+    """
+    document = Document(root, Node(SourcePosition(root)), subject="the scene" if root == ROOT else root)
+    document.root = _node(data, (), document)
+    return document
+
+
+def _node(value: Any, path: KeyPath, document: Document) -> Node:
+    """The value at a path of keys and indices, and all values below it."""
+    position = _position(path, document.source)
+    if isinstance(value, BaseModel):
+        value = value.model_dump(by_alias=True, exclude_unset=True, exclude_none=True)
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        entries = {}
+        for key, each in value.items():
+            if not isinstance(key, str):
+                document.problems.append(Problem(position, f"the key {key!r} is not text; put it in quotes."))
+            below = (*path, str(key))
+            entries[str(key)] = MappingEntry(_position(below, document.source), _node(each, below, document))
+        return Node(position, entries=entries)
+    if isinstance(value, list | tuple):
+        return Node(
+            position, items=[_node(each, (*path, index), document) for index, each in enumerate(value)]
+        )
+    if isinstance(value, Path):
+        value = str(value)
+    if not isinstance(value, str | int | float | None):
+        kind = type(value).__name__
+        document.problems.append(
+            Problem(position, f"a value is of type {kind}; give a number, text, list or mapping.")
+        )
+        value = None
+    return Node(position, scalar=value, text=_text(value))
+
+
+def _text(value: str | float | None) -> str:
+    """The value in the notation of scene files; empty for None."""
+    return value if isinstance(value, str) else "" if value is None else json.dumps(value)
+
+
+def _position(path: KeyPath, root: str) -> SourcePosition:
+    return SourcePosition(".".join(map(str, path)) or root)
+
+
+# Plain data to YAML text
+
+_WIDTH = 110  # characters of the longest line with a whole mapping or list
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_. /-]*[A-Za-z0-9_]|[A-Za-z_]")
+
+
+def yaml_text(value: Any, indent: int = 0) -> str:
+    """YAML text of plain data: dict, list or tuple, str, bool, int, float. Short values are on one line.
+
+    `indent`: number of leading spaces. Floats have as many digits as their value requires; text that YAML
+    would read as another type is quoted.
+    """
+    pad = " " * indent
+    if isinstance(value, dict):
+        return "".join(f"{pad}{key}:{_yaml_below(each, indent)}" for key, each in value.items())
+    return "".join(f"{pad}- {_yaml_item(each, indent)}" for each in value)
+
+
+def _yaml_below(value: Any, indent: int) -> str:
+    """The value of a key: on the same line if it fits, else indented below."""
+    line = _yaml_inline(value)
+    if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
+        return f" {line}\n"
+    return "\n" + yaml_text(value, indent + 2)
+
+
+def _yaml_item(value: Any, indent: int) -> str:
+    """An item of a list: on the same line if it fits, else its first line after the hyphen."""
+    line = _yaml_inline(value)
+    if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
+        return f"{line}\n"
+    return yaml_text(value, indent + 2).lstrip(" ")
+
+
+def _yaml_inline(value: Any) -> str:
+    """A value on one line, in the notation of YAML flow collections."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_yaml_inline(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_yaml_inline(each) for each in value) + "]"
+    if isinstance(value, str):
+        plain = _PLAIN.fullmatch(value) and isinstance(resolve(value), str) and ": " not in value
+        return value if plain else '"' + "".join(map(_yaml_escaped, value)) + '"'
+    return json.dumps(value)
+
+
+def _yaml_escaped(character: str) -> str:
+    """A character with the escape that double-quoted YAML text requires."""
+    if character in '"\\':
+        return "\\" + character
+    return character if character.isprintable() else f"\\U{ord(character):08x}"

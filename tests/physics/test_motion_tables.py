@@ -61,10 +61,10 @@ def saved_scene(folder, text=FILE, **motion):
     given["walls"]["floor"]["motion"] = [
         {"kind": "table", "file": "lift.csv"} | (motion or {"direction": [0, 0, 1]})
     ]
-    from granflow.scene.blocks.scene import to_yaml
+    from granflow.scene.document import yaml_text
 
     path = folder / "scene.yaml"
-    path.write_text(to_yaml(given))
+    path.write_text(yaml_text(given))
     return path
 
 

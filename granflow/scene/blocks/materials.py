@@ -48,7 +48,6 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
     }
 )
 """Materials by the name that `preset` of a material accepts."""
-
 YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above=0)]
 YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
 PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]

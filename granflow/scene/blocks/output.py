@@ -1,4 +1,9 @@
-"""Schema of the block `output`: selection and intervals of the results."""
+"""Schema of the blocks `output` and `expect`: what a run writes, and what its results must be.
+
+`Output` has the keys of the block in the order of a scene file; the parts that they contain precede it in the
+same order. Each kind of metric is a class, which `kind` selects, and METRIC_QUANTITIES_BY_KIND lists its
+numbers.
+"""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
@@ -10,14 +15,80 @@ from granflow.geometry.shape import are_perpendicular
 from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.shapes import Box
-from granflow.scene.faults import Fault, redundant, whole
-from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, choose_by_key
+from granflow.scene.faults import Fault, missing, redundant, whole
+from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, choose_by_key, pair_list
 from granflow.scene.suggest import suggestion_or_list
 
-# Schema of the quantities computed from particles and contacts during a run: fields on a grid, and metrics.
+# Keys `collision_energies` and `flow_meters`
 
-Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
-"""Cutoff of the kernel, in kernel widths: 1 to 10."""
+MOST_CLASSES = 200
+"""Largest number of classes of collision energies."""
+
+
+class CollisionEnergies(Model):
+    """Classes of impact energies, equally spaced on a logarithmic scale, in which collisions are counted.
+
+    The impact energy is m v^2 / 2 with the effective mass of the pair and the normal approach velocity.
+
+    >>> gf.CollisionEnergies(min="1 nJ", max="1 mJ", classes=60).classes
+    60
+    """
+
+    min: q.Energy = Field(
+        description="lower edge of the first class [J]; smaller energies have a class of their own"
+    )
+    max: q.Energy = Field(
+        description="upper edge of the last class [J]; larger energies have a class of their own"
+    )
+    classes: q.Count = Field(30, description="number of classes between min and max, at most 200")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless min is below max, and for too many classes."""
+        if self.min >= self.max:
+            yield Fault(("max",), f"it must be above min, {self.min:g} J")
+        if self.classes > MOST_CLASSES:
+            yield Fault(("classes",), f"at most {MOST_CLASSES} are possible")
+
+
+class FlowMeter(Model):
+    """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
+
+    Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
+
+    >>> gf.FlowMeter(point=[0, 0, 0], normal=[0, 0, -1], radius="2 cm").radius
+    0.02
+    """
+
+    point: q.Point = Field(
+        description="a point on the plane [m]: the center of the disc, or a corner of the rectangle"
+    )
+    normal: q.Direction = Field(description="direction of positive flow; its length does not matter")
+    radius: q.PositiveLength | None = Field(
+        None, description="radius of the disc [m]; default: the whole plane"
+    )
+    sides: q.Sides | None = Field(
+        None,
+        description=(
+            "the two edge vectors of the rectangle [m], perpendicular to each other and to the normal"
+        ),
+    )
+    group_by: Literal["material", "group"] | None = Field(
+        None, description="additional separate counts for each material or group"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the area is a disc or a rectangle, with perpendicular sides and normal."""
+        if self.sides is None:
+            return
+        if self.radius is not None:
+            yield redundant("sides", "radius")
+        if not all(any(side) for side in self.sides):
+            yield Fault(("sides",), "a side must not be the zero vector")
+        elif not are_perpendicular(*self.sides, self.normal):
+            yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
+
+
+# Key `fields`
 
 
 class GridSpec(Model):
@@ -52,6 +123,10 @@ class GridSpec(Model):
         return x, y, z
 
 
+Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
+"""Cutoff of the kernel, in kernel widths: 1 to 10."""
+
+
 class FieldGrid(GridSpec):
     """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files.
 
@@ -81,6 +156,9 @@ class FieldGrid(GridSpec):
             if name not in FIELD_QUANTITIES:
                 remedy = suggestion_or_list(name, FIELD_QUANTITIES, "fields")
                 yield Fault(("quantities", index), f"there is no such field. {remedy}")
+
+
+# Key `metrics`
 
 
 class TwoComponentGrid(GridSpec):
@@ -262,46 +340,8 @@ METRIC_QUANTITIES_BY_KIND = {
 }
 """Quantities of each kind of metric; each also has a time average, NAME_mean."""
 
-MOST_CLASSES = 200
-"""Largest number of classes of collision energies."""
 
-
-class FlowMeter(Model):
-    """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
-
-    Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
-
-    >>> gf.FlowMeter(point=[0, 0, 0], normal=[0, 0, -1], radius="2 cm").radius
-    0.02
-    """
-
-    point: q.Point = Field(
-        description="a point on the plane [m]: the center of the disc, or a corner of the rectangle"
-    )
-    normal: q.Direction = Field(description="direction of positive flow; its length does not matter")
-    radius: q.PositiveLength | None = Field(
-        None, description="radius of the disc [m]; default: the whole plane"
-    )
-    sides: q.Sides | None = Field(
-        None,
-        description=(
-            "the two edge vectors of the rectangle [m], perpendicular to each other and to the normal"
-        ),
-    )
-    group_by: Literal["material", "group"] | None = Field(
-        None, description="additional separate counts for each material or group"
-    )
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the area is a disc or a rectangle, with perpendicular sides and normal."""
-        if self.sides is None:
-            return
-        if self.radius is not None:
-            yield redundant("sides", "radius")
-        if not all(any(side) for side in self.sides):
-            yield Fault(("sides",), "a side must not be the zero vector")
-        elif not are_perpendicular(*self.sides, self.normal):
-            yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
+# Key `checkpoint`, and the whole block
 
 
 class Checkpoints(Model):
@@ -318,31 +358,6 @@ class Checkpoints(Model):
         None, description="simulated time between additional checkpoints [s]; default: none"
     )
     keep: q.Count = Field(2, description="number of checkpoints that are kept, the newest ones")
-
-
-class CollisionEnergies(Model):
-    """Classes of impact energies, equally spaced on a logarithmic scale, in which collisions are counted.
-
-    The impact energy is m v^2 / 2 with the effective mass of the pair and the normal approach velocity.
-
-    >>> gf.CollisionEnergies(min="1 nJ", max="1 mJ", classes=60).classes
-    60
-    """
-
-    min: q.Energy = Field(
-        description="lower edge of the first class [J]; smaller energies have a class of their own"
-    )
-    max: q.Energy = Field(
-        description="upper edge of the last class [J]; larger energies have a class of their own"
-    )
-    classes: q.Count = Field(30, description="number of classes between min and max, at most 200")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless min is below max, and for too many classes."""
-        if self.min >= self.max:
-            yield Fault(("max",), f"it must be above min, {self.min:g} J")
-        if self.classes > MOST_CLASSES:
-            yield Fault(("classes",), f"at most {MOST_CLASSES} are possible")
 
 
 class Output(Model):
@@ -389,3 +404,43 @@ class Output(Model):
     checkpoint: Checkpoints = Field(
         Checkpoints.model_construct(), description="interval and number of checkpoints"
     )
+
+
+# Block `expect`
+
+
+class Expectation(Model):
+    """An expectation for the results of a run: one comparison of one quantity, in SI units.
+
+    The names are those of the totals in timeseries.csv, and NAME.PART for flow meters, walls, metrics and
+    groups.
+
+    >>> gf.Expectation(quantity="mass_flow.outlet", equals="0.5 kg/s", tolerance=0.05).equals
+    0.5
+    """
+
+    quantity: Text = Field(description="quantity to compare, such as mass_flow.outlet")
+    between: Annotated[tuple[q.AnyQuantity, q.AnyQuantity], pair_list("[smallest, largest]")] | None = Field(
+        None, description="smallest and largest value"
+    )
+    below: q.AnyQuantity | None = Field(None, description="upper limit of the quantity")
+    above: q.AnyQuantity | None = Field(None, description="lower limit of the quantity")
+    equals: q.AnyQuantity | None = Field(None, description="expected value, within the tolerance")
+    tolerance: q.NotNegative | None = Field(None, description="with equals: largest relative difference")
+    any_scale: Flag = Field(
+        False, description="true: evaluate at every scale of the scene; false: only at scale 1"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the expectation has exactly one comparison, with a tolerance for equals."""
+        given = [key for key in ("between", "below", "above", "equals") if getattr(self, key) is not None]
+        if len(given) != 1:
+            found = f"has {' and '.join(given)}" if given else "has no comparison"
+            yield whole((), f"{found}; give exactly one of between, below, above and equals")
+            return
+        if self.equals is not None and self.tolerance is None:
+            yield missing(("tolerance",), "the largest relative difference from equals")
+        if self.equals is None and self.tolerance is not None:
+            yield Fault(("tolerance",), "it requires equals; remove tolerance")
+        if self.between is not None and self.between[0] > self.between[1]:
+            yield Fault(("between",), "the first value must be the smaller one")

@@ -142,15 +142,11 @@ class ClassSizes(Model):
 
 SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
 """Diameters after reading: one, one per particle, or a distribution [m]."""
-
-
 Sizes = Annotated[
     q.Diameter | tuple[q.Diameter, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes | None,
     choose_by_key("distribution"),
 ]
 """Diameters as in a scene; None if a file defines them."""
-
-
 RadiusOrMany = Annotated[
     Annotated[q.Radius, Tag("<one>")] | Annotated[tuple[q.Radius, ...], Tag("<list>")],
     choose_by(
@@ -162,7 +158,6 @@ RadiusOrMany = Annotated[
 
 
 # Key `clump`
-
 
 MOST_SPHERES = 100
 """Largest number of spheres of a clump: the integration of each sphere adds up the forces on all of them."""
@@ -245,15 +240,11 @@ def _many_tag(value: Any) -> str:
 
 
 _one_or_many = choose_by(_many_tag, "a vector is expected, or a list of vectors")
-
-
 VelocityOrMany = Annotated[
     Annotated[q.VelocityVector, Tag("<one>")] | Annotated[tuple[q.VelocityVector, ...], Tag("<list>")],
     _one_or_many,
 ]
 """One velocity (3,) [m/s] for all particles, or one for each."""
-
-
 AngularVelocityOrMany = Annotated[
     Annotated[q.AngularVelocityVector, Tag("<one>")]
     | Annotated[tuple[q.AngularVelocityVector, ...], Tag("<list>")],
@@ -321,8 +312,6 @@ Region = Annotated[
     ),
 ]
 """A box or a cylinder, in which particles lie entirely inside."""
-
-
 Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
 """Random displacement over the free gap: 0 to 1."""
 
@@ -513,7 +502,6 @@ class InletInsertion(TimedInsertion):
 
 
 # Groups
-
 
 Insertion = Annotated[
     LatticeInsertion

@@ -1,4 +1,7 @@
-"""Schema of the blocks `run` and `numerics`; the only numbers of a scene with defaults are here."""
+"""Schema of the blocks `stages`, `run`, `numerics` and `damping`: how a run proceeds.
+
+All defaults of numerical parameters are in `RunSettings` and `Numerics`; no physical parameter has one.
+"""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
@@ -8,160 +11,9 @@ from pydantic import Field
 from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.quantities import Number
 from granflow.scene.faults import Fault, missing, redundant, whole
-from granflow.scene.model import Flag, ListOf, Model, Name, Names, Text, pair_list
+from granflow.scene.model import ListOf, Model, Name, Names, Text
 
-# Schema of the block `damping`: damping of all motion, for settling.
-
-LARGEST_CUNDALL = 0.95
-"""Largest Cundall ratio: at 1 the force on a moving particle never accelerates it."""
-CundallRatio = Annotated[float, Number(noun="a damping ratio", above=0, at_most=LARGEST_CUNDALL)]
-DragRate = Annotated[float, Number("rate", noun="a drag rate", above=0)]
-
-
-class Damping(Model):
-    """Damping of the translation and rotation of all particles, to bring a packing to rest faster.
-
-    Not part of the physics of a granular material: limit it to the stages in which particles settle.
-
-        F_k = -cundall |F_k| sign(v_k) - drag m v_k      for each component k; the same for torques
-
-    >>> gf.Damping(cundall=0.5, stages=["settle"])
-    Damping(cundall=0.5, stages=('settle',))
-    """
-
-    cundall: CundallRatio | None = Field(
-        None, description="ratio of the non-viscous damping force (Cundall) to the total force, by component"
-    )
-    drag: DragRate | None = Field(
-        None, description="rate of a viscous background drag [1/s]: velocities decay as exp(-drag t)"
-    )
-    stages: Names | None = Field(None, description="stages in which the damping acts; default: all")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless one kind of damping is given."""
-        if self.cundall is None and self.drag is None:
-            yield whole((), "has no effect: give cundall, such as 0.5, or drag, such as 20 1/s")
-
-
-# Schema of the block `expect`: expectations for the results of a run.
-
-
-class Expectation(Model):
-    """An expectation for the results of a run: one comparison of one quantity, in SI units.
-
-    The names are those of the totals in timeseries.csv, and NAME.PART for flow meters, walls, metrics and
-    groups.
-
-    >>> gf.Expectation(quantity="mass_flow.outlet", equals="0.5 kg/s", tolerance=0.05).equals
-    0.5
-    """
-
-    quantity: Text = Field(description="quantity to compare, such as mass_flow.outlet")
-    between: Annotated[tuple[q.AnyQuantity, q.AnyQuantity], pair_list("[smallest, largest]")] | None = Field(
-        None, description="smallest and largest value"
-    )
-    below: q.AnyQuantity | None = Field(None, description="upper limit of the quantity")
-    above: q.AnyQuantity | None = Field(None, description="lower limit of the quantity")
-    equals: q.AnyQuantity | None = Field(None, description="expected value, within the tolerance")
-    tolerance: q.NotNegative | None = Field(None, description="with equals: largest relative difference")
-    any_scale: Flag = Field(
-        False, description="true: evaluate at every scale of the scene; false: only at scale 1"
-    )
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the expectation has exactly one comparison, with a tolerance for equals."""
-        given = [key for key in ("between", "below", "above", "equals") if getattr(self, key) is not None]
-        if len(given) != 1:
-            found = f"has {' and '.join(given)}" if given else "has no comparison"
-            yield whole((), f"{found}; give exactly one of between, below, above and equals")
-            return
-        if self.equals is not None and self.tolerance is None:
-            yield missing(("tolerance",), "the largest relative difference from equals")
-        if self.equals is None and self.tolerance is not None:
-            yield Fault(("tolerance",), "it requires equals; remove tolerance")
-        if self.between is not None and self.between[0] > self.between[1]:
-            yield Fault(("between",), "the first value must be the smaller one")
-
-
-LARGEST_OVERLAP = 0.8
-"""Largest overlap limit: with larger overlaps a center could cross a thin wall in one step
-(`granflow.plan.limits`)."""
-LARGEST_CHUNK = 1_000_000
-"""Largest chunk size: larger chunks leave threads idle, and particle counts rounded up to chunks have 32
-bits."""
-LARGEST_ANGLE = 0.9
-"""Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4
-(`granflow.plan.time_step.stable_step`)."""
-TIME_STEP_FRACTION = 0.05
-"""Default of `time_step_fraction`: 40 steps per collision of an elastic contact. The restitution is then
-within 0.3 % of the given one for every contact model and every restitution from 0.5 up, with dashpots within
-1.4 % at 0.05. Large scenes use up to 0.3 where a few tenths of a percent are enough: table in the
-documentation, Accuracy."""
-Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
-OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
-UnloadingAngle = Annotated[float, Number(noun="an angle", above=0, at_most=LARGEST_ANGLE)]
-TimeStep = Annotated[float | Literal["auto", "adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
-ChunkSize = Annotated[
-    int | Literal["auto"],
-    Number(noun="a chunk size", at_least=1, at_most=LARGEST_CHUNK, whole=True, words=("auto",)),
-]
-Precision = Literal["f64", "f32", "mixed"]
-"""Floating-point precision of a run."""
-
-
-class RunSettings(Model):
-    """Duration, time step and precision of a run.
-
-    An automatic time step follows from the stiffest contact at `velocity_max`, with the fractions in
-    `numerics`.
-
-    >>> gf.RunSettings(duration="50 ms", precision="mixed")
-    RunSettings(duration=0.05, precision='mixed')
-    """
-
-    duration: q.PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
-    time_step: TimeStep = Field(
-        "auto",
-        description=(
-            "time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest current one"
-        ),
-    )
-    velocity_max: q.Speed | None = Field(
-        None,
-        description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds",
-    )
-    precision: Precision = Field(
-        "f64", description="floating-point precision: f64, f32, or mixed (positions in f64, all else in f32)"
-    )
-
-
-class Numerics(Model):
-    """Numerical parameters, all with defaults.
-
-    They limit numerical errors and do not represent physical properties.
-
-    >>> gf.Numerics(time_step_fraction=0.1)
-    Numerics(time_step_fraction=0.1)
-    """
-
-    time_step_fraction: Fraction = Field(
-        TIME_STEP_FRACTION,
-        description=(
-            "largest time step over the shortest loading or unloading time; with the default the restitution "
-            "is within 0.02 % for zhou, for viscous models within 0.3 % from 0.5 on and 1.4 % at 0.05; 0.2 "
-            "is within 0.3 % for zhou, 0.1 within 1 % for viscous models from 0.5 on"
-        ),
-    )
-    rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
-    skin: q.AutoLength = Field("auto", description="skin of the neighbor list [m], or auto")
-    chunk_size: ChunkSize = Field("auto", description="particles per chunk of the neighbor list, or auto")
-    max_overlap: OverlapLimit = Field(0.1, description="overlap over radius above which the run is aborted")
-    unloading_angle: UnloadingAngle = Field(
-        0.5, description="theta in the bound theta^2 M/dt^2 on the unloading tangent (restitution near 0)"
-    )
-
-
-# Schema of the block `stages`: the parts of a run.
+# Block `stages`: the parts of a run
 
 
 class StageCondition(Model):
@@ -245,3 +97,120 @@ class Stage(Model):
             yield Fault(("min_duration",), "it requires kinetic_energy_below or until; remove min_duration")
         elif self.max_duration is not None and self.min_duration >= self.max_duration:
             yield Fault(("min_duration",), f"it must be shorter than max_duration, {self.max_duration:g} s")
+
+
+# Block `run`
+
+TimeStep = Annotated[float | Literal["auto", "adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
+Precision = Literal["f64", "f32", "mixed"]
+"""Floating-point precision of a run."""
+
+
+class RunSettings(Model):
+    """Duration, time step and precision of a run.
+
+    An automatic time step follows from the stiffest contact at `velocity_max`, with the fractions in
+    `numerics`.
+
+    >>> gf.RunSettings(duration="50 ms", precision="mixed")
+    RunSettings(duration=0.05, precision='mixed')
+    """
+
+    duration: q.PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
+    time_step: TimeStep = Field(
+        "auto",
+        description=(
+            "time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest current one"
+        ),
+    )
+    velocity_max: q.Speed | None = Field(
+        None,
+        description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds",
+    )
+    precision: Precision = Field(
+        "f64", description="floating-point precision: f64, f32, or mixed (positions in f64, all else in f32)"
+    )
+
+
+# Block `numerics`
+
+TIME_STEP_FRACTION = 0.05
+"""Default of `time_step_fraction`: 40 steps per collision of an elastic contact. The restitution is then
+within 0.3 % of the given one for every contact model and every restitution from 0.5 up, with dashpots within
+1.4 % at 0.05. Large scenes use up to 0.3 where a few tenths of a percent are enough: table in the
+documentation, Accuracy."""
+LARGEST_OVERLAP = 0.8
+"""Largest overlap limit: with larger overlaps a center could cross a thin wall in one step
+(`granflow.plan.limits`)."""
+LARGEST_CHUNK = 1_000_000
+"""Largest chunk size: larger chunks leave threads idle, and particle counts rounded up to chunks have 32
+bits."""
+LARGEST_ANGLE = 0.9
+"""Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4
+(`granflow.plan.time_step.stable_step`)."""
+Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
+OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
+ChunkSize = Annotated[
+    int | Literal["auto"],
+    Number(noun="a chunk size", at_least=1, at_most=LARGEST_CHUNK, whole=True, words=("auto",)),
+]
+UnloadingAngle = Annotated[float, Number(noun="an angle", above=0, at_most=LARGEST_ANGLE)]
+
+
+class Numerics(Model):
+    """Numerical parameters, all with defaults.
+
+    They limit numerical errors and do not represent physical properties.
+
+    >>> gf.Numerics(time_step_fraction=0.1)
+    Numerics(time_step_fraction=0.1)
+    """
+
+    time_step_fraction: Fraction = Field(
+        TIME_STEP_FRACTION,
+        description=(
+            "largest time step over the shortest loading or unloading time; with the default the restitution "
+            "is within 0.02 % for zhou, for viscous models within 0.3 % from 0.5 on and 1.4 % at 0.05; 0.2 "
+            "is within 0.3 % for zhou, 0.1 within 1 % for viscous models from 0.5 on"
+        ),
+    )
+    rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
+    skin: q.AutoLength = Field("auto", description="skin of the neighbor list [m], or auto")
+    chunk_size: ChunkSize = Field("auto", description="particles per chunk of the neighbor list, or auto")
+    max_overlap: OverlapLimit = Field(0.1, description="overlap over radius above which the run is aborted")
+    unloading_angle: UnloadingAngle = Field(
+        0.5, description="theta in the bound theta^2 M/dt^2 on the unloading tangent (restitution near 0)"
+    )
+
+
+# Block `damping`: damping of all motion, for settling
+
+LARGEST_CUNDALL = 0.95
+"""Largest Cundall ratio: at 1 the force on a moving particle never accelerates it."""
+CundallRatio = Annotated[float, Number(noun="a damping ratio", above=0, at_most=LARGEST_CUNDALL)]
+DragRate = Annotated[float, Number("rate", noun="a drag rate", above=0)]
+
+
+class Damping(Model):
+    """Damping of the translation and rotation of all particles, to bring a packing to rest faster.
+
+    Not part of the physics of a granular material: limit it to the stages in which particles settle.
+
+        F_k = -cundall |F_k| sign(v_k) - drag m v_k      for each component k; the same for torques
+
+    >>> gf.Damping(cundall=0.5, stages=["settle"])
+    Damping(cundall=0.5, stages=('settle',))
+    """
+
+    cundall: CundallRatio | None = Field(
+        None, description="ratio of the non-viscous damping force (Cundall) to the total force, by component"
+    )
+    drag: DragRate | None = Field(
+        None, description="rate of a viscous background drag [1/s]: velocities decay as exp(-drag t)"
+    )
+    stages: Names | None = Field(None, description="stages in which the damping acts; default: all")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless one kind of damping is given."""
+        if self.cundall is None and self.drag is None:
+            yield whole((), "has no effect: give cundall, such as 0.5, or drag, such as 20 1/s")

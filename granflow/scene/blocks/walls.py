@@ -189,18 +189,10 @@ TABLE_COLUMNS = {
     "angular_velocities": "angular_velocity",
 }
 """Columns of a table of a motion besides the times, and their dimensions."""
-
-
 MOST_ROWS = 10_000
 """Largest number of rows of a table; the resolved scene contains them."""
-
-
 _T = TypeVar("_T")
-
-
 _Column = Annotated[tuple[_T, ...], ListOf(some="[0, 0.1, 0.2]")]
-
-
 _Displacement = Annotated[float, Number("length")]
 
 
@@ -490,11 +482,8 @@ class MeshWall(Wall):
 
 # Boxes, which stand for several walls
 
-
 FaceName = Literal["left", "right", "front", "back", "bottom", "top"]
 """Faces of a box at the smallest and the largest x, y and z."""
-
-
 FACES: tuple[FaceName, ...] = get_args(FaceName)
 
 
