@@ -1,8 +1,12 @@
-"""Liquid content of the particle groups, and parts of a scene that cannot be combined with liquid
-transfer."""
+"""Consistency checks between the blocks of a scene, such as a pair for each two materials in contact.
+
+A check is a function from a `PartialScene`, which has the valid parts of a scene, to faults. `_CHECKS` at the
+end lists all checks with the sections that must be complete before they run, so that one mistake does not
+cause consequential messages. Checks within one block are `Model.faults` of its class.
+"""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import combinations_with_replacement, product
 
 from granflow.contact import registry
@@ -46,285 +50,14 @@ from granflow.scene.blocks.run import Damping
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.shapes import Box
 from granflow.scene.blocks.walls import FreeWall, MotionSpec, Plane, Servo, Vibration, Wall
+from granflow.scene.document import Problem
 from granflow.scene.faults import Fault, KeyPath, missing, whole
+from granflow.scene.messages import problem_at
 from granflow.scene.partial import PartialScene, unknown
 from granflow.scene.suggest import nearest, suggestion_or_list
 from granflow.visible_text import alternatives
 
-# Parts of a scene that cannot be combined with clumps.
-
-
-def unsupported(parts: PartialScene) -> Iterator[Fault]:
-    """Clumps support no sheared boxes, damping of all motion, adaptive steps, earlier runs and fields on
-    grids."""
-    scene = parts.scene
-    names = [name for name, group in scene.particles.items() if group.clump is not None]
-    if not names:
-        return
-    clumps = f"cannot be combined with the clumps of particles.{names[0]}"
-    if scene.damping is not None:
-        yield whole(("damping",), f"{clumps}: it acts on single spheres; remove one of the two")
-    if scene.domain.lees_edwards is not None:
-        yield whole(
-            ("domain", "lees_edwards"), f"{clumps}, which cross no sheared boundary; remove one of the two"
-        )
-    if scene.run.time_step == "adaptive":
-        yield whole(("run", "time_step"), f"{clumps}; give a number, or leave it out")
-    if scene.start_from is not None:
-        yield whole(("start_from",), f"{clumps}: it reads spheres only; remove one of the two")
-    if scene.output.fields:
-        yield whole(
-            ("output", "fields"), f"{clumps}: stresses need the forces inside a clump; remove one of the two"
-        )
-
-
-def transfer(parts: PartialScene) -> Iterator[Fault]:
-    """Every group requires a liquid content with a cohesion model that transfers liquid, and vice versa.
-
-    With `contact.cohesion: none` the content is unused. Clumps and earlier runs have no films.
-    """
-    scene = parts.scene
-    name = parts.scene.contact.name("cohesion")
-    transfers = name in registry.liquid_models()
-    for group_name, group in scene.particles.items():
-        path: KeyPath = ("particles", group_name, "liquid_content")
-        if transfers and group.liquid_content is None:
-            yield missing(
-                path, f"contact.cohesion is {name}; give the volume of the film over that of a particle, or 0"
-            )
-        elif transfers and group.clump is not None:
-            yield whole(
-                ("particles", group_name, "clump"), f"cannot be combined with contact.cohesion: {name}"
-            )
-        elif group.liquid_content and not transfers and name != "none":
-            remedy = f"remove liquid_content, or choose {' or '.join(registry.liquid_models())}"
-            yield Fault(path, f"contact.cohesion is {name}; {remedy}")
-    if transfers and scene.start_from is not None:
-        reason = (
-            f"cannot be combined with contact.cohesion: {name}: it reads no liquid; remove one of the two"
-        )
-        yield whole(("start_from",), reason)
-
-
-# Output and expectations: grids, metrics, flow meters and wall forces, and the names to which they refer.
-
-MOST_CELLS = 2_000_000
-"""Largest number of cells of a grid: one frame of this size takes about 1 GB of memory."""
-
-
-def field_grids(parts: PartialScene) -> Iterator[Fault]:
-    """Field grids: number of cells within the limit, existing stages, full extent along periodic axes."""
-    stages = [stage.name for stage in parts.scene.stages]
-    domain = parts.scene.domain
-    for name, grid in parts.scene.output.fields.items():
-        path: KeyPath = ("output", "fields", name)
-        yield from _cells(domain, path, grid)
-        if grid.region is not None:
-            yield from _periodic_extent(domain, (*path, "region"), grid.region)
-        yield from _unknown_names((*path, "stages"), grid.stages, stages, "stage")
-
-
-def metrics(parts: PartialScene) -> Iterator[Fault]:
-    """Metrics must refer to existing groups, materials and walls; an angle of repose requires gravity."""
-    for name, metric in parts.scene.output.metrics.items():
-        path: KeyPath = ("output", "metrics", name)
-        if isinstance(metric, TwoComponentGrid):
-            yield from _cells(parts.scene.domain, path, metric)
-            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
-            yield from _unknown_names(
-                (*path, "materials"), metric.materials, parts.names("materials"), "material"
-            )
-        if isinstance(metric, CenterOfMassMetric):
-            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
-        if isinstance(metric, SlidingMetric):
-            yield from _unknown_names((*path, "walls"), metric.walls, parts.names("walls"), "wall")
-        if isinstance(metric, ProbeMetric):
-            yield from _unknown_particle((*path, "id"), metric.id, parts.scene)
-        if isinstance(metric, ReposeMetric) and not any(parts.scene.gravity):
-            yield Fault((*path, "kind"), "gravity is zero, so the slope is undefined; remove this metric")
-
-
-def _unknown_particle(path: KeyPath, particle_id: int, scene: SceneInput) -> Iterator[Fault]:
-    """A fault for an id that no particle has; none if the number of particles is not given."""
-    counts = [group.count_given for group in scene.particles.values()]
-    known = sum(count or 0 for count in counts)
-    if scene.scale == 1.0 and all(counts) and particle_id >= known:
-        yield Fault(path, f"the ids of the {known} particles are 0 to {known - 1}")
-
-
-def _unknown_names(
-    path: KeyPath, given: Iterable[str] | None, known: Iterable[str], kind: str
-) -> Iterator[Fault]:
-    """Faults of the items of a list that are not known names."""
-    yield from (
-        unknown((*path, i), name, known, kind) for i, name in enumerate(given or ()) if name not in known
-    )
-
-
-def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Fault]:
-    """A fault for a grid with more than MOST_CELLS cells; none if the number of cells is not defined."""
-    if (grid.cell is None) == (grid.cells is None):
-        return
-    count = math.prod(grid.cell_counts(domain))
-    if count > MOST_CELLS:
-        reason = f"this gives {count:_} cells, and the limit is {MOST_CELLS:_}".replace("_", " ")
-        yield Fault((*path, "cell" if grid.cells is None else "cells"), reason)
-
-
-def _periodic_extent(domain: Domain, path: KeyPath, region: Box) -> Iterator[Fault]:
-    """A fault for each periodic axis along which a region does not cover exactly the domain [m]."""
-    for axis in domain.periodic:
-        k = "xyz".index(axis)
-        if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):
-            reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
-            yield whole(path, f"must extend from {reach} in {axis}, where the domain is periodic")
-
-
-def _expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str]]:
-    """Key path, quantity and part of each expectation of a quantity with a part, such as mass_flow.outlet."""
-    for path, quantity, part in _all_expected(scene):
-        if part is not None:
-            yield path, quantity, part
-
-
-def _all_expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str | None]]:
-    """Key path, quantity and part of each expectation and each condition of a stage.
-
-    The part is None for a quantity of the whole run.
-    """
-    named: list[tuple[KeyPath, str]] = [
-        (("expect", index, "quantity"), each.quantity) for index, each in enumerate(scene.expect)
-    ]
-    for number, stage in enumerate(scene.stages):
-        named += [
-            (("stages", number, "until", index, "quantity"), each.quantity)
-            for index, each in enumerate(stage.until)
-        ]
-    for path, name in named:
-        quantity, dot, part = name.partition(".")
-        yield path, quantity, part if dot else None
-
-
-RESULT_ONLY = {
-    *RUN_QUANTITIES,
-    "timings",
-    "wall_force",
-    "wall_torque",
-    *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),
-}
-"""Quantities of the result that rows of the time series do not have."""
-_WHOLE = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
-"""Quantities of the whole run."""
-_PARTS = {
-    **{name: "the name of a flow meter" for name in FLOW_METER_QUANTITIES},
-    **{name: "the name of an outlet" for name in OUTLET_QUANTITIES},
-    **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
-    **{name: "the name of a wall" for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES)},
-    **{name: "the name of a metric" for name in METRIC_QUANTITIES},
-    "timings": "forces or another phase",
-}
-"""What follows the point after a quantity."""
-
-
-def expected_names(parts: PartialScene) -> Iterator[Fault]:
-    """Expectations must refer to existing quantities, with a name of the kind that the quantity requires."""
-    for path, quantity, part in _all_expected(parts.scene):
-        if part is not None and quantity not in _PARTS and quantity in _WHOLE:
-            yield Fault(path, f"{quantity} is a quantity of the whole run; write {quantity}")
-        elif part is None and quantity not in _WHOLE and quantity in _PARTS:
-            yield Fault(path, f"{quantity} requires {_PARTS[quantity]}; write {quantity}.NAME")
-        elif quantity not in _WHOLE and quantity not in _PARTS:
-            yield Fault(path, f"there is no such quantity. {_similar_quantity(quantity, part)}")
-        elif quantity in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
-            yield Fault(path, "output.energy_budget is false; set it to true")
-
-
-def _similar_quantity(quantity: str, part: str | None) -> str:
-    """Remedy for an unknown quantity with the name `part` behind the point, or None."""
-    found = nearest(quantity, [*_WHOLE, *_PARTS])
-    if found is None:
-        return "Give one such as kinetic_energy or mass_flow.NAME"
-    end = f".{part or 'NAME'}" if found in _PARTS else ""
-    return f"Did you mean {found}{end}?"
-
-
-def condition_columns(parts: PartialScene) -> Iterator[Fault]:
-    """Conditions of stages must refer to columns of the time series, not to results of the whole run."""
-    for number, stage in enumerate(parts.scene.stages):
-        for index, condition in enumerate(stage.until):
-            path: KeyPath = ("stages", number, "until", index, "quantity")
-            quantity, _, part = condition.quantity.partition(".")
-            wall = parts.scene.walls.get(part)
-            if (
-                quantity in WALL_QUANTITIES
-                and wall
-                and not any(each.force_controlled for each in wall.motion)
-            ):
-                yield Fault(
-                    path, f"{part} is neither a servo nor a free wall; its displacement follows from the time"
-                )
-            elif quantity in RESULT_ONLY or quantity.endswith("_mean") or quantity in INSERTION_QUANTITIES:
-                yield Fault(path, "it is a result of the whole run; give a column of timeseries.csv")
-
-
-def expected_parts(parts: PartialScene) -> Iterator[Fault]:
-    """Expectations must refer to existing flow meters, outlets and inserted groups."""
-    scene = parts.scene
-    meters = parts.scene.output.flow_meters
-    meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
-    inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
-    known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
-        (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
-        (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
-        (INSERTION_QUANTITIES, inserted, "inserted group"),
-    )
-    for path, quantity, part in _expected(scene):
-        for quantities, names, kind in known:
-            if quantity in quantities and part not in names:
-                yield unknown(path, part, names, kind)
-
-
-def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
-    """Expectations must refer to existing metrics that provide the quantity, or its time average
-    NAME_mean."""
-    known = parts.scene.output.metrics
-    for path, quantity, name in _expected(parts.scene):
-        if quantity not in METRIC_QUANTITIES:
-            continue
-        if name not in known:
-            yield unknown(path, name, known, "metric")
-        elif quantity.removesuffix("_mean") not in METRIC_QUANTITIES_BY_KIND[known[name].kind]:
-            numbers = ", ".join(f"{each}.{name}" for each in METRIC_QUANTITIES_BY_KIND[known[name].kind])
-            yield Fault(path, f"{name} is of kind {known[name].kind}; its quantities are {numbers}")
-
-
-def wall_forces(parts: PartialScene) -> Iterator[Fault]:
-    """Wall forces of existing walls, expectations of measured wall forces, pressures of walls with an area.
-
-    An expectation NAME.WALL requires that `output.wall_forces` includes the wall.
-    """
-    requested = parts.scene.output.wall_forces
-    known = parts.names("walls")
-    if not isinstance(requested, bool):
-        yield from _unknown_names(("output", "wall_forces"), requested, known, "wall")
-    measured = known if requested is True else requested or ()
-    for path, quantity, wall in _expected(parts.scene):
-        if quantity not in WALL_FORCE_QUANTITIES:
-            continue
-        if wall not in known:
-            yield unknown(path, wall, known, "wall")
-        elif wall not in measured:
-            remedy = "write wall_forces: true, or add it to the list"
-            yield Fault(path, f"output.wall_forces does not include {wall}; {remedy}")
-        elif "pressure" in quantity and isinstance(parts.scene.walls.get(wall), Plane):
-            remedy = "use wall_force_x, wall_force_y or wall_force_z"
-            yield Fault(path, f"the plane {wall} is infinite and has no area; {remedy}")
-
-
-# Materials, their pairs, and the properties of pairs that the contact models require.
-
-ASSUMED_COUNT = 2
-"""Assumed number of particles of a group without a known count: enough for contacts within the group."""
+# Materials, their pairs, and the keys of pairs that the contact models require
 
 
 def materials_exist(parts: PartialScene) -> Iterator[Fault]:
@@ -355,6 +88,10 @@ def material_names(parts: PartialScene) -> Iterator[Fault]:
             yield whole(("pairs", key), f"is a duplicate of the pair {existing}; keep one of them")
 
 
+ASSUMED_COUNT = 2
+"""Assumed number of particles of a group without a known count: enough for contacts within the group."""
+
+
 def possible_contacts_have_a_pair(parts: PartialScene) -> Iterator[Fault]:
     """Each two materials that can come into contact must have an entry under `pairs`.
 
@@ -364,7 +101,8 @@ def possible_contacts_have_a_pair(parts: PartialScene) -> Iterator[Fault]:
     existing = {
         frozenset(nearest(name, known) or name for name in key.split("-")) for key in parts.names("pairs")
     }
-    mobile, fixed = (_counts(parts.scene, set(known), fixed) for fixed in (False, True))
+    mobile = _counts(parts.scene, set(known), fixed=False)
+    fixed = _counts(parts.scene, set(known), fixed=True)
     walls = {name: wall.material for name, wall in parts.scene.walls.items() if wall.material in known}
     for both, why in possible_contacts(mobile, fixed, walls).items():
         if both not in existing:
@@ -397,7 +135,8 @@ def possible_contacts(
 
 def pair_name(both: frozenset[str]) -> str:
     """Key of a pair of materials under `pairs`."""
-    return "-".join(sorted(both) * (3 - len(both)))
+    names = sorted(both)
+    return f"{names[0]}-{names[-1]}"
 
 
 def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, int]:
@@ -409,10 +148,10 @@ def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, in
     found: dict[str, int] = {}
     for group in scene.particles.values():
         if group.material in materials and group.fixed == fixed:
-            least = ASSUMED_COUNT if group.insert.kind == "python" else 1
-            found[group.material] = found.get(group.material, 0) + max(
-                group.count_given or ASSUMED_COUNT, least
-            )
+            count = group.count_given or ASSUMED_COUNT
+            if group.insert.kind == "python":
+                count = max(count, ASSUMED_COUNT)
+            found[group.material] = found.get(group.material, 0) + count
     return found
 
 
@@ -499,9 +238,7 @@ def _without_yield_strength(parts: PartialScene, key: str) -> list[str]:
     return [name for name in names if name in materials and not materials[name].yield_strength]
 
 
-# Regions of particle groups in the domain, and features that the boundaries of the domain exclude.
-
-_AXES = "xyz"
+# Particle groups: regions, clumps, liquid
 
 
 def some_particles(parts: PartialScene) -> Iterator[Fault]:
@@ -532,6 +269,9 @@ def inside_domain(parts: PartialScene) -> Iterator[Fault]:
                 yield whole((*path, key), f"{reach}, beyond the domain, {low[axis]:g} to {high[axis]:g} m")
 
 
+_AXES = "xyz"
+
+
 def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> Iterator[tuple[float, float]]:
     """Smallest and largest coordinate [m] of a region or a face along each axis.
 
@@ -559,6 +299,61 @@ def _round_extent(a: Vector3, b: Vector3, axis: Vector3, radius: float) -> Itera
         yield min(p, q) - reach, max(p, q) + reach
 
 
+def unsupported_with_clumps(parts: PartialScene) -> Iterator[Fault]:
+    """Clumps support no sheared boxes, damping of all motion, adaptive steps, earlier runs and fields on
+    grids."""
+    scene = parts.scene
+    names = [name for name, group in scene.particles.items() if group.clump is not None]
+    if not names:
+        return
+    clumps = f"cannot be combined with the clumps of particles.{names[0]}"
+    if scene.damping is not None:
+        yield whole(("damping",), f"{clumps}: it acts on single spheres; remove one of the two")
+    if scene.domain.lees_edwards is not None:
+        yield whole(
+            ("domain", "lees_edwards"), f"{clumps}, which cross no sheared boundary; remove one of the two"
+        )
+    if scene.run.time_step == "adaptive":
+        yield whole(("run", "time_step"), f"{clumps}; give a number, or leave it out")
+    if scene.start_from is not None:
+        yield whole(("start_from",), f"{clumps}: it reads spheres only; remove one of the two")
+    if scene.output.fields:
+        yield whole(
+            ("output", "fields"), f"{clumps}: stresses need the forces inside a clump; remove one of the two"
+        )
+
+
+def liquid_content(parts: PartialScene) -> Iterator[Fault]:
+    """Every group requires a liquid content with a cohesion model that transfers liquid, and vice versa.
+
+    With `contact.cohesion: none` the content is unused. Clumps and earlier runs have no films.
+    """
+    scene = parts.scene
+    name = parts.scene.contact.name("cohesion")
+    transfers = name in registry.liquid_models()
+    for group_name, group in scene.particles.items():
+        path: KeyPath = ("particles", group_name, "liquid_content")
+        if transfers and group.liquid_content is None:
+            yield missing(
+                path, f"contact.cohesion is {name}; give the volume of the film over that of a particle, or 0"
+            )
+        elif transfers and group.clump is not None:
+            yield whole(
+                ("particles", group_name, "clump"), f"cannot be combined with contact.cohesion: {name}"
+            )
+        elif group.liquid_content and not transfers and name != "none":
+            remedy = f"remove liquid_content, or choose {' or '.join(registry.liquid_models())}"
+            yield Fault(path, f"contact.cohesion is {name}; {remedy}")
+    if transfers and scene.start_from is not None:
+        reason = (
+            f"cannot be combined with contact.cohesion: {name}: it reads no liquid; remove one of the two"
+        )
+        yield whole(("start_from",), reason)
+
+
+# Features that Lees-Edwards boundaries exclude
+
+
 def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
     """Lees-Edwards boxes support neither walls, nor insertion during the run, nor flow meters: the images
     move.
@@ -576,19 +371,14 @@ def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
     }
     found = [f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names]
     if scene.damping is not None:
-        yield Fault(
-            ("damping",),
-            "domain.lees_edwards is given, and no frame is at rest in uniform shear; remove one of them",
-        )
+        reason = "domain.lees_edwards is given, and no frame is at rest in uniform shear; remove one of them"
+        yield Fault(("damping",), reason)
     if found:
-        unsupported_text = alternatives(found)
-        yield whole(
-            ("domain", "lees_edwards"),
-            f"cannot be combined with {unsupported_text}: the periodic images move",
-        )
+        reason = f"cannot be combined with {alternatives(found)}: the periodic images move"
+        yield whole(("domain", "lees_edwards"), reason)
 
 
-# Stages, times and motions of walls.
+# Stages, and what is limited to stages; motions of walls
 
 
 def stage_names(parts: PartialScene) -> Iterator[Fault]:
@@ -612,23 +402,6 @@ def stage_names(parts: PartialScene) -> Iterator[Fault]:
                 yield Fault(location, f"the scene has no stages; {remedy}")
 
 
-def _walls(scene: SceneInput) -> Iterator[tuple[KeyPath, Wall]]:
-    """Each wall with its key path."""
-    yield from ((("walls", name), wall) for name, wall in scene.walls.items())
-
-
-def _motions(scene: SceneInput) -> Iterator[tuple[KeyPath, MotionSpec]]:
-    """Each motion of a wall with its key path."""
-    for path, wall in _walls(scene):
-        yield from (((*path, "motion", index), motion) for index, motion in enumerate(wall.motion))
-
-
-def _damping(scene: SceneInput) -> Iterator[tuple[KeyPath, Damping]]:
-    """The damping with its key path, if there is one."""
-    if scene.damping is not None:
-        yield ("damping",), scene.damping
-
-
 def duration(parts: PartialScene) -> Iterator[Fault]:
     """Exactly one of `run.duration` and `stages` must be given."""
     is_given = parts.scene.run.duration is not None
@@ -640,7 +413,9 @@ def duration(parts: PartialScene) -> Iterator[Fault]:
 
 def gamma_requires_gravity(parts: PartialScene) -> Iterator[Fault]:
     """Gamma, the peak acceleration over gravity, requires gravity."""
-    for path, motion in _motions(parts.scene) if not any(parts.scene.gravity) else ():
+    if any(parts.scene.gravity):
+        return
+    for path, motion in _motions(parts.scene):
         if isinstance(motion, Vibration) and motion.gamma is not None:
             yield Fault((*path, "gamma"), "gravity is zero; give amplitude and frequency")
 
@@ -662,3 +437,294 @@ def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
         path, motion = controlled[0]
         reason = f"walls.{path[1]} is {motion.kind}, which requires a constant time step; write auto"
         yield Fault(("run", "time_step"), reason)
+
+
+def _walls(scene: SceneInput) -> Iterator[tuple[KeyPath, Wall]]:
+    """Each wall with its key path."""
+    yield from ((("walls", name), wall) for name, wall in scene.walls.items())
+
+
+def _motions(scene: SceneInput) -> Iterator[tuple[KeyPath, MotionSpec]]:
+    """Each motion of a wall with its key path."""
+    for path, wall in _walls(scene):
+        yield from (((*path, "motion", index), motion) for index, motion in enumerate(wall.motion))
+
+
+def _damping(scene: SceneInput) -> Iterator[tuple[KeyPath, Damping]]:
+    """The damping with its key path, if there is one."""
+    if scene.damping is not None:
+        yield ("damping",), scene.damping
+
+
+# Output: grids, metrics and wall forces
+
+
+def field_grids(parts: PartialScene) -> Iterator[Fault]:
+    """Field grids: number of cells within the limit, existing stages, full extent along periodic axes."""
+    stages = [stage.name for stage in parts.scene.stages]
+    domain = parts.scene.domain
+    for name, grid in parts.scene.output.fields.items():
+        path: KeyPath = ("output", "fields", name)
+        yield from _cells(domain, path, grid)
+        if grid.region is not None:
+            yield from _periodic_extent(domain, (*path, "region"), grid.region)
+        yield from _unknown_names((*path, "stages"), grid.stages, stages, "stage")
+
+
+def metrics(parts: PartialScene) -> Iterator[Fault]:
+    """Metrics must refer to existing groups, materials and walls; an angle of repose requires gravity."""
+    for name, metric in parts.scene.output.metrics.items():
+        path: KeyPath = ("output", "metrics", name)
+        if isinstance(metric, TwoComponentGrid):
+            yield from _cells(parts.scene.domain, path, metric)
+            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
+            yield from _unknown_names(
+                (*path, "materials"), metric.materials, parts.names("materials"), "material"
+            )
+        if isinstance(metric, CenterOfMassMetric):
+            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
+        if isinstance(metric, SlidingMetric):
+            yield from _unknown_names((*path, "walls"), metric.walls, parts.names("walls"), "wall")
+        if isinstance(metric, ProbeMetric):
+            yield from _unknown_particle((*path, "id"), metric.id, parts.scene)
+        if isinstance(metric, ReposeMetric) and not any(parts.scene.gravity):
+            yield Fault((*path, "kind"), "gravity is zero, so the slope is undefined; remove this metric")
+
+
+def _unknown_particle(path: KeyPath, particle_id: int, scene: SceneInput) -> Iterator[Fault]:
+    """A fault for an id that no particle has; none if the number of particles is not given."""
+    counts = [group.count_given for group in scene.particles.values()]
+    known = sum(count or 0 for count in counts)
+    if scene.scale == 1.0 and all(counts) and particle_id >= known:
+        yield Fault(path, f"the ids of the {known} particles are 0 to {known - 1}")
+
+
+def _unknown_names(
+    path: KeyPath, given: Iterable[str] | None, known: Iterable[str], kind: str
+) -> Iterator[Fault]:
+    """Faults of the items of a list that are not known names."""
+    for index, name in enumerate(given or ()):
+        if name not in known:
+            yield unknown((*path, index), name, known, kind)
+
+
+MOST_CELLS = 2_000_000
+"""Largest number of cells of a grid: one frame of this size takes about 1 GB of memory."""
+
+
+def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Fault]:
+    """A fault for a grid with more than MOST_CELLS cells; none if the number of cells is not defined."""
+    if (grid.cell is None) == (grid.cells is None):
+        return
+    count = math.prod(grid.cell_counts(domain))
+    if count > MOST_CELLS:
+        reason = f"this gives {count:_} cells, and the limit is {MOST_CELLS:_}".replace("_", " ")
+        yield Fault((*path, "cell" if grid.cells is None else "cells"), reason)
+
+
+def _periodic_extent(domain: Domain, path: KeyPath, region: Box) -> Iterator[Fault]:
+    """A fault for each periodic axis along which a region does not cover exactly the domain [m]."""
+    for axis in domain.periodic:
+        k = "xyz".index(axis)
+        if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):
+            reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
+            yield whole(path, f"must extend from {reach} in {axis}, where the domain is periodic")
+
+
+def wall_forces(parts: PartialScene) -> Iterator[Fault]:
+    """Wall forces of existing walls, expectations of measured wall forces, pressures of walls with an area.
+
+    An expectation NAME.WALL requires that `output.wall_forces` includes the wall.
+    """
+    requested = parts.scene.output.wall_forces
+    known = parts.names("walls")
+    if not isinstance(requested, bool):
+        yield from _unknown_names(("output", "wall_forces"), requested, known, "wall")
+    measured = known if requested is True else requested or ()
+    for path, quantity, wall in _expected(parts.scene):
+        if quantity not in WALL_FORCE_QUANTITIES:
+            continue
+        if wall not in known:
+            yield unknown(path, wall, known, "wall")
+        elif wall not in measured:
+            remedy = "write wall_forces: true, or add it to the list"
+            yield Fault(path, f"output.wall_forces does not include {wall}; {remedy}")
+        elif "pressure" in quantity and isinstance(parts.scene.walls.get(wall), Plane):
+            remedy = "use wall_force_x, wall_force_y or wall_force_z"
+            yield Fault(path, f"the plane {wall} is infinite and has no area; {remedy}")
+
+
+# Expectations and conditions of stages: names of quantities and of their parts
+
+RESULT_ONLY = {
+    *RUN_QUANTITIES,
+    "timings",
+    "wall_force",
+    "wall_torque",
+    *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),
+}
+"""Quantities of the result that rows of the time series do not have."""
+_WHOLE = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+"""Quantities of the whole run."""
+_PARTS = {
+    **{name: "the name of a flow meter" for name in FLOW_METER_QUANTITIES},
+    **{name: "the name of an outlet" for name in OUTLET_QUANTITIES},
+    **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
+    **{name: "the name of a wall" for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES)},
+    **{name: "the name of a metric" for name in METRIC_QUANTITIES},
+    "timings": "forces or another phase",
+}
+"""What follows the point after a quantity."""
+
+
+def expected_names(parts: PartialScene) -> Iterator[Fault]:
+    """Expectations must refer to existing quantities, with a name of the kind that the quantity requires."""
+    for path, quantity, part in _all_expected(parts.scene):
+        if part is not None and quantity not in _PARTS and quantity in _WHOLE:
+            yield Fault(path, f"{quantity} is a quantity of the whole run; write {quantity}")
+        elif part is None and quantity not in _WHOLE and quantity in _PARTS:
+            yield Fault(path, f"{quantity} requires {_PARTS[quantity]}; write {quantity}.NAME")
+        elif quantity not in _WHOLE and quantity not in _PARTS:
+            yield Fault(path, f"there is no such quantity. {_similar_quantity(quantity, part)}")
+        elif quantity in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
+            yield Fault(path, "output.energy_budget is false; set it to true")
+
+
+def _similar_quantity(quantity: str, part: str | None) -> str:
+    """Remedy for an unknown quantity with the name `part` behind the point, or None."""
+    found = nearest(quantity, [*_WHOLE, *_PARTS])
+    if found is None:
+        return "Give one such as kinetic_energy or mass_flow.NAME"
+    end = f".{part or 'NAME'}" if found in _PARTS else ""
+    return f"Did you mean {found}{end}?"
+
+
+def expected_parts(parts: PartialScene) -> Iterator[Fault]:
+    """Expectations must refer to existing flow meters, outlets and inserted groups."""
+    scene = parts.scene
+    meters = parts.scene.output.flow_meters
+    meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
+    inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
+    known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
+        (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
+        (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
+        (INSERTION_QUANTITIES, inserted, "inserted group"),
+    )
+    for path, quantity, part in _expected(scene):
+        for quantities, names, kind in known:
+            if quantity in quantities and part not in names:
+                yield unknown(path, part, names, kind)
+
+
+def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
+    """Expectations must refer to existing metrics that provide the quantity, or its time average
+    NAME_mean."""
+    known = parts.scene.output.metrics
+    for path, quantity, name in _expected(parts.scene):
+        if quantity not in METRIC_QUANTITIES:
+            continue
+        if name not in known:
+            yield unknown(path, name, known, "metric")
+        elif quantity.removesuffix("_mean") not in METRIC_QUANTITIES_BY_KIND[known[name].kind]:
+            numbers = ", ".join(f"{each}.{name}" for each in METRIC_QUANTITIES_BY_KIND[known[name].kind])
+            yield Fault(path, f"{name} is of kind {known[name].kind}; its quantities are {numbers}")
+
+
+def condition_columns(parts: PartialScene) -> Iterator[Fault]:
+    """Conditions of stages must refer to columns of the time series, not to results of the whole run."""
+    for number, stage in enumerate(parts.scene.stages):
+        for index, condition in enumerate(stage.until):
+            path: KeyPath = ("stages", number, "until", index, "quantity")
+            quantity, _, part = condition.quantity.partition(".")
+            wall = parts.scene.walls.get(part)
+            is_controlled = wall is None or any(each.force_controlled for each in wall.motion)
+            if quantity in WALL_QUANTITIES and not is_controlled:
+                reason = f"{part} is neither a servo nor a free wall; its displacement follows from the time"
+                yield Fault(path, reason)
+            elif quantity in RESULT_ONLY or quantity.endswith("_mean") or quantity in INSERTION_QUANTITIES:
+                yield Fault(path, "it is a result of the whole run; give a column of timeseries.csv")
+
+
+def _expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str]]:
+    """Those of `_all_expected` whose quantity has a part, such as mass_flow.outlet."""
+    for path, quantity, part in _all_expected(scene):
+        if part is not None:
+            yield path, quantity, part
+
+
+def _all_expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str | None]]:
+    """Key path, quantity and part of each expectation and each condition of a stage.
+
+    The part is None for a quantity of the whole run.
+    """
+    named: list[tuple[KeyPath, str]] = []
+    for index, expectation in enumerate(scene.expect):
+        named.append((("expect", index, "quantity"), expectation.quantity))
+    for number, stage in enumerate(scene.stages):
+        for index, condition in enumerate(stage.until):
+            named.append((("stages", number, "until", index, "quantity"), condition.quantity))
+    for path, name in named:
+        quantity, dot, part = name.partition(".")
+        yield path, quantity, part if dot else None
+
+
+# All checks
+
+_MAX_ENTRIES = {
+    "materials": 50,
+    "pairs": 1275,
+    "walls": 1000,
+    "particles": 100,
+    "outlets": 50,
+    "stages": 1000,
+    "expect": 1000,
+}
+"""Largest number of entries of each section: the cost of some checks grows with its square."""
+_CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]], ...] = (
+    ((), materials_exist),
+    ((), material_names),
+    (("particles",), possible_contacts_have_a_pair),
+    (("contact",), pair_options),
+    (("contact",), restitution),
+    (("stages",), stage_names),
+    (("stages", "run"), duration),
+    (("gravity",), gamma_requires_gravity),
+    (("run",), force_controlled_walls),
+    ((), some_particles),
+    (("domain",), inside_domain),
+    (("domain", "particles", "output"), lees_edwards),
+    (("domain", "run", "output"), unsupported_with_clumps),
+    (("contact",), liquid_content),
+    (("output", "stages", "domain"), field_grids),
+    (("output", "gravity", "domain"), metrics),
+    (("output", "expect", "stages"), expected_names),
+    (("output", "expect", "stages"), expected_parts),
+    (("output", "expect", "stages"), expected_metrics),
+    (("output", "expect", "stages"), wall_forces),
+    (("stages", "walls"), condition_columns),
+)
+"""Sections that must be complete, and the check that needs them."""
+
+
+def consistency_problems(parts: PartialScene) -> list[Problem]:
+    """All problems within and between the parts of a scene that may be incomplete, in no particular order.
+
+    If a section has too many entries, checks between parts are omitted, because the time of some of them
+    grows with the square of the number of entries.
+    """
+    faults = list(parts.faults())
+    overfull = list(_overfull_sections(parts))
+    if not overfull:
+        for needed, check in _CHECKS:
+            if parts.complete.issuperset(needed):
+                faults += check(parts)
+    return [problem_at(parts.document, fault) for fault in (*faults, *overfull)]
+
+
+def _overfull_sections(parts: PartialScene) -> Iterator[Fault]:
+    """Faults of sections with more entries than _MAX_ENTRIES."""
+    for section, limit in _MAX_ENTRIES.items():
+        node = parts.document.root.child(section)
+        count = len(node.entries or node.items or ()) if node is not None else 0
+        if count > limit:
+            yield whole((section,), f"has {count} entries, but the limit is {limit}")

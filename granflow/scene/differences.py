@@ -52,9 +52,8 @@ def differences(before: SceneInput, now: SceneInput) -> tuple[Difference, ...]:
 
     Lists of numbers are compared as a whole, lists of mappings entry by entry.
     """
-    first, second = (
-        dict(_leaves(scene.model_dump(by_alias=True, exclude_none=True))) for scene in (before, now)
-    )
+    first = dict(_leaves(before.model_dump(by_alias=True, exclude_none=True)))
+    second = dict(_leaves(now.model_dump(by_alias=True, exclude_none=True)))
     keys = dict.fromkeys([*first, *second])
     return tuple(
         Difference(key, first.get(key), second.get(key)) for key in keys if first.get(key) != second.get(key)
@@ -64,8 +63,7 @@ def differences(before: SceneInput, now: SceneInput) -> tuple[Difference, ...]:
 def forbidden(before: SceneInput, now: SceneInput, stages_over: int) -> tuple[Difference, ...]:
     """Differences that prevent a resume of a run whose first `stages_over` stages have ended.
 
-    A difference is permitted if its key is in ALLOWED_CHANGES and not in an ended stage, or if it adds a
-    stage.
+    A difference is permitted if its key is in ALLOWED_CHANGES and not in an ended stage, or adds a stage.
     """
     return tuple(
         each for each in differences(before, now) if not _allowed(each, len(before.stages), stages_over)
@@ -96,4 +94,7 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _shown(value: Any) -> str:
-    return f"[{', '.join(map(_shown, value))}]" if isinstance(value, list | tuple) else f"{value}"
+    """The value as text; lists as in a scene file."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_shown, value))}]"
+    return str(value)

@@ -1,6 +1,8 @@
 """Error messages of the schema: one sentence each, with source position and remedy.
 
-A message has the form `file:line:column: key.path is VALUE, but REASON.`
+A message has the form `file:line:column: key.path is VALUE, but REASON.` `problem_at` makes one of a fault,
+`problems_of` makes those of the errors of pydantic. An error of pydantic has a location: a path of keys, and
+of tags that tell which member of a union was tried. `model_at` finds the part of the schema there.
 """
 
 import re
@@ -20,49 +22,7 @@ from granflow.scene.document import Document, Node, Problem
 from granflow.scene.faults import Fault, KeyPath, missing, whole
 from granflow.scene.suggest import nearest, suggestion_or_list
 
-# Tags of the members of unions, which pydantic puts into the locations of errors, and the keys that select
-# them.
-
-
-def tag_of(member: Any) -> str:
-    """Tag of a member of a union in error locations: a name in angle brackets, which distinguish it from
-    keys.
-
-    The name is that of its pydantic `Tag`, else the value of its key such as `kind`, else its first key; for
-    plain values none, list or number.
-    """
-    if get_origin(member) is Annotated:
-        explicit = [meta.tag for meta in get_args(member)[1:] if isinstance(meta, Tag)]
-        return explicit[0] if explicit else tag_of(get_args(member)[0])
-    if isinstance(member, type) and issubclass(member, BaseModel):
-        words = selecting_keys(member).values()
-        return f"<{next(iter(words), None) or next(iter(member.model_fields))}>"
-    return "<none>" if member is NoneType else "<list>" if get_origin(member) is tuple else "<number>"
-
-
-def selecting_keys(model: type[BaseModel]) -> dict[str, str]:
-    """Keys of a model with only one allowed word, such as `shape` or `kind`, and that word."""
-    literals = {
-        name: get_args(each.annotation)
-        for name, each in model.model_fields.items()
-        if get_origin(each.annotation) is Literal
-    }
-    return {name: words[0] for name, words in literals.items() if len(words) == 1}
-
-
-# Error messages of the schema: one sentence each, with source position and remedy.
-#
-# A message has the form `file:line:column: key.path is VALUE, but REASON.`
-
-_CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid
-_MAX_ERRORS = 1000  # more errors take too long to report
-_REASONS = {
-    "dict_type": "at least one entry of the form name: {...} is expected",
-    "tuple_type": "a list is expected, [ ... ]",
-    "list_type": "a list is expected, [ ... ]",
-    "string_type": "text is expected; put it in quotes",
-}
-"""Reasons of errors by the type that pydantic gives them; other errors have the reason as their message."""
+# Messages of faults
 
 
 def dotted(path: Iterable[str | int]) -> str:
@@ -105,6 +65,12 @@ def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
     return tuple(written)
 
 
+# Messages of errors of pydantic
+
+_MAX_ERRORS = 1000  # more errors take too long to report
+_CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid
+
+
 def problems_of(document: Document, errors: Sequence[ErrorDetails], schema: type[BaseModel]) -> list[Problem]:
     """The errors of the schema as problems, without consequences of other errors; at most 1000.
 
@@ -120,6 +86,15 @@ def problems_of(document: Document, errors: Sequence[ErrorDetails], schema: type
         for error in found
         if not (error.type == "missing" and error.path in suggested)
     ]
+
+
+_REASONS = {
+    "dict_type": "at least one entry of the form name: {...} is expected",
+    "tuple_type": "a list is expected, [ ... ]",
+    "list_type": "a list is expected, [ ... ]",
+    "string_type": "text is expected; put it in quotes",
+}
+"""Reasons of errors by the type that pydantic gives them; other errors have the reason as their message."""
 
 
 class _SchemaError:
@@ -138,9 +113,8 @@ class _SchemaError:
         self.of_key = bool(loc) and loc[-1] == "[key]"
         self.loc: KeyPath = loc[:-1] if self.of_key else loc + tuple(self.context.get("at", ()))
         self.path = path_in_file(document, self.loc)
-        if (
-            self.type == "extra_forbidden" and not self.of_key
-        ):  # a key such as "<>" looks like a mark of pydantic
+        if self.type == "extra_forbidden" and not self.of_key:
+            # An unknown key such as "<>" looks like a mark of pydantic.
             self.path = (*path_in_file(document, self.loc[:-1]), self.loc[-1])
 
     def keys(self) -> list[str]:
@@ -177,9 +151,10 @@ class _SchemaError:
     def _description(self) -> str:
         """Description of the missing key from the schema."""
         model = model_at(self.schema, self.loc[:-1])
-        fields = model.model_fields.items() if model else ()
-        found = [field.description for name, field in fields if self.loc[-1] in (name, field.alias)]
-        return (found and found[0]) or "it is required"
+        for name, field in model.model_fields.items() if model else ():
+            if self.loc[-1] in (name, field.alias):
+                return field.description or "it is required"
+        return "it is required"
 
     def _choice(self) -> Fault:
         """A union whose member is undetermined: the key is missing or has an unknown value.
@@ -194,9 +169,10 @@ class _SchemaError:
             word = _word(node)
             known = [name.removeprefix("law ") for name in names]
             near = nearest(word, known) if word and word not in known else None
-            hint = (
-                f". Did you mean {near}?" if near else _options(self.path, word) or _registration(self.path)
-            )
+            if near:
+                hint = f". Did you mean {near}?"
+            else:
+                hint = _options(self.path, word) or _registration(self.path)
             return Fault(self.path, self.context["reason"] + hint)
         key = self.context["key"]
         names = [name for name in names if name not in ("number", "list", "none")]
@@ -214,8 +190,22 @@ class _SchemaError:
         node = self.document.find(path)
         word = "" if node is None else _word(node)
         near = nearest(word, allowed) if word else None
-        hint = f". Did you mean {near}?" if near else _elsewhere(word) or _registration(path)
-        return Fault(path, f"it must be {'one of ' * (len(allowed) > 1)}{', '.join(allowed)}{hint}")
+        if near:
+            hint = f". Did you mean {near}?"
+        else:
+            hint = _elsewhere(word) or _registration(path)
+        words = ", ".join(allowed)
+        if len(allowed) > 1:
+            words = f"one of {words}"
+        return Fault(path, f"it must be {words}{hint}")
+
+
+def _keys(model: type[BaseModel] | None) -> list[str]:
+    """The keys of a model as written in scenes; empty without a model."""
+    return [field.alias or name for name, field in model.model_fields.items()] if model else []
+
+
+# Hints at the end of a message
 
 
 def _word(node: Node) -> str:
@@ -233,8 +223,10 @@ def _options(path: KeyPath, word: str) -> str:
     if model is None:
         return ""
     required = {key: each for key, each in model.options.items() if each.default is None}
+    if not required:
+        return ""
     given = ", ".join(f"{key}: {getattr(each, 'example', '...')}" for key, each in required.items())
-    return f". {word} requires {' and '.join(required)}, such as {{law: {word}, {given}}}" if required else ""
+    return f". {word} requires {' and '.join(required)}, such as {{law: {word}, {given}}}"
 
 
 def _elsewhere(word: str) -> str:
@@ -248,6 +240,9 @@ def _registration(path: KeyPath) -> str:
     """Sentence, after the list of contact models, on those of a program; empty for other keys."""
     is_model = path[:1] == ("contact",) and path[1:2] and path[1] in SLOTS and path[2:] in ((), ("law",))
     return ". Register a model of your own before: granflow.register_contact_model" if is_model else ""
+
+
+# The part of the schema at the location of an error
 
 
 def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:
@@ -267,9 +262,11 @@ def _annotation_at(annotation: Any, loc: KeyPath) -> Any:
         return _annotation_at(arguments[0], loc)
     if origin in (Union, UnionType):
         members = [member for member in arguments if member is not NoneType]
-        tagged = [member for member in members if loc and tag_of(member) == loc[0]]
-        if tagged or len(members) == 1:
-            return _annotation_at(tagged[0], loc[1:]) if tagged else _annotation_at(members[0], loc)
+        for member in members:
+            if loc and tag_of(member) == loc[0]:
+                return _annotation_at(member, loc[1:])
+        if len(members) == 1:
+            return _annotation_at(members[0], loc)
         return None if loc else annotation
     if not loc:
         return annotation
@@ -282,6 +279,29 @@ def _annotation_at(annotation: Any, loc: KeyPath) -> Any:
     return None
 
 
-def _keys(model: type[BaseModel] | None) -> list[str]:
-    """The keys of a model as written in scenes; empty without a model."""
-    return [field.alias or name for name, field in model.model_fields.items()] if model else []
+def tag_of(member: Any) -> str:
+    """Tag of a member of a union in the locations of errors.
+
+    The tag is a name in angle brackets, which distinguish it from keys: that of the pydantic `Tag` of the
+    member, else the value of its key such as `kind`, else its first key; for plain values none, list or
+    number.
+    """
+    if get_origin(member) is Annotated:
+        explicit = [meta.tag for meta in get_args(member)[1:] if isinstance(meta, Tag)]
+        return explicit[0] if explicit else tag_of(get_args(member)[0])
+    if isinstance(member, type) and issubclass(member, BaseModel):
+        words = selecting_keys(member).values()
+        return f"<{next(iter(words), None) or next(iter(member.model_fields))}>"
+    if member is NoneType:
+        return "<none>"
+    return "<list>" if get_origin(member) is tuple else "<number>"
+
+
+def selecting_keys(model: type[BaseModel]) -> dict[str, str]:
+    """Keys of a model with only one allowed word, such as `shape` or `kind`, and that word."""
+    literals = {
+        name: get_args(each.annotation)
+        for name, each in model.model_fields.items()
+        if get_origin(each.annotation) is Literal
+    }
+    return {name: words[0] for name, words in literals.items() if len(words) == 1}

@@ -1,4 +1,9 @@
-"""Building blocks of the schema: the immutable base model, texts, names, lists and unions."""
+"""Building blocks of the schema: the immutable base model, unions, lists, texts and names.
+
+The blocks of a scene are subclasses of `Model`; the types of their fields are here and in
+`blocks.quantities`. A value that is valid by itself may contradict another one: `Model.faults` yields such
+contradictions.
+"""
 
 import re
 from collections.abc import Callable, Collection, Iterator
@@ -21,7 +26,7 @@ from granflow.scene.faults import Fault, KeyPath, value_error
 from granflow.scene.messages import problem_at, problems_of, selecting_keys, tag_of
 from granflow.visible_text import visible
 
-_NAME = r"[a-z][a-z0-9_]*"
+# Base model of all blocks
 
 
 def _require_selecting_keys(schema: dict[str, Any], model: type[BaseModel]) -> None:
@@ -100,6 +105,96 @@ def faults_of(value: Any, path: KeyPath = ()) -> Iterator[Fault]:
             yield from faults_of(each, (*path, key))
 
 
+def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
+    """Modifier of a JSON Schema: the keys `others` are optional if `key` is given."""
+
+    def change(schema: dict[str, Any]) -> None:
+        always = [name for name in schema["required"] if name not in others]
+        schema["required"] = always
+        schema["anyOf"] = [{"required": [key]}, {"required": list(others)}]
+
+    return change
+
+
+# Unions: a value selects the member by a key, by its first key, or by its form
+
+Tagger = Callable[[Any, Collection[str]], str | None]
+"""Function of a raw value and the tags of a union that returns the tag of the value, or None if no member
+fits."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Chooses the member of a union by a tag; a tag that is None or unknown is an error of type `choice`.
+
+    `context`: contents of the message.
+    """
+
+    tag_of_value: Tagger
+    context: dict[str, str] = field(hash=False)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        """Validation by the member with the tag."""
+        members = {tag_of(member): handler.generate_schema(member) for member in get_args(source)}
+        return core_schema.tagged_union_schema(
+            members,
+            lambda value: self.tag_of_value(value, members),
+            custom_error_type="choice",
+            custom_error_message="choice",
+            custom_error_context=dict(self.context),
+        )
+
+
+def choose_by_key(key: str) -> Choice:
+    """Choose a model by the value of `key`, or another member by the type of the value: none, list or
+    number."""
+
+    def tag(value: Any, tags: Collection[str]) -> str | None:
+        if isinstance(value, dict):
+            return f"<{value[key]}>" if key in value else None
+        if isinstance(value, BaseModel):
+            return f"<{getattr(value, key)}>"
+        return "<none>" if value is None else "<list>" if isinstance(value, list | tuple) else "<number>"
+
+    return Choice(tag, {"key": key})
+
+
+def choose_by_first_key(reason: str) -> Choice:
+    """Choose a model by its first key, such as `box` of `{box: {...}}`; no match is the error "X is Y, but
+    REASON."."""
+
+    def tag(value: Any, tags: Collection[str]) -> str | None:
+        if isinstance(value, BaseModel):
+            return tag_of(type(value))
+        return next((each for each in tags if isinstance(value, dict) and each.strip("<>") in value), None)
+
+    return Choice(tag, {"reason": reason})
+
+
+def choose_by(tag_of_value: Callable[[Any], str | None], reason: str) -> Choice:
+    """Choose a member of a union by the tag from a function; None is the error "X is Y, but REASON."."""
+    return Choice(lambda value, tags: tag_of_value(value), {"reason": reason})
+
+
+def shorthand(key: str) -> BeforeValidator:
+    """Accept plain text as the short form of a mapping with only `key`: `zhou` for `{law: zhou}`."""
+    return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
+
+
+@dataclass(frozen=True)
+class ShortForm:
+    """Adds words to the JSON Schema of a value: short forms of it."""
+
+    words: tuple[str, ...]
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        """Schema with the words first; descriptions remain outside of both forms."""
+        return {"anyOf": [{"enum": list(self.words)}, handler(schema)]}
+
+
+# Validators of plain values
+
+
 def require(is_valid: Callable[[Any], Any], reason: str) -> Callable[[Any], Any]:
     """Validator that returns a value unchanged, or raises PydanticCustomError with the reason if it is not
     valid."""
@@ -110,19 +205,6 @@ def require(is_valid: Callable[[Any], Any], reason: str) -> Callable[[Any], Any]
         return value
 
     return validate
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _is_visible(value: str) -> bool:
-    return "\n" not in value and "\t" not in value and visible(value) == value
-
-
-def _is_flag_or_names(value: Any) -> bool:
-    names = isinstance(value, list | tuple) and bool(value) and all(map(_is_text, value))
-    return isinstance(value, bool) or names
 
 
 def list_of_length(length: int, reason: str) -> BeforeValidator:
@@ -167,89 +249,20 @@ class ListOf:
         return {"anyOf": [full["items"], full]} if self.one else full
 
 
-@dataclass(frozen=True)
-class ShortForm:
-    """Adds words to the JSON Schema of a value: short forms of it."""
-
-    words: tuple[str, ...]
-
-    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """Schema with the words first; descriptions remain outside of both forms."""
-        return {"anyOf": [{"enum": list(self.words)}, handler(schema)]}
+# Texts and flags
 
 
-def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
-    """Modifier of a JSON Schema: the keys `others` are optional if `key` is given."""
-
-    def change(schema: dict[str, Any]) -> None:
-        always = [name for name in schema["required"] if name not in others]
-        schema["required"] = always
-        schema["anyOf"] = [{"required": [key]}, {"required": list(others)}]
-
-    return change
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
 
 
-Tagger = Callable[[Any, Collection[str]], str | None]
-"""Function of a raw value and the tags of a union that returns the tag of the value, or None if no member
-fits."""
+def _is_visible(value: str) -> bool:
+    return "\n" not in value and "\t" not in value and visible(value) == value
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Chooses the member of a union by a tag; a tag that is None or unknown is an error of type `choice`.
-
-    `context`: contents of the message.
-    """
-
-    tag_of_value: Tagger
-    context: dict[str, str] = field(hash=False)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        """Validation by the member with the tag."""
-        members = {tag_of(member): handler.generate_schema(member) for member in get_args(source)}
-        return core_schema.tagged_union_schema(
-            members,
-            lambda value: self.tag_of_value(value, members),
-            custom_error_type="choice",
-            custom_error_message="choice",
-            custom_error_context=dict(self.context),
-        )
-
-
-def choose_by_key(key: str) -> Choice:
-    """Choose a model by the value of `key`, or another member by the type of the value: none, list or
-    number."""
-
-    def tag(value: Any, tags: Collection[str]) -> str | None:
-        if isinstance(value, dict):
-            return f"<{value[key]}>" if key in value else None
-        if isinstance(value, BaseModel):
-            return f"<{getattr(value, key)}>"
-        return "<none>" if value is None else "<list>" if isinstance(value, list | tuple) else "<number>"
-
-    return Choice(tag, {"key": key})
-
-
-def choose_by(tag_of_value: Callable[[Any], str | None], reason: str) -> Choice:
-    """Choose a member of a union by the tag from a function; None is the error "X is Y, but REASON."."""
-    return Choice(lambda value, tags: tag_of_value(value), {"reason": reason})
-
-
-def choose_by_first_key(reason: str) -> Choice:
-    """Choose a model by its first key, such as `box` of `{box: {...}}`; no match is the error "X is Y, but
-    REASON."."""
-
-    def tag(value: Any, tags: Collection[str]) -> str | None:
-        if isinstance(value, BaseModel):
-            return tag_of(type(value))
-        return next((each for each in tags if isinstance(value, dict) and each.strip("<>") in value), None)
-
-    return Choice(tag, {"reason": reason})
-
-
-def shorthand(key: str) -> BeforeValidator:
-    """Accept plain text as the short form of a mapping with only `key`: `zhou` for `{law: zhou}`."""
-    return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
+def _is_flag_or_names(value: Any) -> bool:
+    names = isinstance(value, list | tuple) and bool(value) and all(map(_is_text, value))
+    return isinstance(value, bool) or names
 
 
 Text = Annotated[str, BeforeValidator(require(_is_text, "text is expected; put it in quotes"))]
@@ -276,6 +289,14 @@ FlagOrNames = Annotated[
 """All (true), none (false), or a list of names."""
 
 
+# Names
+
+_NAME = r"[a-z][a-z0-9_]*"
+MOST_LETTERS = 64
+"""Largest length of a name: names are parts of the names of files, which most file systems limit to 255
+bytes."""
+
+
 def _matching(pattern: str, reason: str) -> tuple[AfterValidator, WithJsonSchema]:
     """Metadata of text that must match a pattern."""
     validator = AfterValidator(require(re.compile(pattern).fullmatch, reason))
@@ -292,9 +313,6 @@ _wall_name = _matching(
 _pair_name = _matching(
     f"{_NAME}-{_NAME}", "a pair is two material names joined by a hyphen, such as glass-steel"
 )
-MOST_LETTERS = 64
-"""Largest length of a name: names are parts of the names of files, which most file systems limit to 255
-bytes."""
 _short = AfterValidator(
     require(lambda name: len(name) <= MOST_LETTERS, f"a name has at most {MOST_LETTERS} characters")
 )

@@ -1,4 +1,7 @@
-"""Partial scenes: the valid parts of a scene with errors, for consistency checks between these parts."""
+"""Partial scenes: the valid parts of a scene with errors, for consistency checks between these parts.
+
+A user thereby sees the errors of the schema and the inconsistencies of all other parts at once.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,9 +22,10 @@ from granflow.scene.suggest import nearest
 class PartialScene:
     """A scene that may lack parts.
 
-    `scene`: has the sections in `complete` and the valid entries of sections with several entries; it may
-    lack required parts and must not be used for a run. `indices`: list section -> index in the file of each
-    valid item.
+    scene:     the complete sections, and the valid entries of sections with several entries; it may lack
+               required parts and must not be used for a run
+    complete:  names of the sections without errors
+    indices:   for each list with errors, the index in the file of each valid item
     """
 
     document: Document
@@ -59,21 +63,13 @@ class PartialScene:
                 yield fault
 
 
-def unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Fault:
-    """The fault of an unknown name, with the closest known name or a list of all."""
-    names = list(known)
-    if suggestion := nearest(name, names):
-        return Fault(path, f"there is no such {kind}. Did you mean {suggestion}?")
-    known_names = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
-    return Fault(path, f"there is no such {kind}; {known_names}")
-
-
 def partial_scene_of(document: Document, data: Mapping[str, Any], errors: Iterable[KeyPath]) -> PartialScene:
     """The valid parts of a scene: all sections and entries of sections without errors.
 
     `data`: plain data of the document; `errors`: locations of the errors of the schema, as in pydantic.
     """
-    broken = {loc[: 2 if loc[0] in _several() else 1] for loc in errors}
+    # a section with several entries loses the broken entry only: ("walls", "floor"), but ("run",)
+    broken = {loc[:2] if loc[0] in _several() else loc[:1] for loc in errors}
     sections = {name: value for name, value in data.items() if (name,) not in broken}
     indices: dict[str, list[int]] = {}
     for name in {str(loc[0]) for loc in broken} & set(sections):
@@ -84,36 +80,37 @@ def partial_scene_of(document: Document, data: Mapping[str, Any], errors: Iterab
             indices[name] = [index for index in range(len(items)) if (name, index) not in broken]
             sections[name] = [items[index] for index in indices[name]]
     valid = SceneInput.model_construct(**dict(_without_required_keys().model_validate(sections)))
-    absent = {
-        name for name, each in SceneInput.model_fields.items() if each.is_required() and name not in data
-    }
-    return PartialScene(
-        document, valid, frozenset(SceneInput.model_fields) - absent - {loc[0] for loc in broken}, indices
-    )
+    required = {name for name, each in SceneInput.model_fields.items() if each.is_required()}
+    absent = required - set(data)
+    complete = frozenset(SceneInput.model_fields) - absent - {loc[0] for loc in broken}
+    return PartialScene(document, valid, complete, indices)
 
 
 @cache
 def _several() -> frozenset[str]:
     """The sections with several entries: mappings by name, and lists of models."""
-    kinds = {
-        name: get_origin(each.annotation)
+    return frozenset(
+        name
         for name, each in SceneInput.model_fields.items()
-        if name != "gravity"
-    }
-    return frozenset(name for name, kind in kinds.items() if kind in (dict, tuple))
+        if get_origin(each.annotation) in (dict, tuple) and name != "gravity"
+    )
 
 
 @cache
 def _without_required_keys() -> type[BaseModel]:
-    """The schema of a scene in which every key is optional: missing mappings are empty, other missing parts
-    None."""
+    """The schema of a scene in which every key is optional.
+
+    Missing mappings are empty, other missing parts None.
+    """
     fields: dict[str, Any] = {}
     for name, each in SceneInput.model_fields.items():
         kind: Any = each.annotation
         for meta in each.metadata:
             kind = Annotated[kind, meta]
-        empty: Any = {} if get_origin(each.annotation) is dict else None
-        default = empty if each.is_required() else each.get_default(call_default_factory=True)
+        if each.is_required():
+            default: Any = {} if get_origin(each.annotation) is dict else None
+        else:
+            default = each.get_default(call_default_factory=True)
         fields[name] = (kind, Field(default))
     return create_model("PartialSections", __config__=SceneInput.model_config, **fields)
 
@@ -122,3 +119,12 @@ def clear_schema() -> None:
     """Clear what was derived from the schema; required after a change of the schema."""
     _several.cache_clear()
     _without_required_keys.cache_clear()
+
+
+def unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Fault:
+    """The fault of an unknown name, with the closest known name or a list of all."""
+    names = list(known)
+    if suggestion := nearest(name, names):
+        return Fault(path, f"there is no such {kind}. Did you mean {suggestion}?")
+    known_names = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
+    return Fault(path, f"there is no such {kind}; {known_names}")

@@ -1,6 +1,10 @@
-"""Scene reader: file to tree, overrides, schema, consistency checks. Reports all problems at once."""
+"""Scene reader: a file becomes a tree, overrides change the tree, the schema and the checks validate it.
 
-from collections.abc import Callable, Iterator, Sequence
+`document_in` reads the tree of a file, `scene_in` makes a `SceneInput` of a tree. All problems are reported
+at once, in the order of the file. `granflow.load` resolves the scene afterwards.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,26 +12,9 @@ from pydantic import ValidationError
 
 from granflow.contact.law import SLOTS
 from granflow.errors import SceneError
-from granflow.scene import (
-    checks as clumps,
-)
-from granflow.scene import (
-    checks as liquid,
-)
-from granflow.scene import (
-    checks as output,
-)
-from granflow.scene import (
-    checks as pairs,
-)
-from granflow.scene import (
-    checks as regions,
-)
-from granflow.scene import (
-    checks as stages,
-)
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.checks import consistency_problems
 from granflow.scene.document import (
     Document,
     DocumentError,
@@ -37,12 +24,142 @@ from granflow.scene.document import (
     SourcePosition,
     parse,
 )
-from granflow.scene.faults import Fault, whole
-from granflow.scene.messages import dotted, model_at, problem_at, problems_of
+from granflow.scene.messages import dotted, model_at, problems_of
 from granflow.scene.partial import PartialScene, partial_scene_of
-from granflow.scene.suggest import nearest, suggestion_or_list
+from granflow.scene.suggest import nearest, suggestion_sentence
 
-# Overrides from the command line, `key.path=value`, applied to the tree of a scene before validation.
+_MAX_SHOWN = 100  # problems
+
+
+def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | None = None) -> SceneInput:
+    """The validated scene of a document; paths are relative to `folder` (default: the working directory).
+
+    The scene is not resolved: counts from masses, contents of files and `scale` are not applied yet. Raises
+    the same errors as `load`.
+    """
+    problems = list(document.problems)
+    for override in overrides:
+        problems += _apply_override(document, override)
+    scene, found = _validated(document)
+    problems += found
+    if scene is None or problems:
+        ordered = in_file_order(problems)
+        shown = [str(problem) for problem in ordered[:_MAX_SHOWN]]
+        more = len(ordered) - _MAX_SHOWN
+        if more > 0:
+            last = ordered[-1].position
+            shown.append(f"{last}: this is the last of {more} more problems, which are not shown.")
+        raise SceneError(shown)
+    scene._document = document
+    scene._folder = folder or Path()
+    return scene
+
+
+def in_file_order(problems: Iterable[Problem]) -> list[Problem]:
+    """The problems in the order of the file, each once."""
+    return sorted(set(problems), key=lambda problem: (problem.position.sort_key, problem.sentence))
+
+
+def _validated(document: Document) -> tuple[SceneInput | None, list[Problem]]:
+    """The scene, or None if it does not satisfy the schema, and all problems of schema and consistency."""
+    data = document.root.data()
+    try:
+        scene = _resolved_law(SceneInput.model_validate(data))
+    except ValidationError as error:
+        details = error.errors(include_url=False, include_input=False)
+        parts = partial_scene_of(document, data, [each["loc"] for each in details])
+        return None, problems_of(document, details, SceneInput) + consistency_problems(parts)
+    return scene, consistency_problems(PartialScene(document, scene))
+
+
+def _resolved_law(scene: SceneInput) -> SceneInput:
+    """The scene with the parameters of the normal contact model that follow if every restitution is a number.
+
+    Example: `restitution_at` of zhou becomes constant.
+    """
+    normal = scene.contact.normal
+    has_fit = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
+    if has_fit or not normal.fixed_by_numbers():
+        return scene
+    fixed = normal.model_copy(update=normal.fixed_by_numbers())
+    return scene.model_copy(update={"contact": scene.contact.model_copy(update={"normal": fixed})})
+
+
+# From a file to a tree
+
+_MAX_FILE_SIZE = 4 * 2**20  # bytes; reading a file of this size takes seconds
+
+
+def document_in(path: Path, kind: str = "scene") -> Document:
+    """The tree of a file; `kind`: what it describes, for messages.
+
+    Raises SceneError for a file that cannot be read, is not YAML 1.2, or is not a mapping.
+    """
+    try:
+        document = parse(_file_text(path, kind), str(path))
+    except DocumentError as error:
+        raise SceneError(str(error.problem)) from None
+    if document.root.entries is None:
+        shown = document.root.shown()
+        reason = "the file is empty" if shown == "empty" else "this is not a mapping"
+        raise SceneError(
+            f"{path}:1:1: {reason}, but a {kind} is a mapping of keys to values, such as title: My {kind}."
+        )
+    return document
+
+
+def _file_text(path: Path, kind: str) -> str:
+    """The text of a file.
+
+    Raises SceneError for a directory, a file that is missing, special, too large or unreadable.
+    """
+    try:
+        if path.is_dir():
+            raise SceneError(f"{path}: this is a directory; give the {kind} file in it.")
+        if path.exists() and not path.is_file():
+            raise SceneError(f"{path}: this is not a regular file; give a {kind} file.")
+        with path.open("rb") as file:
+            raw = file.read(_MAX_FILE_SIZE + 1)  # files of the kernel (/proc) report no size
+        if len(raw) > _MAX_FILE_SIZE:
+            raise SceneError(
+                f"{path}: this file is larger than {_MAX_FILE_SIZE // 2**20} MiB, too large for a {kind}."
+            )
+    except FileNotFoundError:
+        raise SceneError(f"{path}: there is no such file.{_similar(path)}") from None
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise SceneError(f"{path}: the file cannot be read: {why}.") from None
+    return _decoded(raw, path, kind)
+
+
+def _decoded(raw: bytes, path: Path, kind: str) -> str:
+    """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for another encoding or binary
+    data."""
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise SceneError(f"{path}:1:1: the file is encoded in UTF-16; save it as UTF-8.")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        column = error.start - raw.rfind(b"\n", 0, error.start)
+        raise SceneError(
+            f"{path}:{line}:{column}: the file is not valid UTF-8 text; save it as UTF-8."
+        ) from None
+    if "\0" in text:
+        raise SceneError(f"{path}: the file is binary; a {kind} is UTF-8 text.")
+    return text
+
+
+def _similar(path: Path) -> str:
+    """A sentence with the scene file in the same folder that has the most similar name, or an empty text."""
+    try:
+        near = nearest(path.name, [each.name for each in path.parent.glob("*.y*ml")])
+    except OSError:
+        near = None
+    return f" Did you mean {path.parent / near}?" if near else ""
+
+
+# Overrides from the command line, `key.path=value`, applied to the tree before validation
 
 SINGLE_ITEMS = ("motion",)
 """Keys with a list, or with one of its items in place of the list. Resolved scenes have the list; with both
@@ -52,10 +169,10 @@ SHORT_LAWS = [["contact", slot] for slot in SLOTS]
 
 
 class _Refused(Exception):
-    """An override that does not fit the scene; the message of the exception is the error message."""
+    """An override that does not fit the scene; its text is the error message."""
 
 
-def apply(document: Document, override: str) -> list[Problem]:
+def _apply_override(document: Document, override: str) -> list[Problem]:
     """Apply one override to the document; return its problems.
 
     `override`: key.path=value, where the value is YAML and list items have indices from 0. Missing parents
@@ -114,9 +231,10 @@ def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePos
     if keys[depth - 1] in SINGLE_ITEMS and len(items) == 1 and not index.isdigit():
         return replace(node, items=[_with(items[0], keys, value, position, depth)])
     if not (index.isascii() and index.isdigit() and int(index) < len(items)):
-        numbers = (
-            f"items 0 to {len(items) - 1}" if len(items) > 1 else f"{len(items)} item" + "s" * (not items)
-        )
+        if len(items) > 1:
+            numbers = f"items 0 to {len(items) - 1}"
+        else:
+            numbers = "1 item" if items else "0 items"
         raise _Refused(f"{dotted(keys[:depth])} is a list of {numbers}, so the index {index} is invalid.")
     items[int(index)] = _with(items[int(index)], keys, value, position, depth + 1)
     return replace(node, items=items)
@@ -135,207 +253,13 @@ def _new_part(
 
     Raises _Refused for an unknown part.
     """
-    if model_at(SceneInput, tuple(keys[: depth + 1])) is None or (
-        depth and model_at(SceneInput, tuple(keys[:depth])) is None
-    ):
-        known = list(entries) if depth else list(SceneInput.model_fields)
-        parent, fault = (
-            (f"keys in {dotted(keys[:depth])}", "in the scene") if depth else ("known keys", "a known key")
-        )
-        remedy = suggestion_or_list(keys[depth], known, parent)
-        raise _Refused(
-            f"{dotted(keys[: depth + 1])} is not {fault}. {remedy.rstrip('.')}".rstrip() + _dot(remedy)
-        )
-    return Node(position, entries={})
-
-
-def _dot(text: str) -> str:
-    return "" if text.endswith("?") else "."
-
-
-# Consistency checks within and between the parts of a scene.
-#
-# Each check is a function from a `PartialScene` to faults. `_CHECKS` lists the sections that must be
-# complete before a check runs, so that one mistake does not cause consequential messages.
-
-_MAX_ENTRIES = {
-    "materials": 50,
-    "pairs": 1275,
-    "walls": 1000,
-    "particles": 100,
-    "outlets": 50,
-    "stages": 1000,
-    "expect": 1000,
-}
-"""Largest number of entries of each section: the cost of some checks grows with its square."""
-_CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]], ...] = (
-    ((), pairs.materials_exist),
-    ((), pairs.material_names),
-    (("particles",), pairs.possible_contacts_have_a_pair),
-    (("contact",), pairs.pair_options),
-    (("contact",), pairs.restitution),
-    (("stages",), stages.stage_names),
-    (("stages", "run"), stages.duration),
-    (("gravity",), stages.gamma_requires_gravity),
-    (("run",), stages.force_controlled_walls),
-    ((), regions.some_particles),
-    (("domain",), regions.inside_domain),
-    (("domain", "particles", "output"), regions.lees_edwards),
-    (("domain", "run", "output"), clumps.unsupported),
-    (("contact",), liquid.transfer),
-    (("output", "stages", "domain"), output.field_grids),
-    (("output", "gravity", "domain"), output.metrics),
-    (("output", "expect", "stages"), output.expected_names),
-    (("output", "expect", "stages"), output.expected_parts),
-    (("output", "expect", "stages"), output.expected_metrics),
-    (("output", "expect", "stages"), output.wall_forces),
-    (("stages", "walls"), output.condition_columns),
-)
-"""Sections that must be complete, and the check that needs them."""
-
-
-def consistency_problems(parts: PartialScene) -> list[Problem]:
-    """All problems within and between the parts of a scene that may be incomplete, in no particular order.
-
-    If a section has too many entries, checks between parts are omitted, because the time of some of them
-    grows with the square of the number of entries.
-    """
-    faults = list(parts.faults())
-    overfull = list(_overfull_sections(parts))
-    for needed, check in _CHECKS if not overfull else ():
-        if parts.complete.issuperset(needed):
-            faults += check(parts)
-    return [problem_at(parts.document, fault) for fault in (*faults, *overfull)]
-
-
-def _overfull_sections(parts: PartialScene) -> Iterator[Fault]:
-    """Faults of sections with more entries than _MAX_ENTRIES."""
-    for section, limit in _MAX_ENTRIES.items():
-        node = parts.document.root.child(section)
-        count = len(node.entries or node.items or ()) if node is not None else 0
-        if count > limit:
-            yield whole((section,), f"has {count} entries, but the limit is {limit}")
-
-
-_MAX_FILE_SIZE = 4 * 2**20  # bytes; reading a file of this size takes seconds
-_MAX_SHOWN = 100  # problems
-
-
-def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | None = None) -> SceneInput:
-    """The validated scene of a document; paths are relative to `folder` (default: the working directory).
-
-    The scene is not resolved: counts from masses, contents of files and `scale` are not applied yet. Raises
-    the same errors as `load`.
-    """
-    problems = list(document.problems)
-    for override in overrides:
-        problems += apply(document, override)
-    scene, found = _validated(document)
-    problems += found
-    if scene is None or problems:
-        ordered = sorted(set(problems), key=lambda problem: (problem.position.sort_key, problem.sentence))
-        raise SceneError([*map(str, ordered[:_MAX_SHOWN]), *_not_shown(ordered)])
-    scene._document = document
-    scene._folder = folder or Path()
-    return scene
-
-
-def _not_shown(problems: Sequence[Problem]) -> list[str]:
-    """A message with the number of problems that are not shown."""
-    more = len(problems) - _MAX_SHOWN
-    last = problems[-1].position
-    return [f"{last}: this is the last of {more} more problems, which are not shown."] if more > 0 else []
-
-
-def document_in(path: Path, kind: str = "scene") -> Document:
-    """The tree of a file; `kind`: what it describes, for messages.
-
-    Raises SceneError for a file that cannot be read, is not YAML 1.2, or is not a mapping.
-    """
-    try:
-        document = parse(_text(path, kind), str(path))
-    except DocumentError as error:
-        raise SceneError(str(error.problem)) from None
-    if document.root.entries is None:
-        shown = document.root.shown()
-        reason = "the file is empty" if shown == "empty" else "this is not a mapping"
-        raise SceneError(
-            f"{path}:1:1: {reason}, but a {kind} is a mapping of keys to values, such as title: My {kind}."
-        )
-    return document
-
-
-def _text(path: Path, kind: str) -> str:
-    """The text of a file.
-
-    Raises SceneError for a directory, a file that is missing, special, too large or unreadable.
-    """
-    try:
-        if path.is_dir():
-            raise SceneError(f"{path}: this is a directory; give the {kind} file in it.")
-        if path.exists() and not path.is_file():
-            raise SceneError(f"{path}: this is not a regular file; give a {kind} file.")
-        with path.open("rb") as file:
-            raw = file.read(_MAX_FILE_SIZE + 1)  # files of the kernel (/proc) report no size
-        if len(raw) > _MAX_FILE_SIZE:
-            raise SceneError(
-                f"{path}: this file is larger than {_MAX_FILE_SIZE // 2**20} MiB, too large for a {kind}."
-            )
-    except FileNotFoundError:
-        raise SceneError(f"{path}: there is no such file.{_similar(path)}") from None
-    except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise SceneError(f"{path}: the file cannot be read: {why}.") from None
-    return _decoded(raw, path, kind)
-
-
-def _similar(path: Path) -> str:
-    """A sentence with the scene file in the same folder that has the most similar name, or an empty text."""
-    try:
-        near = nearest(path.name, [each.name for each in path.parent.glob("*.y*ml")])
-    except OSError:
-        near = None
-    return f" Did you mean {path.parent / near}?" if near else ""
-
-
-def _decoded(raw: bytes, path: Path, kind: str) -> str:
-    """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for another encoding or binary
-    data."""
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise SceneError(f"{path}:1:1: the file is encoded in UTF-16; save it as UTF-8.")
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw[: error.start].count(b"\n") + 1
-        column = error.start - raw.rfind(b"\n", 0, error.start)
-        raise SceneError(
-            f"{path}:{line}:{column}: the file is not valid UTF-8 text; save it as UTF-8."
-        ) from None
-    if "\0" in text:
-        raise SceneError(f"{path}: the file is binary; a {kind} is UTF-8 text.")
-    return text
-
-
-def _validated(document: Document) -> tuple[SceneInput | None, list[Problem]]:
-    """The scene, or None if it does not satisfy the schema, and all problems of schema and consistency."""
-    data = document.root.data()
-    try:
-        scene = _resolved_law(SceneInput.model_validate(data))
-    except ValidationError as error:
-        details = error.errors(include_url=False, include_input=False)
-        parts = partial_scene_of(document, data, [each["loc"] for each in details])
-        return None, problems_of(document, details, SceneInput) + consistency_problems(parts)
-    return scene, consistency_problems(PartialScene(document, scene))
-
-
-def _resolved_law(scene: SceneInput) -> SceneInput:
-    """The scene with the parameters of the normal contact model that follow if every restitution is a number.
-
-    Example: `restitution_at` of zhou becomes constant.
-    """
-    normal = scene.contact.normal
-    has_fit = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
-    if has_fit or not normal.fixed_by_numbers():
-        return scene
-    fixed = normal.model_copy(update=normal.fixed_by_numbers())
-    return scene.model_copy(update={"contact": scene.contact.model_copy(update={"normal": fixed})})
+    parent = tuple(keys[:depth])
+    path = tuple(keys[: depth + 1])
+    is_known = model_at(SceneInput, path) is not None
+    if is_known and (not depth or model_at(SceneInput, parent) is not None):
+        return Node(position, entries={})
+    if depth:
+        remedy = suggestion_sentence(keys[depth], entries, f"keys in {dotted(parent)}")
+        raise _Refused(f"{dotted(path)} is not in the scene. {remedy}")
+    remedy = suggestion_sentence(keys[depth], SceneInput.model_fields, "known keys")
+    raise _Refused(f"{dotted(path)} is not a known key. {remedy}")

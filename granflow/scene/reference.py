@@ -1,5 +1,10 @@
-"""Example of each key of a scene: the one of its description, a value in a shipped scene, or one of its
-type."""
+"""Reference of the keys of a scene: the JSON Schema, and what `granflow schema KEY` prints.
+
+`json_schema` exports the pydantic schema. The rest of this file reads that export: `parts` and `keys` are the
+blocks and their keys, `type_text` and `range_text` describe a value in words, `example_of` gives an example,
+`places_of` finds the key that a path such as walls.belt.motion.velocity means, and `reference_of` is the text
+for a terminal. The documentation site uses the same functions.
+"""
 
 import json
 import re
@@ -17,7 +22,7 @@ from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.suggest import nearest
 from granflow.units import DIMENSIONS, Dimension
 
-# JSON Schema of scene files, for completion and validation in editors.
+# JSON Schema of scene files, for completion and validation in editors
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _TITLE = "granflow scene"
@@ -49,15 +54,19 @@ def _simplified(value: Any) -> Any:
     return {key: _simplified(each) for key, each in value.items() if key not in titles} | closed
 
 
-# Reads the JSON Schema of scenes: its parts, their keys, and the type, unit, range and default of each key.
+def clear_schema() -> None:
+    """Clear what was derived from the schema; required after a change of the schema."""
+    parts.cache_clear()
+    places.cache_clear()
+
+
+# Parts of the schema and their keys
 
 ROOT = "scene"
 """Name of the part with the keys of the first level."""
 REFERENCE = "#/$defs/"
 ANY_NAME = "NAME"
 """Placeholder of a name in a key path, such as walls.NAME.radius."""
-PLAIN_TEXT = re.compile(r"[\w./^+%°-][\w./^+%° -]*")
-"""Text that YAML does not require in quotes."""
 
 
 @dataclass(frozen=True)
@@ -160,18 +169,22 @@ def places() -> dict[str, list[str]]:
     return found
 
 
-def clear_schema() -> None:
-    """Clear what was derived from the schema; required after a change of the schema."""
-    parts.cache_clear()
-    places.cache_clear()
-
-
 def variant(part: str) -> str:
     """Key and value that select a part of a union, such as `shape: cone`; empty for other parts."""
     constants = {
         key: value["const"] for key, value in parts()[part].get("properties", {}).items() if "const" in value
     }
     return next((f"{key}: {value}" for key, value in constants.items()), "")
+
+
+def first_key(part: str) -> str:
+    """First required key of a part, which selects it in a union of parts without a key such as `kind`."""
+    schema = parts()[part]
+    return next(iter(schema.get("required") or schema["properties"]))
+
+
+PLAIN_TEXT = re.compile(r"[\w./^+%°-][\w./^+%° -]*")
+"""Text that YAML does not require in quotes."""
 
 
 def as_yaml(value: Any) -> str:
@@ -183,17 +196,14 @@ def as_yaml(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(as_yaml(each) for each in value)}]"
     if isinstance(value, dict):
-        return (
-            "{"
-            + ", ".join(f"{key}: {as_yaml(each)}" for key, each in value.items() if each is not None)
-            + "}"
-        )
-    text = str(value)
-    return (
-        text
-        if not isinstance(value, str) or PLAIN_TEXT.fullmatch(text)
-        else json.dumps(text, ensure_ascii=False)
-    )
+        entries = [f"{key}: {as_yaml(each)}" for key, each in value.items() if each is not None]
+        return "{" + ", ".join(entries) + "}"
+    if isinstance(value, str) and not PLAIN_TEXT.fullmatch(value):
+        return json.dumps(value, ensure_ascii=False)
+    return str(value)
+
+
+# Type, unit and allowed range of a value in words
 
 
 def dimension_of(schema: dict[str, Any]) -> Dimension | None:
@@ -213,10 +223,183 @@ def si_unit(dimension: Dimension) -> str:
     return "" if unit == "%" else unit
 
 
+Link = Callable[[str, str], str]
+"""Function of the name of a part and a label that returns the text for the part."""
+
+
+def plain_label(part: str, label: str) -> str:
+    """The key that selects a part, or the label."""
+    return variant(part) or label
+
+
+def type_text(schema: dict[str, Any], link: Link = plain_label) -> str:
+    """Types that a key accepts, with unit; never empty.
+
+    `link`: function of the name of a part and a label that returns the text for the part.
+    """
+    found = list(dict.fromkeys(_types(schema, link)))
+    if len(found) > 1 and any("with unit" in each for each in found):
+        found = [each for each in found if each != "number"]
+    return " or ".join(found)
+
+
+def _types(schema: dict[str, Any], link: Link) -> Iterator[str]:
+    """Types of the alternatives; a number and its text with unit are one type."""
+    options = list(alternatives(schema))
+    is_union = sum(referenced(each) is not None for each in options) > 1
+    dimensions = [each for each in map(dimension_of, options) if each is not None]
+    for each in options:
+        if part := referenced(each):
+            yield link(part, f"mapping with {first_key(part)}" if is_union else "mapping")
+        elif "prefixItems" in each:
+            yield f"list of {len(each['prefixItems'])}: {type_text(each['prefixItems'][0], link)}"
+        elif "items" in each:
+            yield f"list of {type_text(each['items'], link)}"
+        elif "patternProperties" in each:
+            inner = next(iter(each["patternProperties"].values()))
+            yield f"names, each with {type_text(inner, link)}"
+        elif each.get("type") in ("number", "integer"):
+            yield _number(each, si_unit(dimensions[0]) if dimensions else "")
+        elif "enum" in each or "const" in each:
+            yield "word"
+        elif "pattern" not in each or each["pattern"].startswith("^["):
+            yield {"string": "text", "boolean": "true or false"}[each["type"]]
+        elif not dimensions:
+            yield "number or text with unit"
+
+
+def _number(schema: dict[str, Any], unit: str) -> str:
+    """Type of a number with the SI unit."""
+    if schema["type"] == "integer":
+        return "whole number"
+    return f"number [{unit}]" if unit else "number"
+
+
+def range_text(schema: dict[str, Any]) -> str:
+    """Allowed values: bounds of numbers, words, lengths of lists, mappings beside them; empty if there is no
+    limit."""
+    found = list(dict.fromkeys(_ranges(schema)))
+    if found:
+        found += _mappings(schema)
+    return "; ".join(found)
+
+
+def _ranges(schema: dict[str, Any]) -> Iterator[str]:
+    for each in alternatives(schema):
+        yield from _bounds(each)
+        words = each.get("enum", ())
+        if "const" in each:
+            words = [each["const"]]
+        if words:
+            yield ", ".join(f"`{word}`" for word in words)
+        if "minItems" in each and "prefixItems" not in each:
+            yield f"at least {each['minItems']} item"
+        inner = list(each.get("prefixItems", ())[:1])
+        if "items" in each:
+            inner.append(each["items"])
+        for item in inner:
+            yield from _ranges(item)
+
+
+def _bounds(schema: dict[str, Any]) -> Iterator[str]:
+    """Bounds of a number."""
+    words = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most"}
+    bounds = [f"{word} {schema[key]:g}" for key, word in words.items() if key in schema]
+    text = " and ".join(bounds)
+    if text:
+        yield text
+
+
+def _mappings(schema: dict[str, Any]) -> Iterator[str]:
+    """Mappings that a key accepts, by the key that selects them: `law`: `linear`, `luding`."""
+    selected: dict[str, list[str]] = {}
+    for each in alternatives(schema):
+        if part := referenced(each):
+            key, _, word = (variant(part) or first_key(part)).partition(": ")
+            selected.setdefault(key, []).extend([f"`{word}`"] if word else [])
+    for key, words in selected.items():
+        yield f"mapping with `{key}`" + (f": {', '.join(words)}" if words else "")
+
+
+# Examples: from the description of a key, a shipped scene, or the type of the value
+
+
+def example_of(key: Key) -> str:
+    """Key and example value as YAML on one line."""
+    value = PART_EXAMPLES.get(f"{key.part}.{key.name}") or EXAMPLES.get(key.name)
+    value = value or _described(key.description) or _from_scenes(key)
+    return f"{key.name}: {value or _typical(key.schema, key.name)}"
+
+
+def _described(description: str) -> str:
+    """Example at the end of a description, after "such as"; empty without one."""
+    found = re.search(r"such as ([^;]+?)( for [a-z]+)?$", description)
+    return found[1] if found and ", or" not in found[1] and " of " not in found[1] else ""
+
+
 NO_SCENES = ("sweeps/", "calibration/")
 """Folders of shipped files that are not scenes."""
 LONGEST = 72
 """Characters of the longest example from a scene."""
+
+
+def _from_scenes(key: Key) -> str:
+    """The most frequent value in the shipped scenes, of equally frequent ones the shortest; empty if all are
+    long."""
+    found = _harvest().get((key.part, key.name), Counter())
+    short = [text for text in found if len(text) <= LONGEST]
+    return min(short, key=lambda text: (-found[text], len(text), text), default="")
+
+
+@cache
+def _harvest() -> dict[tuple[str, str], Counter[str]]:
+    """Values of all keys in the shipped scenes as YAML, by part and key.
+
+    Scenes in subfolders count only for keys that no other scene has.
+    """
+    found: dict[tuple[str, str], Counter[str]] = {}
+    scenes = {name: path for name, path in example_paths().items() if not name.startswith(NO_SCENES)}
+    for depth in (0, 1):
+        known = set(found)
+        for path in [path for name, path in scenes.items() if name.count("/") == depth]:
+            for part, name, value in _values(ROOT, YAML(typ="safe").load(path)):
+                if (part, name) not in known:
+                    found.setdefault((part, name), Counter())[as_yaml(value)] += 1
+    return found
+
+
+def _values(part: str, mapping: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Part, key and value of every key in a mapping, nested ones included."""
+    for name, schema in parts()[part].get("properties", {}).items():
+        if name in mapping:
+            yield part, name, mapping[name]
+            yield from _inside(schema, mapping[name])
+
+
+def _inside(schema: dict[str, Any], value: Any) -> Iterator[tuple[str, str, Any]]:
+    """Values of the parts that a value contains."""
+    for each in alternatives(schema):
+        part = referenced(each)
+        if part and isinstance(value, dict) and _fits(part, value):
+            yield from _values(part, value)
+            return
+        if isinstance(value, dict):
+            for inner in each.get("patternProperties", {}).values():
+                for item in value.values():
+                    yield from _inside(inner, item)
+        elif isinstance(value, list) and isinstance(each.get("items"), dict):
+            for item in value:
+                yield from _inside(each["items"], item)
+
+
+def _fits(part: str, value: dict[str, Any]) -> bool:
+    """Whether a mapping is a value of a part: its keys are known, and a key such as `kind` fits."""
+    known = parts()[part].get("properties", {})
+    return set(value) <= set(known) and all(
+        known[key].get("const", each) == each for key, each in value.items()
+    )
+
+
 TEXTS = {
     "description": "8000 glass beads discharge through the outlet.",
     "file": "parts/drum.stl",
@@ -236,6 +419,39 @@ VECTORS = {
     **dict.fromkeys(("normal", "axis", "direction"), "[0, 0, 1]"),
 }
 """Examples of lists of numbers by key."""
+
+
+def _typical(schema: dict[str, Any], key: str = "") -> str:
+    """A value of the type of a schema; `key` selects the example of text."""
+    if default := schema.get("default"):
+        return as_yaml(default)
+    options = list(alternatives(schema))
+    first = options[0]
+    for each in options:
+        if dimension := dimension_of(each):
+            return dimension.example
+    if part := referenced(first):
+        return _mapping(part)
+    if "const" in first or "enum" in first:
+        return str(first.get("const") or first["enum"][0])
+    if "prefixItems" in first:
+        return VECTORS.get(key) or f"[{', '.join(_typical(each) for each in first['prefixItems'])}]"
+    if "items" in first:
+        return f"[{_typical(first['items'], key)}]"
+    if "patternProperties" in first:
+        return f"{{first: {_typical(next(iter(first['patternProperties'].values())))}}}"
+    return {"boolean": "true", "integer": "100", "number": "0.5", "string": TEXTS.get(key, "glass")}[
+        first["type"]
+    ]
+
+
+def _mapping(part: str) -> str:
+    """A mapping with the required keys of a part."""
+    schema = parts()[part]
+    required = [name for name in schema["properties"] if name in schema.get("required", ())]
+    return "{" + ", ".join(f"{name}: {_typical(schema['properties'][name], name)}" for name in required) + "}"
+
+
 EXAMPLES = {
     "expect": "[{quantity: particle_count, equals: 8000, tolerance: 0}]",
     "phase": "90 deg",
@@ -345,106 +561,7 @@ PART_EXAMPLES = {
 """Examples by part and key where neither the shipped scenes nor the type give a realistic value."""
 
 
-def example_of(key: Key) -> str:
-    """Key and example value as YAML on one line."""
-    value = PART_EXAMPLES.get(f"{key.part}.{key.name}") or EXAMPLES.get(key.name)
-    value = value or _described(key.description) or _from_scenes(key)
-    return f"{key.name}: {value or _typical(key.schema, key.name)}"
-
-
-def _described(description: str) -> str:
-    """Example at the end of a description, after "such as"; empty without one."""
-    found = re.search(r"such as ([^;]+?)( for [a-z]+)?$", description)
-    return found[1] if found and ", or" not in found[1] and " of " not in found[1] else ""
-
-
-def _from_scenes(key: Key) -> str:
-    """The most frequent value in the shipped scenes, of equally frequent ones the shortest; empty if all are
-    long."""
-    found = _harvest().get((key.part, key.name), Counter())
-    short = [text for text in found if len(text) <= LONGEST]
-    return min(short, key=lambda text: (-found[text], len(text), text), default="")
-
-
-@cache
-def _harvest() -> dict[tuple[str, str], Counter[str]]:
-    """Values of all keys in the shipped scenes as YAML, by part and key; subfolders count if no other scene
-    has it."""
-    found: dict[tuple[str, str], Counter[str]] = {}
-    scenes = {name: path for name, path in example_paths().items() if not name.startswith(NO_SCENES)}
-    for depth in (0, 1):
-        known = set(found)
-        for path in (path for name, path in scenes.items() if name.count("/") == depth):
-            for part, name, value in _values(ROOT, YAML(typ="safe").load(path)):
-                if (part, name) not in known:
-                    found.setdefault((part, name), Counter())[as_yaml(value)] += 1
-    return found
-
-
-def _values(part: str, mapping: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Part, key and value of every key in a mapping, nested ones included."""
-    for name, schema in parts()[part].get("properties", {}).items():
-        if name in mapping:
-            yield part, name, mapping[name]
-            yield from _inside(schema, mapping[name])
-
-
-def _inside(schema: dict[str, Any], value: Any) -> Iterator[tuple[str, str, Any]]:
-    """Values of the parts that a value contains."""
-    for each in alternatives(schema):
-        part = referenced(each)
-        if part and isinstance(value, dict) and _fits(part, value):
-            yield from _values(part, value)
-            return
-        if isinstance(value, dict):
-            for inner in each.get("patternProperties", {}).values():
-                for item in value.values():
-                    yield from _inside(inner, item)
-        elif isinstance(value, list) and isinstance(each.get("items"), dict):
-            for item in value:
-                yield from _inside(each["items"], item)
-
-
-def _fits(part: str, value: dict[str, Any]) -> bool:
-    """Whether a mapping is a value of a part: its keys are known, and a key such as `kind` fits."""
-    known = parts()[part].get("properties", {})
-    return set(value) <= set(known) and all(
-        known[key].get("const", each) == each for key, each in value.items()
-    )
-
-
-def _typical(schema: dict[str, Any], key: str = "") -> str:
-    """A value of the type of a schema; `key` selects the example of text."""
-    if default := schema.get("default"):
-        return as_yaml(default)
-    options = list(alternatives(schema))
-    first = options[0]
-    for each in options:
-        if dimension := dimension_of(each):
-            return dimension.example
-    if part := referenced(first):
-        return _mapping(part)
-    if "const" in first or "enum" in first:
-        return str(first.get("const") or first["enum"][0])
-    if "prefixItems" in first:
-        return VECTORS.get(key) or f"[{', '.join(_typical(each) for each in first['prefixItems'])}]"
-    if "items" in first:
-        return f"[{_typical(first['items'], key)}]"
-    if "patternProperties" in first:
-        return f"{{first: {_typical(next(iter(first['patternProperties'].values())))}}}"
-    return {"boolean": "true", "integer": "100", "number": "0.5", "string": TEXTS.get(key, "glass")}[
-        first["type"]
-    ]
-
-
-def _mapping(part: str) -> str:
-    """A mapping with the required keys of a part."""
-    schema = parts()[part]
-    required = [name for name in schema["properties"] if name in schema.get("required", ())]
-    return "{" + ", ".join(f"{name}: {_typical(schema['properties'][name], name)}" for name in required) + "}"
-
-
-# Finds keys and parts of a scene by a path such as walls.belt.motion.velocity or run.time_step.
+# Keys by path, such as run.time_step
 
 
 @dataclass(frozen=True)
@@ -505,8 +622,9 @@ def _walk(place: Place, words: Sequence[str]) -> Iterator[Place]:
 
 def _at(place: Place, key: Key) -> Place:
     """The place of a key of the first part of `place`."""
-    inner = tuple(dict.fromkeys(part for part in _parts_of(key.schema)))
-    return Place(f"{place.path}.{key.name}{_suffix(key.schema)}".lstrip("."), key, inner)
+    suffix = f".{ANY_NAME}" if _has_names(key.schema) else ""
+    inner = tuple(dict.fromkeys(_parts_of(key.schema)))
+    return Place(f"{place.path}.{key.name}{suffix}".lstrip("."), key, inner)
 
 
 def _parts_of(schema: dict[str, Any]) -> Iterator[str]:
@@ -515,18 +633,14 @@ def _parts_of(schema: dict[str, Any]) -> Iterator[str]:
         if part := referenced(each):
             yield part
         inner = [*each.get("patternProperties", {}).values(), *each.get("prefixItems", ())]
-        inner += [each["items"]] if isinstance(each.get("items"), dict) else []
-        for one in inner:
-            yield from _parts_of(one)
+        if isinstance(each.get("items"), dict):
+            inner.append(each["items"])
+        for item in inner:
+            yield from _parts_of(item)
 
 
 def _has_names(schema: dict[str, Any]) -> bool:
     return any("patternProperties" in each for each in alternatives(schema))
-
-
-def _suffix(schema: dict[str, Any]) -> str:
-    """What follows the key in a path: .NAME for names; empty otherwise."""
-    return ".NAME" if _has_names(schema) else ""
 
 
 def _merged(found: Sequence[Place]) -> list[Place]:
@@ -538,109 +652,7 @@ def _merged(found: Sequence[Place]) -> list[Place]:
     return list(merged.values())
 
 
-# Type, unit and allowed range of the value of a key in words, from its JSON Schema.
-
-Link = Callable[[str, str], str]
-"""Function of the name of a part and a label that returns the text for the part."""
-
-
-def plain_label(part: str, label: str) -> str:
-    """The key that selects a part, or the label."""
-    return variant(part) or label
-
-
-def type_text(schema: dict[str, Any], link: Link = plain_label) -> str:
-    """Types that a key accepts, with unit; never empty.
-
-    `link`: function of the name of a part and a label that returns the text for the part.
-    """
-    found = list(dict.fromkeys(_types(schema, link)))
-    if len(found) > 1:
-        found = (
-            [each for each in found if each != "number"]
-            if any("with unit" in each for each in found)
-            else found
-        )
-    return " or ".join(found)
-
-
-def range_text(schema: dict[str, Any]) -> str:
-    """Allowed values: bounds of numbers, words, lengths of lists, mappings beside them; empty if there is no
-    limit."""
-    found = list(dict.fromkeys(_ranges(schema)))
-    return "; ".join([*found, *_mappings(schema)] if found else found)
-
-
-def first_key(part: str) -> str:
-    """First required key of a part, which selects it in a union of parts without a key such as `kind`."""
-    schema = parts()[part]
-    return next(iter(schema.get("required") or schema["properties"]))
-
-
-def _types(schema: dict[str, Any], link: Link) -> Iterator[str]:
-    """Types of the alternatives; a number and its text with unit are one type."""
-    options = list(alternatives(schema))
-    is_union = sum(referenced(each) is not None for each in options) > 1
-    dimensions = [each for each in map(dimension_of, options) if each is not None]
-    for each in options:
-        if part := referenced(each):
-            yield link(part, f"mapping with {first_key(part)}" if is_union else "mapping")
-        elif "prefixItems" in each:
-            yield f"list of {len(each['prefixItems'])}: {type_text(each['prefixItems'][0], link)}"
-        elif "items" in each:
-            yield f"list of {type_text(each['items'], link)}"
-        elif "patternProperties" in each:
-            inner = next(iter(each["patternProperties"].values()))
-            yield f"names, each with {type_text(inner, link)}"
-        elif each.get("type") in ("number", "integer"):
-            yield _number(each, si_unit(dimensions[0]) if dimensions else "")
-        elif "enum" in each or "const" in each:
-            yield "word"
-        elif "pattern" not in each or each["pattern"].startswith("^["):
-            yield {"string": "text", "boolean": "true or false"}[each["type"]]
-        elif not dimensions:
-            yield "number or text with unit"
-
-
-def _number(schema: dict[str, Any], unit: str) -> str:
-    """Type of a number with the SI unit."""
-    if schema["type"] == "integer":
-        return "whole number"
-    return f"number [{unit}]" if unit else "number"
-
-
-def _ranges(schema: dict[str, Any]) -> Iterator[str]:
-    for each in alternatives(schema):
-        yield from _bounds(each)
-        if words := each.get("enum") or ([each["const"]] if "const" in each else []):
-            yield ", ".join(f"`{word}`" for word in words)
-        if "minItems" in each and "prefixItems" not in each:
-            yield f"at least {each['minItems']} item"
-        for inner in [*each.get("prefixItems", ())[:1], *([each["items"]] if "items" in each else [])]:
-            yield from _ranges(inner)
-
-
-def _mappings(schema: dict[str, Any]) -> Iterator[str]:
-    """Mappings that a key accepts, by the key that selects them: `law`: `linear`, `luding`."""
-    selected: dict[str, list[str]] = {}
-    for each in alternatives(schema):
-        if part := referenced(each):
-            key, _, word = (variant(part) or first_key(part)).partition(": ")
-            selected.setdefault(key, []).extend([f"`{word}`"] if word else [])
-    for key, words in selected.items():
-        yield f"mapping with `{key}`" + (f": {', '.join(words)}" if words else "")
-
-
-def _bounds(schema: dict[str, Any]) -> Iterator[str]:
-    """Bounds of a number."""
-    low, above, high = (schema.get(key) for key in ("minimum", "exclusiveMinimum", "maximum"))
-    words = [("at least", low), ("above", above), ("at most", high)]
-    text = " and ".join(f"{word} {bound:g}" for word, bound in words if bound is not None)
-    if text:
-        yield text
-
-
-# Text of the reference of scene keys for a terminal: one key, or the keys of a block.
+# Text for a terminal
 
 WIDTH = 100
 """Characters of a line."""
@@ -649,8 +661,7 @@ MOST_VARIANTS = 1
 
 
 def reference_of(path: str) -> str:
-    """Type, unit, default, range, example and meaning of a key, and the keys of the block to which a path
-    leads.
+    """Text on the key to which a path leads: meaning, type, unit, range, default, example, and keys below it.
 
     Raises KeyError with a sentence if there is no such key.
     """
@@ -669,13 +680,12 @@ def _lines(place: Place) -> Iterator[str]:
     elif len(place.parts) != MOST_VARIANTS or not variant(place.parts[0]):
         yield place.path or ROOT
     if len(place.parts) > MOST_VARIANTS:
-        yield from (
-            "",
-            f"Add one of these to the path to list its keys, such as {place.path}.{_name(place.parts[0])}:",
-        )
+        yield ""
+        yield f"Add one of these to the path to list its keys, such as {place.path}.{_name(place.parts[0])}:"
         yield from _columns([(_name(part), _first_sentence(part)) for part in place.parts])
-    for part in place.parts if len(place.parts) <= MOST_VARIANTS else ():
-        yield from _part_lines(place, part)
+    else:
+        for part in place.parts:
+            yield from _part_lines(place, part)
 
 
 def _key_lines(key: Key, path: str) -> Iterator[str]:
@@ -695,15 +705,16 @@ def _part_lines(place: Place, part: str) -> Iterator[str]:
     if variant(part):
         yield f"{place.path} with {variant(part)}".strip()
     description = "" if part == ROOT else str(parts()[part].get("description", ""))
-    yield from (
-        "",
-        *(f"  {line}".rstrip() for line in description.splitlines()),
-        *([""] if description else []),
-    )
+    yield ""
+    if description:
+        yield from (f"  {line}".rstrip() for line in description.splitlines())
+        yield ""
     rows = []
     for key in keys(part):
-        default = "; required" if key.is_required else f"; default: {key.default}"
-        default = "" if "default:" in key.description else default
+        if "default:" in key.description:
+            default = ""
+        else:
+            default = "; required" if key.is_required else f"; default: {key.default}"
         rows.append((key.name, f"{_plain(type_text(key.schema))}{default}. {key.description}"))
     yield from _columns(rows)
 
@@ -714,7 +725,8 @@ def _name(part: str) -> str:
 
 
 def _first_sentence(part: str) -> str:
-    return str(parts()[part].get("description", "")).partition("\n")[0]
+    """The first paragraph of the description of a part, on one line."""
+    return " ".join(str(parts()[part].get("description", "")).partition("\n\n")[0].split())
 
 
 def _plain(text: str) -> str:

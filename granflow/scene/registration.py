@@ -1,4 +1,7 @@
-"""Registration of contact models from outside the package."""
+"""Registration of contact models from outside the package.
+
+A model is checked, added to the registry of contact models, and becomes a value of `contact` in the schema.
+"""
 
 from collections.abc import Iterator
 from inspect import unwrap
@@ -8,15 +11,11 @@ from granflow.contact import registry
 from granflow.contact.law import SLOTS, Amount, Choice, ContactModel
 from granflow.device_functions import run_time_branches, source_lines
 from granflow.errors import GranflowError
-from granflow.scene import partial
-from granflow.scene import reference as schema_keys
+from granflow.scene import partial, reference
 from granflow.scene.blocks import contact, materials
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.model import Model
 from granflow.units import DIMENSIONS
-
-VECTORIZED = ("force", "torque", "limit", "tangential_stiffness", "damping", "attraction")
-"""Device functions that are evaluated for many contacts at once."""
 
 
 def register_contact_model(model: ContactModel) -> None:
@@ -50,6 +49,13 @@ def register_contact_model(model: ContactModel) -> None:
     _use_registry()
 
 
+def _amounts(model: ContactModel) -> Iterator[Amount]:
+    """The numbers that the options and pair options of a model declare."""
+    yield from (option.amount for option in model.pair_options)
+    for option in model.options.values():
+        yield from option.keyed.values() if isinstance(option, Choice) else [option]
+
+
 def _refuse_without_source(model: ContactModel) -> None:
     """Raise GranflowError if the text of a device function is not available, which the kernel language
     compiles."""
@@ -60,31 +66,29 @@ def _refuse_without_source(model: ContactModel) -> None:
             raise GranflowError(f"contact model {model.law.__name__}: {error}") from None
 
 
+VECTORIZED = ("force", "torque", "limit", "tangential_stiffness", "damping", "attraction")
+"""Device functions that are evaluated for many contacts at once."""
+
+
 def _refuse_branches(model: ContactModel) -> None:
-    """Raise GranflowError for a branch in a function of a vectorized loop, or a called function without
-    source."""
+    """Raise GranflowError for a branch in a vectorized function, or a called function without source."""
     if not getattr(model.law, "branch_free", True):
         return
-    for name in [each for each in VECTORIZED if hasattr(model.law, each)]:
+    for name in VECTORIZED:
+        if not hasattr(model.law, name):
+            continue
         try:
-            places = [*run_time_branches(getattr(model.law, name))]
+            places = list(run_time_branches(getattr(model.law, name)))
         except ValueError as error:
             raise GranflowError(f"contact model {model.law.__name__}: {error}") from None
         if places:
-            remedy = "use ti.select" + (
-                ", or set branch_free = False" if hasattr(model.law, "branch_free") else ""
-            )
+            remedy = "use ti.select"
+            if hasattr(model.law, "branch_free"):
+                remedy += ", or set branch_free = False"
             raise GranflowError(
                 f"contact model {model.law.__name__}: {places[0]}: {name} has a branch that depends on the "
                 f"contact, in a loop that must be vectorized; {remedy}"
             )
-
-
-def _amounts(model: ContactModel) -> Iterator[Amount]:
-    """The numbers that the options and pair options of a model declare."""
-    yield from (option.amount for option in model.pair_options)
-    for option in model.options.values():
-        yield from option.keyed.values() if isinstance(option, Choice) else [option]
 
 
 def unregister_contact_model(model: ContactModel) -> None:
@@ -106,4 +110,4 @@ def _use_registry() -> None:
     for block in blocks:
         block.model_rebuild(force=True)
     partial.clear_schema()
-    schema_keys.clear_schema()
+    reference.clear_schema()

@@ -1,4 +1,4 @@
-"""Suggestions for unknown names, and the tables of renamed keys and of names in other codes.
+"""Suggestions for unknown names: renamed keys, names in other codes, and similar names.
 
 Similarity is that of difflib (Ratcliff and Obershelp), between 0 and 1.
 """
@@ -7,6 +7,40 @@ import difflib
 from collections.abc import Iterable
 
 _CLOSE = 0.6  # similarity from which a name is suggested
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The known name that a word probably means; None without one.
+
+    In this order: the present name of a renamed key, a synonym, the name with the most similar letters.
+    """
+    names = list(known)
+    matches = difflib.get_close_matches(word, names, n=1, cutoff=_CLOSE)
+    return renamed(word, names) or synonym(word, names) or next(iter(matches), None)
+
+
+def suggestion_or_list(word: str, known: Iterable[str], kind: str) -> str:
+    """Remedy for an unknown word: its new name, the closest known word, or a list of all known words.
+
+    `kind`: plural noun for the list. The list is a sentence without a period.
+    """
+    names = list(known)
+    if new := renamed(word, names):
+        return f"{word} was renamed to {new}."
+    match = nearest(word, names)
+    if match:
+        return f"Did you mean {match}?"
+    return f"The {kind} are {', '.join(names)}" if names else f"There are no {kind}"
+
+
+def suggestion_sentence(word: str, known: Iterable[str], kind: str) -> str:
+    """As `suggestion_or_list`, with a period unless it is a question."""
+    remedy = suggestion_or_list(word, known, kind)
+    return remedy if remedy.endswith(("?", ".")) else f"{remedy}."
+
+
+# Renamed keys
+
 RENAMED_KEYS = {
     "adhesion": "cohesion",
     "any_size": "any_scale",
@@ -34,6 +68,16 @@ RENAMED_KEYS = {
     "velocity_along": "flow",
 }
 """Keys and values of version 0.1, and their present names."""
+
+
+def renamed(word: str, known: Iterable[str]) -> str | None:
+    """The present name of a renamed key, if it is one of the known names; None otherwise."""
+    new = RENAMED_KEYS.get(word)
+    return new if new in list(known) else None
+
+
+# Names in other codes
+
 SYNONYMS: dict[str, tuple[str, ...]] = {
     "ball": ("particles",),
     "belt": ("surface_velocity", "motion"),
@@ -110,40 +154,3 @@ def synonym(word: str, known: Iterable[str]) -> str | None:
     names = list(known)
     plain = "".join(letter for letter in word.lower() if letter.isalnum())
     return next((name for name in SYNONYMS.get(plain, ()) if name in names), None)
-
-
-def renamed(word: str, known: Iterable[str]) -> str | None:
-    """The present name of a renamed key, if it is one of the known names; None otherwise."""
-    new = RENAMED_KEYS.get(word)
-    return new if new in list(known) else None
-
-
-def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The present name of a renamed key, the name of a synonym, or the known name closest to the word, if one
-    is close.
-
-    None otherwise.
-    """
-    names = list(known)
-    matches = difflib.get_close_matches(word, names, n=1, cutoff=_CLOSE)
-    return renamed(word, names) or synonym(word, names) or (matches[0] if matches else None)
-
-
-def suggestion_or_list(word: str, known: Iterable[str], kind: str) -> str:
-    """Remedy for an unknown word: its new name, the closest known word, or a list of all known words.
-
-    `kind`: plural noun for the list. The list is a sentence without a period.
-    """
-    names = list(known)
-    if new := renamed(word, names):
-        return f"{word} was renamed to {new}."
-    match = nearest(word, names)
-    if match:
-        return f"Did you mean {match}?"
-    return f"The {kind} are {', '.join(names)}" if names else f"There are no {kind}"
-
-
-def suggestion_sentence(word: str, known: Iterable[str], kind: str) -> str:
-    """As `suggestion_or_list`, with a period unless it is a question."""
-    remedy = suggestion_or_list(word, known, kind)
-    return remedy if remedy.endswith(("?", ".")) else f"{remedy}."

@@ -1,16 +1,19 @@
-"""Validated YAML files other than scenes, such as sweeps: positions, suggestions, all problems at once."""
+"""Validated YAML files other than scenes, such as sweeps.
 
-from collections.abc import Iterable, Mapping
+They get the same messages as scenes: with positions and suggestions, and all problems at once.
+"""
+
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
 from granflow.errors import FileError, SceneError
-from granflow.scene.document import Document, Problem, document_of
+from granflow.scene.document import Document, document_of
 from granflow.scene.messages import problem_at, problems_of
 from granflow.scene.model import Model, faults_of
-from granflow.scene.reader import document_in
+from granflow.scene.reader import document_in, in_file_order
 
 M = TypeVar("M", bound=Model)
 
@@ -35,10 +38,7 @@ def validated_file(path: Path, schema: type[M], kind: str) -> tuple[M, Document]
 
 
 def validated_mapping(data: Mapping[str, Any], schema: type[M]) -> tuple[M, Document]:
-    """The content of a mapping with the keys of such a file; the positions in messages are key paths.
-
-    Raises FileError with all problems.
-    """
+    """As `validated_file`, for a mapping with the keys of such a file; its positions are key paths."""
     document = document_of(data)
     return validated(document, schema), document
 
@@ -53,10 +53,5 @@ def validated(document: Document, schema: type[M]) -> M:
     except ValidationError as error:
         problems += problems_of(document, error.errors(include_url=False, include_input=False), schema)
     if content is None or problems:
-        raise FileError(map(str, _ordered(problems)))
+        raise FileError(map(str, in_file_order(problems)))
     return content
-
-
-def _ordered(problems: Iterable[Problem]) -> list[Problem]:
-    """The problems in the order of the file, each once."""
-    return sorted(set(problems), key=lambda problem: (problem.position.sort_key, problem.sentence))

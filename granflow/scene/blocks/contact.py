@@ -1,4 +1,9 @@
-"""Schema of `contact`, generated from the options of the registered contact models."""
+"""Schema of the block `contact`, generated from the options of the registered contact models.
+
+`Contact` has one key per slot of the registry: normal, tangential, rolling, twisting, cohesion. The value is
+the name of a model, or a mapping with the key `law` and the options of the model. The schema class of a model
+with options is created here; its fields follow from the `Amount` and `Choice` records of the model.
+"""
 
 from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, Literal, Union
@@ -34,8 +39,11 @@ class LawSettings(Model):
 
     def fixed_by_numbers(self) -> dict[str, str]:
         """Options, by key, that take a fixed value if the restitution of every pair is a number."""
-        choices = {key: each for key, each in self.record.options.items() if isinstance(each, Choice)}
-        return {key: each.with_numbers for key, each in choices.items() if each.with_numbers is not None}
+        return {
+            key: option.with_numbers
+            for key, option in self.record.options.items()
+            if isinstance(option, Choice) and option.with_numbers is not None
+        }
 
 
 class Contact(Model):
@@ -44,12 +52,12 @@ class Contact(Model):
     Normal force, tangential force (friction), rolling and twisting torque, cohesion; friction coefficients
     are properties of the pairs.
 
-    >>> normal = {"law": "linear", "stiffness": "onset"}
-    >>> gf.Contact(normal=normal, tangential="mindlin", rolling="none").name("normal")
+    >>> linear = {"law": "linear", "stiffness": "onset"}
+    >>> gf.Contact(normal=linear, tangential="mindlin", rolling="none").name("normal")
     'linear'
     """
 
-    # the values of each key follow from the registered models, see `use_registry`
+    # `use_registry` replaces these types by those of the registered models.
     normal: LawSettings
     tangential: str | LawSettings
     rolling: str | LawSettings
@@ -70,15 +78,14 @@ class Contact(Model):
         return {key: option.default for key, option in model.options.items()} if model else {}
 
 
-OPTIONAL = ("twisting", "cohesion")
-"""Slots that a scene may omit: they have no model."""
-_LAST_WORDS = {"cohesion": ", with any normal contact model"}
-"""End of the description of a slot."""
+# The keys of the slots
 
 
 def use_registry() -> None:
-    """Set the fields of `contact` to the registered models; a schema that is built must be rebuilt
-    afterwards."""
+    """Set the fields of `contact` to the registered models.
+
+    A schema that is built must be rebuilt afterwards.
+    """
     for slot in SLOTS:
         annotation, field = _normal() if slot == "normal" else _slot(slot)
         Contact.__pydantic_fields__[slot] = FieldInfo.from_annotated_attribute(annotation, field)
@@ -98,6 +105,12 @@ def _normal() -> tuple[Any, Any]:
     return annotation, Field(description=description)
 
 
+OPTIONAL = ("twisting", "cohesion")
+"""Slots that a scene may omit: they have no model."""
+_LAST_WORDS = {"cohesion": ", with any normal contact model"}
+"""End of the description of a slot."""
+
+
 def _slot(slot: str) -> tuple[Any, Any]:
     """Annotation and field of another slot: a name if no option is required, or a mapping for a model with
     options."""
@@ -114,9 +127,9 @@ def _slot(slot: str) -> tuple[Any, Any]:
         reason = f"it must be {_either([*words, *examples])}"
         annotation = Annotated[Union[tuple(members)], choose_by(_slot_tagger(words, mappings), reason)]  # noqa: UP007
     description = _either([*texts, *examples]) + _LAST_WORDS.get(slot, "")
-    return annotation, Field("none", description=description) if slot in OPTIONAL else Field(
-        description=description
-    )
+    if slot in OPTIONAL:
+        return annotation, Field("none", description=description)
+    return annotation, Field(description=description)
 
 
 def _slot_tagger(words: tuple[str, ...], models: dict[str, type[LawSettings]]) -> Callable[[Any], str | None]:
@@ -129,6 +142,9 @@ def _slot_tagger(words: tuple[str, ...], models: dict[str, type[LawSettings]]) -
         return f"<law {name}>" if name in models else None
 
     return tag
+
+
+# The schema class of a model, and the types of its options
 
 
 def _model(model: ContactModel) -> type[LawSettings]:
@@ -168,6 +184,23 @@ def _annotation(setting: Option, name: str) -> Any:
     return Annotated[Union[tuple(members)], by]  # noqa: UP007
 
 
+def _tagger(words: tuple[str, ...], models: dict[str, type[Model]]) -> Callable[[Any], str | None]:
+    """Function that returns the tag of a parameter value: its word, or the key of its mapping.
+
+    None if neither matches.
+    """
+
+    def tag(value: Any) -> str | None:
+        if isinstance(value, str):
+            return f"<{value}>" if value in words else None
+        for key, model in models.items():
+            if isinstance(value, model) or (isinstance(value, dict) and key in value):
+                return f"<{key}>"
+        return None
+
+    return tag
+
+
 def _keyed(key: str, amount: Amount, name: str) -> type[Model]:
     """The schema class of a parameter value that is a mapping with a single key and a number."""
     fields: dict[str, Any] = {key: (_annotation(amount, name), _field(amount))}
@@ -184,23 +217,6 @@ def _either(texts: list[str]) -> str:
     """The texts as a list in a sentence."""
     *first, last = texts
     return f"{', '.join(first)} or {last}" if first else last
-
-
-def _tagger(words: tuple[str, ...], models: dict[str, type[Model]]) -> Callable[[Any], str | None]:
-    """Function that returns the tag of a parameter value: its word, or the key of its mapping.
-
-    None if neither matches.
-    """
-
-    def tag(value: Any) -> str | None:
-        if isinstance(value, str):
-            return f"<{value}>" if value in words else None
-        for key, model in models.items():
-            if isinstance(value, model) or (isinstance(value, dict) and key in value):
-                return f"<{key}>"
-        return None
-
-    return tag
 
 
 def _camel(name: str) -> str:

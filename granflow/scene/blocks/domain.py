@@ -1,4 +1,7 @@
-"""Schema of the block `domain`: the simulated box and its boundaries."""
+"""Schema of the blocks `domain` and `outlets`: the simulated box, its boundaries, and where particles leave.
+
+A particle leaves at the boundary of the domain (`on_exit`), or in an outlet, which deletes and counts it.
+"""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
@@ -12,6 +15,8 @@ from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.shapes import Box
 from granflow.scene.faults import Fault
 from granflow.scene.model import ListOf, Model, choose_by_first_key
+
+# Block `domain`
 
 Axis = Literal["x", "y", "z"]
 ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
@@ -88,7 +93,7 @@ class Domain(Box):
                 yield Fault(("lees_edwards", key), reason)
 
 
-# Schema of the block `outlets`: regions in which particles are deleted and counted.
+# Block `outlets`: regions in which particles are deleted and counted
 
 
 class HalfSpaceGiven(Model):

@@ -1,4 +1,8 @@
-"""Schema of materials and material pairs."""
+"""Schema of the blocks `materials` and `pairs`: properties of one material, and of two in contact.
+
+A preset supplies the values of a material, or of a restitution that depends on velocity. Contact models
+declare further keys of pairs (`PairOption`), which `use_registry` adds to `MaterialPair`.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -15,13 +19,13 @@ from granflow.scene.faults import value_error
 from granflow.scene.model import Model, Text, choose_by, pair_list, required_unless
 from granflow.scene.suggest import suggestion_or_list
 
-# Material presets, each with its source.
+# Block `materials`
 
-_ZHOU = (
-    "Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011), Figs. 3-4, after Stevens & Hrenya, Powder Technol. "
-    "154, 99 (2005)"
-)
-_GLASS = "soda-lime silicate glass, EN 572-1: Young's modulus 70 GPa, Poisson ratio 0.2, density 2500 kg/m3"
+YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above=0)]
+YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
+PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
+_OPTIONAL = ("yield_strength", "restitution_fit")
+"""Keys of a material whose empty value removes the value of the preset."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,11 @@ class Preset:
     source: str
 
 
+_ZHOU = (
+    "Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011), Figs. 3-4, after Stevens & Hrenya, Powder Technol. "
+    "154, 99 (2005)"
+)
+_GLASS = "soda-lime silicate glass, EN 572-1: Young's modulus 70 GPa, Poisson ratio 0.2, density 2500 kg/m3"
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "stainless_316": Preset(193e9, 0.35, 8030.0, 0.310e9, (3.0432, 0.540), _ZHOU),
@@ -48,11 +57,6 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
     }
 )
 """Materials by the name that `preset` of a material accepts."""
-YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above=0)]
-YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
-PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
-RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
-FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
 
 
 def _preset_name(given: Any, known: Iterable[str], kind: str) -> str | None:
@@ -67,12 +71,6 @@ def _preset_name(given: Any, known: Iterable[str], kind: str) -> str | None:
     raise value_error(
         f"this is not one of the {kind}. {suggestion_or_list(str(name), known, kind)}", "preset"
     )
-
-
-_OPTIONAL = (
-    "yield_strength",
-    "restitution_fit",
-)  # keys of a material: an empty value removes the value of the preset
 
 
 class Material(Model):
@@ -125,6 +123,12 @@ class Material(Model):
         return self.young_modulus / (2 * (1 + self.poisson_ratio))
 
 
+# Block `pairs`
+
+RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
+FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
+
+
 class RestitutionFit(Model):
     """Restitution that decreases with the impact velocity v [m/s] (Zhou 2011, Eq. 12).
 
@@ -155,16 +159,17 @@ class RestitutionFit(Model):
         return given if name is None else dict(zip(("sigma", "psi"), fits[name], strict=True)) | given
 
 
+def _restitution_tag(given: Any) -> str:
+    if given is None:
+        return "<none>"
+    return "<fit>" if isinstance(given, dict | RestitutionFit) else "<number>"
+
+
 Restitution = Annotated[
     Annotated[RestitutionNumber, Tag("<number>")]
     | Annotated[RestitutionFit, Tag("<fit>")]
     | Annotated[None, Tag("<none>")],
-    choose_by(
-        lambda given: (
-            "<none>" if given is None else "<fit>" if isinstance(given, dict | RestitutionFit) else "<number>"
-        ),
-        "a number or {sigma: 3.0, psi: 0.5} is expected",
-    ),
+    choose_by(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is expected"),
 ]
 """A number, a fit (Zhou 2011, Eq. 12), or None if the contact model derives it from the materials."""
 
@@ -180,8 +185,10 @@ class MaterialPair(Model):
 
     restitution: Restitution = Field(
         None,
-        description="restitution coefficient, a number in [0, 1], or sigma and psi of Zhou (2011), Eq. 12; "
-        "required unless the normal contact model derives it from the materials",
+        description=(
+            "restitution coefficient, a number in [0, 1], or sigma and psi of Zhou (2011), Eq. 12; required "
+            "unless the normal contact model derives it from the materials"
+        ),
     )
     friction: FrictionNumber = Field(description="Coulomb friction coefficient; 0 for no friction")
 
@@ -192,7 +199,7 @@ def use_registry() -> None:
     A schema that is built must be rebuilt afterwards.
     """
     fields = MaterialPair.__pydantic_fields__
-    for key in [key for key in fields if key not in MaterialPair.__annotations__]:
+    for key in set(fields) - set(MaterialPair.__annotations__):
         del fields[key]
     for key, option in registry.pair_options().items():
         if key not in fields:
