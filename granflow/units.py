@@ -163,7 +163,9 @@ def to_si(text: str, dimension: str) -> float:
     exact = exact_si(text, dimension)
     if isinstance(exact, float):
         return exact
-    return float(exact) if abs(exact) < _LARGEST else math.inf if exact > 0 else -math.inf
+    if abs(exact) < _LARGEST:
+        return float(exact)
+    return math.inf if exact > 0 else -math.inf
 
 
 def exact_si(text: str, dimension: str) -> Fraction | float:

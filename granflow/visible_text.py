@@ -37,7 +37,9 @@ def visible_line(text: object) -> str:
 
 def _escape(code: int) -> str:
     """Escape of a code point, with the fewest digits that Python accepts."""
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+    if code < 0x100:
+        return f"\\x{code:02x}"
+    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
 class VisibleFormatter(logging.Formatter):
@@ -76,7 +78,7 @@ def in_degrees(number: float, unit: str) -> str:
 
 def numbered(count: int, noun: str) -> str:
     """Return a count with its noun: 1 wall, 2 walls, 12 000 particles."""
-    return f"{readable(count)} {noun}{'s' * (count != 1)}"
+    return f"{readable(count)} {noun}" if count == 1 else f"{readable(count)} {noun}s"
 
 
 def distinct_endings(names: Sequence[Sequence[str]], least: int = 1) -> list[tuple[str, ...]]:

@@ -1,22 +1,41 @@
-"""Interface of all contact models: what a scene requests, contact history, and the base of the laws of all
-slots.
+"""Interface of the contact models: what a new model defines, and what granflow derives from it.
 
-A law is an immutable object with the options of one scene. Its device functions (`ti.func`) take and return
-values only; `constants`, `contact` and `history` are structs:
+A contact model is one file with a law and a record. The law is a frozen dataclass, a subclass of `NormalLaw`,
+`TangentialLaw`, `RollingLaw`, `TwistingLaw` or `CohesionLaw`: there is one base class per slot of the block
+`contact`. Its fields are the options of one scene, and the force is one of its device functions. The record,
+a `ContactModel`, declares the keys of the scene. Schema, messages, documentation, arrays, checkpoints,
+contact files, energy budget, time step and the tests of all models (tests/contact) derive from the two.
 
-    constants  `constant_names` of the law, for the pair of materials, and `parameters` of the law
-    history    `history` of the law: numbers, or 3-vectors, kept from first contact to separation
-    contact    radius_eff [m], mass_eff [kg], time_step [s], overlap [m], overlap_rate [m/s], positive during
-               approach
+To write a model:
 
-Tangential and rolling laws read more, see `surface_law`.
+1.  Choose the base class, and give `name`, `source` and `limits`. `required` lists what it must define.
+2.  Declare the options of the model (`Amount`, `Choice`) and the keys of `pairs` that it needs (`PairOption`)
+    in the record. `from_scene` reads the options in a `ModelRequest`, `pair_constants` the properties of a
+    pair in a `PairMaterial`. Numbers of the scene that all pairs share are `parameters`. No number is a
+    literal of a device function, so that another value compiles nothing.
+3.  Declare what a contact remembers in `history`, as `HistoryField` records.
+4.  Write the device functions (`ti.func`). They take and return values only; the arguments are structs:
+
+        constants  `constant_names` for the pair of materials, and `parameters`
+        history    `history`: numbers, or 3-vectors, kept from first contact to separation
+        contact    radius_eff [m], mass_eff [kg], time_step [s], overlap [m], overlap_rate [m/s], positive
+                   during approach; for tangential, rolling and twisting models more, see below
+
+    A function that changes the history copies it, changes the copy and returns it. A function that is
+    evaluated for many contacts at once has no `if` on a value of the contact, but `ti.select`.
+5.  Write `reference` in numpy, from the publication and not from the device function: the tests compare them.
+6.  For a normal model, give the closed forms of a binary collision, from which the time step follows.
+7.  Register the record: in `granflow.contact.registry`, or from a program with
+    `granflow.register_contact_model`.
+
+`granflow.contact.normal.hertz` is a short example, `granflow.contact.normal.zhou` one with everything.
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from types import SimpleNamespace
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, Protocol, TypeAlias
 
 import numpy as np
 
@@ -24,10 +43,12 @@ from granflow.contact import theory
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import DeviceObject, is_from_outside, ti
 
+# Laws of all slots
+
 
 @dataclass(frozen=True)
 class ModelRequest:
-    """Request of a scene for a contact model.
+    """What a scene says about one slot, from which a model makes its law.
 
     options:          those of the model in `contact`, numbers in SI units
     pairs:            effective constants of all pairs of materials that can be in contact
@@ -65,61 +86,28 @@ class HistoryField:
 
 
 @dataclass(frozen=True)
-class ContactState:
-    """Arguments of a reference implementation for one contact and step, in SI units; members as in the
-    structs.
-
-    constants:  pair constants by name; a reference implementation reads the parameters of the law in the law
-                itself
-    """
-
-    constants: SimpleNamespace
-    radius_eff: float
-    mass_eff: float
-    time_step: float
-    overlap: float
-    overlap_rate: float
-    history: SimpleNamespace
-
-
-@dataclass(frozen=True)
 class Law(DeviceObject):
-    """A contact model with the options of one scene."""
+    """A contact model with the options of one scene: immutable, with device functions as methods.
+
+    Laws that differ in numbers only share compiled kernels: device functions read the numbers of the scene in
+    `parameters` and those of a pair of materials in `pair_constants`, both through their argument
+    `constants`.
+    """
 
     name: ClassVar[str]
     source: ClassVar[str]
-    """Publication."""
+    """The publication, with its year."""
     limits: ClassVar[str]
     """Limitations of the model, in one sentence."""
     required: ClassVar[tuple[str, ...]] = ()
-    """Functions that every model of a slot defines."""
+    """Functions that every model of the slot must define."""
     returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "stored_energy": ("number",),
         "lost_energy": ("number",),
     }
     """Kinds of the values of each device function: number, vector or history."""
     constant_names: ClassVar[tuple[str, ...]] = ()
-
-    def title(self) -> str:
-        """Name in messages."""
-        return f"the contact model {self.name}"
-
-    def refuse_result(self, name: str, result: Any) -> None:
-        """Raise TypeError if a device function returned other values than `returns`, or a history of other
-        fields."""
-        expected = self.returns.get(name)
-        if expected is None:
-            return
-        values = result if isinstance(result, list | tuple) else [result]
-        kinds = tuple(_kind(value) for value in values)
-        if kinds != expected:
-            found = ", ".join(kinds) or "nothing"
-            raise TypeError(f"{name} must return ({', '.join(expected)}), not ({found})")
-        for value, kind in zip(values, expected, strict=True):
-            if kind == "history" and set(value.keys) != set(self.history_names):
-                raise TypeError(
-                    f"{name} must return the history with its fields ({', '.join(self.history_names)})"
-                )
+    """Names of the constants of a pair of materials, in the order of `pair_constants`."""
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Law":
@@ -127,14 +115,20 @@ class Law(DeviceObject):
         return cls()
 
     @property
-    def structure(self) -> "Law":
-        """The law with the signs of its numbers in their place: laws of equal structure share compiled
-        kernels.
+    def parameters(self) -> Mapping[str, float]:
+        """Numbers of the scene that are the same for all pairs, in SI units, by their names in `constants`.
 
-        Device functions of granflow read numbers in `parameters` only. Those of a program may read them in
-        `self`, where they are literals of the kernel, so that its laws are their own structure.
+        The names depend on the features of the model only, so that laws that differ in numbers share compiled
+        kernels.
         """
-        return self if is_from_outside(self) else _with_signs(self)
+        return {}
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Values of `constant_names` for a pair of materials; by default the pair options of the same names.
+
+        Raises ValueError for a pair that the model does not support.
+        """
+        return tuple(pair.options[name] for name in self.constant_names)
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
@@ -152,20 +146,36 @@ class Law(DeviceObject):
         return sum(each.size for each in self.history)
 
     @property
-    def parameters(self) -> Mapping[str, float]:
-        """Numbers of the scene that are the same for all pairs, in SI units, by their names in `constants`.
+    def structure(self) -> "Law":
+        """The law with the sign of each number in its place: laws of equal structure share compiled kernels.
 
-        The names depend on the features of the model only, so that laws that differ in numbers share compiled
-        kernels.
+        Device functions of granflow read numbers in `parameters` only. Those of a program may read them in
+        `self`, where they are literals of the kernel, so that its laws are their own structure.
         """
-        return {}
+        return self if is_from_outside(self) else _with_signs(self)
 
-    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Values of `constant_names` for a pair of materials; by default the pair options of the same names.
+    def title(self) -> str:
+        """The law in messages."""
+        return f"the contact model {self.name}"
 
-        Raises ValueError for a pair that the model does not support.
+    def refuse_result(self, name: str, result: Any) -> None:
+        """Raise TypeError if a device function returned other values than `returns` requires.
+
+        A history must have the fields of `history`.
         """
-        return tuple(pair.options[name] for name in self.constant_names)
+        expected = self.returns.get(name)
+        if expected is None:
+            return
+        values = result if isinstance(result, list | tuple) else [result]
+        kinds = tuple(_kind(value) for value in values)
+        if kinds != expected:
+            found = ", ".join(kinds) or "nothing"
+            raise TypeError(f"{name} must return ({', '.join(expected)}), not ({found})")
+        for value, kind in zip(values, expected, strict=True):
+            if kind == "history" and set(value.keys) != set(self.history_names):
+                raise TypeError(
+                    f"{name} must return the history with its fields ({', '.join(self.history_names)})"
+                )
 
 
 def _with_signs(value: Any) -> Any:
@@ -187,77 +197,24 @@ def _kind(value: Any) -> str:
     return "number"
 
 
-# Interface of the cohesion models.
-
-
 @dataclass(frozen=True)
-class CohesionLaw(Law):
-    """A cohesion model: an attraction in addition to any normal model; it does not press the surfaces
-    together.
+class ContactState:
+    """Arguments of a reference implementation of a normal or cohesion model, for one contact and step.
 
-    `force` has no branch, as for a normal model. A model that acts at a distance also gets negative overlaps,
-    down to minus its `range`; its first history field is above 0 as long as the contact keeps its history
-    without overlap.
+    The members are those of the structs of the device functions, in SI units. `constants` has the pair
+    constants only: a reference implementation reads the parameters of the law in the law itself.
     """
 
-    required = ("force",)
-    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {**Law.returns, "force": ("number", "history")}
-    at_distance: ClassVar[bool] = False
-    """True for a model that acts without overlap, such as a liquid bridge."""
-    transfers_liquid: ClassVar[bool] = False
-    """True for a model whose bridges take liquid from films on the particles; `form` gets the volume of a new
-    one."""
-
-    @property
-    def range(self) -> float:
-        """Largest distance [m] between the surfaces at which the model acts; 0 for a model that requires
-        overlap."""
-        return 0.0
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        """The range of a model that acts at a distance; the engine reads it on the device."""
-        return {"range": self.range} if self.at_distance else {}
-
-    def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float | None:
-        """Force [N] that separates a pair at rest; None if it depends on the load."""
-        return None
-
-    def equivalent_velocity(self, pair: PairMaterial, radius_eff: float, mass_eff: float) -> float:
-        """Impact velocity [m/s] at which a Hertz contact is as stiff as the cohesive contact at rest.
-
-        By default that of a contact that the pull-off force F presses together: a^3 = 3 F R / (4 E).
-        """
-        force = self.pull_off_force(pair, radius_eff) or 0.0
-        contact_radius = float(np.cbrt(0.75 * force * radius_eff / pair.modulus_eff))
-        return theory.velocity_for_radius(pair.modulus_eff, radius_eff, mass_eff, contact_radius)
-
-    @ti.func
-    def force(self, constants, contact, history):
-        """Attraction [N], positive, and the history."""
-
-    @ti.func
-    def form(self, constants, contact, history, volume):
-        """The history after a bridge of a volume [m3] has formed; its first field is the volume of the
-        bridge."""
-
-    @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]; negative for an attraction."""
-        return 0.0 * contact.overlap
-
-    @ti.func
-    def lost_energy(self, constants, contact, history):
-        """Dissipated energy [J] that is a function of the history alone; of an open contact at minus the
-        range."""
-        return 0.0 * contact.overlap
-
-    def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
-        """Reference implementation of `force`: attraction [N] and the changed history fields."""
-        raise NotImplementedError
+    constants: SimpleNamespace
+    radius_eff: float
+    mass_eff: float
+    time_step: float
+    overlap: float
+    overlap_rate: float
+    history: SimpleNamespace
 
 
-# Interface of the normal contact models.
+# Normal models
 
 
 @dataclass(frozen=True)
@@ -265,8 +222,9 @@ class NormalLaw(Law):
     """A normal contact model.
 
     The first two constants are the effective moduli E and G [Pa]. The first history field is positive from
-    the first step of a contact on. Closed forms describe a binary collision of a pair at an approach velocity
-    [m/s] with the effective radius [m] and mass [kg].
+    the first step of a contact on. `force` may read a history that `prepare` has changed, and is branch-free.
+    Closed forms describe a binary collision of a pair at an approach velocity [m/s] with the effective radius
+    [m] and mass [kg]; the time step follows from them.
     """
 
     required = ("force", "stored_energy", "phase_durations", "unloading_stiffness")
@@ -287,12 +245,6 @@ class NormalLaw(Law):
     limits_restitution: ClassVar[bool] = False
     """True for a model that bounds its unloading tangent by the time step, see `least_restitution`."""
 
-    @property
-    def softer_after_slow_onset(self) -> bool:
-        """Whether a contact that begins slowly remains softer than a Hertz contact when it is loaded
-        later."""
-        return False
-
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names`: the effective moduli [Pa], by default followed by pair options.
 
@@ -301,29 +253,7 @@ class NormalLaw(Law):
         options = (pair.options[name] for name in self.constant_names[2:])
         return pair.modulus_eff, pair.shear_modulus_eff, *options
 
-    @property
-    def unloading_angle(self) -> float:
-        """theta of a model that bounds its unloading tangent by theta^2 M/dt^2; 0: no such bound."""
-        return 0.0
-
-    @property
-    def reloading_damping(self) -> float:
-        """Damping ratio, with the unloading tangent, of contacts that are compressed again without having
-        separated."""
-        return 0.0
-
-    def unloading_number(self, pair: PairMaterial) -> float:
-        """Largest K dt^2/M + 2 c dt/M of a bounded unloading tangent K and its damping c, by default
-        theta^2."""
-        return self.unloading_angle**2
-
-    def unresolved_unloading(self, pair: PairMaterial) -> float:
-        """If the ratio of unloading to loading duration is below this value, the time step need not resolve
-        unloading.
-
-        The model then bounds its own tangent.
-        """
-        return 0.0
+    # Properties of the force
 
     @property
     def rate_dependent(self) -> bool:
@@ -339,6 +269,13 @@ class NormalLaw(Law):
     def prepares(self) -> bool:
         """Whether `prepare` changes the history."""
         return False
+
+    @property
+    def softer_after_slow_onset(self) -> bool:
+        """Whether a contact that begins slowly stays softer than a Hertz contact when it is loaded later."""
+        return False
+
+    # Device functions
 
     @ti.func
     def prepare(self, constants, contact, history):
@@ -380,6 +317,8 @@ class NormalLaw(Law):
         """Attractive part of `force` [N] that does not press the surfaces together."""
         return 0.0 * contact.overlap
 
+    # Reference implementation
+
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force`: normal force [N] and the changed history fields.
 
@@ -397,8 +336,7 @@ class NormalLaw(Law):
         overlap_rate: float,
         history: np.ndarray,
     ) -> tuple[float, np.ndarray]:
-        """Normal force [N] and history from the reference implementation, with constants and history as
-        arrays."""
+        """Normal force [N] and history of `reference`, with constants and history as arrays."""
         named = SimpleNamespace(**dict(zip(self.constant_names, constants, strict=False)))
         before = dict(zip(self.history_names, history, strict=False))
         state = ContactState(
@@ -407,11 +345,25 @@ class NormalLaw(Law):
         force, changed = self.reference(state)
         return float(force), np.array(list((before | dict(changed)).values()) or history)
 
+    # Closed forms of a binary collision
+
     def phase_durations(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
     ) -> tuple[float, float]:
         """Loading and unloading durations [s]."""
         raise NotImplementedError
+
+    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Restitution at a time step that resolves the collision; by default that of the pair.
+
+        Raises ValueError if the pair has none.
+        """
+        return pair.restitution_at(velocity)
+
+    def overlap_max(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Maximum overlap [m]; by default that of Hertz loading (Zhou 2011, Eq. 5)."""
+        k = theory.hertz_stiffness(pair.modulus_eff, radius_eff)
+        return float(theory.overlap_max(k, mass_eff, velocity))
 
     def unloading_stiffness(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
@@ -428,14 +380,11 @@ class NormalLaw(Law):
     def loading_stiffness(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
     ) -> float:
-        """Normal tangent stiffness [N/m] at the maximum overlap; 4 G/E times it is the tangential
-        stiffness."""
-        return self.stable_stiffness(pair, radius_eff, mass_eff, velocity)
+        """Normal tangent stiffness [N/m] at the maximum overlap.
 
-    def overlap_max(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Maximum overlap [m]; by default that of Hertz loading (Zhou 2011, Eq. 5)."""
-        k = theory.hertz_stiffness(pair.modulus_eff, radius_eff)
-        return float(theory.overlap_max(k, mass_eff, velocity))
+        4 G/E times it is the tangential stiffness.
+        """
+        return self.stable_stiffness(pair, radius_eff, mass_eff, velocity)
 
     def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Ratio of viscous force to overlap rate at the maximum overlap of a collision [N s/m]."""
@@ -449,20 +398,37 @@ class NormalLaw(Law):
         A servo wall, which reacts to the force, must react more slowly than these change the force. A contact
         of the restitution 0 stops the particle in one step: M/dt.
         """
-        arguments = (pair, radius_eff, mass_eff, velocity)
-        rate = mass_eff / time_step
-        stiffness = self.unloading_stiffness(*arguments)
+        stopping = mass_eff / time_step
+        stiffness = self.unloading_stiffness(pair, radius_eff, mass_eff, velocity)
         if self.limits_restitution:
-            stiffness = min(stiffness, self.unloading_angle**2 * rate / time_step)
+            stiffness = min(stiffness, self.unloading_angle**2 * stopping / time_step)
+        if pair.restitution == 0.0:
+            return stiffness, stopping
         at_rest = 2.0 * self.reloading_damping * float(np.sqrt(stiffness * mass_eff))
-        return stiffness, rate if pair.restitution == 0.0 else max(self.viscosity(*arguments), at_rest)
+        return stiffness, max(self.viscosity(pair, radius_eff, mass_eff, velocity), at_rest)
 
-    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Restitution at a time step that resolves the collision; by default that of the pair.
+    # Unloading tangents that the time step bounds
 
-        Raises ValueError if the pair has none.
+    @property
+    def unloading_angle(self) -> float:
+        """theta of a model that bounds its unloading tangent by theta^2 M/dt^2; 0: no such bound."""
+        return 0.0
+
+    @property
+    def reloading_damping(self) -> float:
+        """Damping ratio, with the unloading tangent, of contacts that reload without having separated."""
+        return 0.0
+
+    def unloading_number(self, pair: PairMaterial) -> float:
+        """Largest K dt^2/M + 2 c dt/M of a bounded unloading tangent K with damping c; default: theta^2."""
+        return self.unloading_angle**2
+
+    def unresolved_unloading(self, pair: PairMaterial) -> float:
+        """Ratio of unloading to loading duration below which the time step need not resolve unloading.
+
+        The model then bounds its own tangent.
         """
-        return pair.restitution_at(velocity)
+        return 0.0
 
     def least_restitution(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
@@ -471,8 +437,248 @@ class NormalLaw(Law):
         return 0.0
 
 
-# Declared options of contact models: keys of a model in a scene, from which the schema and its messages
-# derive.
+class BinaryCollision(Protocol):
+    """Closed form of one binary collision at an approach velocity."""
+
+    @property
+    def restitution(self) -> float:
+        """Restitution coefficient."""
+
+    @property
+    def unloading_stiffness(self) -> float:
+        """Largest tangent stiffness [N/m], at the start of unloading."""
+
+    def durations(self) -> tuple[float, float]:
+        """Loading and unloading durations [s]."""
+
+
+class ClosedFormCollision:
+    """Base class of normal models that describe a binary collision by one `BinaryCollision`.
+
+    It precedes `NormalLaw` in the list of bases of a model.
+    """
+
+    def collision(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> BinaryCollision:
+        """Closed form of a collision of a pair."""
+        raise NotImplementedError
+
+    def phase_durations(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> tuple[float, float]:
+        """Loading and unloading durations [s]."""
+        return self.collision(pair, radius_eff, mass_eff, velocity).durations()
+
+    def unloading_stiffness(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> float:
+        """Tangent stiffness at the start of unloading [N/m]."""
+        return self.collision(pair, radius_eff, mass_eff, velocity).unloading_stiffness
+
+    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Restitution coefficient, which follows from the constants of the model."""
+        return self.collision(pair, radius_eff, mass_eff, velocity).restitution
+
+
+# Tangential, rolling and twisting models
+#
+# Their struct `contact` has further members, for the first particle of the pair:
+#
+#     normal, normal_half  unit normal n toward the first particle now, and normal p at the half step, the
+#                          time of the velocities, divided by its component along n: p . n = 1
+#     normal_load          force [N] that presses the surfaces together: normal force without attraction
+#     stiffness            no-slip tangential stiffness [N/m]
+#     stiffness_ratio      ratio of the previous to the present stiffness
+#     slip, slip_rate      relative tangential displacement in this step [m], and velocity [m/s], in the
+#                          present contact plane; tangential laws
+#     normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential and twisting
+#                          laws
+#     rolling_rate         relative angular velocity [rad/s] at the half step; rolling and twisting laws
+#     inertia_eff          effective moment of inertia [kg m2]; rolling laws
+#     longest_time_step    longest time step of the run [s]; rolling laws
+#
+# A law that integrates a rate over the step takes its components with p: along the normal
+# `rate.dot(normal_half)`, in the contact plane `in_contact_plane(rate, normal, normal_half)`. The normal n
+# is half a step later than the rate, so that a part of the rotation of the pair would be integrated as
+# slip, rolling or twist.
+
+SurfaceState: TypeAlias = SimpleNamespace
+"""Arguments of a reference implementation of one of these models: the members of `contact`, and `constants`
+and `history` by name."""
+
+
+@ti.func
+def in_contact_plane(vector, normal, normal_half):
+    """Component of a vector in the contact plane at the half step, rotated with the plane to the present one.
+
+        u - (u . n) p
+
+    The rotation from the plane at the half step, whose normal is p, to that of n is a projection along p,
+    with a relative error of the square of the angle between them; the component along p vanishes in it as
+    well.
+    """
+    return vector - vector.dot(normal) * normal_half
+
+
+def reference_in_contact_plane(vector: np.ndarray, contact: SurfaceState) -> np.ndarray:
+    """Reference implementation of `in_contact_plane` in numpy."""
+    return vector - np.vdot(vector, contact.normal) * contact.normal_half
+
+
+@dataclass(frozen=True)
+class TangentialLaw(Law):
+    """A tangential contact model.
+
+    An option `stiffness` [N/m] replaces that of the normal model in the time step.
+    """
+
+    required = ("force", "present_force", "limit")
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **Law.returns,
+        "force": ("vector", "history", "number"),
+        "present_force": ("vector", "number"),
+        "limit": ("number",),
+    }
+
+    @property
+    def damped(self) -> bool:
+        """Whether `force` reads `normal_damping`."""
+        return False
+
+    @ti.func
+    def force(self, constants, contact, history):
+        """Tangential force [N] on the first particle, the history, and the energy dissipated in this step
+        [J]."""
+
+    @ti.func
+    def limit(self, constants, contact):
+        """Largest tangential force [N]."""
+
+    @ti.func
+    def present_force(self, constants, contact, history):
+        """Tangential force [N] that the history alone gives, and its size [N]; for contact output."""
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]."""
+        return 0.0 * contact.stiffness
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `force`: tangential force [N] (3,) and the changed history fields."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TorqueLaw(Law):
+    """A model of torques on the first particle of a pair; the opposite torques act on the second."""
+
+    required = ("torque",)
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **Law.returns,
+        "torque": ("vector", "history", "number"),
+    }
+
+    @ti.func
+    def torque(self, constants, contact, history):
+        """Torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]."""
+        return 0.0 * contact.stiffness
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `torque`: torque [N m] (3,) and the changed history fields."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class RollingLaw(TorqueLaw):
+    """A rolling model."""
+
+
+@dataclass(frozen=True)
+class TwistingLaw(TorqueLaw):
+    """A twisting model, with torques about the normal.
+
+    It reads `history` and `contact` for its stored energy, of which only `overlap`, `radius_eff`, `mass_eff`
+    and `stiffness` are known.
+    """
+
+    @property
+    def damped(self) -> bool:
+        """Whether `torque` reads `normal_damping`."""
+        return False
+
+
+# Cohesion models
+
+
+@dataclass(frozen=True)
+class CohesionLaw(Law):
+    """A cohesion model: an attraction in addition to any normal model.
+
+    It does not press the surfaces together. `force` has no branch, as for a normal model. A model that acts
+    at a distance also gets negative overlaps, down to minus its `range`; its first history field is above 0
+    as long as the contact keeps its history without overlap.
+    """
+
+    required = ("force",)
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {**Law.returns, "force": ("number", "history")}
+    at_distance: ClassVar[bool] = False
+    """True for a model that acts without overlap, such as a liquid bridge."""
+    transfers_liquid: ClassVar[bool] = False
+    """True for a model whose bridges take liquid from films on the particles, see `form`."""
+
+    @property
+    def range(self) -> float:
+        """Largest distance [m] between the surfaces at which the model acts; 0 for a model that requires
+        overlap."""
+        return 0.0
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The range of a model that acts at a distance; the engine reads it on the device."""
+        return {"range": self.range} if self.at_distance else {}
+
+    @ti.func
+    def force(self, constants, contact, history):
+        """Attraction [N], positive, and the history."""
+
+    @ti.func
+    def form(self, constants, contact, history, volume):
+        """The history after a bridge of a volume [m3] has formed; its first field is this volume."""
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]; negative for an attraction."""
+        return 0.0 * contact.overlap
+
+    @ti.func
+    def lost_energy(self, constants, contact, history):
+        """Dissipated energy [J], a function of the history alone; of an open contact at minus the range."""
+        return 0.0 * contact.overlap
+
+    def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
+        """Reference implementation of `force`: attraction [N] and the changed history fields."""
+        raise NotImplementedError
+
+    def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float | None:
+        """Force [N] that separates a pair at rest; None if it depends on the load."""
+        return None
+
+    def equivalent_velocity(self, pair: PairMaterial, radius_eff: float, mass_eff: float) -> float:
+        """Impact velocity [m/s] at which a Hertz contact is as stiff as the cohesive contact at rest.
+
+        By default that of a contact that the pull-off force F presses together: a^3 = 3 F R / (4 E).
+        """
+        force = self.pull_off_force(pair, radius_eff) or 0.0
+        contact_radius = float(np.cbrt(0.75 * force * radius_eff / pair.modulus_eff))
+        return theory.velocity_for_radius(pair.modulus_eff, radius_eff, mass_eff, contact_radius)
+
+
+# Records: the keys that a model adds to a scene
 
 
 @dataclass(frozen=True)
@@ -552,143 +758,6 @@ WORK_OF_ADHESION = PairOption(
     "give it in J/m2, or 0 to disable cohesion",
 )
 """Work of adhesion, shared by the models of dry adhesion."""
-
-
-# Interfaces of tangential, rolling and twisting models.
-#
-# In addition to the members of `contact` for all models, see `law`, the struct has for the first particle
-# of the pair:
-#
-#     normal, normal_half  unit normal n toward the first particle now, and normal p at the half step, the
-#                          time of the velocities, divided by its component along n: p . n = 1
-#     normal_load          force [N] that presses the surfaces together: normal force without attraction
-#     stiffness            no-slip tangential stiffness [N/m]
-#     stiffness_ratio      ratio of the previous to the present stiffness
-#     slip, slip_rate      relative tangential displacement in this step [m], and velocity [m/s], in the
-#                          present contact plane; tangential laws
-#     normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential and twisting
-#                          laws
-#     rolling_rate         relative angular velocity [rad/s] at the half step; rolling and twisting laws
-#     inertia_eff          effective moment of inertia [kg m2]; rolling laws
-#     longest_time_step    longest time step of the run [s]; rolling laws
-#
-# A law that integrates a rate over the step takes its components with p: along the normal
-# `rate.dot(normal_half)`, in the contact plane `in_contact_plane(rate, normal, normal_half)`. The normal n
-# is half a step later than the rate, so that a part of the rotation of the pair would be integrated as
-# slip, rolling or twist.
-
-SurfaceState: TypeAlias = SimpleNamespace
-"""Arguments of a reference implementation: the members of `contact`, and `constants` and `history` by
-name."""
-
-
-@ti.func
-def in_contact_plane(vector, normal, normal_half):
-    """Component of a vector in the contact plane at the half step, rotated with the plane to the present one.
-
-        u - (u . n) p
-
-    The rotation from the plane at the half step, whose normal is p, to that of n is a projection along p,
-    with a relative error of the square of the angle between them; the component along p vanishes in it as
-    well.
-    """
-    return vector - vector.dot(normal) * normal_half
-
-
-def reference_in_contact_plane(vector: np.ndarray, contact: SurfaceState) -> np.ndarray:
-    """Reference implementation of `in_contact_plane` in numpy."""
-    return vector - np.vdot(vector, contact.normal) * contact.normal_half
-
-
-@dataclass(frozen=True)
-class TangentialLaw(Law):
-    """A tangential contact model. An option `stiffness` [N/m] replaces that of the normal model in the time
-    step."""
-
-    required = ("force", "present_force", "limit")
-    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        **Law.returns,
-        "force": ("vector", "history", "number"),
-        "present_force": ("vector", "number"),
-        "limit": ("number",),
-    }
-
-    @property
-    def damped(self) -> bool:
-        """Whether `force` reads `normal_damping`."""
-        return False
-
-    @ti.func
-    def force(self, constants, contact, history):
-        """Tangential force [N] on the first particle, the history, and the energy dissipated in this step
-        [J]."""
-
-    @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]."""
-        return 0.0 * contact.stiffness
-
-    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
-        """Reference implementation of `force`: tangential force [N] (3,) and the changed history fields."""
-        raise NotImplementedError
-
-    @ti.func
-    def present_force(self, constants, contact, history):
-        """Tangential force [N] that the history alone gives, and its size [N]; for contact output."""
-
-    @ti.func
-    def limit(self, constants, contact):
-        """Largest tangential force [N]."""
-
-
-@dataclass(frozen=True)
-class TorqueLaw(Law):
-    """A model of torques on the first particle of a pair; the opposite torques act on the second."""
-
-    required = ("torque",)
-    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        **Law.returns,
-        "torque": ("vector", "history", "number"),
-    }
-
-    @ti.func
-    def torque(self, constants, contact, history):
-        """Torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
-
-    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
-        """Reference implementation of `torque`: torque [N m] (3,) and the changed history fields."""
-        raise NotImplementedError
-
-    @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]."""
-        return 0.0 * contact.stiffness
-
-
-@dataclass(frozen=True)
-class RollingLaw(TorqueLaw):
-    """A rolling model."""
-
-
-@dataclass(frozen=True)
-class TwistingLaw(TorqueLaw):
-    """A twisting model, with torques about the normal.
-
-    It reads `history` and `contact` for its stored energy, of which only `overlap`, `radius_eff`, `mass_eff`
-    and `stiffness` are known.
-    """
-
-    @property
-    def damped(self) -> bool:
-        """Whether `torque` reads `normal_damping`."""
-        return False
-
-
-# Record of a contact model: what a scene, the schema, messages and documentation derive from it.
-
-RestitutionInput: TypeAlias = Literal["number or fit", "positive number", "nothing"]
-"""Form of `restitution` that a model requires of a pair; "nothing" if restitution follows from the
-materials."""
 SLOTS: Mapping[str, type[Law]] = {
     "normal": NormalLaw,
     "tangential": TangentialLaw,
@@ -697,6 +766,9 @@ SLOTS: Mapping[str, type[Law]] = {
     "cohesion": CohesionLaw,
 }
 """Keys of `contact`, in the order of evaluation, and the base class of the models of each."""
+RestitutionInput: TypeAlias = Literal["number or fit", "positive number", "nothing"]
+"""Form of `restitution` that a model requires of a pair; "nothing" if restitution follows from the
+materials."""
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ def overlap_max(k: Number, mass: Number, velocity: Number) -> Number:
 def hertz_tangent(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
     """Hertz tangent stiffness at the maximum overlap of a collision, 1.5 k sqrt(dmax) [N/m].
 
-    Arguments as for `law.PhaseDurations`.
+    Arguments as for `law.NormalLaw.phase_durations`.
     """
     k = float(hertz_stiffness(pair.modulus_eff, radius_eff))
     return 1.5 * k * float(np.sqrt(overlap_max(k, mass_eff, velocity)))

@@ -12,8 +12,8 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.law import ContactState, Law
-from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial, Solid
+from granflow.contact.selected_laws import ContactLaws
 from granflow.geometry.catalog import area_of
 from granflow.geometry.shape import sphere_mass, sphere_volume
 from granflow.load import Scene

@@ -10,7 +10,6 @@ import numpy as np
 
 from granflow.contact import registry
 from granflow.contact.law import SLOTS, ContactModel, ModelRequest
-from granflow.contact.laws import ContactLaws
 from granflow.contact.material import (
     PairMaterial,
     Solid,
@@ -20,6 +19,7 @@ from granflow.contact.material import (
     shear_modulus_eff,
     yield_strength,
 )
+from granflow.contact.selected_laws import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.shape import sphere_mass
 from granflow.load import Scene

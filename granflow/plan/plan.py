@@ -11,8 +11,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from granflow.contact.law import NormalLaw
-from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial, Solid
+from granflow.contact.selected_laws import ContactLaws
 from granflow.geometry.catalog import area_of
 from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
 from granflow.geometry.periodic_box import PeriodicBox

@@ -112,8 +112,11 @@ class Node:
     def written_key(self, key: str | int) -> str | None:
         """The key in the file: that of the box for one of its faces, such as box.left; None if there is
         none."""
-        words = [str(key), str(key).rpartition(".")[0]]
-        return next((word for word in words if word in (self.entries or {})), None)
+        entries = self.entries or {}
+        for word in (str(key), str(key).rpartition(".")[0]):
+            if word in entries:
+                return word
+        return None
 
     @property
     def is_empty(self) -> bool:
@@ -228,8 +231,8 @@ def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
 class _Composer:
     """Builds the tree from the parser's events.
 
-    `anchors`: nodes by anchor, None while the node is incomplete. `aliased`, `count`: numbers of values for
-    the limits.
+    anchors:         nodes by anchor, None while the node is incomplete
+    aliased, count:  numbers of values, for the limits
     """
 
     def __init__(self, source: str, with_positions: bool) -> None:
@@ -275,9 +278,9 @@ class _Composer:
             )
 
     def _position(self, line: int, column: int) -> SourcePosition:
-        return (
-            SourcePosition(self.source, line, column) if self.with_positions else SourcePosition(self.source)
-        )
+        if not self.with_positions:
+            return SourcePosition(self.source)
+        return SourcePosition(self.source, line, column)
 
     def _at(self, event: Event) -> SourcePosition:
         return self._position(event.start_mark.line + 1, event.start_mark.column + 1)
@@ -319,10 +322,10 @@ class _Composer:
         if isinstance(event, ScalarEvent):
             value = resolve(event.value) if event.style is None else self._quoted(event)
             node = Node(self._at(event), scalar=value, text=event.value)
+        elif isinstance(event, SequenceStartEvent):
+            node = self._list(event, events, depth)
         else:
-            node = (self._list if isinstance(event, SequenceStartEvent) else self._mapping)(
-                event, events, depth
-            )
+            node = self._mapping(event, events, depth)
         if event.anchor:
             self.anchors[event.anchor] = node
         return node
@@ -474,13 +477,13 @@ def document_of(data: Mapping[str, Any], root: str = ROOT) -> Document:
     scene. Problems of the document: keys that are not text, and values of other types.
     """
     document = Document(root, Node(SourcePosition(root)), subject="the scene" if root == ROOT else root)
-    document.root = _node(data, (), document)
+    document.root = _node_of(data, (), document)
     return document
 
 
-def _node(value: Any, path: KeyPath, document: Document) -> Node:
+def _node_of(value: Any, path: KeyPath, document: Document) -> Node:
     """The value at a path of keys and indices, and all values below it."""
-    position = _position(path, document.source)
+    position = _path_position(path, document.source)
     if isinstance(value, BaseModel):
         value = value.model_dump(by_alias=True, exclude_unset=True, exclude_none=True)
     if isinstance(value, np.ndarray | np.generic):
@@ -491,11 +494,13 @@ def _node(value: Any, path: KeyPath, document: Document) -> Node:
             if not isinstance(key, str):
                 document.problems.append(Problem(position, f"the key {key!r} is not text; put it in quotes."))
             below = (*path, str(key))
-            entries[str(key)] = MappingEntry(_position(below, document.source), _node(each, below, document))
+            entries[str(key)] = MappingEntry(
+                _path_position(below, document.source), _node_of(each, below, document)
+            )
         return Node(position, entries=entries)
     if isinstance(value, list | tuple):
         return Node(
-            position, items=[_node(each, (*path, index), document) for index, each in enumerate(value)]
+            position, items=[_node_of(each, (*path, index), document) for index, each in enumerate(value)]
         )
     if isinstance(value, Path):
         value = str(value)
@@ -505,15 +510,17 @@ def _node(value: Any, path: KeyPath, document: Document) -> Node:
             Problem(position, f"a value is of type {kind}; give a number, text, list or mapping.")
         )
         value = None
-    return Node(position, scalar=value, text=_text(value))
+    return Node(position, scalar=value, text=_text_of(value))
 
 
-def _text(value: str | float | None) -> str:
+def _text_of(value: str | float | None) -> str:
     """The value in the notation of scene files; empty for None."""
-    return value if isinstance(value, str) else "" if value is None else json.dumps(value)
+    if value is None:
+        return ""
+    return value if isinstance(value, str) else json.dumps(value)
 
 
-def _position(path: KeyPath, root: str) -> SourcePosition:
+def _path_position(path: KeyPath, root: str) -> SourcePosition:
     return SourcePosition(".".join(map(str, path)) or root)
 
 

@@ -154,7 +154,9 @@ def choose_by_key(key: str) -> Choice:
             return f"<{value[key]}>" if key in value else None
         if isinstance(value, BaseModel):
             return f"<{getattr(value, key)}>"
-        return "<none>" if value is None else "<list>" if isinstance(value, list | tuple) else "<number>"
+        if value is None:
+            return "<none>"
+        return "<list>" if isinstance(value, list | tuple) else "<number>"
 
     return Choice(tag, {"key": key})
 

@@ -17,8 +17,8 @@ from contact.cases import (
     single_contact,
 )
 
-from granflow.contact.laws import ContactLaws
 from granflow.contact.material import VelocityRestitution
+from granflow.contact.selected_laws import ContactLaws
 from granflow.kernel_language import ti
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)

@@ -11,10 +11,10 @@ from contact.test_registry import RECORDS
 from subprocess_runner import in_subprocess
 
 from granflow.contact.law import Amount, ModelRequest, NormalLaw, RollingLaw, TangentialLaw, TwistingLaw
-from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.normal.zhou import Zhou
+from granflow.contact.selected_laws import ContactLaws
 from granflow.engine import backend
 from granflow.engine.backend import CACHED_KERNELS as KERNELS
 

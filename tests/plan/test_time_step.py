@@ -9,7 +9,7 @@ from plan.scenes import TEXT, line_of, scene_of
 
 from granflow.contact.material import PairMaterial, Solid
 from granflow.contact.normal.linear import Linear
-from granflow.contact.spring import Spring
+from granflow.contact.normal.linear_spring import Spring
 from granflow.contact.theory import damping_ratio_for
 from granflow.errors import SceneError
 from granflow.plan.build import plan_for

@@ -1,5 +1,7 @@
-"""Cohesive bonds that form at first contact and break at a rupture distance: base class of models such as
-JKR."""
+"""Cohesive bonds: they form at first contact and break at a rupture distance.
+
+`BondLaw` is the base class of `jkr` and `capillary`.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,8 +19,7 @@ def at_overlap(contact, overlap):
 
 @dataclass(frozen=True)
 class BondLaw(CohesionLaw):
-    """A bond: no attraction before first contact, an attraction until the distance exceeds the rupture
-    distance.
+    """A bond: no attraction before first contact, then one until the distance exceeds the rupture distance.
 
     bond_range:     largest rupture distance [m] of all pairs and sizes
     energy_budget:  whether the energy lost by formation and rupture of bonds is saved
@@ -97,5 +98,8 @@ class BondLaw(CohesionLaw):
         """Reference implementation of `force` without the lost energy."""
         attraction, distance = self.reference_bond(contact)
         before = getattr(contact.history, "bonded", 0.0)
-        bonded = 1.0 if contact.overlap > 0.0 else before if contact.overlap > -distance else 0.0
+        if contact.overlap > 0.0:
+            bonded = 1.0
+        else:
+            bonded = before if contact.overlap > -distance else 0.0
         return bonded * attraction, {"bonded": bonded}

@@ -1,5 +1,12 @@
-"""Capillary bridges of constant liquid volume, from first contact to the rupture distance; see
-`capillary_bridge`."""
+"""Capillary bridges of constant liquid volume, from first contact to the rupture distance.
+
+    F = 2 pi r g cos(t) / (1 + 1.05 u + 2.5 u^2),   u = s sqrt(r / V),   r = 2 R    (Willett 2000, Eq. 12)
+    s_c = (1 + t/2) V^(1/3)                                              (Lian, Thornton & Adams 1993)
+
+R is the effective radius, so that r is the radius of equal spheres, and twice that of a sphere at a wall. The
+distance between the surfaces is s, 0 during overlap; s_c is the rupture distance, V the volume, g the surface
+tension, t the contact angle. `capillary_transfer` uses the same bridges, with a volume per contact.
+"""
 
 import math
 from dataclasses import dataclass
@@ -9,24 +16,17 @@ from granflow.contact.law import Amount, ContactModel, ContactState, ModelReques
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import ti
 
-# Force, energy and rupture distance of a capillary bridge of a given volume, and the keys of pairs for its
-# liquid.
-#
-#     F = 2 pi r g cos(t) / (1 + 1.05 u + 2.5 u^2),   u = s sqrt(r / V),   r = 2 R        (Willett et al.
-#     2000, Eq. 12) s_c = (1 + t/2) V^(1/3)                                                             (Lian,
-#     Thornton & Adams 1993)
-#
-# R is the effective radius, so that r is the radius of equal spheres, and twice that of a sphere at a wall.
-# The distance between the surfaces is s, 0 during overlap; V is the volume, g the surface tension, t the
-# contact angle.
+# Force, energy and rupture distance of a bridge of a given volume
 
-LINEAR, SQUARE = 1.05, 2.5
+LINEAR = 1.05
+SQUARE = 2.5
 """Coefficients of u and u^2 in the force (Willett 2000)."""
 ROOT = math.sqrt(4.0 * SQUARE - LINEAR**2)
 """Square root of minus the discriminant of the denominator, for its integral."""
-HALVINGS, SERIES = 3, 12
-"""Halvings of an angle below pi/2, so that its tangent is below 0.2, and terms of the series: the next is
-1e-18."""
+HALVINGS = 3
+"""Halvings of an angle below pi/2, so that its tangent is below 0.2."""
+SERIES = 12
+"""Terms of the series of the arctangent; the next one is 1e-18."""
 SOURCE = (
     "Willett et al. 2000, Langmuir 16:9396, doi 10.1021/la000657y; Lian, Thornton & Adams 1993, JCIS 161:138"
 )
@@ -88,6 +88,8 @@ def rupture_factor(contact_angle: float) -> float:
     """Rupture distance over the cube root of the volume (Lian et al. 1993), for a contact angle [rad]."""
     return 1.0 + 0.5 * contact_angle
 
+
+# The model
 
 SURFACE_TENSION = PairOption(
     "surface_tension",

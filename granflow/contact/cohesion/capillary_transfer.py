@@ -5,7 +5,7 @@ The films of both particles give a part to the bridge that forms (Shi & McCarthy
 
     L_i = V_i / 2 [1 - sqrt(1 - R_j^2 / (R_i + R_j)^2)]
 
-Force and rupture distance follow the volume of the bridge, see `capillary_bridge`. The engine moves the
+Force and rupture distance follow the volume of the bridge, see `capillary`. The engine moves the
 liquid, see `granflow.engine.liquid`; `form` gets the volume from it.
 """
 

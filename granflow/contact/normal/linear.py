@@ -9,7 +9,7 @@ from granflow.contact import theory
 from granflow.contact.device import build_step_mean, reference_step_mean
 from granflow.contact.law import ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.spring import STIFFNESS, Spring, SpringLaw, quarter_period
+from granflow.contact.normal.linear_spring import STIFFNESS, Spring, SpringLaw, quarter_period
 from granflow.device_functions import ti
 
 _step_mean = build_step_mean(0.0)

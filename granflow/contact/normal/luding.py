@@ -14,12 +14,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.contact.law import Amount, ContactModel, ContactState, HistoryField, ModelRequest
+from granflow.contact.law import (
+    Amount,
+    ClosedFormCollision,
+    ContactModel,
+    ContactState,
+    HistoryField,
+    ModelRequest,
+)
 from granflow.contact.material import PairMaterial
-from granflow.contact.spring import STIFFNESS, ClosedFormCollision, Spring, SpringLaw, quarter_period
+from granflow.contact.normal.linear_spring import STIFFNESS, Spring, SpringLaw, quarter_period
 from granflow.device_functions import ti
 
-# Closed forms of a binary collision with the bilinear model of Luding (2008), in float64.
+# Closed forms of a binary collision
 
 
 @dataclass(frozen=True)
@@ -54,12 +61,8 @@ class LudingCollision:
     @property
     def overlap_in_tension(self) -> float:
         """Overlap [m] at the intersection of unloading line and tension line: (k2 - k1) dmax / (k2 + kc)."""
-        unloading_stiffness_now = self.unloading_stiffness
-        return (
-            (unloading_stiffness_now - self.stiffness)
-            * self.overlap_max
-            / (unloading_stiffness_now + self.tension * self.stiffness)
-        )
+        k2 = self.unloading_stiffness
+        return (k2 - self.stiffness) * self.overlap_max / (k2 + self.tension * self.stiffness)
 
     @property
     def elastic_energy(self) -> float:
@@ -81,9 +84,9 @@ class LudingCollision:
         """Loading and unloading durations [s]. If the spheres do not separate, unloading ends at zero
         force."""
         quarter = quarter_period(self.unloading_stiffness, self.mass_eff)
-        return self._loading_duration(), quarter + (
-            self._tension_duration() if self.restitution > 0.0 else 0.0
-        )
+        if self.restitution == 0.0:
+            return self._loading_duration(), quarter
+        return self._loading_duration(), quarter + self._tension_duration()
 
     def _loading_duration(self) -> float:
         """Loading duration [s]: a quarter period of k1, or the limit overlap with k1 and the rest with kp."""
@@ -265,10 +268,8 @@ class Luding(ClosedFormCollision, SpringLaw):
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force`, branch by branch with d0 = (1 - k1/k2) dmax as in the
         paper."""
-        (k1, spring), growth = (
-            self.reference_stiffness(contact),
-            contact.constants.growth / contact.radius_eff,
-        )
+        k1, spring = self.reference_stiffness(contact)
+        growth = contact.constants.growth / contact.radius_eff
         largest_before = contact.history.overlap_max
         kc = self.tension * k1
         end = contact.overlap

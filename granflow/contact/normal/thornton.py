@@ -12,9 +12,16 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
-from granflow.contact.law import Amount, ContactModel, ContactState, HistoryField, ModelRequest, NormalLaw
+from granflow.contact.law import (
+    Amount,
+    ClosedFormCollision,
+    ContactModel,
+    ContactState,
+    HistoryField,
+    ModelRequest,
+    NormalLaw,
+)
 from granflow.contact.material import PairMaterial
-from granflow.contact.spring import ClosedFormCollision
 from granflow.device_functions import ti
 
 

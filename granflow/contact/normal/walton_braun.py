@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from granflow.contact.law import Amount, Choice, ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.spring import STIFFNESS, Spring, SpringLaw, quarter_period
+from granflow.contact.normal.linear_spring import STIFFNESS, Spring, SpringLaw, quarter_period
 from granflow.device_functions import ti
 
 
@@ -101,9 +101,9 @@ class WaltonBraun(SpringLaw):
         return 0.5 * stiffness * largest * largest * (1.0 - stiffness / slope)
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
-        """Reference implementation of `force`, with the slope S [1/N] of k2 = k1 (1 + S F_max) as in the
-        paper."""
-        (stiffness, spring), largest = self.reference_stiffness(contact), contact.history.overlap_max
+        """Reference implementation of `force`, with the slope S [1/N] of the paper: k2 = k1 (1 + S F_max)."""
+        stiffness, spring = self.reference_stiffness(contact)
+        largest = contact.history.overlap_max
         history = {"overlap_max": max(largest, contact.overlap), **spring}
         if contact.overlap >= largest:
             return stiffness * contact.overlap, history

@@ -60,13 +60,10 @@ class Marshall(TorsionLaw):
     def reference_torsion(self, contact: SurfaceState) -> tuple[float, float, float]:
         """Reference implementation of `torsion`."""
         contact_radius = float((contact.radius_eff * contact.overlap) ** 0.5)
-        tangential = (contact.stiffness, self.damping * contact.normal_damping)
-        stiffness, coefficient = (0.5 * each * contact_radius**2 for each in tangential)
-        return (
-            stiffness,
-            coefficient,
-            contact.constants.friction * contact.normal_load * 2 / 3 * contact_radius,
-        )
+        stiffness = 0.5 * contact.stiffness * contact_radius**2
+        coefficient = 0.5 * (self.damping * contact.normal_damping) * contact_radius**2
+        limit = contact.constants.friction * contact.normal_load * 2 / 3 * contact_radius
+        return stiffness, coefficient, limit
 
 
 MODEL = ContactModel(

@@ -371,7 +371,7 @@ class Output(Model):
 
     interval: q.PositiveTime = Field(description="time between VTU frames [s]")
     timeseries_interval: q.PositiveTime = Field(
-        default_factory=lambda given: given.get("interval"),  # None if the interval is invalid
+        default_factory=lambda given: given.get("interval"),  # None if the interval is not valid
         description="time between rows of timeseries.csv [s]; default: interval",
     )
     particles: Flag = Field(True, description="write particles_*.vtu")

@@ -100,7 +100,7 @@ class SizeClass(Model):
     fraction: q.Share = Field(description="fraction of this class; the fractions are normalized to the sum 1")
 
 
-_ROUNDING = 1e-12  # tolerance of the sum of fractions
+_ROUNDING = 1e-12  # tolerance of the sum of the fractions
 
 
 def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
@@ -179,7 +179,9 @@ class ClumpSphere(Model):
 def _orientation_tag(value: Any) -> str | None:
     if isinstance(value, list | tuple):
         return "<list>"
-    return "<random>" if value == "random" else "<one>" if isinstance(value, dict | RotationStep) else None
+    if isinstance(value, dict | RotationStep):
+        return "<one>"
+    return "<random>" if value == "random" else None
 
 
 Orientation = Annotated[
@@ -459,8 +461,8 @@ class DiscOutline(Model):
 class RectangleFace(Model):
     """A rectangle through which particles enter.
 
-    >>> rectangle = {"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}
-    >>> gf.RectangleFace(rectangle=rectangle).rectangle.corner
+    >>> outline = {"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}
+    >>> gf.RectangleFace(rectangle=outline).rectangle.corner
     (0.0, 0.0, 0.0)
     """
 
@@ -598,9 +600,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             return self.diameter
         if self.radius is None:
             raise ValueError("A file defines the diameters.")
-        return (
-            tuple(2.0 * each for each in self.radius) if isinstance(self.radius, tuple) else 2.0 * self.radius
-        )
+        if isinstance(self.radius, tuple):
+            return tuple(2.0 * each for each in self.radius)
+        return 2.0 * self.radius
 
     @model_validator(mode="before")
     @classmethod
@@ -609,12 +611,13 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         if not isinstance(given, dict) or "count" in given:
             return given
         insertion = given.get("insert")
-        positions = (
-            insertion.get("positions")
-            if isinstance(insertion, dict)
-            else getattr(insertion, "positions", None)
-        )
-        return given | {"count": max(1, len(positions))} if isinstance(positions, list | tuple) else given
+        if isinstance(insertion, dict):
+            positions = insertion.get("positions")
+        else:
+            positions = getattr(insertion, "positions", None)
+        if not isinstance(positions, list | tuple):
+            return given
+        return given | {"count": max(1, len(positions))}
 
     def faults(self) -> Iterator[Fault]:
         """Yield the faults of count, mass, diameter, lists and velocities, and of fixed particles."""
@@ -627,11 +630,11 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             yield from self._thermal_faults(self.thermal)
         if self.fixed:
             yield from self._fixed_faults()
-        for key in ("velocity", "angular_velocity") if self.insert.kind == "python" else ():
-            if np.any(getattr(self, key)):
-                yield Fault(
-                    (key,), "insert.kind is python, so that it is an argument of particles.add; remove it"
-                )
+        if self.insert.kind == "python":
+            reason = "insert.kind is python, so that it is an argument of particles.add; remove it"
+            for key in ("velocity", "angular_velocity"):
+                if np.any(getattr(self, key)):
+                    yield Fault((key,), reason)
 
     def _size_faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one of diameter, radius, clump and file defines the sizes."""

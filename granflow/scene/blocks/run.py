@@ -82,9 +82,11 @@ class Stage(Model):
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless the stage has either a duration, or a condition with a maximum duration."""
-        condition = (
-            "kinetic_energy_below" if self.kinetic_energy_below is not None else "until" if self.until else ""
-        )
+        condition = ""
+        if self.kinetic_energy_below is not None:
+            condition = "kinetic_energy_below"
+        elif self.until:
+            condition = "until"
         if self.duration is None and not condition:
             yield whole((), "has no end: give duration, or kinetic_energy_below or until with max_duration")
         elif self.duration is not None and condition:

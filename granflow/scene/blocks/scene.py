@@ -121,13 +121,17 @@ class SceneInput(Model):
         Raises KeyError if the scene has no such flow meter.
         """
         group_by = self.output.flow_meters[name].group_by
-        return () if group_by is None else tuple(self.materials if group_by == "material" else self.particles)
+        if group_by is None:
+            return ()
+        return tuple(self.materials if group_by == "material" else self.particles)
 
     @property
     def measured_walls(self) -> tuple[str, ...]:
         """Names of the walls with measured forces, in the order of the walls."""
         requested = self.output.wall_forces
-        return tuple(name for name in self.walls if requested is True or (requested and name in requested))
+        if isinstance(requested, bool):
+            return tuple(self.walls) if requested else ()
+        return tuple(name for name in self.walls if name in requested)
 
     def pair(self, first: str, second: str) -> MaterialPair:
         """The pair of two materials in either order. Raises KeyError if the scene does not have it."""

@@ -414,8 +414,8 @@ class Cylinder(AxialWall):
 class Cone(AxialWall):
     """A thin two-sided cone frustum without end faces; one radius may be 0.
 
-    >>> cone = gf.Cone(material="steel", from_=[0, 0, 0], to=[0, 0, 1], radius_from="1 cm", radius_to="5 cm")
-    >>> cone.radius_to
+    >>> axis = {"from_": [0, 0, 0], "to": [0, 0, 0.1]}
+    >>> gf.Cone(material="steel", **axis, radius_from="1 cm", radius_to="5 cm").radius_to
     0.05
     """
 
@@ -433,8 +433,8 @@ class Cone(AxialWall):
 class Disc(Wall):
     """A thin, two-sided disc, optionally with a circular hole at its center.
 
-    >>> ring = gf.Disc(material="steel", center=[0, 0, 1], normal=[0, 0, 1], radius="5 cm", hole_radius="1cm")
-    >>> ring.hole_radius
+    >>> place = {"center": [0, 0, 0], "normal": [0, 0, 1]}
+    >>> gf.Disc(material="steel", **place, radius="5 cm", hole_radius="1 cm").hole_radius
     0.01
     """
 
@@ -493,8 +493,7 @@ class BoxWall(Wall):
 
     It stands for up to six walls with the names NAME.left and NAME.right (smallest and largest x), NAME.front
     and NAME.back (y), NAME.bottom and NAME.top (z), all with the same material, presence and motion. The
-    faces are planes:
-    infinite, also beyond an open face. With `finite` they are rectangles.
+    faces are planes: infinite, also beyond an open face. With `finite` they are rectangles.
 
     >>> gf.BoxWall(material="steel", min=[0, 0, 0], max=["5 cm", "5 cm", "10 cm"], open=["top"]).open
     ('top',)
@@ -533,12 +532,8 @@ class BoxWall(Wall):
         for number, name in enumerate(FACES):
             if name not in self.open:
                 axis, is_high = divmod(number, 2)
-                yield (
-                    name,
-                    self._rectangle(axis, is_high, shared)
-                    if self.finite
-                    else self._plane(axis, is_high, shared),
-                )
+                build = self._rectangle if self.finite else self._plane
+                yield name, build(axis, is_high, shared)
 
     def _plane(self, axis: int, is_high: int, shared: dict[str, Any]) -> Plane:
         """The plane across an axis at the smallest or largest coordinate, with its normal toward the
@@ -549,12 +544,20 @@ class BoxWall(Wall):
 
     def _rectangle(self, axis: int, is_high: int, shared: dict[str, Any]) -> Rectangle:
         """The rectangle across an axis at the smallest or largest coordinate."""
-        size = [high - low for low, high in zip(self.min, self.max, strict=True)]
-        first, second = (_vector([size[k] * (i == k) for i in range(3)]) for k in range(3) if k != axis)
-        return Rectangle.model_construct(corner=self._corner(axis, is_high), sides=(first, second), **shared)
+        sides = []
+        for k in range(3):
+            if k != axis:
+                side = [0.0, 0.0, 0.0]
+                side[k] = self.max[k] - self.min[k]
+                sides.append(_vector(side))
+        return Rectangle.model_construct(corner=self._corner(axis, is_high), sides=tuple(sides), **shared)
 
     def _corner(self, axis: int, is_high: int) -> q.Vector3:
-        return _vector([(self.max if i == axis and is_high else self.min)[i] for i in range(3)])
+        """The corner with the smallest coordinates, moved along an axis to its largest if `is_high`."""
+        corner = list(self.min)
+        if is_high:
+            corner[axis] = self.max[axis]
+        return _vector(corner)
 
 
 def _vector(values: list[float]) -> q.Vector3:

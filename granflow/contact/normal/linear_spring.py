@@ -1,8 +1,11 @@
-"""Linear spring of contact models: a given stiffness, or Zhou's Eq. 19 at one velocity or per contact."""
+"""Linear spring of normal models: a given stiffness, or that of Zhou's Eq. 19 at one velocity or per contact.
+
+`SpringLaw` is the base class of the models `linear`, `walton_braun` and `luding`, `STIFFNESS` their option.
+The stiffness of a contact is constant from first contact to separation.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -10,53 +13,7 @@ from granflow.contact import theory
 from granflow.contact.device import power
 from granflow.contact.law import Amount, Choice, ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.theory import MIN_VELOCITY_SHARE
 from granflow.device_functions import DeviceObject, ti
-
-# Normal models whose binary collision has a closed form.
-
-
-class BinaryCollision(Protocol):
-    """Closed form of one binary collision at an approach velocity."""
-
-    @property
-    def restitution(self) -> float:
-        """Restitution coefficient."""
-
-    @property
-    def unloading_stiffness(self) -> float:
-        """Largest tangent stiffness [N/m], at the start of unloading."""
-
-    def durations(self) -> tuple[float, float]:
-        """Loading and unloading durations [s]."""
-
-
-class ClosedFormCollision:
-    """Base class of the models that return a `BinaryCollision`; precedes `NormalLaw` in their list of
-    bases."""
-
-    def collision(
-        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
-    ) -> BinaryCollision:
-        """Closed form of a collision of a pair."""
-        raise NotImplementedError
-
-    def phase_durations(
-        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
-    ) -> tuple[float, float]:
-        """Loading and unloading durations [s]."""
-        return self.collision(pair, radius_eff, mass_eff, velocity).durations()
-
-    def unloading_stiffness(
-        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
-    ) -> float:
-        """Tangent stiffness at the start of unloading [N/m]."""
-        return self.collision(pair, radius_eff, mass_eff, velocity).unloading_stiffness
-
-    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Restitution coefficient, which follows from the constants of the model."""
-        return self.collision(pair, radius_eff, mass_eff, velocity).restitution
-
 
 STIFFNESS = Choice(
     "spring stiffness: onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), "
@@ -104,11 +61,13 @@ class Spring(DeviceObject):
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Spring":
-        """Spring from the option `stiffness`; the floor is MIN_VELOCITY_SHARE of the largest velocity."""
+        """Spring from the option `stiffness`; the floor is a share of the largest velocity."""
         given: str | Mapping[str, float] = request.options["stiffness"]
         keyed: Mapping[str, float] = {} if isinstance(given, str) else given
         return cls(
-            keyed.get("value"), keyed.get("reference_velocity"), MIN_VELOCITY_SHARE * request.velocity_max
+            keyed.get("value"),
+            keyed.get("reference_velocity"),
+            theory.MIN_VELOCITY_SHARE * request.velocity_max,
         )
 
     @property
@@ -126,20 +85,21 @@ class Spring(DeviceObject):
         return self.reference_velocity is not None
 
     def stiffness(self, modulus: float, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Stiffness [N/m] in a collision with the effective modulus [Pa], radius [m] and mass [kg] and
-        velocity."""
+        """Stiffness [N/m] in a collision; effective modulus [Pa], radius [m], mass [kg], velocity [m/s]."""
         if self.value is not None:
             return self.value
-        speed = (
-            max(velocity, self.velocity_floor) if self.reference_velocity is None else self.reference_velocity
-        )
+        speed = self.reference_velocity
+        if speed is None:
+            speed = max(velocity, self.velocity_floor)
         return float(theory.equivalent_spring(theory.hertz_stiffness(modulus, radius_eff), mass_eff, speed))
 
 
 @dataclass(frozen=True)
 class SpringLaw(NormalLaw):
-    """Base class of normal models with a linear spring, whose stiffness is a history field unless it is a
-    number."""
+    """Base class of normal models with a linear spring.
+
+    The stiffness is a history field, which `prepare` sets, unless it is a number.
+    """
 
     spring: Spring
     tangential_stiffness_grows = False
@@ -147,11 +107,9 @@ class SpringLaw(NormalLaw):
     @property
     def spring_history(self) -> tuple[HistoryField, ...]:
         """History field of the spring; empty if the stiffness is a number."""
-        return (
-            ()
-            if self.spring.value is not None
-            else (HistoryField("spring_stiffness", "spring stiffness", "N/m"),)
-        )
+        if self.spring.value is not None:
+            return ()
+        return (HistoryField("spring_stiffness", "spring stiffness", "N/m"),)
 
     @property
     def prepares(self) -> bool:
@@ -205,9 +163,8 @@ class SpringLaw(NormalLaw):
 
     def overlap_max(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Maximum overlap [m] of the undamped spring, v sqrt(M / K)."""
-        return velocity * float(
-            np.sqrt(mass_eff / self.loading_stiffness(pair, radius_eff, mass_eff, velocity))
-        )
+        stiffness = self.loading_stiffness(pair, radius_eff, mass_eff, velocity)
+        return velocity * float(np.sqrt(mass_eff / stiffness))
 
     def reference_stiffness(self, contact: ContactState) -> tuple[float, dict[str, float]]:
         """Reference implementation of `prepare` and `stiffness_of`: stiffness [N/m] and its history field."""
@@ -215,7 +172,9 @@ class SpringLaw(NormalLaw):
         modulus = contact.constants.modulus_eff
         new = self.spring.stiffness(modulus, contact.radius_eff, contact.mass_eff, contact.overlap_rate)
         stiffness = float(saved) if saved > 0.0 else new
-        return stiffness, {} if self.spring.value is not None else {"spring_stiffness": stiffness}
+        if self.spring.value is not None:
+            return stiffness, {}
+        return stiffness, {"spring_stiffness": stiffness}
 
 
 def quarter_period(stiffness: float, mass_eff: float) -> float:
