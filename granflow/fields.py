@@ -1,4 +1,10 @@
-"""Properties of the particles: fields on the device, arrays of snapshots, files and checkpoints."""
+"""Every quantity of a run, once: name, symbol, SI unit and meaning.
+
+A `Quantity` defines a column or an array of an output file. The tables below list the arrays of particles,
+contacts, grids and walls, and the numbers of a run, its metrics, flow meters, outlets, groups and walls.
+Headings, units in messages and pages of the documentation come from here. A property of the particles is a
+`FieldSpec`, which also says how the property is stored on the device.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -7,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-# Definition of a quantity in snapshots and output files: name, symbol, SI unit, meaning.
+# Definition of a quantity
 
 Kind = Literal["scalar", "vector", "quaternion", "tensor"]
 """Number of components: 1, 3, 4 or 9."""
@@ -69,122 +75,7 @@ def units(quantities: Mapping[str, Quantity]) -> Mapping[str, str]:
     return MappingProxyType({name: each.unit for name, each in quantities.items() if each.unit != "1"})
 
 
-# Arrays of contacts, and of coarse-grained fields.
-
-CONTACT_QUANTITIES = by_name(
-    (
-        Quantity("id_i", "i", "1", "id of particle i", file_type="int64"),
-        Quantity("id_j", "j", "1", "id of particle j, -1 for a contact with a wall", file_type="int64"),
-        Quantity("wall", "", "1", "index of the wall in the scene, -1 between particles", file_type="int32"),
-        Quantity("triangle", "", "1", "index of the triangle of a mesh wall, else -1", file_type="int32"),
-        Quantity("position_i", "xi", "m", "center of particle i", "vector", "float64"),
-        Quantity(
-            "position_j", "xj", "m", "center of particle j, or contact point on the wall", "vector", "float64"
-        ),
-        Quantity(
-            "force", "F", "N", "total force on particle i, including viscous and friction force", "vector"
-        ),
-        Quantity("normal_force", "Fn", "N", "repulsive force along the normal"),
-        Quantity("tangential_force", "Ft", "N", "magnitude of the friction force"),
-        Quantity("overlap", "delta", "m", "sum of the radii minus the distance of the centers"),
-        Quantity("overlap_max", "delta_max", "m", "largest overlap since the contact began"),
-        Quantity("restitution", "e", "1", "coefficient of restitution of the contact"),
-        Quantity("unloading", "", "1", "0 loading, 1 unloading", file_type="uint8"),
-        Quantity("sliding", "", "1", "1 where the friction force is at the Coulomb limit", file_type="uint8"),
-    )
-)
-"""Arrays of Snapshot.contacts and of contact files."""
-FIELD_QUANTITIES = by_name(
-    (
-        Quantity("density", "rho", "kg/m3", "mass of particles per volume of space"),
-        Quantity("solid_fraction", "phi", "1", "volume of particles per volume of space"),
-        Quantity("momentum", "rho V", "kg/(m2 s)", "momentum per volume of space", "vector"),
-        Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
-        Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
-        Quantity(
-            "granular_temperature_of_frames",
-            "",
-            "m2/s2",
-            "the same; in means over time without changes of V in time",
-        ),
-        Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
-        Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
-        Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
-        Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
-        Quantity("fabric", "", "1", "mean of n n over contacts, n their direction; its trace is 1", "tensor"),
-    )
-)
-"""Arrays of coarse-grained fields, one entry per grid point."""
-WALL_ARRAY_QUANTITIES = by_name(
-    (
-        Quantity("wall", "", "1", "index of the wall in the scene", file_type="int32"),
-        Quantity(
-            "traction", "", "Pa", "force of the particles per area, with `output.wall_forces`", "vector"
-        ),
-        Quantity("pressure", "p", "Pa", "normal force of the particles per area, with `output.wall_forces`"),
-        Quantity(
-            "surface_velocity",
-            "",
-            "m/s",
-            "velocity of a belt along the triangle, if a wall has one",
-            "vector",
-        ),
-    )
-)
-"""Arrays of wall files, one entry per triangle."""
-
-
-# Numbers of each metric.
-
-_INSTANT_METRICS = (
-    Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),
-    Quantity(
-        "segregation_intensity", "I", "1", "intensity of segregation by volume: 1 segregated, 0 uniform"
-    ),
-    Quantity(
-        "segregation_intensity_random", "I_R", "1", "the same for a random mixture of the same particles"
-    ),
-    Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
-    Quantity("angle_of_repose_error", "", "rad", "standard error of the slope"),
-    Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
-    Quantity("mechanical_coordination_number", "Zm", "1", "the same without rattlers"),
-    Quantity("wall_coordination_number", "", "1", "mean number of contacts with walls per particle"),
-    Quantity("center_of_mass_x", "x", "m", "x coordinate of the center of mass"),
-    Quantity("center_of_mass_y", "y", "m", "y coordinate of the center of mass"),
-    Quantity("center_of_mass_z", "z", "m", "z coordinate of the center of mass"),
-    Quantity("position_x", "x", "m", "x component of the position of the particle"),
-    Quantity("position_y", "y", "m", "y component of the position of the particle"),
-    Quantity("position_z", "z", "m", "z component of the position of the particle"),
-    Quantity("velocity_x", "x", "m/s", "x component of the velocity of the particle"),
-    Quantity("velocity_y", "y", "m/s", "y component of the velocity of the particle"),
-    Quantity("velocity_z", "z", "m/s", "z component of the velocity of the particle"),
-    Quantity("angular_velocity_x", "x", "rad/s", "x component of the angular velocity of the particle"),
-    Quantity("angular_velocity_y", "y", "rad/s", "y component of the angular velocity of the particle"),
-    Quantity("angular_velocity_z", "z", "rad/s", "z component of the angular velocity of the particle"),
-    Quantity("sliding_share", "", "1", "share of contacts whose friction force is at the Coulomb limit"),
-    Quantity("content_count", "", "1", "number of particles in a box"),
-    Quantity("content_mass", "", "kg", "mass of the particles in a box"),
-    Quantity("content_volume", "", "m3", "volume of the particles in a box"),
-    Quantity("rattler_share", "", "1", "share of particles with no contact or one contact"),
-    Quantity("fabric_anisotropy", "a", "1", "anisotropy of the fabric tensor, 0 to 1"),
-    Quantity("fabric_xx", "Fxx", "1", "mean square of the x component of contact directions"),
-    Quantity("fabric_yy", "Fyy", "1", "mean square of the y component of contact directions"),
-    Quantity("fabric_zz", "Fzz", "1", "mean square of the z component of contact directions"),
-)
-METRIC_QUANTITIES = by_name(
-    (
-        *_INSTANT_METRICS,
-        *(
-            replace(
-                each,
-                name=f"{each.name}_mean",
-                meaning=f"{each.meaning}, mean over the rows of the last stage",
-            )
-            for each in _INSTANT_METRICS
-        ),
-    )
-)
-"""Numbers of each metric; with the suffix `_mean` the mean over the rows of the last stage."""
+# Properties of the particles: device fields, arrays of snapshots, files and checkpoints
 
 DeviceType = Literal["position", "real", "f64", "i32", "i64"]
 """Types on the device: "position" is f64, in precision f32 f32; "real" is f64 in precision f64, else f32."""
@@ -596,7 +487,72 @@ Vectors are in the frame of the scene.
 """
 
 
-# Numbers of a run, of its stages, meters, outlets, groups and walls; units of all numbers.
+# Arrays of contacts, of fields on grids, and of walls
+
+CONTACT_QUANTITIES = by_name(
+    (
+        Quantity("id_i", "i", "1", "id of particle i", file_type="int64"),
+        Quantity("id_j", "j", "1", "id of particle j, -1 for a contact with a wall", file_type="int64"),
+        Quantity("wall", "", "1", "index of the wall in the scene, -1 between particles", file_type="int32"),
+        Quantity("triangle", "", "1", "index of the triangle of a mesh wall, else -1", file_type="int32"),
+        Quantity("position_i", "xi", "m", "center of particle i", "vector", "float64"),
+        Quantity(
+            "position_j", "xj", "m", "center of particle j, or contact point on the wall", "vector", "float64"
+        ),
+        Quantity(
+            "force", "F", "N", "total force on particle i, including viscous and friction force", "vector"
+        ),
+        Quantity("normal_force", "Fn", "N", "repulsive force along the normal"),
+        Quantity("tangential_force", "Ft", "N", "magnitude of the friction force"),
+        Quantity("overlap", "delta", "m", "sum of the radii minus the distance of the centers"),
+        Quantity("overlap_max", "delta_max", "m", "largest overlap since the contact began"),
+        Quantity("restitution", "e", "1", "coefficient of restitution of the contact"),
+        Quantity("unloading", "", "1", "0 loading, 1 unloading", file_type="uint8"),
+        Quantity("sliding", "", "1", "1 where the friction force is at the Coulomb limit", file_type="uint8"),
+    )
+)
+"""Arrays of Snapshot.contacts and of contact files."""
+FIELD_QUANTITIES = by_name(
+    (
+        Quantity("density", "rho", "kg/m3", "mass of particles per volume of space"),
+        Quantity("solid_fraction", "phi", "1", "volume of particles per volume of space"),
+        Quantity("momentum", "rho V", "kg/(m2 s)", "momentum per volume of space", "vector"),
+        Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
+        Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
+        Quantity(
+            "granular_temperature_of_frames",
+            "",
+            "m2/s2",
+            "the same; in means over time without changes of V in time",
+        ),
+        Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
+        Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
+        Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
+        Quantity("fabric", "", "1", "mean of n n over contacts, n their direction; its trace is 1", "tensor"),
+    )
+)
+"""Arrays of coarse-grained fields, one entry per grid point."""
+WALL_ARRAY_QUANTITIES = by_name(
+    (
+        Quantity("wall", "", "1", "index of the wall in the scene", file_type="int32"),
+        Quantity(
+            "traction", "", "Pa", "force of the particles per area, with `output.wall_forces`", "vector"
+        ),
+        Quantity("pressure", "p", "Pa", "normal force of the particles per area, with `output.wall_forces`"),
+        Quantity(
+            "surface_velocity",
+            "",
+            "m/s",
+            "velocity of a belt along the triangle, if a wall has one",
+            "vector",
+        ),
+    )
+)
+"""Arrays of wall files, one entry per triangle."""
+
+
+# Numbers of a run, of its metrics, flow meters, outlets, groups and walls
 
 _STATE_QUANTITIES = by_name(
     (
@@ -657,6 +613,55 @@ ENERGY_BUDGET_QUANTITIES = by_name(
 """Totals that require `output.energy_budget`."""
 TOTAL_QUANTITIES = {**_STATE_QUANTITIES, **ENERGY_BUDGET_QUANTITIES}
 """Numbers of Snapshot.totals and columns of the time series."""
+_INSTANT_METRICS = (
+    Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),
+    Quantity(
+        "segregation_intensity", "I", "1", "intensity of segregation by volume: 1 segregated, 0 uniform"
+    ),
+    Quantity(
+        "segregation_intensity_random", "I_R", "1", "the same for a random mixture of the same particles"
+    ),
+    Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
+    Quantity("angle_of_repose_error", "", "rad", "standard error of the slope"),
+    Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
+    Quantity("mechanical_coordination_number", "Zm", "1", "the same without rattlers"),
+    Quantity("wall_coordination_number", "", "1", "mean number of contacts with walls per particle"),
+    Quantity("center_of_mass_x", "x", "m", "x coordinate of the center of mass"),
+    Quantity("center_of_mass_y", "y", "m", "y coordinate of the center of mass"),
+    Quantity("center_of_mass_z", "z", "m", "z coordinate of the center of mass"),
+    Quantity("position_x", "x", "m", "x component of the position of the particle"),
+    Quantity("position_y", "y", "m", "y component of the position of the particle"),
+    Quantity("position_z", "z", "m", "z component of the position of the particle"),
+    Quantity("velocity_x", "x", "m/s", "x component of the velocity of the particle"),
+    Quantity("velocity_y", "y", "m/s", "y component of the velocity of the particle"),
+    Quantity("velocity_z", "z", "m/s", "z component of the velocity of the particle"),
+    Quantity("angular_velocity_x", "x", "rad/s", "x component of the angular velocity of the particle"),
+    Quantity("angular_velocity_y", "y", "rad/s", "y component of the angular velocity of the particle"),
+    Quantity("angular_velocity_z", "z", "rad/s", "z component of the angular velocity of the particle"),
+    Quantity("sliding_share", "", "1", "share of contacts whose friction force is at the Coulomb limit"),
+    Quantity("content_count", "", "1", "number of particles in a box"),
+    Quantity("content_mass", "", "kg", "mass of the particles in a box"),
+    Quantity("content_volume", "", "m3", "volume of the particles in a box"),
+    Quantity("rattler_share", "", "1", "share of particles with no contact or one contact"),
+    Quantity("fabric_anisotropy", "a", "1", "anisotropy of the fabric tensor, 0 to 1"),
+    Quantity("fabric_xx", "Fxx", "1", "mean square of the x component of contact directions"),
+    Quantity("fabric_yy", "Fyy", "1", "mean square of the y component of contact directions"),
+    Quantity("fabric_zz", "Fzz", "1", "mean square of the z component of contact directions"),
+)
+METRIC_QUANTITIES = by_name(
+    (
+        *_INSTANT_METRICS,
+        *(
+            replace(
+                each,
+                name=f"{each.name}_mean",
+                meaning=f"{each.meaning}, mean over the rows of the last stage",
+            )
+            for each in _INSTANT_METRICS
+        ),
+    )
+)
+"""Numbers of each metric; with the suffix `_mean` the mean over the rows of the last stage."""
 FLOW_METER_QUANTITIES = by_name(
     (
         Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),
@@ -774,7 +779,16 @@ def unit_of(name: str) -> str:
     base, _, part = name.partition(".")
     if base == "timings" and part:
         return "s"
-    parts = {**FLOW_METER_QUANTITIES, **WALL_FORCE_QUANTITIES, **WALL_QUANTITIES, **METRIC_QUANTITIES}
-    parts |= {**INSERTION_QUANTITIES, **OUTLET_QUANTITIES}
-    known = parts if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
-    return known[base].unit if base in known and known[base].unit != "1" else ""
+    if part:
+        known = {
+            **FLOW_METER_QUANTITIES,
+            **WALL_FORCE_QUANTITIES,
+            **WALL_QUANTITIES,
+            **METRIC_QUANTITIES,
+            **INSERTION_QUANTITIES,
+            **OUTLET_QUANTITIES,
+        }
+    else:
+        known = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+    quantity = known.get(base)
+    return "" if quantity is None or quantity.unit == "1" else quantity.unit

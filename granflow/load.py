@@ -1,4 +1,9 @@
-"""Scenes from files, from text and from Python: read, validated and resolved here, and nowhere else."""
+"""Scenes from files, from text and from Python: read, validated and resolved here, and nowhere else.
+
+`load` reads a file, `Scene.from_dict` a mapping, `scene_of` the text in a checkpoint. Each makes a
+`SceneInput` (`granflow.scene.reader`) and resolves it to a `Scene`, in which all counts are known. Below are
+the scene that a run saves, with copies of its input files, and the identity by which a run knows its scene.
+"""
 
 import hashlib
 import os
@@ -23,40 +28,7 @@ from granflow.scene.model import Model
 from granflow.scene.reader import document_in, scene_in
 from granflow.visible_text import html_table, numbered, visible_line
 
-COPIES = "inputs"
-"""Folder in the output directory with the copies of input files that are not below the folder of the
-scene."""
-
-RESULTS = re.compile(r"(particles|contacts|walls)_\d+(\.\d+)?\.vtu|timeseries\.csv")
-"""Names of result files, which the run writes itself: copies of input files with such a name are in
-COPIES."""
-
-
-class FrozenDict(dict[str, Any]):
-    """A mapping that cannot be changed; its deep copies can."""
-
-    def _refuse(self, *_: Any, **__: Any) -> Any:
-        raise TypeError("A scene is immutable: use Scene.from_dict, or model_copy for another scene.")
-
-    __setitem__ = __delitem__ = __ior__ = _refuse
-    clear = pop = popitem = setdefault = update = _refuse
-
-    def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
-        return dict, (dict(self),)
-
-
-def _frozen(value: Any) -> Any:
-    """The value with mappings that cannot be changed, at any depth of blocks and mappings."""
-    if isinstance(value, dict):
-        return FrozenDict({name: _frozen(each) for name, each in value.items()})
-    if not isinstance(value, Model):
-        return value
-    changed = {name: part for name, each in value if (part := _frozen(each)) is not each}
-    if not changed:
-        return value
-    copied = value.model_copy()
-    copied.__dict__.update(changed)  # the names of the given fields remain
-    return copied
+# The resolved scene
 
 
 class Scene(SceneInput):
@@ -192,14 +164,17 @@ class Scene(SceneInput):
         ]
 
     def problems_without_program(self) -> list[str]:
-        """One sentence for each group whose particles only a program adds; none if they come from an earlier
-        run."""
-        groups = self.particles if self.start_from is None else {}
+        """One sentence for each group whose particles only a program adds.
+
+        There is none if the particles come from an earlier run.
+        """
+        if self.start_from is not None:
+            return []
         return [
             f"{self.locate('particles', name, 'insert', 'kind')}: particles.{name}.insert.kind is python: a "
             "Python program adds these particles, and a command line has none. Choose another kind, such as "
             "lattice or file."
-            for name, group in groups.items()
+            for name, group in self.particles.items()
             if group.insert.kind == "python"
         ]
 
@@ -217,6 +192,103 @@ class Scene(SceneInput):
                 f"precision is {shown(precision)}; give one of {', '.join(get_args(Precision))}."
             )
         return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})
+
+
+def _earlier_run(scene: Scene) -> Path:
+    """The directory in `start_from`, relative to the folder of the scene. Raises SceneError if it cannot be
+    read."""
+    try:
+        return resolved(scene.folder / str(scene.start_from))
+    except OSError as error:
+        reason = f"start_from is {scene.start_from}, which cannot be read: {error.strerror}"
+        raise SceneError(f"{scene.locate('start_from')}: {reason}.") from None
+
+
+class FrozenDict(dict[str, Any]):
+    """A mapping that cannot be changed; its deep copies can."""
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise TypeError("A scene is immutable: use Scene.from_dict, or model_copy for another scene.")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
+        return dict, (dict(self),)
+
+
+def _frozen(value: Any) -> Any:
+    """The value with mappings that cannot be changed, at any depth of blocks and mappings."""
+    if isinstance(value, dict):
+        return FrozenDict({name: _frozen(each) for name, each in value.items()})
+    if not isinstance(value, Model):
+        return value
+    changed = {name: part for name, each in value if (part := _frozen(each)) is not each}
+    if not changed:
+        return value
+    copied = value.model_copy()
+    copied.__dict__.update(changed)  # the names of the given fields remain
+    return copied
+
+
+def refuse_other_object(scene: object) -> None:
+    """Raise GranflowError for an object that is not a scene."""
+    if not isinstance(scene, Scene):
+        remedy = "granflow.Scene.from_dict" if isinstance(scene, Mapping) else "granflow.load_scene"
+        raise GranflowError(f"scene is a {type(scene).__name__}; make a scene of it with {remedy}.")
+
+
+# Readers
+
+
+def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
+    """Read the scene in a YAML file and resolve it.
+
+    `path`: UTF-8 file of at most 4 MiB. The path in `start_from` is relative to the folder of the file. Each
+    override, "key.path=value", replaces or adds a value (YAML) before validation. The result is immutable and
+    in SI units.
+
+    Raises SceneError with all problems in the order of the file, each with line and column, at most 100.
+
+    >>> gf.load_scene("two.yaml", ["run.duration=5 ms"]).run.duration
+    0.005
+    """
+    path = path_of("path", path)
+    overrides = items_of("overrides", overrides, 'texts, such as "run.duration=5 ms"')
+    for each in overrides:
+        refuse_other("an override", each, str, 'a text, such as "run.duration=5 ms"')
+    written = scene_in(document_in(path), overrides, path.parent)
+    written._path = path
+    return Scene.of(written, read=True)
+
+
+def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
+    """Read a scene from text, such as that in a checkpoint; paths are relative to the folder of `source`.
+
+    Particle files are not read again if the text contains their summary. Raises the same errors as `load`.
+    """
+    try:
+        written = scene_in(parse(text, source), overrides, Path(source).parent)
+    except DocumentError as error:
+        raise SceneError(str(error.problem)) from None
+    return Scene.of(written, read=False)
+
+
+def _unpickled(text: str, folder: str, path: str) -> Scene:
+    """The scene of the text of another process."""
+    written = scene_in(parse(text, "the pickled scene"), (), Path(folder))
+    written._path = Path(path)
+    return Scene.of(written, read=False)
+
+
+# The scene in an output directory, whose input files are copied there
+
+COPIES = "inputs"
+"""Folder in the output directory with the copies of input files that are not below the folder of the
+scene."""
+RESULTS = re.compile(r"(particles|contacts|walls)_\d+(\.\d+)?\.vtu|timeseries\.csv")
+"""Names of result files, which the run writes itself: copies of input files with such a name are in
+COPIES."""
 
 
 def copied_scene(scene: Scene, taken: dict[str, Path] | None = None) -> Scene:
@@ -243,9 +315,8 @@ def copied_scene(scene: Scene, taken: dict[str, Path] | None = None) -> Scene:
 def _stays(name: str) -> bool:
     """Whether the copy of an input file has the same path in the output directory."""
     path = PurePath(name)
-    return (
-        not path.is_absolute() and not path.drive and ".." not in path.parts and not RESULTS.fullmatch(name)
-    )
+    is_below = not path.is_absolute() and not path.drive and ".." not in path.parts
+    return is_below and not RESULTS.fullmatch(name)
 
 
 def _free(wanted: PurePath, source: Path, taken: dict[str, Path]) -> str:
@@ -260,20 +331,18 @@ def _free(wanted: PurePath, source: Path, taken: dict[str, Path]) -> str:
 
 def _wall_with(wall: Wall, copies: Mapping[str, str]) -> Wall:
     """A wall with the paths of the copies of its mesh and its tables."""
-    changes: dict[str, Any] = {"file": copies[wall.file]} if isinstance(wall, MeshWall) else {}
-    if any(_table(motion) in copies for motion in wall.motion):
-        changes["motion"] = tuple(
-            motion.model_copy(update={"file": copies[name]})
-            if (name := _table(motion)) is not None
-            else motion
-            for motion in wall.motion
-        )
+    changes: dict[str, Any] = {}
+    if isinstance(wall, MeshWall):
+        changes["file"] = copies[wall.file]
+    motions = []
+    for motion in wall.motion:
+        if isinstance(motion, TableMotion) and motion.file is not None:
+            motions.append(motion.model_copy(update={"file": copies[motion.file]}))
+        else:
+            motions.append(motion)
+    if motions != list(wall.motion):
+        changes["motion"] = tuple(motions)
     return wall.model_copy(update=changes)
-
-
-def _table(motion: object) -> str | None:
-    """Path of the table of a motion; None without one."""
-    return motion.file if isinstance(motion, TableMotion) else None
 
 
 def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
@@ -284,10 +353,7 @@ def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
     return group.model_copy(update={"insert": insertion})
 
 
-def program_version() -> str:
-    """Version of granflow and digest of the sources of its engine, which differ between commits of one
-    version."""
-    return f"granflow {version_of('granflow')} (engine {engine_digest()})"
+# Identity of a scene
 
 
 def identity_of(scene: Scene) -> str:
@@ -302,58 +368,7 @@ def identity_of(scene: Scene) -> str:
     return digest.hexdigest()
 
 
-def refuse_other_object(scene: object) -> None:
-    """Raise GranflowError for an object that is not a scene."""
-    if not isinstance(scene, Scene):
-        remedy = "granflow.Scene.from_dict" if isinstance(scene, Mapping) else "granflow.load_scene"
-        raise GranflowError(f"scene is a {type(scene).__name__}; make a scene of it with {remedy}.")
-
-
-def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
-    """Read the scene in a YAML file and resolve it.
-
-    `path`: UTF-8 file of at most 4 MiB. The path in `start_from` is relative to the folder of the file. Each
-    override, "key.path=value", replaces or adds a value (YAML) before validation. The result is immutable and
-    in SI units.
-
-    Raises SceneError with all problems in the order of the file, each with line and column, at most 100.
-
-    >>> gf.load_scene("two.yaml", ["run.duration=5 ms"]).run.duration
-    0.005
-    """
-    path = path_of("path", path)
-    overrides = items_of("overrides", overrides, 'texts, such as "run.duration=5 ms"')
-    for each in overrides:
-        refuse_other("an override", each, str, 'a text, such as "run.duration=5 ms"')
-    written = scene_in(document_in(path), overrides, path.parent)
-    written._path = path
-    return Scene.of(written, read=True)
-
-
-def _unpickled(text: str, folder: str, path: str) -> Scene:
-    """The scene of the text of another process."""
-    written = scene_in(parse(text, "the pickled scene"), (), Path(folder))
-    written._path = Path(path)
-    return Scene.of(written, read=False)
-
-
-def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
-    """Read a scene from text, such as that in a checkpoint; paths are relative to the folder of `source`.
-
-    Particle files are not read again if the text contains their summary. Raises the same errors as `load`.
-    """
-    try:
-        written = scene_in(parse(text, source), overrides, Path(source).parent)
-    except DocumentError as error:
-        raise SceneError(str(error.problem)) from None
-    return Scene.of(written, read=False)
-
-
-def _earlier_run(scene: Scene) -> Path:
-    """The directory in `start_from`, relative to the folder of the scene. Raises SceneError if it cannot be
-    read."""
-    try:
-        return resolved(scene.folder / str(scene.start_from))
-    except OSError as error:
-        reason = f"start_from is {scene.start_from}, which cannot be read: {error.strerror}"
-        raise SceneError(f"{scene.locate('start_from')}: {reason}.") from None
+def program_version() -> str:
+    """Version of granflow and digest of the sources of its engine, which differ between commits of one
+    version."""
+    return f"granflow {version_of('granflow')} (engine {engine_digest()})"

@@ -1,10 +1,10 @@
-r"""Text for terminals, logs and pages: control, bidirectional and zero-width characters become visible
-escapes.
+r"""Text for terminals, logs and pages: invisible characters become escapes, numbers and lists readable.
 
 Titles, headers and file names are untrusted input: unescaped, ESC would control the terminal, and a
 right-to-left override would display another text than the file contains. `visible` replaces each such
 character by \x1b or \u202e; newlines and tabs remain. In messages, which are one line each, `visible_line`
-replaces newlines as well: a file name may contain one.
+replaces newlines as well: a file name may contain one. The other functions write numbers, counts, lists of
+names and tables.
 """
 
 import html

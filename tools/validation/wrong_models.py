@@ -96,7 +96,7 @@ REVIEW = (
     ),
     WrongModel(
         "Zhou, Eq. 19: stiffness times 1.25",
-        (("granflow/contact/spring.py", "return 0.8 * k * power(", "return 1.0 * k * power("),
+        (("granflow/contact/normal/linear_spring.py", "return 0.8 * k * power(", "return 1.0 * k * power("),
          (THEORY, "return 0.8 * k * np.sqrt(overlap_max(k, mass, velocity))",
           "return 1.0 * k * np.sqrt(overlap_max(k, mass, velocity))")),
         ("collisions:stated_cases", "normal_models:normal_model_cases"),
@@ -157,8 +157,8 @@ MODELS = (
      "collisions:steel_cases"),
     ("zhou, rest_damping", UNLOADING, "damping *= constants.rest_damping", "damping *= 1.1 * constants.rest_damping",
      "at_rest:resting_cases"),
-    ("zhou, damping_ratio", ZHOU, "            * constants.damping_ratio\n            * weight",
-     "            * 1.1 * constants.damping_ratio\n            * weight", "at_rest:resting_cases"),
+    ("zhou, damping_ratio", ZHOU, "return 2.0 * constants.damping_ratio * weight * root",
+     "return 2.2 * constants.damping_ratio * weight * root", "at_rest:resting_cases"),
     ("hertz, spring", NORMAL + "hertz.py", "elastic = stiffness * ti.sqrt(contact.radius_eff * contact.overlap)",
      "elastic = 1.1 * stiffness * ti.sqrt(contact.radius_eff * "
      "contact.overlap)", "normal_models:normal_model_cases"),
