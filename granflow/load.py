@@ -334,7 +334,7 @@ def _wall_with(wall: Wall, copies: Mapping[str, str]) -> Wall:
     changes: dict[str, Any] = {}
     if isinstance(wall, MeshWall):
         changes["file"] = copies[wall.file]
-    motions = []
+    motions: list[Any] = []
     for motion in wall.motion:
         if isinstance(motion, TableMotion) and motion.file is not None:
             motions.append(motion.model_copy(update={"file": copies[motion.file]}))

@@ -544,13 +544,14 @@ class BoxWall(Wall):
 
     def _rectangle(self, axis: int, is_high: int, shared: dict[str, Any]) -> Rectangle:
         """The rectangle across an axis at the smallest or largest coordinate."""
-        sides = []
+        edges = []
         for k in range(3):
-            if k != axis:
-                side = [0.0, 0.0, 0.0]
-                side[k] = self.max[k] - self.min[k]
-                sides.append(_vector(side))
-        return Rectangle.model_construct(corner=self._corner(axis, is_high), sides=tuple(sides), **shared)
+            edge = [0.0, 0.0, 0.0]
+            edge[k] = self.max[k] - self.min[k]
+            edges.append(_vector(edge))
+        del edges[axis]
+        first, second = edges
+        return Rectangle.model_construct(corner=self._corner(axis, is_high), sides=(first, second), **shared)
 
     def _corner(self, axis: int, is_high: int) -> q.Vector3:
         """The corner with the smallest coordinates, moved along an axis to its largest if `is_high`."""
