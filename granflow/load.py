@@ -125,8 +125,7 @@ class Scene(SceneInput):
         return target
 
     def input_names(self) -> Iterator[tuple[str, str]]:
-        """Yield key and path of each mesh, motion and particle file; paths are relative to the folder of the
-        scene."""
+        """Yield key and path of each mesh, motion and particle file, relative to the folder of the scene."""
         for name, wall in self.walls.items():
             if isinstance(wall, MeshWall):
                 yield f"walls.{name}.file", wall.file
@@ -195,8 +194,7 @@ class Scene(SceneInput):
 
 
 def _earlier_run(scene: Scene) -> Path:
-    """The directory in `start_from`, relative to the folder of the scene. Raises SceneError if it cannot be
-    read."""
+    """The directory in `start_from`, relative to the folder of the scene. Raises SceneError."""
     try:
         return resolved(scene.folder / str(scene.start_from))
     except OSError as error:
@@ -357,8 +355,7 @@ def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
 
 
 def identity_of(scene: Scene) -> str:
-    """SHA-256 of the version and the engine of granflow, the resolved scene, and the contents of the files it
-    reads.
+    """SHA-256 of the program version, the resolved scene, and the contents of the files that it reads.
 
     Without the contents of the run in `start_from`. Raises OSError for a file that cannot be read.
     """
@@ -369,6 +366,5 @@ def identity_of(scene: Scene) -> str:
 
 
 def program_version() -> str:
-    """Version of granflow and digest of the sources of its engine, which differ between commits of one
-    version."""
+    """Version of granflow, and digest of its engine, which differs between commits of one version."""
     return f"granflow {version_of('granflow')} (engine {engine_digest()})"

@@ -129,8 +129,7 @@ def dimensions_with(unit: str) -> dict[str, Dimension]:
 
 
 def si_unit_of(unit: str) -> str:
-    """The SI unit that all dimensions of a unit have in common, "rad" for "deg"; empty for "%" and without a
-    unit."""
+    """The SI unit that all dimensions of a unit share, "rad" for "deg"; empty for "%" and without a unit."""
     units = [
         [name for name, factor in each.units.items() if factor == 1]
         for each in dimensions_with(unit).values()
@@ -197,8 +196,7 @@ def _factor(unit: str, dimension: str) -> Fraction:
 
 
 def _any_factor(unit: str) -> Fraction:
-    """Exact factor of a unit of any dimension. Raises UnitError if it is unknown, or differs between
-    dimensions."""
+    """Exact factor of a unit of any dimension. Raises UnitError if it is unknown or ambiguous."""
     factors = {each.units[unit] for each in dimensions_with(unit).values()}
     if len(factors) == 1:
         return factors.pop()
@@ -207,8 +205,7 @@ def _any_factor(unit: str) -> Fraction:
 
 
 def _wrong_unit(unit: str, expected: Dimension) -> str:
-    """Message for a unit that does not belong to the expected dimension: its meaning, or the closest known
-    unit."""
+    """Message for a unit of another dimension, or an unknown one with the closest known unit."""
     matching = [each.noun for each in dimensions_with(unit).values()]
     if not expected.units or expected is DIMENSIONS["number"]:
         return f"{expected.noun} without a unit is expected, such as {expected.example}"
@@ -233,8 +230,7 @@ def unit_in(text: str) -> str:
 
 
 def seconds_of(name: str, time: float | str) -> float:
-    """The argument `name` of a function in s, a number [s] or text with a unit ("1 ms"). Raises
-    GranflowError."""
+    """The argument `name` of a function in s: a number, or text with a unit. Raises GranflowError."""
     try:
         if isinstance(time, str):
             return to_si(time, "time")
@@ -331,8 +327,7 @@ def common_unit(values: Iterable[Any]) -> str:
 
 
 def mixed_units(values: Iterable[Any]) -> str:
-    """Why values are not of one dimension: units of different ones, or a unit with plain numbers other than
-    0; or "".
+    """Why values are not of one dimension: their units, or a unit beside plain numbers other than 0; or "".
 
     Values that are no numbers are ignored.
     """
@@ -351,8 +346,7 @@ def mixed_units(values: Iterable[Any]) -> str:
 
 
 def unit_conflict(given: str, expected: str) -> str:
-    """Why a value with the unit `given` is not one in `expected`, as "in rad, and mm is no unit of an angle";
-    or "".
+    """Why a unit does not fit another, as "in rad, and mm is no unit of an angle"; or "".
 
     Without a known unit on both sides, there is no conflict.
     """
@@ -368,7 +362,6 @@ def in_unit(value: float, unit: str) -> float:
 
 
 def in_si(value: float, unit: str) -> float | str:
-    """An SI number as a value of a scene: text with the SI unit of the dimension of `unit`, so that it is
-    checked."""
+    """An SI number as a value of a scene: text with the SI unit of the dimension of `unit`."""
     si_unit = si_unit_of(unit)
     return f"{float(value)!r} {si_unit}" if si_unit else float(value)

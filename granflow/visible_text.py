@@ -55,8 +55,7 @@ class VisibleFormatter(logging.Formatter):
 
 
 def readable(number: float) -> str:
-    """Return the text of a number: whole and large numbers in groups of three digits, others with four
-    digits.
+    """The number as text: whole and large ones in groups of three digits, others with four digits.
 
     Large: from 1e4 to 1e12, rounded to four significant digits.
     """
@@ -68,8 +67,7 @@ def readable(number: float) -> str:
 
 
 def in_degrees(number: float, unit: str) -> str:
-    """Return " (22.9 deg)" for an angle in the unit rad, to follow it in text; "" for other units and without
-    a number.
+    """ " (22.9 deg)" for an angle in rad, to follow it in text; "" for other units and without a number.
 
     Scenes take angles in degrees as well; files contain rad only.
     """
@@ -82,8 +80,7 @@ def numbered(count: int, noun: str) -> str:
 
 
 def distinct_endings(names: Sequence[Sequence[str]], least: int = 1) -> list[tuple[str, ...]]:
-    """The last parts of each name: as few as make all names different, but at least `least` if a name has so
-    many."""
+    """The last parts of each name, as few as make all names different, but at least `least`."""
     for count in range(least, max([least, *map(len, names)]) + 1):
         found = [tuple(name[-count:]) for name in names]
         if len(set(found)) == len(found):
@@ -97,8 +94,7 @@ def alternatives(names: Sequence[str]) -> str:
 
 
 def html_table(title: str, rows: Iterable[tuple[str, object]]) -> str:
-    """Return a table of labels and values with a heading as HTML, for notebooks; all texts are escaped and
-    visible."""
+    """A table of labels and values with a heading as HTML, for notebooks; all texts are escaped."""
     cells = "".join(
         f'<tr><th style="text-align:left">{_escaped(label)}</th>'
         f'<td style="text-align:left">{_escaped(value)}</td></tr>'

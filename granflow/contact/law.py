@@ -724,8 +724,7 @@ Option: TypeAlias = Amount | Choice
 
 @dataclass(frozen=True)
 class PairOption:
-    """A key of `pairs` that a contact model requires; the model is compiled only if a pair has a value other
-    than 0.
+    """A key of `pairs` that a contact model requires; if it is 0 for all pairs, the model is left out.
 
     key:     name of the key
     amount:  meaning and limits of the value, which has no default

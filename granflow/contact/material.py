@@ -45,8 +45,7 @@ class VelocityRestitution:
     limit_velocity: float
 
     def __call__(self, velocity: float | np.ndarray) -> np.ndarray:
-        """Restitution coefficient at an approach velocity [m/s] >= 0, any shape; float64 of the same
-        shape."""
+        """Restitution coefficient at an approach velocity [m/s] >= 0 of any shape; float64."""
         speed = np.asarray(velocity, dtype=float)
         below = np.minimum(speed, np.nextafter(self.limit_velocity, 0.0))
         e = np.exp(-self.sigma * (below / (self.limit_velocity - below)) ** self.psi)

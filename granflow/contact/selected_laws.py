@@ -49,8 +49,7 @@ class ContactLaws:
 
     @property
     def damped_slots(self) -> tuple[str, ...]:
-        """Slots, tangential or twisting, whose model has a dashpot that is a multiple of that of the normal
-        model."""
+        """Slots, tangential or twisting, whose dashpot is a multiple of that of the normal model."""
         laws = {"tangential": self.tangential, "twisting": self.twisting}
         return tuple(slot for slot, law in laws.items() if law is not None and law.damped)
 
@@ -81,8 +80,7 @@ class ContactLaws:
 
     @property
     def range(self) -> float:
-        """Largest distance [m] between two surfaces at which a model acts; 0 if all models require
-        overlap."""
+        """Largest distance [m] between two surfaces at which a model acts."""
         return self.cohesion.range if self.cohesion is not None else 0.0
 
     @property
@@ -92,8 +90,7 @@ class ContactLaws:
 
     @property
     def constant_names(self) -> Mapping[str, tuple[str, ...]]:
-        """Names of the pair constants of each slot; a row of the pair constants has them one after
-        another."""
+        """Names of the pair constants of each slot; a row of the pair constants has them in this order."""
         return {slot: law.constant_names for slot, law in self.by_slot.items()}
 
     @property

@@ -53,8 +53,7 @@ def recovery(e: Number) -> np.ndarray:
 
 
 def residual_closed_form(e: Number) -> np.ndarray:
-    """Ratio x of residual to maximum overlap by the closed form of the paper (Eq. 9), within 1.2 % of the
-    root.
+    """Ratio x of residual to maximum overlap by the paper's closed form (Eq. 9), within 1.2 % of the root.
 
     x = 1 - (4/5) e^2 - (c/5) e^8 / (1 - (1 - c) e) + e^16 (1 - e),   c = (4/5)^2.5
     """
@@ -173,8 +172,7 @@ def least_restitution(k: Number, mass: Number, largest: Number, time_step: Numbe
 
 
 def damping_ratio_for(e: float) -> float:
-    """Damping ratio of a linear spring-dashpot without attraction for restitution e (Schwager & Poeschel
-    2007).
+    """Damping ratio of a spring-dashpot without attraction for restitution e (Schwager & Poeschel 2007).
 
     The contact ends when the force reaches zero, not when the overlap does. For zeta < 1,
 

@@ -300,8 +300,7 @@ def _round_extent(a: Vector3, b: Vector3, axis: Vector3, radius: float) -> Itera
 
 
 def unsupported_with_clumps(parts: PartialScene) -> Iterator[Fault]:
-    """Clumps support no sheared boxes, damping of all motion, adaptive steps, earlier runs and fields on
-    grids."""
+    """Clumps exclude sheared boxes, damping of all motion, adaptive steps, earlier runs and fields."""
     scene = parts.scene
     names = [name for name, group in scene.particles.items() if group.clump is not None]
     if not names:
@@ -355,8 +354,7 @@ def liquid_content(parts: PartialScene) -> Iterator[Fault]:
 
 
 def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
-    """Lees-Edwards boxes support neither walls, nor insertion during the run, nor flow meters: the images
-    move.
+    """Lees-Edwards boxes exclude walls, insertion during the run and flow meters: the images move.
 
     One fault names all features of the scene that are not supported.
     """
@@ -617,8 +615,7 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
 
 
 def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
-    """Expectations must refer to existing metrics that provide the quantity, or its time average
-    NAME_mean."""
+    """Expectations must refer to metrics that provide the quantity, or its time average NAME_mean."""
     known = parts.scene.output.metrics
     for path, quantity, name in _expected(parts.scene):
         if quantity not in METRIC_QUANTITIES:

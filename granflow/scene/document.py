@@ -58,8 +58,7 @@ class Problem:
     sentence: str
 
     def __str__(self) -> str:
-        """The message with its position, unless it begins with that; invisible characters are shown as
-        escapes."""
+        """The message with its position, unless it begins with that; invisible characters as escapes."""
         words = self.sentence.lstrip(" ")  # a key may begin with spaces, which are invisible
         position = "" if words.startswith(f"{self.position} ") else f"{self.position}: "
         text = position + r"\x20" * (len(self.sentence) - len(words)) + words
@@ -67,8 +66,7 @@ class Problem:
 
 
 class DocumentError(Exception):
-    """Text that is not valid YAML 1.2, or uses a feature that scenes do not support; `problem` has the
-    position."""
+    """Text that is not YAML 1.2, or uses a feature that scenes do not support."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(str(problem))
@@ -101,8 +99,7 @@ class Node:
         return self.scalar
 
     def child(self, key: str | int) -> "Node | None":
-        """The value under a key or at an index; None if it does not exist. A face of a box has the value of
-        the box."""
+        """The value under a key or at an index, for a face of a box that of the box; None without one."""
         if self.entries is not None and (written := self.written_key(key)) is not None:
             return self.entries[written].node
         if self.items is not None and isinstance(key, int) and 0 <= key < len(self.items):
@@ -110,8 +107,7 @@ class Node:
         return None
 
     def written_key(self, key: str | int) -> str | None:
-        """The key in the file: that of the box for one of its faces, such as box.left; None if there is
-        none."""
+        """The key in the file: for a face such as box.left that of the box; None without one."""
         entries = self.entries or {}
         for word in (str(key), str(key).rpartition(".")[0]):
             if word in entries:
@@ -267,8 +263,7 @@ class _Composer:
         return Document(self.source, root or Node(self._position(1, 1)), self.problems)
 
     def _printable(self, text: str) -> None:
-        """Reject characters that YAML does not allow. Raises DocumentError with the position of the first
-        one."""
+        """Raise DocumentError with the position of the first character that YAML does not allow."""
         if found := _FORBIDDEN.search(text):
             lines = text[: found.start()].splitlines() or [""]
             position = self._position(len(lines), len(lines[-1]) + 1)
@@ -367,8 +362,7 @@ class _Composer:
         return Node(self._at(start), items=items, size=1 + sum(item.size for item in items))
 
     def _mapping(self, start: MappingStartEvent, events: Iterator[Event], depth: int) -> Node:
-        """The node of a mapping; a duplicate key is a problem. Raises DocumentError above the limit of
-        keys."""
+        """The node of a mapping; a duplicate key is a problem. Raises DocumentError for too many keys."""
         entries: dict[str, MappingEntry] = {}
         for count in itertools.count():
             if isinstance(event := next(events), MappingEndEvent):
@@ -392,8 +386,7 @@ class _Composer:
         return Node(self._at(start), entries=entries, size=size)
 
     def _key(self, event: Any) -> str:
-        """The text of a key. Raises DocumentError for a key that is not plain text, and for the merge key
-        <<."""
+        """The text of a key. Raises DocumentError for other values, and for the merge key <<."""
         if not isinstance(event, ScalarEvent) or event.tag:
             raise self._error(event, "a key must be plain text, such as radius")
         if event.value == "<<" and event.style is None:
@@ -402,8 +395,7 @@ class _Composer:
 
 
 def _starts_helps_more(error: MarkedYAMLError) -> bool:
-    """Whether the start of the construct is a more useful position than the point of failure of the
-    parser."""
+    """Whether the start of the construct is more useful than the point where the parser failed."""
     context = str(error.context)
     return "simple key" in context or "flow" in context or "quoted" in context
 
@@ -470,8 +462,7 @@ ROOT = "scene"
 
 
 def document_of(data: Mapping[str, Any], root: str = ROOT) -> Document:
-    """The tree of a mapping of keys to values, as in a scene file; `root`: name of the whole mapping in
-    messages.
+    """The tree of a mapping of keys to values, as in a scene file; `root`: its name in messages.
 
     Values: numbers, text with units, lists, tuples, numpy arrays, mappings, paths, and parts of another
     scene. Problems of the document: keys that are not text, and values of other types.

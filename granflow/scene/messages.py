@@ -122,8 +122,7 @@ class _SchemaError:
         return _keys(model_at(self.schema, self.loc[:-1]))
 
     def suggested(self) -> KeyPath:
-        """Path of the key that an unknown key probably means; the path of the unknown key if none is
-        similar."""
+        """Path of the key that an unknown key probably means; its own path if none is similar."""
         return (*self.path[:-1], nearest(str(self.path[-1]), self.keys()) or self.path[-1])
 
     def fault(self) -> Fault:
@@ -209,15 +208,13 @@ def _keys(model: type[BaseModel] | None) -> list[str]:
 
 
 def _word(node: Node) -> str:
-    """A word as written, also that of a contact model in `{law: WORD}`; empty for another mapping or a
-    list."""
+    """A word as written, also that of `{law: WORD}`; empty for another mapping or a list."""
     law = node.child("law")
     return node.text if law is None else law.text
 
 
 def _options(path: KeyPath, word: str) -> str:
-    """Sentence on the options that a contact model requires, after the list of forms; empty for other
-    words."""
+    """Sentence on the options that a contact model requires; empty for other words."""
     slot = str(path[1]) if path[:1] == ("contact",) and len(path) > 1 else ""
     model = registry.models(slot).get(word) if slot in SLOTS else None
     if model is None:
@@ -230,8 +227,7 @@ def _options(path: KeyPath, word: str) -> str:
 
 
 def _elsewhere(word: str) -> str:
-    """Sentence, after the list of allowed words, on a contact model of another slot; empty for other
-    words."""
+    """Sentence on a contact model of another slot; empty for other words."""
     slot = next((slot for slot in SLOTS if word in registry.models(slot)), None)
     return f". {word} is given as contact.{slot}: {word}" if slot else ""
 

@@ -146,8 +146,7 @@ class Choice:
 
 
 def choose_by_key(key: str) -> Choice:
-    """Choose a model by the value of `key`, or another member by the type of the value: none, list or
-    number."""
+    """Choose a model by the value of `key`, or another member by its type: none, list or number."""
 
     def tag(value: Any, tags: Collection[str]) -> str | None:
         if isinstance(value, dict):
@@ -162,8 +161,7 @@ def choose_by_key(key: str) -> Choice:
 
 
 def choose_by_first_key(reason: str) -> Choice:
-    """Choose a model by its first key, such as `box` of `{box: {...}}`; no match is the error "X is Y, but
-    REASON."."""
+    """Choose a model by its first key, as `box` of `{box: {...}}`; else the error "X is Y, but REASON."."""
 
     def tag(value: Any, tags: Collection[str]) -> str | None:
         if isinstance(value, BaseModel):
@@ -198,8 +196,7 @@ class ShortForm:
 
 
 def require(is_valid: Callable[[Any], Any], reason: str) -> Callable[[Any], Any]:
-    """Validator that returns a value unchanged, or raises PydanticCustomError with the reason if it is not
-    valid."""
+    """Validator that returns a valid value unchanged, and raises PydanticCustomError for others."""
 
     def validate(value: Any) -> Any:
         if not is_valid(value):

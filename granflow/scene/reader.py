@@ -133,8 +133,7 @@ def _file_text(path: Path, kind: str) -> str:
 
 
 def _decoded(raw: bytes, path: Path, kind: str) -> str:
-    """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for another encoding or binary
-    data."""
+    """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for other data."""
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise SceneError(f"{path}:1:1: the file is encoded in UTF-16; save it as UTF-8.")
     try:

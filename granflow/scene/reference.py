@@ -153,8 +153,7 @@ def children(schema: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 @cache
 def places() -> dict[str, list[str]]:
-    """Key paths at which each part occurs, in the order of the scene; those of nested parts start at the
-    first path."""
+    """Key paths at which each part occurs; paths of nested parts start at the first one of their owner."""
     found: dict[str, list[str]] = {ROOT: [""]}
     waiting = [ROOT]
     while waiting:
@@ -276,8 +275,7 @@ def _number(schema: dict[str, Any], unit: str) -> str:
 
 
 def range_text(schema: dict[str, Any]) -> str:
-    """Allowed values: bounds of numbers, words, lengths of lists, mappings beside them; empty if there is no
-    limit."""
+    """Allowed values: bounds, words, lengths of lists, mappings beside them; empty without a limit."""
     found = list(dict.fromkeys(_ranges(schema)))
     if found:
         found += _mappings(schema)
@@ -344,8 +342,7 @@ LONGEST = 72
 
 
 def _from_scenes(key: Key) -> str:
-    """The most frequent value in the shipped scenes, of equally frequent ones the shortest; empty if all are
-    long."""
+    """The most frequent value in the shipped scenes, else the shortest; empty if all are long."""
     found = _harvest().get((key.part, key.name), Counter())
     short = [text for text in found if len(text) <= LONGEST]
     return min(short, key=lambda text: (-found[text], len(text), text), default="")
@@ -566,8 +563,7 @@ PART_EXAMPLES = {
 
 @dataclass(frozen=True)
 class Place:
-    """A place in a scene: path with NAME and [], the key that leads there, and the parts that its value can
-    be."""
+    """A place in a scene: path with NAME and [], the last key of it, and the parts that its value can be."""
 
     path: str
     key: Key | None

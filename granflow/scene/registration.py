@@ -57,8 +57,7 @@ def _amounts(model: ContactModel) -> Iterator[Amount]:
 
 
 def _refuse_without_source(model: ContactModel) -> None:
-    """Raise GranflowError if the text of a device function is not available, which the kernel language
-    compiles."""
+    """Raise GranflowError if the text of a device function, which is compiled, is not available."""
     for name in ("force", "torque"):
         try:
             source_lines(unwrap(getattr(model.law, name, registry.add)))

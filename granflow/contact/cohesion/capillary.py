@@ -50,8 +50,7 @@ def arctangent(x):
 
 @ti.func
 def bridge_attraction(contact, tension, volume):
-    """Capillary force [N]; `tension`: surface tension times cosine of the contact angle [N/m]; volume [m3]
-    above 0."""
+    """Capillary force [N]; tension: surface tension times cosine of contact angle [N/m]; volume [m3] > 0."""
     u = ti.max(-contact.overlap, 0.0) * ti.sqrt(2.0 * contact.radius_eff / volume)
     return 4.0 * math.pi * contact.radius_eff * tension / (1.0 + LINEAR * u + SQUARE * u * u)
 

@@ -98,8 +98,7 @@ class CapillaryTransfer(CohesionLaw):
 
     @ti.func
     def form(self, constants, contact, history, volume):
-        """The history of a contact without a bridge, after one of a volume [m3] has formed at the present
-        overlap."""
+        """The history after a bridge of a volume [m3] has formed at the present overlap."""
         history_new = history
         history_new.bridge_volume = volume
         if ti.static(self.energy_budget):

@@ -49,8 +49,9 @@ def length_scale(constants, contact):
 
 @ti.func
 def root_of_contact_radius(d):
-    """y of the stable contact: the largest root of y^4 - y = d, by Ferrari's method; that of snap-off beyond
-    it.
+    """y of the stable contact: the largest root of y^4 - y = d, by Ferrari's method.
+
+    Beyond snap-off, for d < -SNAP_OFF, it is the root at snap-off.
 
         m^3 + d m - 1/8 = 0        y = (sqrt(2 m) + sqrt(sqrt(2 / m) - 2 m)) / 2
 

@@ -15,8 +15,7 @@ from granflow.device_functions import ti
 
 @dataclass(frozen=True)
 class Sjkr(CohesionLaw):
-    """F = w A,   A = 2 pi R d   to first order in d / R,   w the cohesion energy density of the pair
-    [J/m3]."""
+    """F = w A with the area A = 2 pi R d, and the cohesion energy density w [J/m3] of the pair."""
 
     name = "sjkr"
     source = "SJKR as in LIGGGHTS, after Johnson, Kendall & Roberts 1971"

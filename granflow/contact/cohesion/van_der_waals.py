@@ -14,8 +14,7 @@ CUTOFF = 30.0
 
 @dataclass(frozen=True)
 class VanDerWaals(CohesionLaw):
-    """F = A R / (6 s^2),   s = s_0 + distance of the surfaces; during overlap s = s_0.   A: Hamaker constant
-    [J].
+    """F = A R / (6 s^2), s = s_0 + distance of the surfaces, with the Hamaker constant A [J]; s_0 in overlap.
 
     largest_cutoff:  largest cut-off distance [m] of all pairs
     """
@@ -72,8 +71,7 @@ class VanDerWaals(CohesionLaw):
         return pair.options["hamaker_constant"] * radius_eff / (6.0 * pair.options["separation"] ** 2)
 
     def equivalent_velocity(self, pair: PairMaterial, radius_eff: float, mass_eff: float) -> float:
-        """Larger of the velocity for the contact at rest, and that for the stiffness A R / (3 s_0^3) = 2 E
-        a."""
+        """Larger of the velocity at rest, and that for the stiffness A R / (3 s_0^3) = 2 E a."""
         contact_radius = self.pull_off_force(pair, radius_eff) / pair.options["separation"] / pair.modulus_eff
         by_slope = theory.velocity_for_radius(pair.modulus_eff, radius_eff, mass_eff, contact_radius)
         return max(super().equivalent_velocity(pair, radius_eff, mass_eff), by_slope)

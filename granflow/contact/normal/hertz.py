@@ -104,8 +104,7 @@ class Hertz(HertzSpring):
         return float(elastic if viscosity == 0.0 else max(elastic + viscous, 0.0)), {}
 
     def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Ratio of viscous force to overlap rate [N s/m], at the maximum overlap without damping (Zhou 2011,
-        Eq. 5)."""
+        """Viscous force over overlap rate [N s/m], at the maximum overlap without damping."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         largest = float(theory.overlap_max(k, mass_eff, velocity))
         return self.pair_constants(pair)[2] * float(np.sqrt(mass_eff * k) * largest**0.25)

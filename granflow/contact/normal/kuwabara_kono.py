@@ -31,8 +31,7 @@ _step_mean = build_step_mean(DAMPING_POWER)
 
 @dataclass(frozen=True)
 class KuwabaraKono(HertzSpring):
-    """Viscoelastic spheres; the restitution of a pair applies at the reference velocity [m/s], for all
-    particle sizes.
+    """Viscoelastic spheres; the restitution of a pair applies at the reference velocity, for all sizes.
 
     e depends only on g v^(1/5) (Brilliantov et al. 1996), so that g = g_ref / v_ref^(1/5), where g_ref gives
     e at 1 m/s.

@@ -1,5 +1,4 @@
-"""Bilinear model with plasticity that increases with the overlap up to a limit, and with tension (Luding
-2008).
+"""Bilinear model with tension, whose plasticity increases with the overlap up to a limit (Luding 2008).
 
 The loading slope is k1. The unloading slope k2 lies between k1 and kp and increases with the maximum overlap.
 Beyond the limit overlap the contact is elastic along the kp line: the limit branch. The tension, if any, is
@@ -81,8 +80,7 @@ class LudingCollision:
         return math.sqrt(max(2.0 * (self.elastic_energy - work) / self.mass_eff, 0.0)) / self.velocity
 
     def durations(self) -> tuple[float, float]:
-        """Loading and unloading durations [s]. If the spheres do not separate, unloading ends at zero
-        force."""
+        """Loading and unloading durations [s]; without separation, unloading ends at zero force."""
         quarter = quarter_period(self.unloading_stiffness, self.mass_eff)
         if self.restitution == 0.0:
             return self._loading_duration(), quarter
@@ -131,8 +129,7 @@ def tension_overlap_max(growth, tension, overlap):
 
 @dataclass(frozen=True)
 class Luding(ClosedFormCollision, SpringLaw):
-    """Luding's model with the loading spring k1. The restitution of a pair applies on the limit branch: kp =
-    k1 / e^2.
+    """Luding's model with the loading spring k1; the restitution of a pair gives kp = k1 / e^2 at the limit.
 
     plasticity_depth:  ratio of the largest residual overlap to 2 R
     tension:           ratio kc / k1; 0: no tension
@@ -195,8 +192,7 @@ class Luding(ClosedFormCollision, SpringLaw):
 
     @ti.func
     def tension_loss(self, constants, growth, stiffness, largest, overlap):
-        """Energy lost along -kc d from its intersection with the unloading line of `largest` to an overlap
-        [J]."""
+        """Energy lost along -kc d, from the unloading line of `largest` to an overlap [J]."""
         energy_lost = 0.0 * stiffness
         if ti.static(self.attracts):
             tension = constants.tension
@@ -266,8 +262,7 @@ class Luding(ClosedFormCollision, SpringLaw):
         return constants.tension * self.stiffness_of(constants, contact, history) * contact.overlap
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
-        """Reference implementation of `force`, branch by branch with d0 = (1 - k1/k2) dmax as in the
-        paper."""
+        """Reference implementation of `force`, branch by branch with d0 = (1 - k1/k2) dmax."""
         k1, spring = self.reference_stiffness(contact)
         growth = contact.constants.growth / contact.radius_eff
         largest_before = contact.history.overlap_max

@@ -141,8 +141,7 @@ class ThorntonCollision:
 
 
 def _hertz_time(share: float) -> float:
-    """Time over T_s of Hertz loading to a fraction of the maximum overlap: int_0^share du / sqrt(1 -
-    u^2.5)."""
+    """Time over T_s of Hertz loading to a share of dmax: int_0^share du / sqrt(1 - u^2.5)."""
     nodes, weights = leggauss(60)
     end = math.asin(share)
     angle = 0.5 * end * (nodes + 1.0)
@@ -184,8 +183,7 @@ class Thornton(ClosedFormCollision, NormalLaw):
 
     @ti.func
     def force(self, constants, contact, history):
-        """Loading branch beyond the previous maximum overlap, Hertz force of the flattened contact below it
-        [N]."""
+        """Loading branch beyond the previous maximum overlap [N], flattened Hertz contact below it."""
         history_new = history
         history_new.overlap_max = ti.max(contact.overlap, history.overlap_max)
         stiffness, residual = unloading_contact(constants, contact.radius_eff, history_new.overlap_max)
@@ -198,8 +196,7 @@ class Thornton(ClosedFormCollision, NormalLaw):
 
     @ti.func
     def stored_energy(self, constants, contact, history):
-        """Energy recovered by unloading [J]: 2/5 of the force times the overlap above the residual
-        overlap."""
+        """Energy recovered by unloading [J]: 2/5 of the force times the overlap above the residual one."""
         stiffness, residual = unloading_contact(constants, contact.radius_eff, history.overlap_max)
         above = ti.max(contact.overlap - residual, 0.0)
         return 0.4 * stiffness * above * above * ti.sqrt(above)
@@ -222,8 +219,7 @@ class Thornton(ClosedFormCollision, NormalLaw):
         return energy_lost
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
-        """Reference implementation of `force` in numpy, by contact radii: a^2 = R d and a^2 = R_p (d -
-        d_p)."""
+        """Reference implementation of `force`, by contact radii: a^2 = R d and a^2 = R_p (d - d_p)."""
         modulus = contact.constants.modulus_eff
         pressure = contact.constants.yield_pressure
         radius = contact.radius_eff

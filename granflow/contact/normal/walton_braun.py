@@ -1,5 +1,4 @@
-"""Bilinear model: loading with stiffness k1, unloading and reloading with the larger k2 (Walton & Braun
-1986)."""
+"""Bilinear model: loading with stiffness k1, unloading and reloading with k2 > k1 (Walton & Braun 1986)."""
 
 import math
 from collections.abc import Mapping

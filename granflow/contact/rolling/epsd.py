@@ -1,5 +1,4 @@
-"""Elastic-plastic spring torque (EPSD): the tangential spring with torque in place of force and angle of
-displacement.
+"""Elastic-plastic spring torque (EPSD): the tangential spring, with torque for force and angle for length.
 
 The rolling stiffness is k_t R^2 (Wensrich & Katterfeld 2012), the limit mu_r R F.
 """

@@ -1,5 +1,4 @@
-"""Tangential model: Mindlin's no-slip spring with history, limited by Coulomb friction, with an optional
-dashpot.
+"""Mindlin's no-slip spring with history, limited by Coulomb friction, with an optional dashpot.
 
 The four combinations of `increments` and `unloading` are the styles mindlin, mindlin/force, mindlin_rescale
 and mindlin_rescale/force of LAMMPS.
@@ -109,8 +108,7 @@ class Mindlin(TangentialLaw):
 
     @ti.func
     def displacement_ratio(self, ratio):
-        """Factor of the displacement if the stiffness changes, `ratio` is that of the previous to the present
-        one.
+        """Factor of the displacement if the stiffness changes; `ratio`: previous over present stiffness.
 
         force, rescaled:         min(ratio, 1)        force, kept:         ratio
         displacement, rescaled:  min(1 / ratio, 1)    displacement, kept:  1

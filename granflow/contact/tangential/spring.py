@@ -36,8 +36,7 @@ def limit_ratio(force, cap):
 
 @ti.func
 def elastic_plastic_spring(stiffness, factor, cap, rotated, step):
-    """Spring force -k s [N] after one step of displacement, limited to `cap` [N]. Returns (force, new
-    displacement).
+    """Force -k s [N] after one step of displacement, limited to `cap` [N], and the new displacement.
 
     stiffness:  present stiffness k [N/m]
     factor:     factor of the displacement for a change of the stiffness; min(previous / present stiffness, 1)
@@ -56,8 +55,7 @@ def elastic_plastic_spring(stiffness, factor, cap, rotated, step):
 
 @ti.func
 def spring_loss(stiffness, stiffness_ratio, rotated, step, force, displacement_new):
-    """Energy dissipated by the spring in one step [J]: work done on it minus the increase of its stored
-    energy."""
+    """Energy dissipated by the spring in one step [J]: work on it minus the increase of its energy."""
     stiffness_before = stiffness_ratio * stiffness
     work = 0.5 * (stiffness_before * rotated - force).dot(step)
     return (

@@ -10,8 +10,7 @@ from granflow.device_functions import ti
 
 @dataclass(frozen=True)
 class TorsionSpring(TorsionLaw):
-    """Spring k [N m/rad] and dashpot c [N m s] of the scene; T_max = mu_t F_n with the length mu_t of the
-    pair."""
+    """Spring k [N m/rad] and dashpot c [N m s] of the scene; limit mu_t F_n, mu_t [m] of the pair."""
 
     torsion_stiffness: float
     torsion_damping: float

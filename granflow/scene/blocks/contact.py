@@ -112,8 +112,7 @@ _LAST_WORDS = {"cohesion": ", with any normal contact model"}
 
 
 def _slot(slot: str) -> tuple[Any, Any]:
-    """Annotation and field of another slot: a name if no option is required, or a mapping for a model with
-    options."""
+    """Annotation and field of another slot: a name, or a mapping for a model with options."""
     models = registry.models(slot)
     words = tuple(name for name, model in models.items() if not model.needs_options)
     words = (*words, "none") if slot == "tangential" else ("none", *words)

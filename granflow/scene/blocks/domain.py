@@ -81,8 +81,7 @@ class Domain(Box):
         return PeriodicBox(tuple(AXES.index(axis) for axis in self.periodic), low, width, image_motion)
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the volume is positive, and the periodic axes are unique and include the shear
-        axes."""
+        """Yield faults of an empty volume, repeated periodic axes, and shear along other axes."""
         yield from super().faults()
         for index, axis in enumerate(self.periodic):
             if axis in self.periodic[:index]:

@@ -104,8 +104,7 @@ _ROUNDING = 1e-12  # tolerance of the sum of the fractions
 
 
 def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
-    """The classes with fractions normalized to the sum 1; unchanged if normalized, so that reading is
-    idempotent.
+    """The classes with fractions normalized to the sum 1; those that are normalized remain unchanged.
 
     Raises PydanticCustomError if all fractions are 0.
     """
@@ -576,16 +575,14 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     @property
     def count(self) -> int:
-        """Number of particles, or of clumps. Raises ValueError if it is not resolved from a mass or a
-        file."""
+        """Number of particles, or of clumps. Raises ValueError if it is not resolved yet."""
         if self.count_given is None:
             raise ValueError("The number of particles is not resolved; see granflow.particles.resolve.")
         return self.count_given
 
     @property
     def sphere_count(self) -> int:
-        """Number of spheres: those of all clumps, or the number of particles. Raises ValueError as
-        `count`."""
+        """Number of spheres: those of all clumps, or the number of particles. Raises as `count`."""
         return self.count * (1 if self.clump is None else len(self.clump.spheres))
 
     @property
@@ -652,8 +649,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             yield redundant("radius", "diameter")
 
     def _amount_faults(self) -> Iterator[Fault]:
-        """Yield a fault unless count, mass, end time and rows define the number of particles without
-        contradiction."""
+        """Yield a fault unless count, mass, end time and rows agree on the number of particles."""
         insertion = self.insert
         count = self.count_given
         rows = len(insertion.positions) if insertion.kind == "positions" else None
@@ -682,8 +678,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
                 yield whole(key, reason)
 
     def _thermal_faults(self, thermal: ThermalMotion) -> Iterator[Fault]:
-        """Random velocities require mobile particles at the start, and two of them if their momentum is
-        zero."""
+        """Random velocities require mobile particles at the start; two of them for zero momentum."""
         if self.insert.kind in ("rain", "inlet", "file", "python"):
             reason = (
                 f"insert.kind is {self.insert.kind}; random velocities require lattice, pack or positions"

@@ -246,8 +246,7 @@ GivenQuantity = Annotated[GivenNumber, NumberWithUnit("any")]
 
 
 def bound_faults(start: GivenNumber, stop: GivenNumber, scale: str) -> Iterator[Fault]:
-    """Faults of the bounds `from` and `to`: not ascending, of different units, or not positive on the scale
-    "log"."""
+    """Faults of bounds that do not ascend, have different units, or are not positive on the scale "log"."""
     if reason := mixed_units((start, stop)):
         yield Fault(("to",), reason)
     elif not start < stop:

@@ -138,8 +138,7 @@ class SceneInput(Model):
         return self.pairs[self.pair_key(first, second)]
 
     def pair_key(self, first: str, second: str) -> str:
-        """The key in `pairs` for two materials in either order; "second-first" if the scene does not have the
-        pair."""
+        """The key in `pairs` for two materials in either order; "second-first" if there is no such pair."""
         key = f"{first}-{second}"
         return key if key in self.pairs else f"{second}-{first}"
 

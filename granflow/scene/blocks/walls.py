@@ -536,8 +536,7 @@ class BoxWall(Wall):
                 yield name, build(axis, is_high, shared)
 
     def _plane(self, axis: int, is_high: int, shared: dict[str, Any]) -> Plane:
-        """The plane across an axis at the smallest or largest coordinate, with its normal toward the
-        inside."""
+        """The plane across an axis at the smallest or largest coordinate; its normal points inside."""
         normal = [0.0, 0.0, 0.0]
         normal[axis] = -1.0 if is_high else 1.0
         return Plane.model_construct(point=self._corner(axis, is_high), normal=_vector(normal), **shared)
