@@ -18,8 +18,8 @@ To write a model:
 
         constants  `constant_names` for the pair of materials, and `parameters`
         history    `history`: numbers, or 3-vectors, kept from first contact to separation
-        contact    radius_eff [m], mass_eff [kg], time_step [s], overlap [m], overlap_rate [m/s], positive
-                   during approach; for tangential, rolling and twisting models more, see below
+        contact    radius_eff [m], mass_eff [kg], time_step [s], overlap [m],
+                   overlap_rate [m/s], positive during approach; more for surface forces and torques, below
 
     A function that changes the history copies it, changes the copy and returns it. A function that is
     evaluated for many contacts at once has no `if` on a value of the contact, but `ti.select`.

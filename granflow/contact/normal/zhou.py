@@ -209,6 +209,7 @@ class Zhou(NormalLaw):
     damping_ratio: float = 0.0
     rest_damping: float = 0.0
     has_inelastic: bool = False
+
     name = "zhou"
     source = "Zhou 2011, doi 10.1063/2.1104106, Eqs. 4-12"
     limits = (
