@@ -1,6 +1,14 @@
-"""Binary collisions: many separate pairs of particles, or particles and walls, in one simulation.
+"""The collision bench: many separate collisions in one simulation, with the kernels of every scene.
 
-All contacts are normal to x, at the same x; the collisions are far apart in y and z. There is no gravity.
+All studies of single collisions run here: two spheres, or a sphere and a wall, that approach each other along
+x without gravity. All contacts are normal to x and at the same x; the collisions are far apart in y and z, so
+that each has only its own contact.
+
+`collide(pairs, law, step)` is the usual entry: it simulates head-on collisions of equal spheres and returns
+their `Outcomes`, with one column per result and one row per collision. `CollisionBench` is the bench below
+it. It takes the blocks of a scene (`materials`, `pairs`, `contact`, `run`, `numerics`) and a list of
+`Collision`, which may have different partners, walls, tangential velocity and spin, and it repeats them with
+other time steps. The bench writes no files.
 """
 
 import json
@@ -10,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -23,21 +31,142 @@ from granflow.scene.blocks.run import LARGEST_OVERLAP
 if TYPE_CHECKING:
     from granflow import Simulation
 
+Settings = Mapping[str, Any]
+"""Entries of a block of a scene."""
+Impact = tuple[PairMaterial, float, float, float]
+"""Arguments of contact models: pair of materials, effective radius [m] and mass [kg], approach velocity
+[m/s]."""
+
+
+# ---------------------------------------------------------------- head-on collisions of equal spheres
+
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+"""Golden ratio; its multiples modulo 1 are evenly distributed in the unit interval."""
+
+
+@dataclass(frozen=True)
+class HeadOnCollision:
+    """Head-on collision of two equal spheres.
+
+    `material`, `restitution`: as in a scene; `diameter` [m]; `velocity` [m/s]: approach velocity, half of it
+    for each sphere.
+    """
+
+    material: Settings
+    restitution: Any
+    diameter: float
+    velocity: float
+
+    @property
+    def key(self) -> str:
+        """Equal for collisions with the same material and restitution."""
+        return json.dumps([dict(self.material), self.restitution], sort_keys=True)
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """Results of n collisions, one column (n,) each, and their time series (steps, n).
+
+    A collision begins at first contact and ends when the force vanishes; both times are interpolated within a
+    step. Partners that do not separate have restitution 0 and duration nan.
+    """
+
+    restitution: np.ndarray
+    duration: np.ndarray
+    """Time in contact [s]."""
+    overlap_max: np.ndarray
+    """Largest overlap [m] of all steps."""
+    overlap_residual: np.ndarray
+    """Overlap at which the force vanishes [m]."""
+    force_max: np.ndarray
+    """Largest repulsion [N] of all steps."""
+    stored_energy: np.ndarray
+    """Work done on the contact up to the maximum overlap [J]."""
+    time_step: float
+    """Time step of all collisions [s]."""
+    overlap: np.ndarray
+    """Overlap [m] after each step; negative for a gap."""
+    force: np.ndarray
+    """Repulsion [N] after each step."""
+
+
+def collide(
+    pairs: Sequence[HeadOnCollision], law: Any, step: float, arch: str = "cpu", precision: str = "f64"
+) -> Outcomes:
+    """Simulate head-on collisions of equal spheres without friction.
+
+    `law`: entry `contact.normal` of a scene; `step`: time step [s] of all collisions. Their times of first
+    contact are evenly distributed over the phases of a step.
+
+    Raises SceneError if the contact model or the time step is not suitable, GranflowError if a pair never
+    touches.
+    """
+    first_contact = step * (GOLDEN * np.arange(len(pairs)) % 1.0)
+    with head_on_bench(pairs, law, step, first_contact, arch=arch, precision=precision) as bench:
+        return bench.collide()
+
+
+def head_on_bench(
+    pairs: Sequence[HeadOnCollision],
+    law: Any,
+    step: Any,
+    first_contact: np.ndarray,
+    *,
+    arch: str = "cpu",
+    precision: str = "f64",
+    threads: int | None = None,
+    contact_x: float = 0.0,
+    velocity_max: float | None = None,
+    numerics: Settings = MappingProxyType({}),
+) -> "CollisionBench":
+    """Bench with head-on collisions of equal spheres; the materials are m0, m1, ...
+
+    `step`: time step [s], or "auto"; `first_contact` (n,): times of first contact [s]. The plan assumes
+    `velocity_max` [m/s], by default the largest velocity. Other arguments as for CollisionBench.
+    """
+    names = {key: f"m{number}" for number, key in enumerate(dict.fromkeys(each.key for each in pairs))}
+    materials = {names[each.key]: each for each in pairs}
+    collisions = []
+    for each, time in zip(pairs, first_contact, strict=True):
+        name = names[each.key]
+        radius = 0.5 * each.diameter
+        collisions.append(Collision(name, name, radius, radius, each.velocity, first_contact=float(time)))
+    return CollisionBench(
+        materials={name: each.material for name, each in materials.items()},
+        pairs={f"{name}-{name}": _pair_entry(each.restitution) for name, each in materials.items()},
+        contact={"normal": law},
+        collisions=collisions,
+        run={
+            "duration": min(run_duration(each.diameter, each.velocity) for each in pairs),
+            "time_step": step,
+            "precision": precision,
+            "velocity_max": velocity_max or max(each.velocity for each in pairs),
+        },
+        numerics=numerics,
+        contact_x=contact_x,
+        arch=arch,
+        threads=threads,
+    )
+
+
+def _pair_entry(restitution: Any) -> dict[str, Any]:
+    """Entry of `pairs`; None for a restitution that the contact model derives from the materials."""
+    if restitution is None:
+        return {"friction": 0}
+    return {"friction": 0, "restitution": restitution}
+
+
+# ---------------------------------------------------------------- the bench
+
 LONGEST = 20.0
 """Maximum length of a collision in units of its expected duration; longer collisions count as sticking."""
 SPACING = 4.0
 """Spacing of neighboring collisions over the largest diameter."""
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-"""Golden ratio; its multiples modulo 1 are evenly distributed in the unit interval."""
-FORCES_TO_END = 4
-"""Number of final forces of a contact that determine its end."""
-EARLIEST_END, LATEST_END = -0.5, 1.0
-"""Range of the end of a contact after its last force, in steps."""
-Settings = Mapping[str, Any]
-"""Entries of a block of a scene."""
+REBOUND_SAMPLES = 200
+"""Number of samples of `CollisionBench.rebound` in the maximum time of its collisions."""
 
 
-def duration_given(diameter: float, velocity: float) -> float:
+def run_duration(diameter: float, velocity: float) -> float:
     """Value of run.duration [s]: LONGEST times the travel by a diameter [m] at up to 1 m/s, at most 1 s.
 
     The bench ends with the last collision; a longer duration of small particles is refused for its number of
@@ -48,14 +177,14 @@ def duration_given(diameter: float, velocity: float) -> float:
 
 @dataclass(frozen=True)
 class Collision:
-    """One collision of a particle with another particle or with a wall, in SI units.
+    """One collision of a sphere with another sphere or with a wall, in SI units.
 
     first, second:   names of the materials
-    radius:          of the first particle
-    other_radius:    of the second particle; None for a wall
-    velocity:        approach velocity; `share` of it is that of the first particle, 1 toward a wall
-    along, spin:     velocity of the first particle along y, and angular velocity about -z; the surface of the
-                     particle slides at the velocity along - radius * spin
+    radius:          of the first sphere
+    other_radius:    of the second sphere; None for a wall
+    velocity:        approach velocity; `share` of it is that of the first sphere, 1 toward a wall
+    along, spin:     velocity of the first sphere along y, and angular velocity about -z; the surface of the
+                     sphere slides at the velocity along - radius * spin
     first_contact:   time of first contact
     """
 
@@ -79,8 +208,36 @@ class Collision:
         return radius_eff, mass * other / (mass + other)
 
 
+class _Partner(NamedTuple):
+    """A sphere of a collision: index of its material and of the collision, side (0 or 1), and its state."""
+
+    group: int
+    collision: int
+    side: int
+    radius: float
+    position: tuple[float, float, float]
+    velocity: tuple[float, float, float]
+    angular_velocity: tuple[float, float, float]
+
+
+class _Block(NamedTuple):
+    """Collisions with the same wall, on a grid of `columns` (y) by `rows` (z) that begins at a row."""
+
+    wall: str | None
+    """Material of the wall; None for collisions of two spheres."""
+    indices: np.ndarray
+    """Indices of the collisions."""
+    first_row: int
+    columns: int
+    rows: int
+
+
 class CollisionBench:
-    """Collisions in one simulation; call `free` after use.
+    """Collisions in one simulation. As a context manager, the bench frees the device memory at the end.
+
+    `collide` records every step and returns all results; `rebound` returns the velocities of separation only,
+    with few samples; `run` returns the samples themselves. After each, `motions` returns the velocities and
+    spins of all partners. The simulation is then used up: `restart` places the partners again.
 
     materials, pairs:  blocks of a scene; missing pairs are elastic, because their materials do not touch
     contact, run:      blocks of a scene
@@ -108,6 +265,17 @@ class CollisionBench:
         self._threads = threads
         self.scene = Scene.from_dict(self._described(materials, pairs, contact, run, numerics))
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.free()
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Plan of the scene."""
+        return plan_for(self.scene)
+
     @cached_property
     def simulation(self) -> "Simulation":
         """Simulation of the scene."""
@@ -115,14 +283,8 @@ class CollisionBench:
 
         return Simulation(self.scene, arch=self._arch, threads=self._threads)  # type: ignore[arg-type]
 
-    @cached_property
-    def plan(self) -> Plan:
-        """Plan of the scene."""
-        return plan_for(self.scene)
-
-    def pair_of(self, collision: Collision) -> tuple[PairMaterial, float, float, float]:
-        """Pair of materials, effective radius [m] and mass [kg], velocity [m/s]: arguments of contact
-        models."""
+    def impact_of(self, collision: Collision) -> Impact:
+        """Arguments of contact models for a collision."""
         pair = self.plan.pair(collision.first, collision.second)
         return pair, *collision.reduced(self.scene), collision.velocity
 
@@ -130,7 +292,7 @@ class CollisionBench:
     def most_steps(self) -> int:
         """Upper bound of the number of steps until the slowest collision has ended."""
         cases = {(c.first, c.second, c.radius, c.other_radius, c.velocity): c for c in self.collisions}
-        longest = max(sum(self.plan.law.phase_durations(*self.pair_of(each))) for each in cases.values())
+        longest = max(sum(self.plan.law.phase_durations(*self.impact_of(each))) for each in cases.values())
         approach = max(each.first_contact for each in self.collisions)
         return int((approach + LONGEST * longest) / self.simulation.time_step) + 10
 
@@ -140,20 +302,33 @@ class CollisionBench:
         self.collisions = collisions
         self.simulation.restart(self._particles()[0], time_step)
 
-    def sample(self) -> np.ndarray:
-        """Present overlap [m], overlap rate [m/s] and repulsion [N] (3, n); negative overlaps are gaps."""
-        particles = self.simulation.snapshot().particles
-        x, rate, force = (particles[name][:, 0].astype(float) for name in ("position", "velocity", "force"))
-        radius = particles["radius"].astype(float)
-        left, right = self._ids.T
-        is_pair = right >= 0
-        wall_x = np.where(is_pair, 0.0, self._contact_x)
-        overlap = (
-            radius[left]
-            + np.where(is_pair, radius[right], 0.0)
-            - (np.where(is_pair, x[right], wall_x) - x[left])
-        )
-        return np.array([overlap, rate[left] - np.where(is_pair, rate[right], 0.0), -force[left]])
+    def free(self) -> None:
+        """Free the device memory, if a simulation has begun."""
+        if "simulation" in self.__dict__:
+            self.simulation.free()
+
+    # Running and sampling.
+
+    def collide(self) -> Outcomes:
+        """Run the collisions until all partners have separated, and measure them.
+
+        Raises GranflowError if a pair never touches.
+        """
+        overlap, rate, force = np.moveaxis(self.run(), 1, 0)
+        if missing := int(np.sum(~np.any(force != 0.0, axis=0))):
+            raise GranflowError(
+                f"{missing} of {len(self.collisions)} pairs have not touched within {len(force)} steps."
+            )
+        time_step = self.simulation.time_step
+        series = zip(self.collisions, overlap.T, rate.T, force.T, strict=True)
+        columns = np.array([_measured(*each, time_step) for each in series]).T
+        return Outcomes(*columns, time_step, overlap, force)  # type: ignore[call-arg]
+
+    def rebound(self) -> np.ndarray:
+        """Run until all partners have separated; velocities of separation (n,) [m/s], 0 for partners that
+        stick."""
+        _, rate, force = self.run(every=max(self.most_steps // REBOUND_SAMPLES, 1))[-1]
+        return np.where((force == 0.0) & (rate < 0.0), -rate, 0.0)
 
     def run(self, every: int = 1) -> np.ndarray:
         """Samples (samples, 3, n) after every `every` steps, until all partners have separated.
@@ -174,30 +349,37 @@ class CollisionBench:
                 break
         return np.array(samples)
 
-    def rebound(self) -> np.ndarray:
-        """Run until all partners have separated; velocities of separation (n,) [m/s], 0 for partners that
-        stick."""
-        _, rate, force = self.run(every=max(self.most_steps // 200, 1))[-1]
-        return np.where((force == 0.0) & (rate < 0.0), -rate, 0.0)
+    def sample(self) -> np.ndarray:
+        """Present overlap [m], overlap rate [m/s] and repulsion [N] (3, n); negative overlaps are gaps."""
+        particles = self.simulation.snapshot().particles
+        x, rate, force = (particles[name][:, 0].astype(float) for name in ("position", "velocity", "force"))
+        radius = particles["radius"].astype(float)
+        left, right = self._ids.T
+        is_pair = right >= 0
+        wall_x = np.where(is_pair, 0.0, self._contact_x)
+        overlap = (
+            radius[left]
+            + np.where(is_pair, radius[right], 0.0)
+            - (np.where(is_pair, x[right], wall_x) - x[left])
+        )
+        return np.array([overlap, rate[left] - np.where(is_pair, rate[right], 0.0), -force[left]])
 
     def motions(self) -> tuple[np.ndarray, np.ndarray]:
         """Present velocities [m/s] and angular velocities [rad/s] (n, 2, 3) of both partners; those of walls
         are 0."""
         particles = self.simulation.snapshot().particles
-        both = (particles[name][self._ids].astype(float) for name in ("velocity", "angular_velocity"))
-        velocity, spin = (np.where((self._ids >= 0)[:, :, None], each, 0.0) for each in both)
+        is_sphere = (self._ids >= 0)[:, :, None]
+        velocity = np.where(is_sphere, particles["velocity"][self._ids].astype(float), 0.0)
+        spin = np.where(is_sphere, particles["angular_velocity"][self._ids].astype(float), 0.0)
         return velocity, spin
 
-    def free(self) -> None:
-        """Free the device memory."""
-        self.simulation.free()
+    # The scene: one group of particles per material, and one wall per material of walls.
 
     def _described(
         self, materials: Settings, pairs: Settings, contact: Settings, run: Settings, numerics: Settings
     ) -> dict[str, Any]:
-        """Scene of all collisions: one group of particles per material, one rectangle per material of
-        walls."""
-        used = dict.fromkeys(name for each in self.collisions for name in (each.first, each.second))
+        """Scene of all collisions."""
+        used = _materials_of(self.collisions)
         counts = _particle_counts(self.collisions)
         self._names = [name for name in used if counts[name]]
         data, self._ids = self._particles()
@@ -208,11 +390,10 @@ class CollisionBench:
                 "material": name,
                 "diameter": 2.0 * data.radius[mine],
                 "velocity": data.velocity[mine],
-                "angular_velocity": data.angular_velocity[mine],
                 "insert": {"kind": "positions", "positions": data.position[mine]},
             }
-            if not data.angular_velocity.any():
-                del groups[name]["angular_velocity"]
+            if data.angular_velocity.any():
+                groups[name]["angular_velocity"] = data.angular_velocity[mine]
         travel = max(abs(each.along) for each in self.collisions) * run["duration"]
         high = np.full(3, np.abs(data.position).max() + travel + self._spacing)
         return {
@@ -232,53 +413,60 @@ class CollisionBench:
     def _particles(self) -> tuple[ParticleData, np.ndarray]:
         """All particles, sorted by material, and the ids (n, 2) of the partners of each collision; -1 for a
         wall."""
-        rows = []
-        for index, (each, place) in enumerate(zip(self.collisions, self._places(), strict=True)):
-            radii = (each.radius, each.other_radius)
-            shares = (each.share, each.share - 1.0)
-            for side, (name, radius, share) in enumerate(
-                zip((each.first, each.second), radii, shares, strict=True)
-            ):
-                if radius is not None:
-                    speed = share * each.velocity
-                    x = self._contact_x + (radius if side else -radius) - speed * each.first_contact
-                    motion = (0.0, 0.0) if side else (each.along, -each.spin)
-                    rows.append((self._names.index(name), index, side, radius, x, *place, speed, *motion))
-        table = np.array(sorted(rows, key=lambda row: row[0]))
+        partners = sorted(self._partners(), key=lambda each: each.group)
         ids = np.full((len(self.collisions), 2), -1)
-        ids[table[:, 1].astype(int), table[:, 2].astype(int)] = np.arange(len(table))
-        group = table[:, 0].astype(np.int32)
-        zeros = np.zeros(len(table))
-        velocity = np.stack([table[:, 7], table[:, 8], zeros], axis=1)
-        spin = np.stack([zeros, zeros, table[:, 9]], axis=1)
-        return ParticleData(table[:, 4:7], velocity, spin, table[:, 3], group, group), ids
+        for number, each in enumerate(partners):
+            ids[each.collision, each.side] = number
+        group = np.array([each.group for each in partners], dtype=np.int32)
+        data = ParticleData(
+            position=np.array([each.position for each in partners]),
+            velocity=np.array([each.velocity for each in partners]),
+            angular_velocity=np.array([each.angular_velocity for each in partners]),
+            radius=np.array([each.radius for each in partners]),
+            material=group,
+            group=group,
+        )
+        return data, ids
+
+    def _partners(self) -> Iterable[_Partner]:
+        """The spheres of all collisions, at the distance that they cover until the time of first contact."""
+        for index, (each, place) in enumerate(zip(self.collisions, self._places(), strict=True)):
+            y, z = (float(coordinate) for coordinate in place)
+            group = self._names.index(each.first)
+            speed = each.share * each.velocity
+            x = self._contact_x - each.radius - speed * each.first_contact
+            velocity = (speed, each.along, 0.0)
+            yield _Partner(group, index, 0, each.radius, (x, y, z), velocity, (0.0, 0.0, -each.spin))
+            if each.other_radius is not None:
+                group = self._names.index(each.second)
+                speed = (each.share - 1.0) * each.velocity
+                x = self._contact_x + each.other_radius - speed * each.first_contact
+                velocity = (speed, 0.0, 0.0)
+                yield _Partner(group, index, 1, each.other_radius, (x, y, z), velocity, (0.0, 0.0, 0.0))
 
     @property
     def _spacing(self) -> float:
         """Distance of neighboring collisions [m]."""
         return SPACING * 2.0 * max(max(each.radius, each.other_radius or 0.0) for each in self.collisions)
 
-    def _blocks(self) -> Iterable[tuple[str | None, np.ndarray, int, int, int]]:
-        """Collisions in blocks: material of the wall or None, indices, first row (z), columns (y) and rows.
-
-        Particles that move along y have one column.
-        """
-        partners = [each.second if each.other_radius is None else None for each in self.collisions]
-        row = 0
+    def _blocks(self) -> Iterable[_Block]:
+        """The collisions, in blocks one above the other; spheres that move along y have one column."""
+        walls = [each.second if each.other_radius is None else None for each in self.collisions]
+        first_row = 0
         moves = any(each.along for each in self.collisions)
-        for partner in dict.fromkeys(partners):
-            indices = np.array([index for index, each in enumerate(partners) if each == partner])
+        for wall in dict.fromkeys(walls):
+            indices = np.array([index for index, each in enumerate(walls) if each == wall])
             columns = 1 if moves else int(np.ceil(np.sqrt(len(indices))))
             rows = -(-len(indices) // columns)
-            yield partner, indices, row, columns, rows
-            row += rows
+            yield _Block(wall, indices, first_row, columns, rows)
+            first_row += rows
 
     def _places(self) -> np.ndarray:
         """Coordinates y and z (n, 2) [m] of the collisions."""
         places = np.zeros((len(self.collisions), 2))
-        for _, indices, row, columns, _ in self._blocks():
-            z, y = np.divmod(np.arange(len(indices)), columns)
-            places[indices] = self._spacing * np.stack([y, row + z], axis=1)
+        for block in self._blocks():
+            z, y = np.divmod(np.arange(len(block.indices)), block.columns)
+            places[block.indices] = self._spacing * np.stack([y, block.first_row + z], axis=1)
         return places
 
     def _walls(self) -> dict[str, Any]:
@@ -286,19 +474,24 @@ class CollisionBench:
         collisions."""
         blocks = list(self._blocks())
         spacing = self._spacing
-        if len(blocks) == 1 and blocks[0][0] is not None:
+        if len(blocks) == 1 and blocks[0].wall is not None:
             plane = {"shape": "plane", "point": [self._contact_x, 0, 0], "normal": [-1, 0, 0]}
-            return {"wall": plane | {"material": blocks[0][0]}}
+            return {"wall": plane | {"material": blocks[0].wall}}
         return {
-            f"wall_{material}": {
+            f"wall_{block.wall}": {
                 "shape": "rectangle",
-                "material": material,
-                "corner": [self._contact_x, -0.5 * spacing, (row - 0.5) * spacing],
-                "sides": [[0.0, columns * spacing, 0.0], [0.0, 0.0, rows * spacing]],
+                "material": block.wall,
+                "corner": [self._contact_x, -0.5 * spacing, (block.first_row - 0.5) * spacing],
+                "sides": [[0.0, block.columns * spacing, 0.0], [0.0, 0.0, block.rows * spacing]],
             }
-            for material, _, row, columns, rows in blocks
-            if material is not None
+            for block in blocks
+            if block.wall is not None
         }
+
+
+def _materials_of(collisions: Sequence[Collision]) -> list[str]:
+    """Names of all materials, in the order of their first use."""
+    return list(dict.fromkeys(name for each in collisions for name in (each.first, each.second)))
 
 
 def _particle_counts(collisions: Sequence[Collision]) -> Counter[str]:
@@ -316,162 +509,40 @@ def _all_pairs(collisions: Sequence[Collision], pairs: Settings, contact: Settin
         del elastic["restitution"]
     found = {}
     counts = _particle_counts(collisions)
-    used = dict.fromkeys(name for each in collisions for name in (each.first, each.second))
-    for first, second in combinations_with_replacement(used, 2):
+    for first, second in combinations_with_replacement(_materials_of(collisions), 2):
         key = f"{second}-{first}" if f"{second}-{first}" in pairs else f"{first}-{second}"
         if key in pairs or first != second or counts[first] > 1:
             found[key] = pairs.get(key, elastic)
     return found
 
 
-# Head-on collisions of equal spheres, recorded at each step: restitution, duration, overlap, force and
-# energy.
+# ---------------------------------------------------------------- measurement of one collision
 
-
-@dataclass(frozen=True)
-class HeadOnCollision:
-    """Head-on collision of two equal spheres.
-
-    `material`, `restitution` as in a scene; `diameter` [m]; `velocity` [m/s]: approach velocity, half of it
-    for each sphere.
-    """
-
-    material: Mapping[str, Any]
-    restitution: Any
-    diameter: float
-    velocity: float
-
-    @property
-    def key(self) -> str:
-        """Equal for collisions of the same materials."""
-        return json.dumps([dict(self.material), self.restitution], sort_keys=True)
-
-
-@dataclass(frozen=True)
-class Outcomes:
-    """Results of n collisions (n,), and their time series (steps, n), in the order of the collisions.
-
-    A collision begins at first contact and ends when the force vanishes; both times are interpolated within a
-    step. Spheres that do not separate have restitution 0 and duration nan.
-    """
-
-    restitution: np.ndarray
-    duration: np.ndarray
-    overlap_max: np.ndarray
-    overlap_residual: np.ndarray
-    """Overlap at which the force vanishes [m]."""
-    force_max: np.ndarray
-    stored_energy: np.ndarray
-    """Work done on the contact up to the maximum overlap [J]."""
-    time_step: float
-    overlap: np.ndarray
-    force: np.ndarray
-
-
-def collide_all(
-    normal: Any,
-    collisions: Sequence[HeadOnCollision],
-    time_step: float,
-    arch: str = "cpu",
-    precision: str = "f64",
-) -> Outcomes:
-    """Simulate all collisions in one scene with the many-particle kernels.
-
-    `normal` is the entry `contact.normal` of the scene. First contacts are evenly distributed over the phases
-    of a step. There is no friction.
-
-    Raises SceneError if the contact model or the time step [s] is not suitable, GranflowError if pairs never
-    touch.
-    """
-    first_contact = time_step * (GOLDEN * np.arange(len(collisions)) % 1.0)
-    bench = head_on_bench(normal, collisions, first_contact, time_step, arch=arch, precision=precision)
-    overlap, rate, force = np.moveaxis(bench.run(), 1, 0)
-    bench.free()
-    if missing := int(np.sum(~np.any(force != 0.0, axis=0))):
-        raise GranflowError(
-            f"{missing} of {len(collisions)} pairs have not touched within {len(force)} steps."
-        )
-    velocity = np.array([each.velocity for each in collisions])
-    series = zip(overlap.T, rate.T, force.T, velocity, first_contact, strict=True)
-    results = np.array([_measured(*each, time_step) for each in series]).T
-    return Outcomes(*results, time_step, overlap, force)  # type: ignore[call-arg]
-
-
-def head_on_bench(
-    normal: Any,
-    collisions: Sequence[HeadOnCollision],
-    first_contact: np.ndarray,
-    time_step: Any,
-    *,
-    arch: str = "cpu",
-    precision: str = "f64",
-    threads: int | None = None,
-    contact_x: float = 0.0,
-    velocity_max: float | None = None,
-    numerics: Mapping[str, Any] | None = None,
-) -> CollisionBench:
-    """Bench with all collisions; `first_contact` (n,): times of first contact [s].
-
-    `time_step` [s] or "auto". The plan assumes `velocity_max` [m/s], by default the largest velocity. Other
-    arguments as for CollisionBench.
-    """
-    names = {key: f"m{number}" for number, key in enumerate(dict.fromkeys(each.key for each in collisions))}
-    by_name = {names[each.key]: each for each in collisions}
-    return CollisionBench(
-        materials={name: each.material for name, each in by_name.items()},
-        pairs={f"{name}-{name}": _pair(each.restitution) for name, each in by_name.items()},
-        contact={"normal": normal},
-        collisions=[
-            Collision(
-                name := names[each.key],
-                name,
-                0.5 * each.diameter,
-                0.5 * each.diameter,
-                each.velocity,
-                first_contact=float(time),
-            )
-            for each, time in zip(collisions, first_contact, strict=True)
-        ],
-        run={
-            "duration": min(duration_given(each.diameter, each.velocity) for each in collisions),
-            "time_step": time_step,
-            "precision": precision,
-            "velocity_max": velocity_max or max(each.velocity for each in collisions),
-        },
-        numerics=numerics or {},
-        contact_x=contact_x,
-        arch=arch,
-        threads=threads,
-    )
-
-
-def _pair(restitution: Any) -> dict[str, Any]:
-    """Entry of `pairs`; without restitution if the contact model derives it from the materials."""
-    return {"friction": 0} | ({} if restitution is None else {"restitution": restitution})
+FORCES_TO_END = 4
+"""Number of final forces of a contact that determine its end."""
+EARLIEST_END, LATEST_END = -0.5, 1.0
+"""Range of the end of a contact after its last force, in steps."""
 
 
 def _measured(
-    overlap: np.ndarray,
-    rate: np.ndarray,
-    force: np.ndarray,
-    velocity: float,
-    first_contact: float,
-    time_step: float,
+    collision: Collision, overlap: np.ndarray, rate: np.ndarray, force: np.ndarray, time_step: float
 ) -> tuple[float, ...]:
-    """Results of `Outcomes` for one pair, in their order, from its time series.
+    """Columns of `Outcomes` for one collision, in their order, from its time series.
 
-    `overlap` [m], `rate` [m/s], `force` [N] (steps,); `velocity` [m/s]; `first_contact`, `time_step` [s].
+    `overlap` [m], `rate` [m/s], `force` [N] (steps,); `time_step` [s].
     """
     peak = int(np.argmax(overlap))
     last = int(np.flatnonzero(force)[-1])
+    overlap_max = float(overlap[peak])
+    force_max = float(force.max())
     work = 0.5 * float((force[1 : peak + 1] + force[:peak]) @ np.diff(overlap[: peak + 1]))
-    extremes = (float(force.max()), work)
     if last + 1 == len(force):
-        return 0.0, np.nan, float(overlap[peak]), float(overlap[last]), *extremes
+        return 0.0, np.nan, overlap_max, float(overlap[last]), force_max, work
     share = share_to_end(force[last - 3 : last + 1], overlap[last : last + 2])
-    duration = (last + share) * time_step - first_contact
+    restitution = float(-rate[last + 1] / collision.velocity)
+    duration = (last + share) * time_step - collision.first_contact
     residual = overlap[last] + share * (overlap[last + 1] - overlap[last])
-    return float(-rate[last + 1] / velocity), duration, float(overlap[peak]), residual, *extremes
+    return restitution, duration, overlap_max, residual, force_max, work
 
 
 def share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
@@ -497,141 +568,3 @@ def share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
     if mismatch(EARLIEST_END) * mismatch(LATEST_END) > 0.0:
         return LATEST_END
     return float(brentq(mismatch, EARLIEST_END, LATEST_END, xtol=1e-15))
-
-
-# Path of one head-on collision by the reference implementation of its contact model.
-
-SHORT = 1e-6
-"""Time step of the reference integration relative to the duration; sub-step corrections are then
-negligible."""
-FORCE_SAMPLES = 2001
-"""Points of each phase of the reference integration at which the force is evaluated."""
-Impact = tuple[PairMaterial, float, float, float]
-"""Arguments of contact models: pair of materials, effective radius [m] and mass [kg], approach velocity
-[m/s]."""
-LOADING_STEPS = 4000
-"""Trapezoids of the loading work."""
-
-
-def loading_path(plan: Plan, impact: Impact) -> dict[str, float]:
-    """Duration from the contact model; maximum overlap and force where the loading work equals the kinetic
-    energy.
-
-        int_0^dmax F dd = M v^2 / 2
-
-    The integral is a sum of trapezoids, LOADING_STEPS of them in the loading time at the approach velocity;
-    the last one is interpolated.
-    """
-    (pair, radius_eff, mass_eff, velocity), law = impact, plan.law
-    loading, unloading = law.phase_durations(*impact)
-    constants = np.array(law.pair_constants(pair))
-    history = np.zeros(max(law.history_count, 1))
-    moment = loading / LOADING_STEPS
-    step = velocity * moment
-    overlap = 0.0
-    force = 0.0
-    force_before = 0.0
-    energy = 0.5 * mass_eff * velocity**2
-    while energy > 0.0:
-        force_before = force
-        overlap = overlap + step
-        force, history = law.reference_force(
-            constants, radius_eff, mass_eff, moment, overlap, velocity, history
-        )
-        energy -= 0.5 * (force_before + force) * step
-    # -energy is the excess work of the last step
-    overlap_max = overlap + energy / force
-    force_max = force + (force - force_before) * energy / force / step
-    return {
-        "duration_theory": loading + unloading,
-        "overlap_max_theory": overlap_max,
-        "overlap_residual_theory": end_overlap(plan, impact, moment, overlap_max, history),
-        "force_max_theory": force_max,
-    }
-
-
-def end_overlap(plan: Plan, impact: Impact, time_step: float, overlap: float, history: np.ndarray) -> float:
-    """Overlap [m] at which the elastic force of a contact with this history vanishes; 0 if attractive.
-
-    `overlap` [m]: upper end of the search; `history`: fields of the contact model.
-    """
-    from scipy.optimize import brentq
-
-    constants = np.array(plan.law.pair_constants(impact[0]))
-
-    def is_repulsive(at: float) -> float:
-        force, _ = plan.law.reference_force(constants, *impact[1:3], time_step, at, 0.0, history)
-        return 1.0 if force > 0.0 else -1.0
-
-    smallest = 1e-15 * overlap
-    if plan.law.attracts or is_repulsive(smallest) > 0.0:
-        return 0.0
-    if is_repulsive(overlap) < 0.0:
-        return overlap
-    return float(brentq(is_repulsive, smallest, overlap, xtol=smallest, rtol=1e-15))
-
-
-def damped_path(plan: Plan, impact: Impact) -> dict[str, float]:
-    """Duration [s], maximum overlap [m] and force [N] of M d'' = -F(d, d'), by the method DOP853 of scipy."""
-    from scipy.integrate import solve_ivp
-
-    pair, radius_eff, mass_eff, velocity = impact
-    law = plan.law
-    constants = np.array(plan.law.pair_constants(pair))
-    longest = sum(law.phase_durations(*impact))
-
-    def contact(overlap: float, rate: float, history: np.ndarray) -> tuple[float, np.ndarray]:
-        return law.reference_force(constants, radius_eff, mass_eff, SHORT * longest, overlap, rate, history)
-
-    _, history = contact(0.0, velocity, np.zeros(max(law.history_count, 1)))
-
-    def force(overlap: float, rate: float) -> float:
-        return contact(overlap, rate, history)[0] if overlap > 0.0 else 0.0
-
-    def slope(_: float, state: np.ndarray) -> list[float]:
-        return [state[1], -force(*state) / mass_eff]
-
-    def stopped(_: float, state: np.ndarray) -> float:
-        return float(state[1])
-
-    def released(_: float, state: np.ndarray) -> float:
-        return 1.0 if force(*state) > 0.0 else -1.0
-
-    stopped.terminal = released.terminal = True  # type: ignore[attr-defined]
-    released.direction = -1.0  # type: ignore[attr-defined]
-    state = np.array([0.0, velocity])
-    time = 0.0
-    force_max = 0.0
-    overlap_max = 0.0
-    for event in (stopped, released):
-        tolerance = {"rtol": 1e-11, "atol": 1e-14 * np.array([velocity * longest, velocity])}
-        course = solve_ivp(
-            slope, (time, LONGEST * longest), state, "DOP853", events=event, dense_output=True, **tolerance
-        )
-        path = course.sol(np.linspace(time, course.t[-1], FORCE_SAMPLES))
-        force_max = max(force_max, *(force(*point) for point in path.T))
-        state = course.y[:, -1]
-        time = float(course.t[-1])
-        overlap_max = max(overlap_max, float(course.y[0, -1]))
-        _, history = contact(float(state[0]), float(state[1]), history)
-    return {"duration_theory": time, "overlap_max_theory": overlap_max, "force_max_theory": force_max}
-
-
-def history_along(
-    plan: Plan, impact: Impact, overlap: np.ndarray, rate: np.ndarray, force: np.ndarray
-) -> np.ndarray:
-    """Contact history at the last force, by the reference implementation along the recorded path.
-
-    `overlap` [m], `rate` [m/s], `force` [N] (steps,). A model without viscosity reads the rate half a step
-    back.
-    """
-    pair, radius_eff, mass_eff, _ = impact
-    law = plan.law
-    time_step = plan.time_step
-    constants = np.array(law.pair_constants(pair))
-    history = np.zeros(max(law.history_count, 1))
-    rate_seen = rate if law.rate_dependent else rate + 0.5 * time_step * force / mass_eff
-    for index in np.flatnonzero(force):
-        point = (overlap[index], rate_seen[index])
-        _, history = law.reference_force(constants, radius_eff, mass_eff, time_step, *point, history)
-    return history

@@ -1,4 +1,9 @@
-"""A single head-on collision with the many-particle kernels, compared with closed forms."""
+"""One head-on collision with the kernels of a scene, beside the theory of its contact model.
+
+`collide` refuses input without a meaning, computes what the contact model should give, runs the collision on
+the bench of `granflow.studies.bench`, and measures it. The theory is a closed form where there is one, and
+otherwise an integration with the reference implementation of the contact model. Nothing is written.
+"""
 
 import logging
 from collections.abc import Sequence
@@ -11,20 +16,7 @@ from granflow.contact import theory
 from granflow.contact.registry import models
 from granflow.scene.blocks.materials import PRESETS
 from granflow.scene.suggest import suggestion_sentence
-from granflow.studies.bench import (
-    Collision,
-    CollisionBench,
-    Impact,
-    damped_path,
-    duration_given,
-    end_overlap,
-    history_along,
-    loading_path,
-)
-
-FORCE_RESOLUTION = 1e-6
-"""Forces below this share of the largest one are rounding: a GPU contracts products and sums, so that in
-float32 the elastic force and a dashpot that cancels it do not add up to exactly 0."""
+from granflow.studies.bench import LONGEST, Collision, CollisionBench, Impact, run_duration
 
 
 def collide(
@@ -72,7 +64,7 @@ def collide(
             contact={"normal": normal},
             collisions=[Collision("first", "second", radius, other, velocity, 1.0 if wall else 0.5)],
             run={
-                "duration": duration_given(diameter, velocity),
+                "duration": run_duration(diameter, velocity),
                 "velocity_max": velocity,
                 "precision": precision or "f64",
                 **run,
@@ -80,15 +72,17 @@ def collide(
             arch=arch,
         )
 
-    free = bench()
-    impact = free.pair_of(free.collisions[0])
-    expected = _expected(free.plan, impact)
+    automatic = bench()
+    impact = automatic.impact_of(automatic.collisions[0])
+    expected = _expected(automatic.plan, impact)
     _refuse_deep(sizes, velocity, expected["overlap_max_theory"])
-    if steps_per_contact is not None:
-        free = bench(time_step=expected["duration_theory"] / steps_per_contact)
-    plan = _stable_plan(free, steps_per_contact)
-    found = _integrate_collision(free, impact)
-    free.free()
+    if steps_per_contact is None:
+        chosen = automatic
+    else:
+        chosen = bench(time_step=expected["duration_theory"] / steps_per_contact)
+    plan = _stable_plan(chosen, steps_per_contact)
+    with chosen:
+        found = _measured(chosen, impact)
     return expected | found | {"time_step": plan.time_step}
 
 
@@ -101,6 +95,9 @@ def _stable_plan(bench: CollisionBench, steps_per_contact: float | None) -> Plan
     for warning in plan.step.warnings:
         logging.getLogger("granflow").warning("warning: %s", warning)
     return plan
+
+
+# ---------------------------------------------------------------- input
 
 
 def _settings(given: Sequence[str]) -> dict[str, Any]:
@@ -150,15 +147,6 @@ def _refuse_unphysical(sizes: tuple[float, float], velocity: float, steps_per_co
             raise GranflowError(f"{name} is {value:g}, but must be above 0.")
 
 
-def _refuse_deep(sizes: tuple[float, float], velocity: float, overlap_max: float) -> None:
-    """Raise GranflowError if the maximum overlap [m] exceeds a radius: the spheres would pass through each
-    other."""
-    radius = 0.5 * min(sizes)
-    if not overlap_max < radius:
-        reached = f"the overlap would reach {overlap_max:.3g} m, more than the radius of {radius:.3g} m"
-        raise GranflowError(f"velocity is {velocity:g} m/s, but {reached}; reduce the velocity.")
-
-
 def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float | None) -> None:
     """Raise GranflowError for a restitution that the contact model does not support or that is missing.
 
@@ -187,6 +175,15 @@ def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float
         )
 
 
+def _refuse_deep(sizes: tuple[float, float], velocity: float, overlap_max: float) -> None:
+    """Raise GranflowError if the maximum overlap [m] exceeds a radius: the spheres would pass through each
+    other."""
+    radius = 0.5 * min(sizes)
+    if not overlap_max < radius:
+        reached = f"the overlap would reach {overlap_max:.3g} m, more than the radius of {radius:.3g} m"
+        raise GranflowError(f"velocity is {velocity:g} m/s, but {reached}; reduce the velocity.")
+
+
 def _restitution_given(law: str, materials: tuple[str, str], restitution: float | None) -> dict[str, Any]:
     """Restitution of the pair as a scene entry; empty if the contact model derives it from the materials.
 
@@ -203,25 +200,25 @@ def _restitution_given(law: str, materials: tuple[str, str], restitution: float 
     )
 
 
-def _expected(plan: Plan, impact: Impact) -> dict[str, float]:
-    """Closed forms of the contact model; for a dashpot without closed form, results of a fine integration."""
-    pair, radius_eff, mass, velocity = impact
-    k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
-    spring = float(theory.equivalent_spring(k, mass, velocity))
-    requested = plan.law.restitution(*impact)
-    shared = {"velocity": velocity, "restitution_asked": requested, "spring_equation19": spring}
-    return shared | (damped_path(plan, impact) if plan.law.rate_dependent else loading_path(plan, impact))
+# ---------------------------------------------------------------- the simulated collision
+
+FORCE_RESOLUTION = 1e-6
+"""Forces below this share of the largest one are rounding: a GPU contracts products and sums, so that in
+float32 the elastic force and a dashpot that cancels it do not add up to exactly 0."""
 
 
-def _integrate_collision(bench: CollisionBench, impact: Impact) -> dict[str, float]:
-    """Run the collision: maximum overlap and force, rebound velocity and duration.
+def _measured(bench: CollisionBench, impact: Impact) -> dict[str, float]:
+    """Run the collision, and measure it in the terms of `collide`.
+
+    The contact ends where its elastic force vanishes. This residual overlap follows from the contact history,
+    so that it is found within a step.
 
     Raises GranflowError if the contact does not end.
     """
     overlap, rate, force = bench.run()[:, :, 0].T
     force = np.abs(force)
     plan = bench.plan
-    time_step = bench.plan.time_step
+    time_step = plan.time_step
     last = int(np.flatnonzero(force > FORCE_RESOLUTION * force.max())[-1])
     if last + 1 == len(force):
         raise GranflowError(
@@ -229,9 +226,8 @@ def _integrate_collision(bench: CollisionBench, impact: Impact) -> dict[str, flo
             if plan.law.attracts
             else "The collision did not end; increase --steps-per-contact."
         )
-    residual = end_overlap(
-        plan, impact, time_step, overlap[last], history_along(plan, impact, overlap, rate, force)
-    )
+    history = history_along(plan, impact, overlap, rate, force)
+    residual = end_overlap(plan, impact, time_step, overlap[last], history)
     # A viscous force vanishes while the spheres still overlap: the line through the last two forces.
     # Otherwise the surfaces separate at a constant rate.
     remaining = (overlap[last] - residual) / -rate[last]
@@ -244,3 +240,149 @@ def _integrate_collision(bench: CollisionBench, impact: Impact) -> dict[str, flo
         "overlap_residual": residual,
         "force_max": float(force.max()),
     }
+
+
+def history_along(
+    plan: Plan, impact: Impact, overlap: np.ndarray, rate: np.ndarray, force: np.ndarray
+) -> np.ndarray:
+    """Contact history at the last force, by the reference implementation along the recorded path.
+
+    `overlap` [m], `rate` [m/s], `force` [N] (steps,). A model without viscosity reads the rate half a step
+    back.
+    """
+    pair, radius_eff, mass_eff, _ = impact
+    law = plan.law
+    time_step = plan.time_step
+    constants = np.array(law.pair_constants(pair))
+    history = np.zeros(max(law.history_count, 1))
+    rate_seen = rate if law.rate_dependent else rate + 0.5 * time_step * force / mass_eff
+    for index in np.flatnonzero(force):
+        point = (overlap[index], rate_seen[index])
+        _, history = law.reference_force(constants, radius_eff, mass_eff, time_step, *point, history)
+    return history
+
+
+def end_overlap(plan: Plan, impact: Impact, time_step: float, overlap: float, history: np.ndarray) -> float:
+    """Overlap [m] at which the elastic force of a contact with this history vanishes; 0 if attractive.
+
+    `overlap` [m]: upper end of the search; `history`: fields of the contact model.
+    """
+    from scipy.optimize import brentq
+
+    constants = np.array(plan.law.pair_constants(impact[0]))
+
+    def is_repulsive(at: float) -> float:
+        force, _ = plan.law.reference_force(constants, *impact[1:3], time_step, at, 0.0, history)
+        return 1.0 if force > 0.0 else -1.0
+
+    smallest = 1e-15 * overlap
+    if plan.law.attracts or is_repulsive(smallest) > 0.0:
+        return 0.0
+    if is_repulsive(overlap) < 0.0:
+        return overlap
+    return float(brentq(is_repulsive, smallest, overlap, xtol=smallest, rtol=1e-15))
+
+
+# ---------------------------------------------------------------- theory
+
+SHORT = 1e-6
+"""Time step of the reference integration relative to the duration; sub-step corrections are then
+negligible."""
+FORCE_SAMPLES = 2001
+"""Points of each phase of the reference integration at which the force is evaluated."""
+LOADING_STEPS = 4000
+"""Trapezoids of the loading work."""
+
+
+def _expected(plan: Plan, impact: Impact) -> dict[str, float]:
+    """Closed forms of the contact model; for a dashpot without closed form, results of a fine integration."""
+    pair, radius_eff, mass, velocity = impact
+    k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+    spring = float(theory.equivalent_spring(k, mass, velocity))
+    requested = plan.law.restitution(*impact)
+    shared = {"velocity": velocity, "restitution_asked": requested, "spring_equation19": spring}
+    return shared | (damped_path(plan, impact) if plan.law.rate_dependent else loading_path(plan, impact))
+
+
+def loading_path(plan: Plan, impact: Impact) -> dict[str, float]:
+    """Duration from the contact model; maximum overlap and force where the loading work equals the kinetic
+    energy.
+
+        int_0^dmax F dd = M v^2 / 2
+
+    The integral is a sum of trapezoids, LOADING_STEPS of them in the loading time at the approach velocity;
+    the last one is interpolated.
+    """
+    pair, radius_eff, mass_eff, velocity = impact
+    law = plan.law
+    loading, unloading = law.phase_durations(*impact)
+    constants = np.array(law.pair_constants(pair))
+    history = np.zeros(max(law.history_count, 1))
+    moment = loading / LOADING_STEPS
+    step = velocity * moment
+    overlap = 0.0
+    force = 0.0
+    force_before = 0.0
+    energy = 0.5 * mass_eff * velocity**2
+    while energy > 0.0:
+        force_before = force
+        overlap = overlap + step
+        force, history = law.reference_force(
+            constants, radius_eff, mass_eff, moment, overlap, velocity, history
+        )
+        energy -= 0.5 * (force_before + force) * step
+    # -energy is the excess work of the last step
+    overlap_max = overlap + energy / force
+    force_max = force + (force - force_before) * energy / force / step
+    return {
+        "duration_theory": loading + unloading,
+        "overlap_max_theory": overlap_max,
+        "overlap_residual_theory": end_overlap(plan, impact, moment, overlap_max, history),
+        "force_max_theory": force_max,
+    }
+
+
+def damped_path(plan: Plan, impact: Impact) -> dict[str, float]:
+    """Duration [s], maximum overlap [m] and force [N] of M d'' = -F(d, d'), by the method DOP853 of scipy."""
+    from scipy.integrate import solve_ivp
+
+    pair, radius_eff, mass_eff, velocity = impact
+    law = plan.law
+    constants = np.array(plan.law.pair_constants(pair))
+    longest = sum(law.phase_durations(*impact))
+
+    def contact(overlap: float, rate: float, history: np.ndarray) -> tuple[float, np.ndarray]:
+        return law.reference_force(constants, radius_eff, mass_eff, SHORT * longest, overlap, rate, history)
+
+    _, history = contact(0.0, velocity, np.zeros(max(law.history_count, 1)))
+
+    def force(overlap: float, rate: float) -> float:
+        return contact(overlap, rate, history)[0] if overlap > 0.0 else 0.0
+
+    def slope(_: float, state: np.ndarray) -> list[float]:
+        return [state[1], -force(*state) / mass_eff]
+
+    def stopped(_: float, state: np.ndarray) -> float:
+        return float(state[1])
+
+    def released(_: float, state: np.ndarray) -> float:
+        return 1.0 if force(*state) > 0.0 else -1.0
+
+    stopped.terminal = released.terminal = True  # type: ignore[attr-defined]
+    released.direction = -1.0  # type: ignore[attr-defined]
+    state = np.array([0.0, velocity])
+    time = 0.0
+    force_max = 0.0
+    overlap_max = 0.0
+    for event in (stopped, released):
+        tolerance = {"rtol": 1e-11, "atol": 1e-14 * np.array([velocity * longest, velocity])}
+        course = solve_ivp(
+            slope, (time, LONGEST * longest), state, "DOP853", events=event, dense_output=True, **tolerance
+        )
+        path = course.sol(np.linspace(time, course.t[-1], FORCE_SAMPLES))
+        force_max = max(force_max, *(force(*point) for point in path.T))
+        state = course.y[:, -1]
+        time = float(course.t[-1])
+        overlap_max = max(overlap_max, float(course.y[0, -1]))
+        _, history = contact(float(state[0]), float(state[1]), history)
+    return {"duration_theory": time, "overlap_max_theory": overlap_max, "force_max_theory": force_max}

@@ -1,6 +1,9 @@
-"""Least-squares fit of sigma and psi of Eq. 12 to measured restitution.
+"""`granflow fit`: sigma and psi of Eq. 12, fitted by least squares to measured restitution.
 
-e(v) = exp(-sigma (v / (vlim - v))^psi)      (Zhou 2011, Eq. 12)
+    e(v) = exp(-sigma (v / (vlim - v))^psi)      (Zhou 2011, Eq. 12)
+
+`read_measurements` reads a CSV file of velocities and restitutions and reports all invalid rows; `fit` gives
+the parameters with their standard errors; `write_fit` writes `fit.csv` and `fit.png`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +24,7 @@ from granflow.studies.figures import COLORS, POINTS, draw_to
 from granflow.studies.tables import write_columns
 from granflow.units import UnitError, to_si, with_unit
 
-# Measured restitution as a function of velocity, read from a CSV file; all invalid rows are reported.
+# ---------------------------------------------------------------- measurements
 
 HEADINGS = {
     "velocity": ("velocity", "v", "approach_velocity", "impact_velocity"),
@@ -175,6 +178,8 @@ def _number(name: str, text: str) -> float:
         raise UnitError("it must be above 0")
     return value
 
+
+# ---------------------------------------------------------------- fit
 
 NAMES = ("sigma", "psi", "limit_velocity")
 """Parameters of Eq. 12, in the order of parameter vectors."""

@@ -1,9 +1,10 @@
-"""Given and simulated restitution of all material pairs of a scene, at the time step and precision of the
-scene.
+"""Given and simulated restitution of all material pairs of a scene, at its time step and precision.
 
-`measure` simulates collisions of the pairs on the device in one run. `warnings` integrates a few collisions
-with the reference implementation of the contact model instead, which takes about 0.1 s and requires no
-compilation.
+`measure` is the study of `granflow restitution`: it simulates head-on collisions of all pairs in one run of
+the collision bench, and `write_restitution` writes `restitution.csv` and `restitution.png`. `warnings` gives
+the warnings of `granflow run` and `granflow check`: it integrates a few collisions with the reference
+implementation of the contact model instead, which takes about 0.1 s and requires no compilation. Both
+begin with the `pairings` of the scene.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,35 +16,9 @@ from typing import Any
 import numpy as np
 
 from granflow import Plan, Scene, plan_for
-from granflow.contact.material import PairMaterial
-from granflow.studies.bench import LONGEST, Collision, CollisionBench
+from granflow.studies.bench import LONGEST, Collision, CollisionBench, Impact
 from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to
 from granflow.studies.tables import write_columns
-
-VELOCITIES_PER_DECADE = 4
-"""Velocities of the collisions per decade."""
-
-DECADES = 3
-"""Decades of velocity below the largest expected one."""
-PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Phases of first contact within a time step."""
-HEIGHT = 5.2
-"""Height of the figure [inch]."""
-
-TOLERANCE = 0.01
-"""Relative difference above which a run reports a warning."""
-QUICK_VELOCITIES = (1.0, 0.3, 0.1)
-"""Velocities of the warning relative to the largest velocity, in the order of evaluation."""
-QUICK_PHASES = (0.25, 0.75)
-"""Phases of first contact within a time step for the warning."""
-
-QUICK_STEPS = 8000
-"""Maximum number of steps of the reference implementation for the warning."""
-FINE_STEPS = 100
-"""Steps per collision with which the warning begins if the time step is smaller: smaller steps are more
-accurate."""
-HALVINGS = 6
-"""Number of halvings in the search for a sufficient time step (down to 1/64)."""
 
 
 def pairings(scene: Scene, plan: Plan) -> list[Collision]:
@@ -72,6 +47,17 @@ def name_of(pairing: Collision) -> str:
 
 
 # ---------------------------------------------------------------- on the device
+
+VELOCITIES_PER_DECADE = 4
+"""Velocities of the collisions per decade."""
+DECADES = 3
+"""Decades of velocity below the largest expected one."""
+PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Phases of first contact within a time step."""
+TOLERANCE = 0.01
+"""Relative difference that is marked in the table, and above which a run reports a warning."""
+HEIGHT = 5.2
+"""Height of the figure [inch]."""
 
 
 @dataclass(frozen=True)
@@ -131,11 +117,10 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
         contact_x=float(np.abs([scene.domain.min, scene.domain.max]).max()),
         arch=arch,
     )
-    bench.restart(
-        bench.collisions, plan.time_step
-    )  # more contacts than in the scene would limit a given time step
-    reached = bench.rebound().reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
-    bench.free()
+    with bench:
+        # The bench has more contacts than the scene, which would limit a time step given in its scene.
+        bench.restart(bench.collisions, plan.time_step)
+        reached = bench.rebound().reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
     rows = []
     for pair, per_velocity in zip(pairs, reached, strict=True):
         for velocity, found in zip(velocities, per_velocity, strict=True):
@@ -192,6 +177,18 @@ def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
 
 # ---------------------------------------------------------------- with the reference implementation
 
+QUICK_VELOCITIES = (1.0, 0.3, 0.1)
+"""Velocities of the warning relative to the largest velocity, in the order of evaluation."""
+QUICK_PHASES = (0.25, 0.75)
+"""Phases of first contact within a time step for the warning."""
+QUICK_STEPS = 8000
+"""Maximum number of steps of the reference implementation for the warning."""
+FINE_STEPS = 100
+"""Steps per collision with which the warning begins if the time step is smaller: smaller steps are more
+accurate."""
+HALVINGS = 6
+"""Number of halvings in the search for a sufficient time step (down to 1/64)."""
+
 
 def warnings(scene: Scene, plan: Plan) -> list[str]:
     """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1
@@ -232,21 +229,22 @@ def _occurs(scene: Scene, pair: Collision) -> bool:
 
 @dataclass(frozen=True)
 class _Impact:
-    """One collision: pair, effective radius [m] and mass [kg], velocity [m/s], given restitution, duration
-    [s]."""
+    """One collision: arguments of the contact model, given restitution, and expected duration [s]."""
 
-    material: PairMaterial
-    radius_eff: float
-    mass_eff: float
-    velocity: float
+    arguments: Impact
     requested: float
     duration: float
+
+    @property
+    def velocity(self) -> float:
+        """Approach velocity [m/s]."""
+        return self.arguments[3]
 
 
 def _impact(scene: Scene, plan: Plan, pair: Collision, velocity: float) -> _Impact:
     """Collision of a pair at an approach velocity [m/s] with the properties of the contact model."""
-    collision = (plan.pair(pair.first, pair.second), *pair.reduced(scene), velocity)
-    return _Impact(*collision, plan.law.restitution(*collision), sum(plan.law.phase_durations(*collision)))
+    arguments = (plan.pair(pair.first, pair.second), *pair.reduced(scene), velocity)
+    return _Impact(arguments, plan.law.restitution(*arguments), sum(plan.law.phase_durations(*arguments)))
 
 
 def _unreachable(plan: Plan, impact: _Impact) -> bool:
@@ -254,8 +252,7 @@ def _unreachable(plan: Plan, impact: _Impact) -> bool:
     warning."""
     if not plan.law.limits_restitution or impact.requested == 0.0:
         return impact.requested == 0.0
-    collision = (impact.material, impact.radius_eff, impact.mass_eff, impact.velocity)
-    return impact.requested < plan.law.least_restitution(*collision, plan.time_step)
+    return impact.requested < plan.law.least_restitution(*impact.arguments, plan.time_step)
 
 
 def _deviation(plan: Plan, impact: _Impact) -> float:
@@ -280,22 +277,21 @@ def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: floa
     `step` [s]; `phase`: time of first contact before the first force, over the step. 0 if the spheres stick.
     """
     law = plan.law
-    mass = impact.mass_eff
-    constants = np.array(law.pair_constants(impact.material))
+    material, radius_eff, mass, velocity = impact.arguments
+    constants = np.array(law.pair_constants(material))
     history = np.zeros(max(law.history_count, 1))
-    rate = rate_now = impact.velocity
+    rate = velocity
+    rate_now = velocity
     overlap = phase * rate * step
     for _ in range(int(LONGEST * impact.duration / step)):
         rate_seen = rate_now if law.rate_dependent else rate
-        force, history = law.reference_force(
-            constants, impact.radius_eff, mass, step, overlap, rate_seen, history
-        )
+        force, history = law.reference_force(constants, radius_eff, mass, step, overlap, rate_seen, history)
         kick = force / mass * step
         rate -= kick
         rate_now = rate - 0.5 * kick
         overlap += step * rate
         if rate < 0.0 and (overlap <= 0.0 or force == 0.0):
-            return -rate / impact.velocity
+            return -rate / velocity
     return 0.0
 
 

@@ -17,6 +17,7 @@ from granflow.studies.accuracy.report import (
     draw_convergence,
     draw_quantities,
     draw_work,
+    fitted_order,
     recommendation,
     requirement_of,
     table_heads,
@@ -30,7 +31,6 @@ from granflow.studies.accuracy.two_particles import (
     VELOCITIES,
     StudyLine,
     StudyPoint,
-    fitted_order,
     measured_line,
 )
 from granflow.studies.figures import Drawing

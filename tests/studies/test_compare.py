@@ -16,10 +16,9 @@ from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.studies.compare import report as reporting
 from granflow.studies.compare import runs
-from granflow.studies.compare.collisions import subject_of
+from granflow.studies.compare.collisions import soft_spring_note, subject_of
 from granflow.studies.compare.report import compare, heads, notes_on, write_script
 from granflow.studies.compare.runs import densest_stage, law_names, variants_of
-from granflow.studies.compare.springs import soft_spring_note
 
 DIAMETER, SPEED = 0.01, 1.0
 REFERENCE = 0.1 * SPEED

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from granflow.snapshot import Snapshot
-from granflow.studies.compare.runs import (
+from granflow.studies.compare.bed import (
     FORCE_EDGES,
     BedHeights,
     ContactBursts,

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from studies.test_compare import MASS_EFF, SPEED, duration, head_on, overlap_max, spring
 
-from granflow.studies.compare.collisions import subject_of, sweep_columns, sweeps_of
+from granflow.studies.compare.collisions import assess_collisions, subject_of, sweep_columns, sweeps_of
 from granflow.studies.compare.runs import variants_of
-from granflow.studies.compare.springs import assess_collisions
 
 REFERENCE = 0.1 * SPEED
 FLOOR = 0.01 * SPEED

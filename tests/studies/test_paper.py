@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
-from granflow.studies.bench import collide_all
+from granflow.studies.bench import collide
 from granflow.studies.paper import (
     comparison,
 )
@@ -172,7 +172,7 @@ def test_contact_end_is_interpolated_within_a_step(taichi_f64):
     """Duration and residual overlap do not depend on the position of the first contact within a step."""
     case = PAPER_CASES[0]
     pairs = [case.head_on(0.6, 1.0)] * 12
-    outcomes = collide_all("zhou", pairs, case.duration(0.6, 1.0) / 100.0)
+    outcomes = collide(pairs, "zhou", case.duration(0.6, 1.0) / 100.0)
     assert np.ptp(outcomes.duration) < 0.02 * outcomes.time_step
     assert np.ptp(outcomes.overlap_residual / outcomes.overlap_max) < 2e-4
 

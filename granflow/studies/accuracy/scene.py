@@ -1,7 +1,11 @@
-"""Errors of the runs of a scene, their statistical noise, and the recommended time step.
+"""`granflow accuracy SCENE`: which time step and precision a scene needs, and what they cost.
 
-Granular flow is chaotic: a difference between two runs is an error of the time step only if it exceeds the
-scatter over several seeds.
+`measure_scene` runs a scene with several time steps, precisions and seeds. The run with the finest time step
+is the reference of the errors. Granular flow is chaotic: a difference between two runs is an error of the
+time step only if it exceeds the scatter over the seeds, so that the study has a noise for each quantity. The
+restitution error of each time step is measured on the collision bench (`granflow.studies.restitution`).
+`write_scene` writes `accuracy.csv`, the figure and the page. The outcomes of the runs are kept in
+`accuracy_runs.json`, so that a study that was stopped continues with the missing runs.
 """
 
 import hashlib
@@ -27,34 +31,10 @@ from granflow.studies.restitution import measure as measure_restitution
 from granflow.studies.run_process import read_json, run_identity
 from granflow.studies.tables import PageTable, percent
 
-# Runs of one scene with several time steps and seeds: values and processor time.
+# ---------------------------------------------------------------- the scene, and its time steps
 
 MAX_PARTICLES = 1000
 """Particle count to which a scene is reduced, unless all particles are requested."""
-SAMPLES = 200
-"""Number of samples for the means of center of mass and coordination number."""
-
-
-@dataclass(frozen=True)
-class StepFamily:
-    """A choice of the time step: its name, and the overrides for a share of the shortest phase [s]."""
-
-    name: str
-    overrides: Callable[[float, float], list[str]]
-
-
-def _fixed(share: float, phase: float) -> list[str]:
-    """Overrides for a fixed time step."""
-    return [f"run.time_step={float(share * phase)!r}"]
-
-
-def _adaptive(share: float, _phase: float) -> list[str]:
-    """Overrides for an adaptive time step; it does not depend on the phase."""
-    return ["run.time_step=adaptive", f"numerics.time_step_fraction={share!r}"]
-
-
-STEP_FAMILIES = (StepFamily("fixed", _fixed), StepFamily("adaptive", _adaptive))
-"""Fixed and adaptive time step."""
 
 
 @dataclass(frozen=True)
@@ -74,21 +54,6 @@ class SceneTask:
         scene = load_scene(self.path, self.overrides)
         scene.refuse_program()
         return scene
-
-
-@dataclass(frozen=True)
-class RunOutcome:
-    """Result of a run, or the reason of its abort (`stopped`).
-
-    `values` by quantity; `seconds`: processor time of the run without compilation [s], which other programs
-    on the machine change less than the wall time; `simulated` time [s].
-    """
-
-    values: dict[str, float] = field(default_factory=dict)
-    seconds: float = 0.0
-    step_count: float = 0.0
-    simulated: float = 0.0
-    stopped: str = ""
 
 
 def reduced_counts(scene: Scene, most: int = MAX_PARTICLES) -> list[str]:
@@ -117,6 +82,75 @@ def phase_of(scene: Scene) -> tuple[float, float]:
     plan = plan_for(scene)
     phase = min(plan.shortest_phase(pair_case, plan.velocity_max) for pair_case in plan.pair_cases)
     return phase, plan.time_step / phase
+
+
+@dataclass(frozen=True)
+class StepFamily:
+    """A choice of the time step: its name, and the overrides for a share of the shortest phase [s]."""
+
+    name: str
+    overrides: Callable[[float, float], list[str]]
+
+
+def _fixed(share: float, phase: float) -> list[str]:
+    """Overrides for a fixed time step."""
+    return [f"run.time_step={float(share * phase)!r}"]
+
+
+def _adaptive(share: float, _phase: float) -> list[str]:
+    """Overrides for an adaptive time step; it does not depend on the phase."""
+    return ["run.time_step=adaptive", f"numerics.time_step_fraction={share!r}"]
+
+
+STEP_FAMILIES = (StepFamily("fixed", _fixed), StepFamily("adaptive", _adaptive))
+"""Fixed and adaptive time step."""
+
+
+# ---------------------------------------------------------------- one run
+
+SAMPLES = 200
+"""Number of samples for the means of center of mass and coordination number."""
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """Result of a run, or the reason of its abort (`stopped`).
+
+    `values` by quantity; `seconds`: processor time of the run without compilation [s], which other programs
+    on the machine change less than the wall time; `simulated` time [s].
+    """
+
+    values: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+    step_count: float = 0.0
+    simulated: float = 0.0
+    stopped: str = ""
+
+
+def run_task(task: SceneTask) -> RunOutcome:
+    """Run a task. The outcome reports an unstable time step or an abort.
+
+    Raises SceneError only if the scene cannot be loaded. The mean values are sampled SAMPLES times.
+    """
+    scene = task.scene()
+    means = _RunMeans(scene)
+    total_duration = scene.longest_duration
+    interval = min(total_duration, task.until or total_duration) / SAMPLES
+    observer = on_interval(interval, means.update, ("particles", "totals"))
+    try:
+        with Simulation(scene, observers=[observer]) as simulation:
+            timing = simulation.engine.timing
+            began = process_time() - timing.compile
+            result = simulation.run(until=task.until, within_stages=True)
+            seconds = process_time() - timing.compile - began
+    except SceneError as error:
+        return RunOutcome(stopped=str(error).partition(": ")[2])  # the prefix names an override of this study
+    except RunError as error:
+        return RunOutcome(stopped=str(error))
+    numbers = result.numbers
+    flows = {f"mass_flow.{name}": readings["mass_flow"] for name, readings in result.flow_meters.items()}
+    values = {"energy_error": numbers["energy_error"], **means.values(), **flows}
+    return RunOutcome(values, seconds, numbers["step_count"], numbers["simulated_time"])
 
 
 class _RunMeans:
@@ -148,30 +182,16 @@ class _RunMeans:
         return {name: float(np.mean(seen)) for name, seen in self._samples.items() if seen}
 
 
-def run_task(task: SceneTask) -> RunOutcome:
-    """Run a task. The outcome reports an unstable time step or an abort.
+def restitution_error(task: SceneTask) -> float:
+    """Largest relative restitution error of any pair of materials, for velocities from a tenth of the
+    largest.
 
-    Raises SceneError only if the scene cannot be loaded. The mean values are sampled SAMPLES times.
+    Measured by head-on collisions at the time step and the precision of the task.
     """
-    scene = task.scene()
-    means = _RunMeans(scene)
-    total_duration = scene.longest_duration
-    interval = min(total_duration, task.until or total_duration) / SAMPLES
-    observer = on_interval(interval, means.update, ("particles", "totals"))
-    try:
-        with Simulation(scene, observers=[observer]) as simulation:
-            timing = simulation.engine.timing
-            began = process_time() - timing.compile
-            result = simulation.run(until=task.until, within_stages=True)
-            seconds = process_time() - timing.compile - began
-    except SceneError as error:
-        return RunOutcome(stopped=str(error).partition(": ")[2])  # the prefix names an override of this study
-    except RunError as error:
-        return RunOutcome(stopped=str(error))
-    numbers = result.numbers
-    flows = {f"mass_flow.{name}": readings["mass_flow"] for name, readings in result.flow_meters.items()}
-    values = {"energy_error": numbers["energy_error"], **means.values(), **flows}
-    return RunOutcome(values, seconds, numbers["step_count"], numbers["simulated_time"])
+    rows, _ = measure_restitution(task.scene())
+    fastest = max(row.velocity for row in rows)
+    slowest = min(QUICK_VELOCITIES) * (1.0 - 1e-9) * fastest
+    return max(abs(row.difference) for row in rows if row.velocity >= slowest)
 
 
 class KeptRuns:
@@ -222,30 +242,7 @@ class KeptRuns:
             write_text(self._path, json.dumps(self._content, indent=1) + "\n")
 
 
-def restitution_error(task: SceneTask) -> float:
-    """Largest relative restitution error of any pair of materials, for velocities from a tenth of the
-    largest.
-
-    Measured by head-on collisions at the time step and the precision of the task.
-    """
-    rows, _ = measure_restitution(task.scene())
-    fastest = max(row.velocity for row in rows)
-    slowest = min(QUICK_VELOCITIES) * (1.0 - 1e-9) * fastest
-    return max(abs(row.difference) for row in rows if row.velocity >= slowest)
-
-
-def seeds_of(scene: Scene, count: int) -> list[Any]:
-    """Consecutive seeds that start with the seed of the scene."""
-    return [scene.seed + k for k in range(count)]
-
-
-def common_quantities(values: Sequence[dict[str, float]]) -> list[str]:
-    """Quantities that are present in all runs, in the order of the first.
-
-    `values`: quantity -> value of each run; at least one run.
-    """
-    return [name for name in values[0] if all(name in each for each in values)]
-
+# ---------------------------------------------------------------- the study
 
 SHARES = (0.1, 0.2, 0.28, 0.4)
 """Time steps over the shortest phase of a contact."""
@@ -253,12 +250,12 @@ SINGLE_SHARES = (0.2,)
 """Time steps over the shortest phase for runs in mixed and single precision."""
 REFERENCE = 0.05
 """Share of the reference run in double precision."""
+FINER = 0.5
+"""Factor on the time step of the reference with `full`."""
 SEEDS = 3
 """Number of seeds of each combination; the noise is estimated from their scatter."""
 FULL_SEEDS = 5
 """Number of seeds with `full`."""
-FINER = 0.5
-"""Factor on the time step of the reference with `full`."""
 SIGMAS = 2.0
 """Reported noise, in standard errors."""
 ENERGY_ERROR = "energy_error"
@@ -361,6 +358,21 @@ class _Runs:
         return np.array([outcome.values[name] for outcome in self.outcomes])
 
 
+class _Progress:
+    """Numbers the runs of a study in its messages."""
+
+    def __init__(self, total: int, report: Callable[[str], None]) -> None:
+        self._total = total
+        self._report = report
+        self._number = 0
+
+    def next(self, text: str, is_kept: bool) -> None:
+        """Report that the next run begins, or that its outcome is kept from an earlier command."""
+        self._number += 1
+        kept = ", kept" if is_kept else ""
+        self._report(f"run {self._number} of {self._total}: {text}{kept}")
+
+
 def measure_scene(
     task: SceneTask,
     target: float,
@@ -383,35 +395,31 @@ def measure_scene(
     phase, own_share = phase_of(scene)
     seeds = seeds_of(scene, FULL_SEEDS if full else SEEDS)
     finest = REFERENCE * (FINER if full else 1.0)
+    fixed = STEP_FAMILIES[0]
     planned: list[tuple[str, StepFamily, float]] = []
     for precision in precisions:
-        wanted = list(shares) if precision == "f64" else [s for s in shares if s in SINGLE_SHARES]
-        settings = [(family, share) for family in STEP_FAMILIES for share in wanted]
+        chosen = shares
         if precision == "f64":
-            settings = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *settings]
-        planned += [(precision, family, share) for family, share in settings]
+            planned.append((precision, fixed, finest))
+            if full:
+                planned.append((precision, fixed, finest / FINER))
+        else:
+            chosen = [share for share in shares if share in SINGLE_SHARES]
+        planned += [(precision, family, share) for family in STEP_FAMILIES for share in chosen]
+    kept = kept or KeptRuns(None)
     progress = _Progress(len(planned) * len(seeds), report)
     runs: list[_Runs] = []
     for precision, family, share in planned:
-        runs.append(_run(task, family, share, phase, precision, seeds, kept or KeptRuns(None), progress))
+        runs.append(_run(task, family, share, phase, precision, seeds, kept, progress))
         if runs[0].stopped:
             raise GranflowError(f"The run with the finest time step of this study aborts. {runs[0].stopped}")
     count = sum(group.count for group in scene.particles.values())
     return _study(runs, finest, scene.title, (own_share, own_share * phase), count, len(seeds), target)
 
 
-class _Progress:
-    """Numbers the runs of a study in its messages."""
-
-    def __init__(self, total: int, report: Callable[[str], None]) -> None:
-        self._total = total
-        self._report = report
-        self._number = 0
-
-    def next(self, text: str, is_kept: bool) -> None:
-        """Report that the next run begins, or that its outcome is kept from an earlier command."""
-        self._number += 1
-        self._report(f"run {self._number} of {self._total}: {text}{', kept' * is_kept}")
+def seeds_of(scene: Scene, count: int) -> list[Any]:
+    """Consecutive seeds that start with the seed of the scene."""
+    return [scene.seed + k for k in range(count)]
 
 
 def _run(
@@ -468,6 +476,14 @@ def _study(
     return SceneStudy(title, points, noise, spread, *given, count, seeds, target)
 
 
+def common_quantities(values: Sequence[dict[str, float]]) -> list[str]:
+    """Quantities that are present in all runs, in the order of the first.
+
+    `values`: quantity -> value of each run; at least one run.
+    """
+    return [name for name in values[0] if all(name in each for each in values)]
+
+
 def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
     """SIGMAS standard errors of the mean difference from the reference; variance averaged over all time
     steps.
@@ -506,12 +522,10 @@ def _point(runs: _Runs, reference: _Runs, scales: dict[str, float]) -> ScenePoin
     )
 
 
-# `granflow accuracy SCENE`: sentences, table, CSV, figure and page of the study of one scene.
+# ---------------------------------------------------------------- sentences and table
 
 MOST_CHOICES = 3
 """Choices with equal costs that the conclusion names; the table has all."""
-LOWEST = 1e-7
-"""Smaller errors are drawn at this value."""
 
 
 def scene_recommendation(study: SceneStudy) -> str:
@@ -618,24 +632,10 @@ def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
     )
 
 
-def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
-    """Columns of the CSV, one row per point; nan for aborted runs.
+# ---------------------------------------------------------------- files and figure
 
-    Values in SI units, errors, noise and spread relative, costs in processor time per simulated time [s/s].
-    """
-    rows = []
-    for point in study.points:
-        row: dict[str, Any] = {
-            name: getattr(point, name)
-            for name in ("family", "precision", "share", "time_step", "restitution_error")
-        }
-        row["energy_error"] = point.errors.get(ENERGY_ERROR, np.nan)
-        for name in study.quantities:
-            row |= {name: point.values.get(name, np.nan), f"{name}_error": point.errors.get(name, np.nan)}
-            row |= {f"{name}_noise": study.noise[name], f"{name}_spread": study.spread[name]}
-        row |= dict(zip(("seconds_median", "seconds_min", "seconds_max"), point.cost, strict=True))
-        rows.append(row | {"seeds": study.seed_count, "stopped": point.stopped})
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+LOWEST = 1e-7
+"""Smaller errors are drawn at this value."""
 
 
 def write_scene(out: Path, study: SceneStudy) -> None:
@@ -655,6 +655,26 @@ def write_scene(out: Path, study: SceneStudy) -> None:
     )
     if missing:
         raise GranflowError(missing)
+
+
+def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
+    """Columns of the CSV, one row per point; nan for aborted runs.
+
+    Values in SI units, errors, noise and spread relative, costs in processor time per simulated time [s/s].
+    """
+    rows = []
+    for point in study.points:
+        row: dict[str, Any] = {
+            name: getattr(point, name)
+            for name in ("family", "precision", "share", "time_step", "restitution_error")
+        }
+        row["energy_error"] = point.errors.get(ENERGY_ERROR, np.nan)
+        for name in study.quantities:
+            row |= {name: point.values.get(name, np.nan), f"{name}_error": point.errors.get(name, np.nan)}
+            row |= {f"{name}_noise": study.noise[name], f"{name}_spread": study.spread[name]}
+        row |= dict(zip(("seconds_median", "seconds_min", "seconds_max"), point.cost, strict=True))
+        rows.append(row | {"seeds": study.seed_count, "stopped": point.stopped})
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
 def draw_scene(study: SceneStudy) -> Callable[[Any], None]:

@@ -1,16 +1,18 @@
-"""Orders of convergence, fitted where errors decrease with the time step and exceed the round-off floor.
+"""Two particles that collide head-on, with every contact model, precision and time step: errors and cost.
 
-    error = C steps^-p
-
-p: order of convergence; the leapfrog scheme has p = 2 for smooth forces.
+A study line is one contact model with one precision. `measured_line` simulates it on the collision bench: all
+kinds of collision (restitutions and velocities) simultaneously, once for each number of steps per collision.
+The diameters make all collisions last equally long, so that one time step has the same number of steps in
+every collision. The points of a line are the errors relative to the exact solutions, and the processor time.
+`granflow.studies.accuracy.report` derives orders and recommendations from them, and writes the files.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from math import ceil
 from time import process_time
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -20,9 +22,87 @@ from granflow.contact.material import Solid
 from granflow.scene.blocks.materials import PRESETS
 from granflow.studies.bench import FORCES_TO_END, Collision, HeadOnCollision, head_on_bench, share_to_end
 from granflow.studies.paper.figures import PaperCase
+from granflow.studies.tables import attribute_columns
 
-# Exact solution of a head-on collision for each contact model of the study: closed forms, and one
-# quadrature.
+# ---------------------------------------------------------------- what is varied
+
+PRECISIONS = ("f64", "mixed", "f32")
+"""Precisions of the study, the most accurate first."""
+STEPS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 320, 640, 1250, 2500, 5000)
+"""Steps per collision: duration of the collision over the time step."""
+FULL_STEPS = tuple(float(f"{steps:.3g}") for steps in np.geomspace(5.0, 5000.0, 31))
+"""Steps per collision of the full study, ten per decade."""
+VELOCITIES = (0.1, 1.0, 5.0)
+"""Approach velocities [m/s]."""
+RESTITUTIONS = (0.2, 0.5, 0.9)
+"""Target restitutions of the contact models with dissipation."""
+PHASES = 32
+"""Collisions of each kind; their times of first contact are evenly spaced over one step."""
+DIAMETER = 5e-3
+"""Diameter [m] of the reference particle; its elastic collision at 1 m/s sets the duration of all
+collisions."""
+YOUNG_MODULUS = 50e6
+"""Young's modulus of the particles [Pa]: glass, softened as in the example scenes.
+
+Stiffer particles overlap less, so that single precision resolves fewer digits of the overlap.
+"""
+DISTANCE = 60e-3
+"""Distance of the collisions from the origin [m].
+
+Representative of a hopper: single precision resolves fewer digits of the overlap at this distance.
+"""
+
+
+@dataclass(frozen=True)
+class StudiedLaw:
+    """A contact model of the study: its label, its `contact.normal` in a scene, and the restitutions to
+    reproduce.
+
+    `normal`: name of the contact model, or a mapping with `law` and its parameters.
+    """
+
+    name: str
+    normal: Any
+    restitutions: tuple[float, ...]
+
+    @property
+    def law_name(self) -> str:
+        """Name of the contact model in the catalog."""
+        return str(self.normal if isinstance(self.normal, str) else self.normal["law"])
+
+
+STUDIED_LAWS = (
+    StudiedLaw("zhou", "zhou", RESTITUTIONS),
+    StudiedLaw("hertz", "hertz", RESTITUTIONS),
+    StudiedLaw("linear", {"law": "linear", "stiffness": "onset"}, RESTITUTIONS),
+    StudiedLaw("hertz, elastic", "hertz", (1.0,)),
+)
+"""Contact models of the study; an elastic contact separates errors of the integration from those of
+damping."""
+
+
+def reference_case() -> PaperCase:
+    """Two particles of softened glass, with the diameter DIAMETER [m] and Young's modulus YOUNG_MODULUS [Pa].
+
+    Density and Poisson ratio are those of the preset glass.
+    """
+    glass = PRESETS["glass"]
+    solid = Solid(YOUNG_MODULUS, glass.poisson_ratio, glass.density)
+    return PaperCase(
+        "glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=DIAMETER
+    )
+
+
+def common_duration() -> float:
+    """Duration of every collision of the study [s]: that of an elastic collision of the reference case at 1
+    m/s.
+
+    It is Zhou's duration (2011, Eq. 13) with e = 1.
+    """
+    return reference_case().duration(1.0, 1.0)
+
+
+# ---------------------------------------------------------------- exact solutions
 
 
 @dataclass(frozen=True)
@@ -126,49 +206,7 @@ def _contact_time(oscillator: _Oscillator, begin: float, end: float) -> float:
     return 0.8 * (end - begin) * float(quad(integrand, 0.0, 1.0, epsabs=0.0, epsrel=1e-13)[0])
 
 
-# Parameters of the two-particle study: contact model, precision, time step and kinds of collision.
-
-PRECISIONS = ("f64", "mixed", "f32")
-"""Precisions of the study, the most accurate first."""
-STEPS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 320, 640, 1250, 2500, 5000)
-"""Steps per collision: duration of the collision over the time step."""
-FULL_STEPS = tuple(float(f"{steps:.3g}") for steps in np.geomspace(5.0, 5000.0, 31))
-"""Steps per collision of the full study, ten per decade."""
-VELOCITIES = (0.1, 1.0, 5.0)
-"""Approach velocities [m/s]."""
-PHASES = 32
-"""Collisions of each kind; their times of first contact are evenly spaced over one step."""
-DIAMETER = 5e-3
-"""Diameter [m] of the reference particle; its elastic collision at 1 m/s sets the duration of all
-collisions."""
-YOUNG_MODULUS = 50e6
-"""Young's modulus of the particles [Pa]: glass, softened as in the example scenes.
-
-Stiffer particles overlap less, so that single precision resolves fewer digits of the overlap.
-"""
-DISTANCE = 60e-3
-"""Distance of the collisions from the origin [m].
-
-Representative of a hopper: single precision resolves fewer digits of the overlap at this distance.
-"""
-
-
-@dataclass(frozen=True)
-class StudiedLaw:
-    """A contact model of the study: its label, its `contact.normal` in a scene, and the restitutions to
-    reproduce.
-
-    `normal`: name of the contact model, or a mapping with `law` and its parameters.
-    """
-
-    name: str
-    normal: Any
-    restitutions: tuple[float, ...]
-
-    @property
-    def law_name(self) -> str:
-        """Name of the contact model in the catalog."""
-        return str(self.normal if isinstance(self.normal, str) else self.normal["law"])
+# ---------------------------------------------------------------- kinds of collision
 
 
 @dataclass(frozen=True)
@@ -185,39 +223,6 @@ class CollisionKind:
     def text(self) -> str:
         """Text for reports."""
         return f"e = {self.restitution:g} at {self.velocity:g} m/s"
-
-
-RESTITUTIONS = (0.2, 0.5, 0.9)
-"""Target restitutions of the contact models with dissipation."""
-STUDIED_LAWS = (
-    StudiedLaw("zhou", "zhou", RESTITUTIONS),
-    StudiedLaw("hertz", "hertz", RESTITUTIONS),
-    StudiedLaw("linear", {"law": "linear", "stiffness": "onset"}, RESTITUTIONS),
-    StudiedLaw("hertz, elastic", "hertz", (1.0,)),
-)
-"""Contact models of the study; an elastic contact separates errors of the integration from those of
-damping."""
-
-
-def reference_case() -> PaperCase:
-    """Two particles of softened glass, with the diameter DIAMETER [m] and Young's modulus YOUNG_MODULUS [Pa].
-
-    Density and Poisson ratio are those of the preset glass.
-    """
-    glass = PRESETS["glass"]
-    solid = Solid(YOUNG_MODULUS, glass.poisson_ratio, glass.density)
-    return PaperCase(
-        "glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=DIAMETER
-    )
-
-
-def common_duration() -> float:
-    """Duration of every collision of the study [s]: that of an elastic collision of the reference case at 1
-    m/s.
-
-    It is Zhou's duration (2011, Eq. 13) with e = 1.
-    """
-    return reference_case().duration(1.0, 1.0)
 
 
 def kinds_of(law: StudiedLaw) -> tuple[CollisionKind, ...]:
@@ -259,7 +264,7 @@ def first_contact_times(kinds: tuple[CollisionKind, ...], time_step: float) -> n
     return np.tile(time_step * (np.arange(PHASES) + 0.5) / PHASES, len(kinds))
 
 
-# Simultaneous collisions under one contact model, repeated with several time steps, sampled and timed.
+# ---------------------------------------------------------------- simulation and timing
 
 MAX_FULLY_SAMPLED_STEPS = 200
 """Largest number of steps per collision at which every step is sampled.
@@ -303,7 +308,7 @@ class CollisionResults:
 class AccuracyBench:
     """All collisions of one contact model in one scene; compiled once for all time steps.
 
-    `velocity` (pairs,): approach velocities [m/s]. Call `free` after use.
+    `velocity` (pairs,): approach velocities [m/s]. The device memory is free after the `with` block.
 
     The plan assumes the largest velocity for all pairs. Here particles collide with their own kind only, each
     kind at its own velocity, and all collisions have the same duration; the plan therefore gets the smallest
@@ -317,16 +322,22 @@ class AccuracyBench:
         self.velocity = np.repeat([kind.velocity for kind in self.kinds], PHASES)
         time_step = common_duration() / FINEST
         self.bench = head_on_bench(
-            studied_law.normal,
             collisions_of(self.kinds),
-            first_contact_times(self.kinds, time_step),
+            studied_law.normal,
             time_step,
+            first_contact_times(self.kinds, time_step),
             precision=precision,
             threads=threads,
             contact_x=DISTANCE,
             velocity_max=min(VELOCITIES),
             numerics={"skin": SKIN * min(kind.diameter for kind in self.kinds)},
         )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bench.free()
 
     @property
     def plan(self) -> Plan:
@@ -354,10 +365,6 @@ class AccuracyBench:
         ]
         restitution, duration, overlap = np.array(found).T.reshape(3, len(self.kinds), PHASES)
         return CollisionResults(steps, time_step, restitution, duration, overlap, seconds)
-
-    def free(self) -> None:
-        """Free the device memory."""
-        self.bench.free()
 
     def _sample_contacts(
         self, collisions: list[Collision], time_step: float, steps: float
@@ -436,69 +443,7 @@ def _parabola_max(overlap: np.ndarray) -> float:
     return float(top + (after - before) ** 2 / (8.0 * bend)) if bend > 0.0 else float(top)
 
 
-ASYMPTOTIC = 0.05
-"""The fit begins at the first error below this value."""
-DECREASE = 0.9
-"""Required ratio of successive errors.
-
-The fit ends where neither the next error over the last is below it, nor the second next below its square.
-"""
-MIN_POINTS = 4
-"""Minimum number of points of a fit."""
-
-
-@dataclass(frozen=True)
-class Order:
-    """error = prefactor * steps^-order from `first` to `last` steps per collision: a fitted order of
-    convergence."""
-
-    order: float
-    first: float
-    last: float
-    prefactor: float
-
-    def at(self, steps: np.ndarray) -> np.ndarray:
-        """Fitted error (n,) at numbers of steps per collision (n,)."""
-        return self.prefactor * steps**-self.order
-
-    @property
-    def text(self) -> str:
-        """Text for tables."""
-        return f"{self.order:.2f} ({self.first:g} to {self.last:g})"
-
-
-def fitted_order(steps: np.ndarray, error: np.ndarray) -> Order | None:
-    """Least-squares line through the logarithms of `error` (n,) over `steps` (n,), in ascending order of
-    steps.
-
-    The fit begins at the first error below ASYMPTOTIC and ends where the errors stop decreasing. None if
-    fewer than MIN_POINTS points decrease. Errors of nan are not below any bound.
-    """
-    below = np.flatnonzero(error < ASYMPTOTIC)
-    if not len(below):
-        return None
-    first = last = int(below[0])
-    while (ahead := _next_decreasing(error, last)) is not None:
-        last = ahead
-    if last + 1 - first < MIN_POINTS:
-        return None
-    part = slice(first, last + 1)
-    slope, intercept = np.polyfit(np.log(steps[part]), np.log(error[part]), 1)
-    return Order(-float(slope), float(steps[first]), float(steps[last]), float(np.exp(intercept)))
-
-
-def _next_decreasing(error: np.ndarray, last: int) -> int | None:
-    """Index of the next clearly smaller error after `last`; None if the errors no longer decrease.
-
-    One outlier is permitted: the largest error may change from one kind of collision to another.
-    """
-    for ahead in (1, 2):
-        if last + ahead < len(error) and 0.0 < error[last + ahead] < DECREASE**ahead * error[last]:
-            return last + ahead
-    return None
-
-
-# Points of the two-particle study: errors and processor time of one kind of collision at one time step.
+# ---------------------------------------------------------------- points and lines of the study
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
 """Quantities with an error relative to the exact solution."""
@@ -586,8 +531,7 @@ def max_or_nan(values: Iterable[float]) -> float:
 
 def columns(points: Sequence[StudyPoint]) -> dict[str, np.ndarray]:
     """Columns of the CSV, one array (points,) per field of StudyPoint."""
-    names = [each.name for each in fields(StudyPoint)]
-    return dict(zip(names, map(np.array, zip(*map(astuple, points), strict=True)), strict=True))
+    return attribute_columns(points, (each.name for each in fields(StudyPoint)))
 
 
 def measured_line(
@@ -602,17 +546,18 @@ def measured_line(
     `steps`: numbers of steps per collision; `repeats`: number of timings of each; `threads`: as for
     Simulation.
     """
-    bench = AccuracyBench(studied_law, precision, threads)
     points: list[StudyPoint] = []
     refused: list[float] = []
-    for count in steps:
-        try:
-            points += _points(bench, bench.run(count, repeats))
-        except SceneError:
-            refused.append(count)
-    bench.free()
-    descriptions = [f"{studied_law.name} with {', '.join(f'{n:g}' for n in refused)} steps per collision"]
-    return StudyLine(studied_law.name, precision, tuple(points)), descriptions if refused else []
+    with AccuracyBench(studied_law, precision, threads) as bench:
+        for count in steps:
+            try:
+                points += _points(bench, bench.run(count, repeats))
+            except SceneError:
+                refused.append(count)
+    line = StudyLine(studied_law.name, precision, tuple(points))
+    if not refused:
+        return line, []
+    return line, [f"{studied_law.name} with {', '.join(f'{n:g}' for n in refused)} steps per collision"]
 
 
 def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]:
@@ -633,7 +578,7 @@ def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]
     }
     found = []
     for index, kind in enumerate(bench.kinds):
-        errors = dict(zip(QUANTITIES, _errors(results, kind, index), strict=True))
+        errors = _errors(results, kind, index)
         rms = {f"{name}_error": float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
         worst = {f"{name}_error_worst": float(np.max(np.abs(error))) for name, error in errors.items()}
         given = {
@@ -645,19 +590,19 @@ def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]
     return found
 
 
-def _errors(results: CollisionResults, kind: CollisionKind, index: int) -> tuple[np.ndarray, ...]:
-    """Errors in the order of QUANTITIES, each (phases,): relative, except the energy.
+def _errors(results: CollisionResults, kind: CollisionKind, index: int) -> dict[str, np.ndarray]:
+    """Errors (phases,) of one kind of collision by quantity: relative, except the energy.
 
     energy error = e^2 - e_exact^2, over the initial kinetic energy
     """
     exact = kind.exact
     e = results.restitution[index]
-    return (
-        e / exact.restitution - 1.0,
-        results.duration[index] / exact.duration - 1.0,
-        results.overlap_max[index] / exact.overlap_max - 1.0,
-        e**2 - exact.restitution**2,
-    )
+    return {
+        "restitution": e / exact.restitution - 1.0,
+        "duration": results.duration[index] / exact.duration - 1.0,
+        "overlap_max": results.overlap_max[index] / exact.overlap_max - 1.0,
+        "energy": e**2 - exact.restitution**2,
+    }
 
 
 def _phase(bench: AccuracyBench, index: int) -> float:

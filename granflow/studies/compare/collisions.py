@@ -1,9 +1,13 @@
-"""Binary collisions over three decades of velocity.
+"""Binary collisions over three decades of velocity, and what they show about linear springs.
 
-They show the range of a spring constant from one velocity, and the effect of Eq. 19 (Zhou 2011) per contact.
+`sweeps_of` collides two equal particles of the scene with every contact model, on the collision bench;
+`sweep_columns` gives `collisions.csv`, with the exact values of Zhou (2011). `assess` verifies one statement
+with these columns and the runs of the scene: a spring constant from one velocity is wrong a decade away from
+it, and Eq. 19 (Zhou 2011) per contact corrects it. `soft_spring_note` warns of a constant that is too soft
+for the scene.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +16,23 @@ from granflow import GranflowError, Scene, SceneError
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
 from granflow.geometry.shape import sphere_mass
-from granflow.studies.bench import HeadOnCollision, Outcomes, collide_all
-from granflow.studies.compare.runs import LawVariant, automatic_plan, restitution_for
+from granflow.studies.bench import HeadOnCollision, Outcomes, collide
+from granflow.studies.compare.bed import MIN_CONTACTS
+from granflow.studies.compare.runs import (
+    LINEAR_KEYS,
+    LawVariant,
+    VariantRun,
+    at_end,
+    automatic_plan,
+    densest_stage,
+    restitution_for,
+)
+from granflow.studies.tables import percent
+
+# ---------------------------------------------------------------- collisions
 
 DECADES_BELOW, DECADES_ABOVE, PER_DECADE = 2, 1, 4
 """Range of velocities about the reference velocity in decades, and velocities per decade."""
-
 FINE_STEPS = 100
 """Steps in the shortest collision: the remaining error results from the contact model."""
 COARSE_STEPS = 10
@@ -88,7 +103,8 @@ def subject_of(scene: Scene, reference_velocity: float) -> CollisionSubject | No
     `reference_velocity` [m/s]. Without a pair of the material with itself, another pair of the material is
     used.
     """
-    plan, (name, group) = automatic_plan(scene), next(iter(scene.particles.items()))
+    plan = automatic_plan(scene)
+    name, group = next(iter(scene.particles.items()))
     keys = [
         scene.pair_key(group.material, group.material),
         *(key for key in scene.pairs if group.material in key),
@@ -126,8 +142,8 @@ def sweeps_of(
         for name in steps:
             try:
                 collisions = _collisions(scene, subject, variant)
-                outcomes[name] = collide_all(
-                    variant.normal, collisions, time_steps[name], arch, scene.run.precision
+                outcomes[name] = collide(
+                    collisions, variant.normal, time_steps[name], arch, scene.run.precision
                 )
             except (GranflowError, SceneError, ValueError) as error:
                 refused[name] = str(error)
@@ -159,14 +175,19 @@ def sweep_columns(subject: CollisionSubject, sweeps: Sequence[LawSweep]) -> dict
     rows: list[dict[str, np.ndarray]] = []
     for sweep in sweeps:
         for name, reached in sweep.outcomes.items():
-            labels = {"law": sweep.variant.key, "step": name}
             rows.append(
-                {key: np.repeat(word, len(velocity)) for key, word in labels.items()}
-                | {"time_step": np.repeat(reached.time_step, len(velocity)), "velocity": velocity}
-                | {"velocity_over_reference": velocity / subject.reference_velocity}
-                | {"duration": reached.duration, "overlap_max": reached.overlap_max}
-                | {"restitution": reached.restitution, "force_max": reached.force_max}
-                | exact
+                {
+                    "law": np.repeat(sweep.variant.key, len(velocity)),
+                    "step": np.repeat(name, len(velocity)),
+                    "time_step": np.repeat(reached.time_step, len(velocity)),
+                    "velocity": velocity,
+                    "velocity_over_reference": velocity / subject.reference_velocity,
+                    "duration": reached.duration,
+                    "overlap_max": reached.overlap_max,
+                    "restitution": reached.restitution,
+                    "force_max": reached.force_max,
+                    **exact,
+                }
             )
     return {key: np.concatenate([row[key] for row in rows]) for key in rows[0]} if rows else {}
 
@@ -181,7 +202,7 @@ class CollisionDeviation:
 
 
 def deviation(
-    columns: dict[str, np.ndarray], law: str, step: str, over_reference: float
+    columns: Mapping[str, np.ndarray], law: str, step: str, over_reference: float
 ) -> CollisionDeviation | None:
     """Deviation of a contact model at a multiple of the reference velocity; None without such collisions.
 
@@ -193,12 +214,258 @@ def deviation(
     is_row &= np.isclose(columns["velocity_over_reference"], over_reference)
     if not is_row.any():
         return None
-    names = ("duration", "overlap_max", "restitution")
-    return CollisionDeviation(
-        *(float(columns[n][is_row][0] / columns[f"{n}_exact"][is_row][0] - 1.0) for n in names)
-    )
+
+    def off(name: str) -> float:
+        return float(columns[name][is_row][0] / columns[f"{name}_exact"][is_row][0] - 1.0)
+
+    return CollisionDeviation(off("duration"), off("overlap_max"), off("restitution"))
 
 
 def floor_velocity(subject: CollisionSubject) -> float:
     """Velocity [m/s] below which Eq. 19 per contact uses the spring of this velocity, as in the scene."""
     return theory.MIN_VELOCITY_SHARE * float(subject.velocities.max())
+
+
+# ---------------------------------------------------------------- assessment of linear springs
+
+TOLERANCE = 0.1
+"""Threshold of the relative change over a decade of velocity."""
+PER_CONTACT, ONE_SPRING = LINEAR_KEYS
+"""Keys of the two variants of the linear contact model."""
+DECADE = 10.0
+"""Ratio of velocities at which the springs are assessed."""
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """A statement, whether it holds (None: not measured), and the numbers behind it as a sentence."""
+
+    part: str
+    holds: bool | None
+    why: str
+
+    @property
+    def conclusion(self) -> str:
+        """Whether the statement holds, as text."""
+        return {True: "holds", False: "does not hold", None: "not measured"}[self.holds]
+
+
+def assess(columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]) -> list[Assessment]:
+    """Assess all statements, for binary collisions and for the scene; empty without a linear contact model.
+
+    `columns`: of collisions.csv, possibly empty; `runs`: of all variants.
+    """
+    compared = {run.variant.key for run in runs}.union(columns["law"].tolist() if columns else ())
+    if not compared & {ONE_SPRING, PER_CONTACT}:
+        return []
+    return [*assess_collisions(columns), *_assess_scene(runs)]
+
+
+def assess_collisions(columns: Mapping[str, np.ndarray]) -> list[Assessment]:
+    """Assess accuracy and stability from the columns of collisions.csv."""
+    return [_assess_one_spring(columns), _assess_per_contact(columns), _assess_stability(columns)]
+
+
+def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
+    """Assess the accuracy of the spring from one velocity a decade away from it.
+
+    Theory: relative to those of Hertz, duration and overlap change by the factor 10^0.2 per decade of
+    velocity.
+    """
+    part = "A spring from one velocity is wrong an order of magnitude away from it"
+    slow = drift(columns, ONE_SPRING, 1.0 / DECADE)
+    fast = drift(columns, ONE_SPRING, DECADE)
+    if slow is None or fast is None:
+        return Assessment(part, None, "The comparison does not include linear.")
+    worst = _worst(slow, fast)
+    why = (
+        f"Relative to Zhou and Hertz the contact duration changes by {_percent(slow.duration)} and the "
+        f"maximum overlap by {_percent(slow.overlap_max)} from the reference velocity to a tenth of it, by "
+        f"{_percent(fast.duration)} and {_percent(fast.overlap_max)} to ten times it (10^0.2 − 1 is "
+        f"{_percent(DECADE**0.2 - 1.0)})."
+    )
+    return Assessment(part, worst > TOLERANCE, why)
+
+
+def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
+    """Assess the accuracy of Eq. 19 per contact over both decades.
+
+    The changes must be below TOLERANCE; constant deviations result from the linear spring and are only
+    reported.
+    """
+    part = "Eq. 19 per contact corrects it"
+    slow = drift(columns, PER_CONTACT, 1.0 / DECADE)
+    fast = drift(columns, PER_CONTACT, DECADE)
+    at_reference = deviation(columns, PER_CONTACT, "fine", 1.0)
+    if slow is None or fast is None or at_reference is None:
+        return Assessment(part, None, "The comparison does not include linear.")
+    worst = _worst(slow, fast)
+    why = (
+        f"Over both decades the same numbers change by at most {_percent(worst, signed=False)}. Deviations "
+        f"at every velocity: contact duration {_percent(at_reference.duration)}, maximum overlap "
+        f"{_percent(at_reference.overlap_max)}, due to the linear spring (pi instead of 2.94 in units of "
+        "dmax/v) and the dashpot."
+    )
+    below = drift(columns, PER_CONTACT, 1.0 / DECADE**2)
+    if below is not None:
+        why += (
+            f" Another decade lower, below the velocity limit of the spring constant, the changes are "
+            f"{_percent(below.duration)} and {_percent(below.overlap_max)}."
+        )
+    return Assessment(part, worst < TOLERANCE, why)
+
+
+def drift(columns: Mapping[str, np.ndarray], law: str, over_reference: float) -> CollisionDeviation | None:
+    """Relative change of the ratio of simulated to exact values from the reference velocity to a multiple of
+    it.
+
+        (s / s_exact at over_reference * v) / (s / s_exact at v) - 1
+
+    None if the columns lack these collisions.
+    """
+    at_multiple = deviation(columns, law, "fine", over_reference)
+    at_reference = deviation(columns, law, "fine", 1.0)
+    if at_multiple is None or at_reference is None:
+        return None
+
+    def change(name: str) -> float:
+        return float((1.0 + getattr(at_multiple, name)) / (1.0 + getattr(at_reference, name)) - 1.0)
+
+    return CollisionDeviation(change("duration"), change("overlap_max"), change("restitution"))
+
+
+def _worst(*drifts: CollisionDeviation) -> float:
+    """Largest magnitude of the relative changes of contact duration and maximum overlap."""
+    return max(
+        abs(number) for per_contact in drifts for number in (per_contact.duration, per_contact.overlap_max)
+    )
+
+
+def _assess_stability(columns: Mapping[str, np.ndarray]) -> Assessment:
+    """Assess the stability of the spring from one velocity at a fixed time step.
+
+    The measure is the effect of the time step on the restitution a decade above the reference velocity.
+    """
+    part = "A spring from one velocity becomes unstable an order of magnitude away from it"
+    laws = list(dict.fromkeys(columns["law"].tolist())) if columns else []
+    effect_by_law = {law: _time_step_effect(columns, law) for law in laws}
+    one_spring = effect_by_law.pop(ONE_SPRING, None)
+    if one_spring is None:
+        return Assessment(part, None, "The comparison does not include linear.")
+    others = ", ".join(f"{law} {_percent(off)}" for law, off in effect_by_law.items() if off is not None)
+    why = (
+        f"With the time step of {COARSE_STEPS} steps per contact at the reference velocity, the restitution "
+        f"at ten times the velocity differs by {_percent(one_spring)} from that with a fine time step: the "
+        "contact duration, and with it the stable time step, does not depend on the velocity. Other contact "
+        f"models become stiffer with the velocity: {others or 'none'}."
+    )
+    return Assessment(part, one_spring > TOLERANCE, why)
+
+
+def _time_step_effect(columns: Mapping[str, np.ndarray], law: str) -> float | None:
+    """Relative difference of the restitution with the reference and the fine time step, at a decade above.
+
+    None without such collisions, or if the spheres do not separate with the fine time step.
+    """
+    coarse = deviation(columns, law, "coarse", DECADE)
+    fine = deviation(columns, law, "fine", DECADE)
+    if coarse is None or fine is None or fine.restitution <= -1.0:
+        return None
+    return (1.0 + coarse.restitution) / (1.0 + fine.restitution) - 1.0
+
+
+def _assess_scene(runs: Sequence[VariantRun]) -> list[Assessment]:
+    """Assess both springs in the scene: aborts, and the overlaps of the bed relative to those of Hertz.
+
+    A deviation above TOLERANCE counts as wrong.
+    """
+    one_spring_part = "In this scene one spring fails"
+    per_contact_part = "In this scene Eq. 19 per contact corrects it"
+    by_key = {run.variant.key: run for run in runs}
+    one_spring = by_key.get(ONE_SPRING)
+    per_contact = by_key.get(PER_CONTACT)
+    if one_spring is None or per_contact is None:
+        why = "The comparison does not include linear, or linear cannot run the scene."
+        return [Assessment(one_spring_part, None, why), Assessment(per_contact_part, None, why)]
+    found = []
+    for part, run in ((one_spring_part, one_spring), (per_contact_part, per_contact)):
+        off, text = _bed_overlap(run, runs)
+        holds = None
+        if run.stopped or np.isfinite(off):
+            is_wrong = bool(run.stopped) or abs(off) > TOLERANCE
+            holds = is_wrong if run is one_spring else not is_wrong
+        found.append(Assessment(part, holds, text))
+    return found
+
+
+def _bed_overlap(run: VariantRun, runs: Sequence[VariantRun]) -> tuple[float, str]:
+    """Relative deviation of the mean overlap of the densest bed from that of Hertz, and a sentence.
+
+    The first complete run replaces Hertz where Hertz is not compared.
+    """
+    stage = densest_stage(runs)
+    finished = [other for other in runs if not other.stopped] or list(runs)
+    reference = next((other for other in finished if other.variant.key == "hertz"), finished[0])
+    off = float("nan")
+    count = at_end(stage, "contact_count")(reference)
+    if count >= MIN_CONTACTS:
+        off = at_end(stage, "overlap_mean")(run) / at_end(stage, "overlap_mean")(reference) - 1.0
+    if run.stopped:
+        return (
+            off,
+            f"The run was aborted at {run.time:.4g} s: {run.stopped.partition(': ')[2].partition('. ')[0]}.",
+        )
+    if not np.isfinite(off):
+        return (
+            off,
+            f"The run is complete, but the stage {stage} ends with too few contacts for an assessment of the "
+            "bed.",
+        )
+    flow = "".join(
+        f" Mass flow through {meter}: {_percent(run.mass_flow(meter) / reference.mass_flow(meter) - 1.0)}."
+        for meter in run.meters
+        if reference.mass_flow(meter) != 0.0
+    )
+    return off, (
+        f"The run is complete. Mean overlap at the end of the stage {stage} relative to "
+        f"{reference.variant.key}: {_percent(off)}; static loads act on springs chosen for impacts.{flow}"
+    )
+
+
+def _percent(share: float, signed: bool = True) -> str:
+    """A fraction in percent with one digit and a typographic minus sign."""
+    text = f"{100.0 * share:+.1f} %" if signed else f"{100.0 * share:.1f} %"
+    return text.replace("-", "−")
+
+
+# ---------------------------------------------------------------- a spring that is too soft
+
+MARGIN = 1.5
+"""Velocity over the reference velocity above which the spring counts as too soft: at a wall of the same
+material, the overlap of an impact is that of two particles at 1.2 times the velocity."""
+
+
+def soft_spring_note(runs: Sequence[VariantRun], subject: CollisionSubject | None) -> str:
+    """The sentence, if the largest overlap is that of an impact above the reference velocity; otherwise "".
+
+    The overlap is that of the first complete run without this spring. It determines a velocity by Eq. 5 of
+    Zhou (2011):
+
+        d / d0 = (v / v0)^(4/5)        K / K0 = (v / v0)^(2/5)        (Eq. 19)
+    """
+    spring = next((run for run in runs if run.variant.key == ONE_SPRING), None)
+    others = [run for run in runs if run is not spring and not run.stopped]
+    if spring is None or subject is None or not others:
+        return ""
+    overlap = float(np.nanmax(others[0].columns["overlap_largest"], initial=0.0))
+    reference = subject.reference_velocity
+    ratio = (overlap / (2.0 * subject.overlap_max(reference) / subject.diameter)) ** 1.25
+    if ratio < MARGIN:
+        return ""
+    return (
+        f"{spring.variant.title} is softer than the impacts of this scene require: the largest overlap with "
+        f"{others[0].variant.title}, {percent(overlap)} of the radius, is that of an impact at "
+        f"{ratio * reference:.2g} m/s, for which Eq. 19 gives a spring {ratio**0.4:.2g} times as stiff. Its "
+        "velocity is --reference-velocity, by default a tenth of the largest expected impact velocity "
+        "(run.velocity_max); in a scene it is contact.normal.stiffness.reference_velocity."
+    )

@@ -1,4 +1,10 @@
-"""`granflow compare`: runs, collisions, output files and the page of the comparison."""
+"""`granflow compare`: one scene with several normal contact models, side by side.
+
+`compare` runs the scene with each contact model (`granflow.studies.compare.runs`), collides two of its
+particles over three decades of velocity (`granflow.studies.compare.collisions`), and writes the results: the
+summary table `compare.csv`, further CSV tables, the figures, a script for ParaView, and the page
+`compare.html`.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,25 +15,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from granflow import Scene
+from granflow.studies.compare.bed import FORCE_EDGES, MIN_CONTACTS, SURFACE_PERCENTILE
 from granflow.studies.compare.collisions import (
     COARSE_STEPS,
     FINE_STEPS,
+    Assessment,
     CollisionSubject,
     LawSweep,
+    assess,
     floor_velocity,
+    soft_spring_note,
     subject_of,
     sweep_columns,
     sweeps_of,
 )
 from granflow.studies.compare.runs import (
     BURSTS,
-    FORCE_EDGES,
-    MIN_CONTACTS,
     SAMPLES,
     SAMPLES_PER_CONTACT,
-    SURFACE_PERCENTILE,
     VariantRun,
-    _last,
     at_end,
     densest_stage,
     hertz_duration,
@@ -36,13 +42,361 @@ from granflow.studies.compare.runs import (
     run_all,
     variants_of,
 )
-from granflow.studies.compare.springs import Assessment, assess, soft_spring_note
 from granflow.studies.figures import COLORS, MARKERS, Drawing, stacked_panels
 from granflow.studies.page import write_page, write_study
 from granflow.studies.tables import PageTable, stacked
 from granflow.visible_text import readable
 
-# Figures of a comparison.
+PAGE = "compare.html"
+MOST_PARTICLES = 4000
+"""Particle count to which a scene is reduced, unless all particles are requested.
+
+Four contact models then run within minutes on two cores.
+"""
+
+
+@dataclass(frozen=True)
+class SceneComparison:
+    """Settings and results of a comparison.
+
+    `reference_velocity` [m/s]; `reduced`: particle counts of the groups that were reduced; `until` [s]: end
+    of each run; `refused`: reason by title of the variant; `collisions`: columns of collisions.csv.
+    """
+
+    scene: Scene
+    reference_velocity: float
+    reduced: dict[str, int]
+    until: float | None
+    runs: list[VariantRun]
+    refused: dict[str, str]
+    subject: CollisionSubject | None
+    sweeps: list[LawSweep]
+    collisions: dict[str, np.ndarray]
+
+    @property
+    def assessments(self) -> list[Assessment]:
+        """Assessment of the spring constants of the linear contact model."""
+        return assess(self.collisions, self.runs)
+
+    @property
+    def rows(self) -> "list[SummaryRow]":
+        """Rows of the summary table."""
+        return summary(self.runs)
+
+
+def compare(
+    scene: Scene,
+    laws: Sequence[str],
+    out: Path,
+    arch: str = "cpu",
+    reference_velocity: float | None = None,
+    until: float | None = None,
+    all_particles: bool = False,
+    report: Callable[[str], None] = lambda text: None,
+    prepare: Callable[[Path], None] = lambda directory: None,
+    repeat: bool = False,
+) -> SceneComparison:
+    """Run the scene with each contact model and write tables, figures, PVD files and the page into `out`.
+
+    `laws`: names of contact models. `reference_velocity` [m/s]: impact velocity for the constant linear
+    spring, by default a tenth of the largest impact velocity. `until` [s] ends each run early. Unless
+    `all_particles`, scenes with more than MOST_PARTICLES particles are reduced. `report` receives progress
+    messages. Runs of an earlier call with the same arguments in `out` are kept, unless `repeat`; `prepare`:
+    called with the directory of each other run.
+
+    Raises GranflowError if no contact model can run the scene.
+    """
+    velocity = reference_velocity or reference_velocity_of(scene)
+    most = None if all_particles else MOST_PARTICLES
+    variants = variants_of(scene, laws, velocity, most)
+    out.mkdir(parents=True, exist_ok=True)
+    runs, refused = run_all(
+        variants, [out / each.key for each in variants], arch, velocity, until, report, prepare, repeat
+    )
+    subject = subject_of(scene, velocity)
+    sweeps: list[LawSweep] = []
+    if subject is not None:
+        report("collisions over three decades of velocity")
+        sweeps = sweeps_of(scene, subject, [each for each in variants if each.scene is not None], arch)
+    columns = sweep_columns(subject, sweeps) if subject is not None else {}
+    found = SceneComparison(
+        scene, velocity, reduced_counts(scene, most), until, runs, refused, subject, sweeps, columns
+    )
+    write_all(found, out, report)
+    return found
+
+
+def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] = lambda text: None) -> None:
+    """Write all files except the output of the runs; without matplotlib the page has no figures."""
+    runs = found.runs
+    write_script(out, found.scene, runs, max(run.typical_speed for run in runs) or 1.0)
+    assessed = [(each.part, each.conclusion, each.why) for each in found.assessments]
+    missing = write_study(
+        out / PAGE,
+        "compare.html",
+        tables=_tables(found),
+        figures=drawings(runs, found.subject, found.collisions),
+        found=found,
+        notes=notes_on(found),
+        stage_note=stage_note(found),
+        stage=densest_stage(runs),
+        has_forces=has_forces(runs),
+        least_contacts=MIN_CONTACTS,
+        summary=PageTable(heads(runs), as_text(found.rows)),
+        surface_percentile=SURFACE_PERCENTILE,
+        bursts=BURSTS,
+        samples=SAMPLES,
+        spacing=1e6 * hertz_duration(found.scene, found.reference_velocity) / SAMPLES_PER_CONTACT,
+        assessments=PageTable(("statement", "conclusion", "numbers"), assessed, "Assessment."),
+        floor=floor_velocity(found.subject) if found.subject else None,
+        fine_steps=FINE_STEPS,
+        coarse_steps=COARSE_STEPS,
+        script=SCRIPT,
+    )
+    if missing:
+        report(f"no figures: {missing}")
+
+
+def _tables(found: SceneComparison) -> dict[str, dict[str, np.ndarray]]:
+    """Columns of compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv.
+
+    All in SI units; forces are relative to the mean of their frame. collisions.csv only if collisions were
+    simulated.
+    """
+    keyed = [(run.variant.key, run) for run in found.runs]
+    forces = ("force_over_mean_from", "force_over_mean_to", "density", "contact_count")
+    bins = (FORCE_EDGES[:-2], FORCE_EDGES[1:-1])  # without the open last bin
+    tables = {
+        "compare.csv": summary_columns(found.runs, found.rows),
+        "heights.csv": stacked(
+            ("law", "time", "height_of_center", "height_of_surface"),
+            [(key, *run.heights.T) for key, run in keyed],
+        ),
+        "forces.csv": stacked(
+            ("law", "stage", *forces),
+            [
+                (key, stage, *bins, run.forces.density(stage), count[:-1])
+                for key, run in keyed
+                for stage, count in run.forces.counts.items()
+            ],
+        ),
+        "durations.csv": stacked(
+            ("law", "time_in_contact", "share_lasting_longer"),
+            [(key, *run.duration_survival) for key, run in keyed],
+        ),
+    }
+    return tables | ({"collisions.csv": found.collisions} if found.collisions else {})
+
+
+# ---------------------------------------------------------------- sentences
+
+
+def notes_on(found: SceneComparison) -> list[str]:
+    """Sentences on the size of the runs, a spring that is too soft, and aborted and impossible runs."""
+    soft = soft_spring_note(found.runs, found.subject)
+    return [size_note(found), *filter(None, [soft]), *stop_notes(found)]
+
+
+def size_note(found: SceneComparison) -> str:
+    """Sentence on the particle counts and the end time of the runs."""
+    text = "The runs include all particles."
+    if found.reduced:
+        counts = ", ".join(
+            f"{count} of {found.scene.particles[name].count} {name}" for name, count in found.reduced.items()
+        )
+        text = f"For a short run time the scene is reduced to {counts}; --full runs all particles."
+    return text + (f" Every run ends at {found.until:g} s." if found.until is not None else "")
+
+
+def stop_notes(found: SceneComparison) -> list[str]:
+    """Sentences on aborted runs and on contact models that cannot run the scene."""
+    text = [
+        f"{run.variant.title} was aborted at {run.time:.6g} s: {run.stopped.removeprefix('Stopped: ')}"
+        for run in found.runs
+        if run.stopped
+    ]
+    return text + [f"{title} cannot run this scene: {why}" for title, why in found.refused.items()]
+
+
+def stage_note(found: SceneComparison) -> str:
+    """Sentence on the stage of the starred rows."""
+    return (
+        f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces: all "
+        "frames of it."
+    )
+
+
+# ---------------------------------------------------------------- summary table
+
+STRONG = 2.0
+"""Multiple of the mean force above which a contact counts as strong."""
+MISSING = "–"
+"""Cell without a value."""
+
+
+class Unit(NamedTuple):
+    """SI unit of a value, unit in the table, and its value in SI units; empty text for dimensionless
+    values."""
+
+    si: str
+    shown: str
+    per_si: float
+
+
+SECOND, MICROSECOND, MILLIMETER = Unit("s", "s", 1.0), Unit("s", "µs", 1e6), Unit("m", "mm", 1e3)
+MILLIJOULE, MASS_FLOW = Unit("J", "mJ", 1e3), Unit("kg/s", "kg/s", 1.0)
+NUMBER, PERCENT = Unit("", "", 1.0), Unit("", "%", 1e2)
+Quantity = tuple[str, Unit, Callable[[VariantRun], float]]
+"""Name, unit, and function that returns the value of a run in SI units, or nan."""
+
+
+@dataclass(frozen=True)
+class SummaryRow:
+    """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value.
+
+    The first run is the reference of the ratios. `is_complete`: whether the value refers to a complete run,
+    or does not depend on the run; ratios of other values are nan. `at_stage`: whether the value refers to the
+    densest stage.
+    """
+
+    name: str
+    unit: Unit
+    values: tuple[float, ...]
+    is_complete: tuple[bool, ...]
+    at_stage: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name, with a star if the value refers to the densest stage."""
+        return f"{self.name} *" if self.at_stage else self.name
+
+    @property
+    def ratios(self) -> tuple[float, ...]:
+        """Ratios to the value of the first run; nan if that is 0 or missing, or for part of a run."""
+        first = self.values[0] if self.is_complete[0] else 0.0
+        pairs = zip(self.values, self.is_complete, strict=True)
+        return tuple(value / first if first and is_complete else float("nan") for value, is_complete in pairs)
+
+
+TIME_STEP: Quantity = ("time step", MICROSECOND, lambda run: run.time_step)
+COST: tuple[Quantity, ...] = (
+    ("simulated time", SECOND, lambda run: run.time),
+    ("steps needed", NUMBER, lambda run: run.step_count),
+    ("wall time of steps", SECOND, lambda run: run.seconds),
+    ("wall time per step", MICROSECOND, lambda run: run.seconds / max(run.step_count, 1)),
+    ("compilation", SECOND, lambda run: run.compile_seconds),
+)
+"""Steps and wall time."""
+CONTACTS: tuple[Quantity, ...] = (
+    ("maximum overlap/radius", PERCENT, lambda run: np.nanmax(run.columns["overlap_largest"])),
+    ("median contact duration", MICROSECOND, lambda run: run.median_duration),
+)
+"""Contacts of the complete run."""
+ENERGY_QUANTITIES: tuple[Quantity, ...] = (
+    ("kinetic energy, end", MILLIJOULE, lambda run: run.columns["kinetic_energy"][-1]),
+    ("lost: plastic", MILLIJOULE, lambda run: run.columns["plastic_dissipation"][-1]),
+    ("lost: friction", MILLIJOULE, lambda run: run.columns["friction_dissipation"][-1]),
+    ("lost: rolling", MILLIJOULE, lambda run: run.columns["rolling_dissipation"][-1]),
+    ("lost: damping", MILLIJOULE, lambda run: run.columns["damping_dissipation"][-1]),
+)
+"""Energies at the end of the run."""
+ENERGY_ERROR: Quantity = ("energy error, end", PERCENT, lambda run: abs(run.columns["energy_error"][-1]))
+
+
+def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies that are not all
+    zero."""
+
+    is_complete = tuple(not run.stopped for run in runs)
+
+    def rows(quantities: Iterable[Quantity], at_stage: bool = False) -> list[SummaryRow]:
+        return [
+            SummaryRow(name, unit, tuple(float(number(run)) for run in runs), is_complete, at_stage)
+            for name, unit, number in quantities
+        ]
+
+    time_steps = [replace(row, is_complete=(True,) * len(runs)) for row in rows([TIME_STEP])]
+    found = [
+        *time_steps,
+        *rows(COST),
+        *rows(map(_flow, runs[0].meters)),
+        *rows(_bed(densest_stage(runs)), at_stage=True),
+    ]
+    found += [
+        *rows(CONTACTS),
+        *(row for row in rows(ENERGY_QUANTITIES) if any(row.values)),
+        *rows([ENERGY_ERROR]),
+    ]
+    return [row for row in found if np.isfinite(row.values).any()]
+
+
+def _flow(meter: str) -> Quantity:
+    """Mass flow rate through a meter."""
+    return f"mass flow rate, {meter}", MASS_FLOW, lambda run: run.mass_flow(meter)
+
+
+def _bed(stage: str) -> tuple[Quantity, ...]:
+    """State of the bed at the end of a stage."""
+    return (
+        ("end of stage", SECOND, at_end(stage, "time")),
+        ("center of mass", MILLIMETER, partial(_height, stage, 1)),
+        ("surface", MILLIMETER, partial(_height, stage, 2)),
+        ("coordination number", NUMBER, at_end(stage, "coordination_number")),
+        ("mean overlap/radius", PERCENT, at_end(stage, "overlap_mean")),
+        (f"contacts above {STRONG:g} <f>", PERCENT, lambda run: run.forces.share_above(stage, STRONG)),
+    )
+
+
+def _height(stage: str, column: int, run: VariantRun) -> float:
+    """Height [m] in the sample nearest to the end of a stage; nan if a run did not complete the stage."""
+    time = at_end(stage, "time")(run)
+    return (
+        run.heights[np.argmin(np.abs(run.heights[:, 0] - time)), column]
+        if np.isfinite(time)
+        else float("nan")
+    )
+
+
+def heads(runs: Sequence[VariantRun], is_short: bool = False) -> list[str]:
+    """Column headings of the table, on several lines; `is_short`: those of ratios name the first contact
+    model only."""
+    first, *others = (run.variant.title.replace(" ", "\n", 1) for run in runs)
+    pairs = ((title, f"over\n{first}" if is_short else f"{title}\nover {first}") for title in others)
+    return ["", "unit", first, *(head for pair in pairs for head in pair)]
+
+
+def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
+    """Cells of the table: value of the first contact model, then value and ratio of each other."""
+    found = []
+    for row in rows:
+        _, unit, factor = row.unit
+        first, *others = (factor * value for value in row.values)
+        cells = [row.label, unit, _number(first)]
+        for value, ratio in zip(others, row.ratios[1:], strict=True):
+            cells += [_number(value), f"{ratio:.3g}" if np.isfinite(ratio) else MISSING]
+        found.append(cells)
+    return found
+
+
+def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> dict[str, np.ndarray]:
+    """Columns of compare.csv: one row per quantity and contact model, with values in SI units and their
+    ratios."""
+    laws = [run.variant.key for run in runs]
+    return {
+        "quantity": np.repeat([row.name for row in rows], len(laws)),
+        "unit": np.repeat([row.unit.si for row in rows], len(laws)),
+        "law": np.tile(laws, len(rows)),
+        "value": np.array([value for row in rows for value in row.values]),
+        "ratio": np.array([ratio for row in rows for ratio in row.ratios]),
+    }
+
+
+def _number(value: float) -> str:
+    """Text of a value, or a dash for nan."""
+    return readable(value) if np.isfinite(value) else MISSING
+
+
+# ---------------------------------------------------------------- figures
 
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1, 1, 1)))
 """Line styles by index of the run."""
@@ -204,9 +558,10 @@ def draw_collisions(
     _legend(figure, panels[0])
 
 
-# Script for ParaView and pvpython that shows the PVD files of all variants side by side.
+# ---------------------------------------------------------------- script for ParaView
 #
-# The script finds the files at their absolute path, or in its directory if they were moved together.
+# It shows the PVD files of all variants side by side, and finds them at their absolute path, or in its
+# directory if they were moved together.
 
 SCRIPT = "side_by_side.py"
 """Name of the script."""
@@ -245,351 +600,3 @@ def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: flo
         view_axis=view_axis.tolist(),
         up=axis.tolist(),
     )
-
-
-# Summary table: one row per quantity, one column per contact model, with the ratio to the first.
-#
-# Values are stored in SI units and converted for display only.
-
-STRONG = 2.0
-"""Multiple of the mean force above which a contact counts as strong."""
-MISSING = "–"
-"""Cell without a value."""
-
-
-class Unit(NamedTuple):
-    """SI unit of a value, unit in the table, and its value in SI units; empty text for dimensionless
-    values."""
-
-    si: str
-    shown: str
-    per_si: float
-
-
-SECOND, MICROSECOND, MILLIMETER = Unit("s", "s", 1.0), Unit("s", "µs", 1e6), Unit("m", "mm", 1e3)
-MILLIJOULE, MASS_FLOW = Unit("J", "mJ", 1e3), Unit("kg/s", "kg/s", 1.0)
-NUMBER, PERCENT = Unit("", "", 1.0), Unit("", "%", 1e2)
-Quantity = tuple[str, Unit, Callable[[VariantRun], float]]
-"""Name, unit, and function that returns the value of a run in SI units, or nan."""
-
-
-@dataclass(frozen=True)
-class SummaryRow:
-    """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value.
-
-    The first run is the reference of the ratios. `is_complete`: whether the value refers to a complete run,
-    or does not depend on the run; ratios of other values are nan. `at_stage`: whether the value refers to the
-    densest stage.
-    """
-
-    name: str
-    unit: Unit
-    values: tuple[float, ...]
-    is_complete: tuple[bool, ...]
-    at_stage: bool = False
-
-    @property
-    def label(self) -> str:
-        """Name, with a star if the value refers to the densest stage."""
-        return f"{self.name} *" if self.at_stage else self.name
-
-    @property
-    def ratios(self) -> tuple[float, ...]:
-        """Ratios to the value of the first run; nan if that is 0 or missing, or for part of a run."""
-        first = self.values[0] if self.is_complete[0] else 0.0
-        pairs = zip(self.values, self.is_complete, strict=True)
-        return tuple(value / first if first and is_complete else float("nan") for value, is_complete in pairs)
-
-
-def _height(stage: str, column: int, run: VariantRun) -> float:
-    """Height [m] in the sample nearest to the end of a stage; nan if a run did not complete the stage."""
-    time = at_end(stage, "time")(run)
-    return (
-        run.heights[np.argmin(np.abs(run.heights[:, 0] - time)), column]
-        if np.isfinite(time)
-        else float("nan")
-    )
-
-
-TIME_STEP: Quantity = ("time step", MICROSECOND, lambda run: run.time_step)
-COST: tuple[Quantity, ...] = (
-    ("simulated time", SECOND, lambda run: run.time),
-    ("steps needed", NUMBER, lambda run: run.step_count),
-    ("wall time of steps", SECOND, lambda run: run.seconds),
-    ("wall time per step", MICROSECOND, lambda run: run.seconds / max(run.step_count, 1)),
-    ("compilation", SECOND, lambda run: run.compile_seconds),
-)
-"""Steps and wall time."""
-CONTACTS: tuple[Quantity, ...] = (
-    ("maximum overlap/radius", PERCENT, lambda run: np.nanmax(run.columns["overlap_largest"])),
-    ("median contact duration", MICROSECOND, lambda run: run.median_duration),
-)
-"""Contacts of the complete run."""
-ENERGY_QUANTITIES: tuple[Quantity, ...] = (
-    ("kinetic energy, end", MILLIJOULE, partial(_last, "kinetic_energy")),
-    ("lost: plastic", MILLIJOULE, partial(_last, "plastic_dissipation")),
-    ("lost: friction", MILLIJOULE, partial(_last, "friction_dissipation")),
-    ("lost: rolling", MILLIJOULE, partial(_last, "rolling_dissipation")),
-    ("lost: damping", MILLIJOULE, partial(_last, "damping_dissipation")),
-)
-"""Energies at the end of the run."""
-ENERGY_ERROR: Quantity = ("energy error, end", PERCENT, lambda run: abs(run.columns["energy_error"][-1]))
-
-
-def _flow(meter: str) -> Quantity:
-    """Mass flow rate through a meter."""
-    return f"mass flow rate, {meter}", MASS_FLOW, lambda run: run.mass_flow(meter)
-
-
-def _bed(stage: str) -> tuple[Quantity, ...]:
-    """State of the bed at the end of a stage."""
-    return (
-        ("end of stage", SECOND, at_end(stage, "time")),
-        ("center of mass", MILLIMETER, partial(_height, stage, 1)),
-        ("surface", MILLIMETER, partial(_height, stage, 2)),
-        ("coordination number", NUMBER, at_end(stage, "coordination_number")),
-        ("mean overlap/radius", PERCENT, at_end(stage, "overlap_mean")),
-        (f"contacts above {STRONG:g} <f>", PERCENT, lambda run: run.forces.share_above(stage, STRONG)),
-    )
-
-
-def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies that are not all
-    zero."""
-
-    is_complete = tuple(not run.stopped for run in runs)
-
-    def rows(quantities: Iterable[Quantity], at_stage: bool = False) -> list[SummaryRow]:
-        return [
-            SummaryRow(name, unit, tuple(float(number(run)) for run in runs), is_complete, at_stage)
-            for name, unit, number in quantities
-        ]
-
-    time_steps = [replace(row, is_complete=(True,) * len(runs)) for row in rows([TIME_STEP])]
-    found = [
-        *time_steps,
-        *rows(COST),
-        *rows(map(_flow, runs[0].meters)),
-        *rows(_bed(densest_stage(runs)), at_stage=True),
-    ]
-    found += [
-        *rows(CONTACTS),
-        *(row for row in rows(ENERGY_QUANTITIES) if any(row.values)),
-        *rows([ENERGY_ERROR]),
-    ]
-    return [row for row in found if np.isfinite(row.values).any()]
-
-
-def heads(runs: Sequence[VariantRun], is_short: bool = False) -> list[str]:
-    """Column headings of the table, on several lines; `is_short`: those of ratios name the first contact
-    model only."""
-    first, *others = (run.variant.title.replace(" ", "\n", 1) for run in runs)
-    pairs = ((title, f"over\n{first}" if is_short else f"{title}\nover {first}") for title in others)
-    return ["", "unit", first, *(head for pair in pairs for head in pair)]
-
-
-def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
-    """Cells of the table: value of the first contact model, then value and ratio of each other."""
-    found = []
-    for row in rows:
-        _, unit, factor = row.unit
-        first, *others = (factor * value for value in row.values)
-        cells = [row.label, unit, _number(first)]
-        for value, ratio in zip(others, row.ratios[1:], strict=True):
-            cells += [_number(value), f"{ratio:.3g}" if np.isfinite(ratio) else MISSING]
-        found.append(cells)
-    return found
-
-
-def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> dict[str, np.ndarray]:
-    """Columns of compare.csv: one row per quantity and contact model, with values in SI units and their
-    ratios."""
-    laws = [run.variant.key for run in runs]
-    return {
-        "quantity": np.repeat([row.name for row in rows], len(laws)),
-        "unit": np.repeat([row.unit.si for row in rows], len(laws)),
-        "law": np.tile(laws, len(rows)),
-        "value": np.array([value for row in rows for value in row.values]),
-        "ratio": np.array([ratio for row in rows for ratio in row.ratios]),
-    }
-
-
-def _number(value: float) -> str:
-    """Text of a value, or a dash for nan."""
-    return readable(value) if np.isfinite(value) else MISSING
-
-
-PAGE = "compare.html"
-MOST_PARTICLES = 4000
-"""Particle count to which a scene is reduced, unless all particles are requested.
-
-Four contact models then run within minutes on two cores.
-"""
-
-
-@dataclass(frozen=True)
-class SceneComparison:
-    """Settings and results of a comparison.
-
-    `reference_velocity` [m/s]; `reduced`: particle counts of the groups that were reduced; `until` [s]: end
-    of each run; `refused`: reason by title of the variant; `collisions`: columns of collisions.csv.
-    """
-
-    scene: Scene
-    reference_velocity: float
-    reduced: dict[str, int]
-    until: float | None
-    runs: list[VariantRun]
-    refused: dict[str, str]
-    subject: CollisionSubject | None
-    sweeps: list[LawSweep]
-    collisions: dict[str, np.ndarray]
-
-    @property
-    def assessments(self) -> list[Assessment]:
-        """Assessment of the spring constants of the linear contact model."""
-        return assess(self.collisions, self.runs)
-
-    @property
-    def rows(self) -> list[SummaryRow]:
-        """Rows of the summary table."""
-        return summary(self.runs)
-
-
-def compare(
-    scene: Scene,
-    laws: Sequence[str],
-    out: Path,
-    arch: str = "cpu",
-    reference_velocity: float | None = None,
-    until: float | None = None,
-    all_particles: bool = False,
-    report: Callable[[str], None] = lambda text: None,
-    prepare: Callable[[Path], None] = lambda directory: None,
-    repeat: bool = False,
-) -> SceneComparison:
-    """Run the scene with each contact model and write tables, figures, PVD files and the page into `out`.
-
-    `laws`: names of contact models. `reference_velocity` [m/s]: impact velocity for the constant linear
-    spring, by default a tenth of the largest impact velocity. `until` [s] ends each run early. Unless
-    `all_particles`, scenes with more than MOST_PARTICLES particles are reduced. `report` receives progress
-    messages. Runs of an earlier call with the same arguments in `out` are kept, unless `repeat`; `prepare`:
-    called with the directory of each other run.
-
-    Raises GranflowError if no contact model can run the scene.
-    """
-    velocity = reference_velocity or reference_velocity_of(scene)
-    most = None if all_particles else MOST_PARTICLES
-    variants = variants_of(scene, laws, velocity, most)
-    out.mkdir(parents=True, exist_ok=True)
-    runs, refused = run_all(
-        variants, [out / each.key for each in variants], arch, velocity, until, report, prepare, repeat
-    )
-    subject = subject_of(scene, velocity)
-    sweeps: list[LawSweep] = []
-    if subject is not None:
-        report("collisions over three decades of velocity")
-        sweeps = sweeps_of(scene, subject, [each for each in variants if each.scene is not None], arch)
-    columns = sweep_columns(subject, sweeps) if subject is not None else {}
-    found = SceneComparison(
-        scene, velocity, reduced_counts(scene, most), until, runs, refused, subject, sweeps, columns
-    )
-    write_all(found, out, report)
-    return found
-
-
-def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] = lambda text: None) -> None:
-    """Write all files except the output of the runs; without matplotlib the page has no figures."""
-    runs = found.runs
-    write_script(out, found.scene, runs, max(run.typical_speed for run in runs) or 1.0)
-    assessed = [(each.part, each.conclusion, each.why) for each in found.assessments]
-    missing = write_study(
-        out / PAGE,
-        "compare.html",
-        tables=_tables(found),
-        figures=drawings(runs, found.subject, found.collisions),
-        found=found,
-        notes=notes_on(found),
-        stage_note=stage_note(found),
-        stage=densest_stage(runs),
-        has_forces=has_forces(runs),
-        least_contacts=MIN_CONTACTS,
-        summary=PageTable(heads(runs), as_text(found.rows)),
-        surface_percentile=SURFACE_PERCENTILE,
-        bursts=BURSTS,
-        samples=SAMPLES,
-        spacing=1e6 * hertz_duration(found.scene, found.reference_velocity) / SAMPLES_PER_CONTACT,
-        assessments=PageTable(("statement", "conclusion", "numbers"), assessed, "Assessment."),
-        floor=floor_velocity(found.subject) if found.subject else None,
-        fine_steps=FINE_STEPS,
-        coarse_steps=COARSE_STEPS,
-        script=SCRIPT,
-    )
-    if missing:
-        report(f"no figures: {missing}")
-
-
-def _tables(found: SceneComparison) -> dict[str, dict[str, np.ndarray]]:
-    """Columns of compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv.
-
-    All in SI units; forces are relative to the mean of their frame. collisions.csv only if collisions were
-    simulated.
-    """
-    keyed = [(run.variant.key, run) for run in found.runs]
-    forces = ("force_over_mean_from", "force_over_mean_to", "density", "contact_count")
-    bins = (FORCE_EDGES[:-2], FORCE_EDGES[1:-1])  # without the open last bin
-    tables = {
-        "compare.csv": summary_columns(found.runs, found.rows),
-        "heights.csv": stacked(
-            ("law", "time", "height_of_center", "height_of_surface"),
-            [(key, *run.heights.T) for key, run in keyed],
-        ),
-        "forces.csv": stacked(
-            ("law", "stage", *forces),
-            [
-                (key, stage, *bins, run.forces.density(stage), count[:-1])
-                for key, run in keyed
-                for stage, count in run.forces.counts.items()
-            ],
-        ),
-        "durations.csv": stacked(
-            ("law", "time_in_contact", "share_lasting_longer"),
-            [(key, *run.duration_survival) for key, run in keyed],
-        ),
-    }
-    return tables | ({"collisions.csv": found.collisions} if found.collisions else {})
-
-
-def notes_on(found: SceneComparison) -> list[str]:
-    """Sentences on the size of the runs, a spring that is too soft, and aborted and impossible runs."""
-    soft = soft_spring_note(found.runs, found.subject)
-    return [size_note(found), *filter(None, [soft]), *stop_notes(found)]
-
-
-def size_note(found: SceneComparison) -> str:
-    """Sentence on the particle counts and the end time of the runs."""
-    text = "The runs include all particles."
-    if found.reduced:
-        counts = ", ".join(
-            f"{count} of {found.scene.particles[name].count} {name}" for name, count in found.reduced.items()
-        )
-        text = f"For a short run time the scene is reduced to {counts}; --full runs all particles."
-    return text + (f" Every run ends at {found.until:g} s." if found.until is not None else "")
-
-
-def stage_note(found: SceneComparison) -> str:
-    """Sentence on the stage of the starred rows."""
-    return (
-        f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces: all "
-        "frames of it."
-    )
-
-
-def stop_notes(found: SceneComparison) -> list[str]:
-    """Sentences on aborted runs and on contact models that cannot run the scene."""
-    text = [
-        f"{run.variant.title} was aborted at {run.time:.6g} s: {run.stopped.removeprefix('Stopped: ')}"
-        for run in found.runs
-        if run.stopped
-    ]
-    return text + [f"{title} cannot run this scene: {why}" for title, why in found.refused.items()]

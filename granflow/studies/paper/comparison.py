@@ -1,4 +1,9 @@
-"""All contact models for the two materials of the paper, matched at one velocity: simulated e(v) and T(v)."""
+"""All contact models for the two materials of the paper: restitution and duration over velocity, and cost.
+
+Each model is matched by its single free parameter, so that all have the restitution of Eq. 12 (Zhou 2011) at
+one velocity (`candidate_model`). `compare` collides both materials at all velocities on the collision bench;
+`costs` times the models on the same lattice of contacts.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,7 +15,7 @@ import numpy as np
 from granflow import ParticleData, Scene, SceneError, Simulation
 from granflow.contact.material import PairMaterial, shear_modulus_eff
 from granflow.contact.registry import models
-from granflow.studies.bench import HeadOnCollision, Outcomes, collide_all, head_on_bench
+from granflow.studies.bench import HeadOnCollision, Outcomes, collide, head_on_bench
 from granflow.studies.figures import COLORS, MARKERS, stacked_panels
 from granflow.studies.paper.figures import (
     PAPER_CASES,
@@ -89,7 +94,7 @@ def candidate_model(name: str) -> CandidateModel:
     fits = tuple({"preset": case.name} for case in PAPER_CASES)
     given = {"number or fit": fits, "nothing": (None, None)}.get(kind.restitution, wanted)
     pairs = [case.head_on(e, float(VELOCITIES.max())) for case, e in zip(PAPER_CASES, given, strict=True)]
-    law = head_on_bench({"law": name, **settings}, pairs, np.zeros(len(pairs)), "auto").plan.law
+    law = head_on_bench(pairs, {"law": name, **settings}, "auto", np.zeros(len(pairs))).plan.law
     if kind.restitution == "number or fit":
         return CandidateModel(name, settings, law, fits, (None, None))
     if kind.restitution == "nothing":
@@ -140,6 +145,9 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
     return float(brentq(function, low, high, xtol=1e-16 * high))
 
 
+# ---------------------------------------------------------------- collisions and figure
+
+
 @dataclass(frozen=True)
 class LawComparison:
     """Outcomes of each contact model, and the models that could not run, with the reason."""
@@ -161,7 +169,7 @@ def compare(velocities: np.ndarray = VELOCITIES) -> LawComparison:
     for name in models("normal"):
         try:
             model = candidate_model(name)
-            outcomes = collide_all(model.normal, _collisions(model, velocities), shortest / STEPS_PER_CONTACT)
+            outcomes = collide(_collisions(model, velocities), model.normal, shortest / STEPS_PER_CONTACT)
         except (SceneError, ValueError) as error:
             comparison.refused[name] = str(error)
             continue
@@ -256,8 +264,7 @@ def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
     figure.legend(handles, names, loc="outside upper center", ncols=3)
 
 
-# Cost per contact of each contact model relative to Hertz: all models in one process, alternating,
-# repeated.
+# ---------------------------------------------------------------- cost per contact, relative to Hertz
 
 SIDE = 16
 """Particles along an edge of the lattice."""

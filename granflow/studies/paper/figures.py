@@ -1,6 +1,8 @@
-"""Figs. 1 and 2: residual overlap against restitution coefficient, exact, closed form and simulated.
+"""The figures of Zhou (2011) from simulated collisions: data, deviations from the theory, and drawings.
 
-x = 1 - y,      y = (4/5) e^2 + (1/5) e^3 y^2.5      (Zhou 2011, Eq. 8)
+A `PaperCase` is two equal spheres of one material, with the closed forms of their collision. Each figure has
+a run (`..._run`) on the collision bench, a function (`..._figure`) that compares its outcomes with the theory
+and gives `FigureData`, and a drawing (`draw_...`). `granflow.studies.paper.report` writes them.
 """
 
 import math
@@ -15,12 +17,11 @@ from granflow.contact import theory
 from granflow.contact.material import Solid, VelocityRestitution, limit_velocity, modulus_eff
 from granflow.geometry.shape import sphere_mass
 from granflow.scene.blocks.materials import PRESETS
-from granflow.studies.bench import HeadOnCollision, Outcomes, collide_all
+from granflow.studies.bench import HeadOnCollision, Outcomes, collide
 from granflow.studies.figures import COLORS, MARKERS, POINTS, stacked_panels
 from granflow.studies.tables import percent
 
-# Cases of the paper (Zhou 2011): two equal spheres of one material, with the closed forms of their
-# collision.
+# ---------------------------------------------------------------- cases: two equal spheres of one material
 
 DIAMETER = 25.4e-3
 """Diameter of the spheres in Figs. 3 and 4 [m] (Stevens & Hrenya 2005)."""
@@ -109,7 +110,17 @@ def small_soft_case() -> PaperCase:
     return PaperCase("estimate", "R = 0.1 mm, E = 0.1 GPa", solid, material, diameter=2e-4)
 
 
-# Data of a figure of the paper: points, deviations of simulation from theory, and drawing function.
+def restitution_of(case: PaperCase, velocity: np.ndarray) -> np.ndarray:
+    """Given restitution (Zhou 2011, Eq. 12) at velocities [m/s] of any shape.
+
+    Raises ValueError for a case without Eq. 12.
+    """
+    if case.fit is None:
+        raise ValueError(f"{case.name} has no restitution that depends on velocity")
+    return case.fit(velocity)
+
+
+# ---------------------------------------------------------------- data of a figure
 
 
 @dataclass(frozen=True)
@@ -180,6 +191,14 @@ def relative_deviation(
     return FigureDeviation(quantity, float(shares[worst]), where(worst), target, remark)
 
 
+Columns = Mapping[str, np.ndarray]
+"""Columns of a CSV file by name, of equal length."""
+
+
+# ---------------------------------------------------------------- figures 1 and 2: residual overlap
+#
+#     x = 1 - y,      y = (4/5) e^2 + (1/5) e^3 y^2.5      (Zhou 2011, Eq. 8)
+
 CASE = PAPER_CASES[0]
 """Material of the collisions; x(e) and T/Ts depend on the restitution only, not on the material."""
 VELOCITY = 1.0
@@ -203,7 +222,7 @@ def residual_run(restitutions: np.ndarray = RESIDUAL_RESTITUTIONS) -> Outcomes:
         CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY))
         for e in restitutions
     ]
-    return collide_all("zhou", pairs, duration / STEPS_PER_CONTACT)
+    return collide(pairs, "zhou", duration / STEPS_PER_CONTACT)
 
 
 def residual_figure(outcomes: Outcomes, e: np.ndarray = RESIDUAL_RESTITUTIONS) -> FigureData:
@@ -322,106 +341,234 @@ def draw_error(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
     axes.set(xlabel="restitution coefficient $e$", ylabel="error of $x$ by Eq. 9 (%)", xlim=(0, 1))
 
 
-# Deviation of simulated restitution and duration from the given values, by the number of steps per
-# collision.
+# ---------------------------------------------------------------- figures 3 and 4: velocity
 
-ACCURACY_RESTITUTIONS = np.array([0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
-"""Target restitutions."""
-STEPS = np.array([50, 100, 200, 400])
-"""Steps per collision."""
-PHASES = 8
-"""Number of phases of first contact within a step; the largest deviation is shown."""
+VELOCITIES = np.geomspace(0.01, 100.0, 33)
+"""Approach velocities of the simulated collisions of Figs. 3 and 4 [m/s]."""
 
 
-def accuracy_run() -> tuple[Outcomes, np.ndarray, np.ndarray]:
-    """Simulate all restitutions, steps and phases in one scene.
+def velocity_run(velocities: np.ndarray = VELOCITIES) -> Outcomes:
+    """Simulate both materials at all velocities (n,) [m/s] in one scene; the shortest collision takes 200
+    steps."""
+    pairs = [case.head_on({"preset": case.name}, float(v)) for case in PAPER_CASES for v in velocities]
+    return collide(pairs, "zhou", _shortest(PAPER_CASES, velocities) / STEPS_PER_CONTACT)
 
-    Returns outcomes, restitution (n,) and steps per contact (n,) of the collisions. The diameters make the
-    duration of each collision equal to its number of steps times the common time step.
+
+def _shortest(cases: Sequence[PaperCase], velocities: np.ndarray) -> float:
+    """Shortest collision duration [s] of all cases and velocities."""
+    return min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in cases)
+
+
+def velocity_columns(outcomes: Outcomes, velocities: np.ndarray = VELOCITIES) -> dict[str, np.ndarray]:
+    """Theory and simulation by material and velocity, for Figs. 3 and 4 and the figure of Eq. 19.
+
+    Columns (materials * n,) in SI units; theory: Zhou (2011), Eqs. 12, 13 and 19, and Thornton (1997).
     """
-    steps, e = (np.repeat(each.ravel(), PHASES) for each in np.meshgrid(STEPS, ACCURACY_RESTITUTIONS))
-    time_step = CASE.duration(1.0, VELOCITY) / STEPS.max()
-    pairs = [
-        CASE.head_on(float(a), VELOCITY, CASE.diameter_lasting(count * time_step, float(a), VELOCITY))
-        for a, count in zip(e, steps, strict=True)
-    ]
-    return collide_all("zhou", pairs, time_step), e, steps
-
-
-def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> FigureData:
-    """Largest deviation over the phases, for each restitution and number of steps.
-
-    `e`, `steps` (n,): from `accuracy_run`. The deviations of the text are those for STEPS_PER_CONTACT steps.
-    """
-    restitution_error = np.abs(outcomes.restitution / e - 1.0)
-    duration_error = np.abs(outcomes.duration / (steps * outcomes.time_step) - 1.0)
-    shape = (-1, PHASES)
-    columns = {
-        "restitution": e.reshape(shape)[:, 0],
-        "steps_per_contact": steps.reshape(shape)[:, 0],
-        "restitution_deviation": restitution_error.reshape(shape).max(axis=1),
-        "duration_deviation": duration_error.reshape(shape).max(axis=1),
-    }
-    chosen = (columns["steps_per_contact"] == STEPS_PER_CONTACT) & (columns["restitution"] >= RESOLVED)
-    e_there = columns["restitution"][chosen]
-
-    def worst(name: str, text: str, target: float) -> Any:
-        values = 1.0 + columns[name][chosen]
-        return relative_deviation(
-            f"{text} at {STEPS_PER_CONTACT} steps, from e = {RESOLVED:g} on",
-            values,
-            np.ones_like(values),
-            lambda index: f"e = {e_there[index]:g}",
-            target,
-        )
-
-    deviations = (
-        worst("restitution_deviation", "e", TARGET_RESTITUTION),
-        worst("duration_deviation", "T", TARGET_DURATION),
+    e = [restitution_of(case, velocities) for case in PAPER_CASES]
+    yields = [thornton_restitution(velocities, case.yield_velocity or np.inf) for case in PAPER_CASES]
+    durations = np.concatenate(
+        [case.durations(a, velocities) for case, a in zip(PAPER_CASES, e, strict=True)]
     )
+    return {
+        "material": np.repeat([case.name for case in PAPER_CASES], len(velocities)),
+        "velocity": np.tile(velocities, len(PAPER_CASES)),
+        "restitution_theory": np.concatenate(e),
+        "restitution_simulated": outcomes.restitution,
+        "restitution_thornton": np.concatenate(yields),
+        "duration_theory": durations,
+        "duration_simulated": outcomes.duration,
+        "spring_theory": np.concatenate([case.springs(velocities) for case in PAPER_CASES]),
+        "spring_simulated": spring_of(outcomes),
+        "steps_per_contact": durations / outcomes.time_step,
+    }
+
+
+def thornton_restitution(velocity: np.ndarray, yield_velocity: float) -> np.ndarray:
+    """Restitution of Thornton's elastic, perfectly plastic sphere at approach velocities [m/s].
+
+    r is the yield velocity over the velocity; the restitution is 1 up to the yield velocity.
+
+        e^2 = (6 sqrt(3) / 5) (1 - r^2 / 6) sqrt(r / (r + 2 sqrt(6/5 - r^2 / 5)))     (Thornton 1997)
+
+    Source: C. Thornton, J. Appl. Mech. 64, 383 (1997), doi 10.1115/1.2787319.
+    """
+    r = np.minimum(yield_velocity / np.asarray(velocity, dtype=float), 1.0)
+    flattening = np.sqrt(r / (r + 2.0 * np.sqrt(6.0 / 5.0 - r**2 / 5.0)))
+    return np.sqrt(6.0 * math.sqrt(3.0) / 5.0 * (1.0 - r**2 / 6.0) * flattening)
+
+
+def spring_of(outcomes: Outcomes) -> np.ndarray:
+    """Stiffness [N/m] of the spring with the same work W at the maximum overlap: 2 W / dmax^2 (Eq. 18)."""
+    return 2.0 * outcomes.stored_energy / outcomes.overlap_max**2
+
+
+def _chosen(columns: Columns, *names: str) -> dict[str, np.ndarray]:
+    return {name: columns[name] for name in ("material", "velocity", *names)}
+
+
+def _compared(columns: Columns, quantity: str, text: str, target: float | None = None) -> FigureDeviation:
+    def where(index: int) -> str:
+        case = next(case for case in PAPER_CASES if case.name == columns["material"][index])
+        return f"{columns['velocity'][index]:.3g} m/s ({case.title})"
+
+    return relative_deviation(
+        text, columns[f"{quantity}_simulated"], columns[f"{quantity}_theory"], where, target
+    )
+
+
+def _steps(columns: Columns) -> str:
+    steps = columns["steps_per_contact"]
+    return f"All collisions have the same time step: {steps.min():.0f} to {steps.max():.0f} steps per contact"
+
+
+def restitution_figure(columns: Columns) -> FigureData:
+    """Fig. 3: given and simulated e(v), and Thornton's model."""
     caption = (
-        "Largest deviation of (a) restitution and (b) duration of simulated collisions from the given "
-        f"values, over {PHASES} phases of first contact within a step, by the number of steps per collision. "
-        f"Dotted: target with {STEPS_PER_CONTACT} steps. With 50 steps e = 0.05 is not reachable because of "
-        "the bound on the unloading tangent."
+        "Restitution coefficient against approach velocity of spheres of 25.4 mm: Eq. 12 (line), simulated "
+        "collisions (points), and Thornton's prediction (1997) with the yield velocities 0.0082 and 0.9090 "
+        f"m/s (dashed). {_steps(columns)}. Measured points are omitted, because their values are not "
+        "available."
+    )
+    names = ("restitution_theory", "restitution_simulated", "restitution_thornton", "steps_per_contact")
+    deviation = _compared(columns, "restitution", "simulated e from Eq. 12", TARGET_RESTITUTION)
+    title = "Fig. 3: restitution coefficient against velocity"
+    return FigureData(
+        "figure3_restitution", title, caption, _chosen(columns, *names), (deviation,), draw_restitution, 5.2
+    )
+
+
+def draw_restitution(figure: Any, columns: Columns) -> None:
+    """Draw one panel per material."""
+    panels = stacked_panels(figure, len(PAPER_CASES), sharex=True, sharey=True)
+    for letter, case, axes in zip("abcd", PAPER_CASES, panels, strict=False):
+        mine = columns["material"] == case.name
+        v = columns["velocity"][mine]
+        fine = np.geomspace(v.min(), v.max(), 400)
+        axes.plot(fine, restitution_of(case, fine), color=COLORS[0], label="Eq. 12")
+        thornton = thornton_restitution(fine, case.yield_velocity or np.inf)
+        axes.plot(fine, thornton, "--", color=COLORS[1], label="Thornton (1997)")
+        axes.plot(
+            v, columns["restitution_simulated"][mine], "o", color=COLORS[6], label="simulated", **POINTS
+        )
+        axes.set(xscale="log", ylim=(0, 1.04), title=f"({letter}) {case.title}")
+        axes.set_ylabel("restitution coefficient $e$")
+    panels[-1].set_xlabel("approach velocity (m/s)")
+    panels[0].legend(loc="lower left")
+
+
+def duration_figure(columns: Columns) -> FigureData:
+    """Fig. 4: T(v)."""
+    caption = (
+        "Collision duration against approach velocity of spheres of 25.4 mm: Eqs. 13-16 (lines), simulated "
+        f"collisions (points), and elastic Hertz contacts (dotted). {_steps(columns)}."
+    )
+    names = ("duration_theory", "duration_simulated", "steps_per_contact")
+    deviation = _compared(columns, "duration", "the duration T from Eq. 13", TARGET_DURATION)
+    title = "Fig. 4: collision duration against velocity"
+    return FigureData(
+        "figure4_duration", title, caption, _chosen(columns, *names), (deviation,), draw_duration, 3.4
+    )
+
+
+def draw_duration(figure: Any, columns: Columns) -> None:
+    """Draw both materials in one panel."""
+    axes = figure.subplots()
+    for case, color, marker in zip(PAPER_CASES, COLORS, MARKERS, strict=False):
+        mine = columns["material"] == case.name
+        v = columns["velocity"][mine]
+        fine = np.geomspace(v.min(), v.max(), 200)
+        axes.plot(fine, 1e6 * case.durations(restitution_of(case, fine), fine), color=color)
+        axes.plot(fine, 1e6 * case.durations(np.ones_like(fine), fine), ":", color=color, linewidth=0.9)
+        axes.plot(
+            v, 1e6 * columns["duration_simulated"][mine], marker, color=color, label=case.title, **POINTS
+        )
+    axes.plot([], [], color="0.3", label="Eqs. 13$-$16")
+    axes.plot([], [], ":", color="0.3", linewidth=0.9, label="elastic Hertz contact")
+    axes.set(
+        xscale="log", yscale="log", xlabel="approach velocity (m/s)", ylabel=r"collision duration $T$ (µs)"
+    )
+    axes.set_yticks([20, 50, 100, 200], ["20", "50", "100", "200"])
+    axes.set_yticks([30, 40, 60, 70, 80, 90], [], minor=True)
+    axes.legend(loc="lower left")
+
+
+# ---------------------------------------------------------------- equation 19: equivalent spring
+#
+#     alpha = (4/5) k sqrt(dmax)      (Zhou 2011, Eq. 19)
+
+ESTIMATE_VELOCITIES = np.geomspace(1.0, 10.0, 9)
+"""Approach velocities of the estimate below Eq. 19 [m/s]."""
+
+
+def estimate_run(velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
+    """Simulate the small soft spheres of the estimate below Eq. 19 at velocities (n,) [m/s].
+
+    The restitution, 0.9, has no effect up to the maximum overlap.
+    """
+    case = small_soft_case()
+    e = 0.9
+    pairs = [case.head_on(e, float(v)) for v in velocities]
+    shortest = case.duration(e, float(velocities.max()))
+    return collide(pairs, "zhou", shortest / STEPS_PER_CONTACT)
+
+
+def spring_figure(columns: Columns, estimate: Outcomes) -> FigureData:
+    """Eq. 19: equivalent spring of both materials and of the estimate in the paper.
+
+    `columns`: from `velocity_columns`; `estimate`: from `estimate_run`.
+    """
+    case = small_soft_case()
+    springs = case.springs(ESTIMATE_VELOCITIES)
+    count = len(ESTIMATE_VELOCITIES)
+    combined = {
+        "material": np.concatenate([columns["material"], np.repeat(case.name, count)]),
+        "velocity": np.concatenate([columns["velocity"], ESTIMATE_VELOCITIES]),
+        "spring_theory": np.concatenate([columns["spring_theory"], springs]),
+        "spring_simulated": np.concatenate([columns["spring_simulated"], spring_of(estimate)]),
+    }
+    first, second = (each.springs(np.ones(1))[0] for each in PAPER_CASES)
+    caption = (
+        "Stiffness of the linear spring with the energy of the Hertz contact at the same maximum overlap: "
+        "Eq. 19 (lines), and twice the work done on the simulated contact over the square of its maximum "
+        f"overlap (points). (a) The two steels, which differ by only {percent(abs(second / first - 1.0))}. "
+        "(b) The estimate of the paper for R = 1e-4 m, E = 1e8 Pa, 1e3 kg/m³, for two equal spheres with a "
+        f"Poisson ratio of 0.3: {springs[0]:.0f} to {springs[-1]:.0f} N/m, of the order of the 1e3 N/m in "
+        "the paper (dashed)."
+    )
+    deviations = (
+        _compared(columns, "spring", "the spring of the steels from Eq. 19"),
+        relative_deviation(
+            "the spring of the estimate",
+            spring_of(estimate),
+            springs,
+            lambda index: f"{ESTIMATE_VELOCITIES[index]:.3g} m/s",
+        ),
     )
     return FigureData(
-        "accuracy", "Accuracy by number of steps", caption, columns, deviations, draw_accuracy, 5.2
+        "equation19_spring", "Eq. 19: equivalent spring", caption, combined, deviations, draw_spring, 5.2
     )
 
 
-def draw_accuracy(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
-    """Panels for e and T, with a line for each number of steps."""
-    panels = stacked_panels(figure, 2, sharex=True)
-    shown = (
-        ("restitution_deviation", TARGET_RESTITUTION, "$e$"),
-        ("duration_deviation", TARGET_DURATION, "$T$"),
-    )
-    for letter, axes, (name, target, symbol) in zip("ab", panels, shown, strict=True):
-        for steps, color, marker in zip(STEPS, COLORS, MARKERS, strict=False):
-            mine = columns["steps_per_contact"] == steps
-            axes.plot(
-                columns["restitution"][mine],
-                100.0 * columns[name][mine],
-                marker=marker,
-                color=color,
-                label=f"{steps} steps",
-                **(POINTS | {"linestyle": "-", "linewidth": 0.8}),
-            )
-        axes.axhline(100.0 * target, linestyle=":", color="0.4", linewidth=0.9)
-        axes.set(
-            yscale="log",
-            xlim=(0, 1.02),
-            title=f"({letter}) {'restitution' if symbol == '$e$' else 'duration'}",
-        )
-        axes.set_ylabel(f"largest deviation of {symbol} (%)")
-    panels[-1].set_xlabel("restitution coefficient $e$")
-    panels[0].legend(loc="upper right")
+def draw_spring(figure: Any, columns: Columns) -> None:
+    """Draw one panel of the steels and one of the estimate."""
+    above, below = stacked_panels(figure, 2)
+    for case, color, marker in zip((*PAPER_CASES, small_soft_case()), COLORS, MARKERS, strict=False):
+        axes = above if case in PAPER_CASES else below
+        mine = columns["material"] == case.name
+        v = columns["velocity"][mine]
+        fine = np.geomspace(v.min(), v.max(), 100)
+        axes.plot(fine, case.springs(fine), color=color)
+        size = POINTS | {"markersize": 6.5 if marker == "o" else 3.5}  # the two steels coincide
+        axes.plot(v, columns["spring_simulated"][mine], marker, color=color, label=case.title, **size)
+    below.axhline(1e3, linestyle="--", color="0.5", linewidth=0.8)
+    below.set_ylim(1e2, 1e4)
+    for axes, title in ((above, "(a) spheres of 25.4 mm"), (below, "(b) estimate of the paper")):
+        axes.set(xscale="log", yscale="log", xlabel="approach velocity (m/s)", title=title)
+        axes.set_ylabel(r"equivalent spring $\alpha$ (N/m)")
+        axes.legend(loc="upper left")
 
 
-# Force-overlap curves of single collisions, for restitutions from 0 to 1 (Zhou 2011, Eq. 4).
-#
-# The area enclosed by a loop is the dissipated energy.
+# ---------------------------------------------------------------- loops of force against overlap
 
 LOOP_RESTITUTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 """Target restitutions, from plastic to elastic."""
@@ -544,238 +691,97 @@ def draw_loops(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
     axes.legend(loc="upper left", title="unloading with")
 
 
-# Restitution of Thornton's elastic, perfectly plastic sphere in closed form, for comparison in Fig. 3.
+# ---------------------------------------------------------------- accuracy by the number of steps
+
+ACCURACY_RESTITUTIONS = np.array([0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
+"""Target restitutions."""
+STEPS = np.array([50, 100, 200, 400])
+"""Steps per collision."""
+PHASES = 8
+"""Number of phases of first contact within a step; the largest deviation is shown."""
 
 
-def thornton_restitution(velocity: np.ndarray, yield_velocity: float) -> np.ndarray:
-    """Restitution at approach velocities [m/s], with r = yield velocity / velocity; 1 up to the yield
-    velocity.
+def accuracy_run() -> tuple[Outcomes, np.ndarray, np.ndarray]:
+    """Simulate all restitutions, steps and phases in one scene.
 
-        e^2 = (6 sqrt(3) / 5) (1 - r^2 / 6) sqrt(r / (r + 2 sqrt(6/5 - r^2 / 5)))     (Thornton 1997)
-
-    Source: C. Thornton, J. Appl. Mech. 64, 383 (1997), doi 10.1115/1.2787319.
+    Returns outcomes, restitution (n,) and steps per contact (n,) of the collisions. The diameters make the
+    duration of each collision equal to its number of steps times the common time step.
     """
-    r = np.minimum(yield_velocity / np.asarray(velocity, dtype=float), 1.0)
-    flattening = np.sqrt(r / (r + 2.0 * np.sqrt(6.0 / 5.0 - r**2 / 5.0)))
-    return np.sqrt(6.0 * math.sqrt(3.0) / 5.0 * (1.0 - r**2 / 6.0) * flattening)
+    steps, e = (np.repeat(each.ravel(), PHASES) for each in np.meshgrid(STEPS, ACCURACY_RESTITUTIONS))
+    time_step = CASE.duration(1.0, VELOCITY) / STEPS.max()
+    pairs = [
+        CASE.head_on(float(a), VELOCITY, CASE.diameter_lasting(count * time_step, float(a), VELOCITY))
+        for a, count in zip(e, steps, strict=True)
+    ]
+    return collide(pairs, "zhou", time_step), e, steps
 
 
-# Figs. 3 and 4 and Eq. 19: restitution, duration and equivalent spring against approach velocity.
-#
-# alpha = (4/5) k sqrt(dmax)      (Zhou 2011, Eq. 19)
+def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> FigureData:
+    """Largest deviation over the phases, for each restitution and number of steps.
 
-VELOCITIES = np.geomspace(0.01, 100.0, 33)
-"""Approach velocities of the simulated collisions of Figs. 3 and 4 [m/s]."""
-ESTIMATE_VELOCITIES = np.geomspace(1.0, 10.0, 9)
-"""Approach velocities of the estimate below Eq. 19 [m/s]."""
-Columns = Mapping[str, np.ndarray]
-"""Columns of a CSV file by name, of equal length."""
-
-
-def velocity_run(velocities: np.ndarray = VELOCITIES) -> Outcomes:
-    """Simulate both materials at all velocities (n,) [m/s] in one scene; the shortest collision takes 200
-    steps."""
-    pairs = [case.head_on({"preset": case.name}, float(v)) for case in PAPER_CASES for v in velocities]
-    return collide_all("zhou", pairs, _shortest(PAPER_CASES, velocities) / STEPS_PER_CONTACT)
-
-
-def _shortest(cases: Sequence[PaperCase], velocities: np.ndarray) -> float:
-    """Shortest collision duration [s] of all cases and velocities."""
-    return min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in cases)
-
-
-def restitution_of(case: PaperCase, velocity: np.ndarray) -> np.ndarray:
-    """Given restitution (Zhou 2011, Eq. 12) at velocities [m/s] of any shape.
-
-    Raises ValueError for a case without Eq. 12.
+    `e`, `steps` (n,): from `accuracy_run`. The deviations of the text are those for STEPS_PER_CONTACT steps.
     """
-    if case.fit is None:
-        raise ValueError(f"{case.name} has no restitution that depends on velocity")
-    return case.fit(velocity)
-
-
-def velocity_columns(outcomes: Outcomes, velocities: np.ndarray = VELOCITIES) -> dict[str, np.ndarray]:
-    """Theory and simulation by material and velocity, for Figs. 3 and 4 and the figure of Eq. 19.
-
-    Columns (materials * n,) in SI units; theory: Zhou (2011), Eqs. 12, 13 and 19, and Thornton (1997).
-    """
-    e = [restitution_of(case, velocities) for case in PAPER_CASES]
-    yields = [thornton_restitution(velocities, case.yield_velocity or np.inf) for case in PAPER_CASES]
-    durations = np.concatenate(
-        [case.durations(a, velocities) for case, a in zip(PAPER_CASES, e, strict=True)]
-    )
-    return {
-        "material": np.repeat([case.name for case in PAPER_CASES], len(velocities)),
-        "velocity": np.tile(velocities, len(PAPER_CASES)),
-        "restitution_theory": np.concatenate(e),
-        "restitution_simulated": outcomes.restitution,
-        "restitution_thornton": np.concatenate(yields),
-        "duration_theory": durations,
-        "duration_simulated": outcomes.duration,
-        "spring_theory": np.concatenate([case.springs(velocities) for case in PAPER_CASES]),
-        "spring_simulated": spring_of(outcomes),
-        "steps_per_contact": durations / outcomes.time_step,
+    restitution_error = np.abs(outcomes.restitution / e - 1.0)
+    duration_error = np.abs(outcomes.duration / (steps * outcomes.time_step) - 1.0)
+    shape = (-1, PHASES)
+    columns = {
+        "restitution": e.reshape(shape)[:, 0],
+        "steps_per_contact": steps.reshape(shape)[:, 0],
+        "restitution_deviation": restitution_error.reshape(shape).max(axis=1),
+        "duration_deviation": duration_error.reshape(shape).max(axis=1),
     }
+    chosen = (columns["steps_per_contact"] == STEPS_PER_CONTACT) & (columns["restitution"] >= RESOLVED)
+    e_there = columns["restitution"][chosen]
 
-
-def spring_of(outcomes: Outcomes) -> np.ndarray:
-    """Stiffness [N/m] of the spring with the same work W at the maximum overlap: 2 W / dmax^2 (Eq. 18)."""
-    return 2.0 * outcomes.stored_energy / outcomes.overlap_max**2
-
-
-def _chosen(columns: Columns, *names: str) -> dict[str, np.ndarray]:
-    return {name: columns[name] for name in ("material", "velocity", *names)}
-
-
-def _compared(columns: Columns, quantity: str, text: str, target: float | None = None) -> FigureDeviation:
-    def where(index: int) -> str:
-        case = next(case for case in PAPER_CASES if case.name == columns["material"][index])
-        return f"{columns['velocity'][index]:.3g} m/s ({case.title})"
-
-    return relative_deviation(
-        text, columns[f"{quantity}_simulated"], columns[f"{quantity}_theory"], where, target
-    )
-
-
-def _steps(columns: Columns) -> str:
-    steps = columns["steps_per_contact"]
-    return f"All collisions have the same time step: {steps.min():.0f} to {steps.max():.0f} steps per contact"
-
-
-def restitution_figure(columns: Columns) -> FigureData:
-    """Fig. 3: given and simulated e(v), and Thornton's model."""
-    caption = (
-        "Restitution coefficient against approach velocity of spheres of 25.4 mm: Eq. 12 (line), simulated "
-        "collisions (points), and Thornton's prediction (1997) with the yield velocities 0.0082 and 0.9090 "
-        f"m/s (dashed). {_steps(columns)}. Measured points are omitted, because their values are not "
-        "available."
-    )
-    names = ("restitution_theory", "restitution_simulated", "restitution_thornton", "steps_per_contact")
-    deviation = _compared(columns, "restitution", "simulated e from Eq. 12", TARGET_RESTITUTION)
-    title = "Fig. 3: restitution coefficient against velocity"
-    return FigureData(
-        "figure3_restitution", title, caption, _chosen(columns, *names), (deviation,), draw_restitution, 5.2
-    )
-
-
-def draw_restitution(figure: Any, columns: Columns) -> None:
-    """Draw one panel per material."""
-    panels = stacked_panels(figure, len(PAPER_CASES), sharex=True, sharey=True)
-    for letter, case, axes in zip("abcd", PAPER_CASES, panels, strict=False):
-        mine = columns["material"] == case.name
-        v = columns["velocity"][mine]
-        fine = np.geomspace(v.min(), v.max(), 400)
-        axes.plot(fine, restitution_of(case, fine), color=COLORS[0], label="Eq. 12")
-        thornton = thornton_restitution(fine, case.yield_velocity or np.inf)
-        axes.plot(fine, thornton, "--", color=COLORS[1], label="Thornton (1997)")
-        axes.plot(
-            v, columns["restitution_simulated"][mine], "o", color=COLORS[6], label="simulated", **POINTS
+    def worst(name: str, text: str, target: float) -> Any:
+        values = 1.0 + columns[name][chosen]
+        return relative_deviation(
+            f"{text} at {STEPS_PER_CONTACT} steps, from e = {RESOLVED:g} on",
+            values,
+            np.ones_like(values),
+            lambda index: f"e = {e_there[index]:g}",
+            target,
         )
-        axes.set(xscale="log", ylim=(0, 1.04), title=f"({letter}) {case.title}")
-        axes.set_ylabel("restitution coefficient $e$")
-    panels[-1].set_xlabel("approach velocity (m/s)")
-    panels[0].legend(loc="lower left")
 
-
-def duration_figure(columns: Columns) -> FigureData:
-    """Fig. 4: T(v)."""
-    caption = (
-        "Collision duration against approach velocity of spheres of 25.4 mm: Eqs. 13-16 (lines), simulated "
-        f"collisions (points), and elastic Hertz contacts (dotted). {_steps(columns)}."
-    )
-    names = ("duration_theory", "duration_simulated", "steps_per_contact")
-    deviation = _compared(columns, "duration", "the duration T from Eq. 13", TARGET_DURATION)
-    title = "Fig. 4: collision duration against velocity"
-    return FigureData(
-        "figure4_duration", title, caption, _chosen(columns, *names), (deviation,), draw_duration, 3.4
-    )
-
-
-def draw_duration(figure: Any, columns: Columns) -> None:
-    """Draw both materials in one panel."""
-    axes = figure.subplots()
-    for case, color, marker in zip(PAPER_CASES, COLORS, MARKERS, strict=False):
-        mine = columns["material"] == case.name
-        v = columns["velocity"][mine]
-        fine = np.geomspace(v.min(), v.max(), 200)
-        axes.plot(fine, 1e6 * case.durations(restitution_of(case, fine), fine), color=color)
-        axes.plot(fine, 1e6 * case.durations(np.ones_like(fine), fine), ":", color=color, linewidth=0.9)
-        axes.plot(
-            v, 1e6 * columns["duration_simulated"][mine], marker, color=color, label=case.title, **POINTS
-        )
-    axes.plot([], [], color="0.3", label="Eqs. 13$-$16")
-    axes.plot([], [], ":", color="0.3", linewidth=0.9, label="elastic Hertz contact")
-    axes.set(
-        xscale="log", yscale="log", xlabel="approach velocity (m/s)", ylabel=r"collision duration $T$ (µs)"
-    )
-    axes.set_yticks([20, 50, 100, 200], ["20", "50", "100", "200"])
-    axes.set_yticks([30, 40, 60, 70, 80, 90], [], minor=True)
-    axes.legend(loc="lower left")
-
-
-def estimate_run(velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
-    """Simulate the small soft spheres of the estimate below Eq. 19 at velocities (n,) [m/s].
-
-    The restitution, 0.9, has no effect up to the maximum overlap.
-    """
-    case = small_soft_case()
-    e = 0.9
-    pairs = [case.head_on(e, float(v)) for v in velocities]
-    shortest = case.duration(e, float(velocities.max()))
-    return collide_all("zhou", pairs, shortest / STEPS_PER_CONTACT)
-
-
-def spring_figure(columns: Columns, estimate: Outcomes) -> FigureData:
-    """Eq. 19: equivalent spring of both materials and of the estimate in the paper.
-
-    `columns`: from `velocity_columns`; `estimate`: from `estimate_run`.
-    """
-    case = small_soft_case()
-    springs = case.springs(ESTIMATE_VELOCITIES)
-    count = len(ESTIMATE_VELOCITIES)
-    combined = {
-        "material": np.concatenate([columns["material"], np.repeat(case.name, count)]),
-        "velocity": np.concatenate([columns["velocity"], ESTIMATE_VELOCITIES]),
-        "spring_theory": np.concatenate([columns["spring_theory"], springs]),
-        "spring_simulated": np.concatenate([columns["spring_simulated"], spring_of(estimate)]),
-    }
-    first, second = (each.springs(np.ones(1))[0] for each in PAPER_CASES)
-    caption = (
-        "Stiffness of the linear spring with the energy of the Hertz contact at the same maximum overlap: "
-        "Eq. 19 (lines), and twice the work done on the simulated contact over the square of its maximum "
-        f"overlap (points). (a) The two steels, which differ by only {percent(abs(second / first - 1.0))}. "
-        "(b) The estimate of the paper for R = 1e-4 m, E = 1e8 Pa, 1e3 kg/m³, for two equal spheres with a "
-        f"Poisson ratio of 0.3: {springs[0]:.0f} to {springs[-1]:.0f} N/m, of the order of the 1e3 N/m in "
-        "the paper (dashed)."
-    )
     deviations = (
-        _compared(columns, "spring", "the spring of the steels from Eq. 19"),
-        relative_deviation(
-            "the spring of the estimate",
-            spring_of(estimate),
-            springs,
-            lambda index: f"{ESTIMATE_VELOCITIES[index]:.3g} m/s",
-        ),
+        worst("restitution_deviation", "e", TARGET_RESTITUTION),
+        worst("duration_deviation", "T", TARGET_DURATION),
+    )
+    caption = (
+        "Largest deviation of (a) restitution and (b) duration of simulated collisions from the given "
+        f"values, over {PHASES} phases of first contact within a step, by the number of steps per collision. "
+        f"Dotted: target with {STEPS_PER_CONTACT} steps. With 50 steps e = 0.05 is not reachable because of "
+        "the bound on the unloading tangent."
     )
     return FigureData(
-        "equation19_spring", "Eq. 19: equivalent spring", caption, combined, deviations, draw_spring, 5.2
+        "accuracy", "Accuracy by number of steps", caption, columns, deviations, draw_accuracy, 5.2
     )
 
 
-def draw_spring(figure: Any, columns: Columns) -> None:
-    """Draw one panel of the steels and one of the estimate."""
-    above, below = stacked_panels(figure, 2)
-    for case, color, marker in zip((*PAPER_CASES, small_soft_case()), COLORS, MARKERS, strict=False):
-        axes = above if case in PAPER_CASES else below
-        mine = columns["material"] == case.name
-        v = columns["velocity"][mine]
-        fine = np.geomspace(v.min(), v.max(), 100)
-        axes.plot(fine, case.springs(fine), color=color)
-        size = POINTS | {"markersize": 6.5 if marker == "o" else 3.5}  # the two steels coincide
-        axes.plot(v, columns["spring_simulated"][mine], marker, color=color, label=case.title, **size)
-    below.axhline(1e3, linestyle="--", color="0.5", linewidth=0.8)
-    below.set_ylim(1e2, 1e4)
-    for axes, title in ((above, "(a) spheres of 25.4 mm"), (below, "(b) estimate of the paper")):
-        axes.set(xscale="log", yscale="log", xlabel="approach velocity (m/s)", title=title)
-        axes.set_ylabel(r"equivalent spring $\alpha$ (N/m)")
-        axes.legend(loc="upper left")
+def draw_accuracy(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
+    """Panels for e and T, with a line for each number of steps."""
+    panels = stacked_panels(figure, 2, sharex=True)
+    shown = (
+        ("restitution_deviation", TARGET_RESTITUTION, "$e$"),
+        ("duration_deviation", TARGET_DURATION, "$T$"),
+    )
+    for letter, axes, (name, target, symbol) in zip("ab", panels, shown, strict=True):
+        for steps, color, marker in zip(STEPS, COLORS, MARKERS, strict=False):
+            mine = columns["steps_per_contact"] == steps
+            axes.plot(
+                columns["restitution"][mine],
+                100.0 * columns[name][mine],
+                marker=marker,
+                color=color,
+                label=f"{steps} steps",
+                **(POINTS | {"linestyle": "-", "linewidth": 0.8}),
+            )
+        axes.axhline(100.0 * target, linestyle=":", color="0.4", linewidth=0.9)
+        axes.set(
+            yscale="log",
+            xlim=(0, 1.02),
+            title=f"({letter}) {'restitution' if symbol == '$e$' else 'duration'}",
+        )
+        axes.set_ylabel(f"largest deviation of {symbol} (%)")
+    panels[-1].set_xlabel("restitution coefficient $e$")
+    panels[0].legend(loc="upper right")

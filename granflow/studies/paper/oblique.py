@@ -1,8 +1,9 @@
-"""Oblique and spinning impacts of spheres on a plate: tests 4, 5, 6 and 8 of Chung & Ooi, and measured
-rebounds.
+"""Oblique and spinning impacts of spheres on a plate: tests 4, 5, 6 and 8 of Chung & Ooi, and measurements.
 
-Chung & Ooi 2011, Granular Matter 13:643, doi 10.1007/s10035-011-0277-0; Kharaz, Gorham & Salman 2001, doi
-10.1016/S0032-5910(01)00283-2. The published data are in `published/`.
+`oblique_run` simulates all impacts on the collision bench; `oblique_figure` compares them with published
+curves, measured rebounds, and the closed form of a contact that slides throughout. The published data are in
+`published/`. Sources: Chung & Ooi 2011, Granular Matter 13:643, doi 10.1007/s10035-011-0277-0; Kharaz, Gorham
+& Salman 2001, doi 10.1016/S0032-5910(01)00283-2.
 """
 
 from collections.abc import Mapping
@@ -117,23 +118,22 @@ def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
     elastic = theory.duration(1.0, *setup.reduced, speeds)
     partner = setup.partner_radius
     pair = {"restitution": setup.restitution, "friction": setup.friction}
+    motions = np.stack([speeds, np.ones_like(speeds), before.along, before.spin, CLOSE * elastic], axis=1)
     bench = CollisionBench(
         materials={"sphere": setup.sphere, "plate": setup.plate},
         pairs=dict.fromkeys(("sphere-sphere", "sphere-plate", "plate-plate"), pair),
         contact={"normal": law, "tangential": "mindlin"},
-        collisions=[
-            Collision("sphere", "plate", setup.radius, partner, *motion)
-            for motion in np.stack(
-                [speeds, np.ones_like(speeds), before.along, before.spin, CLOSE * elastic], axis=1
-            )
-        ],
+        collisions=[Collision("sphere", "plate", setup.radius, partner, *motion) for motion in motions],
         run={"duration": LONGEST * float(np.max(elastic)), "velocity_max": float(np.max(speeds))},
         numerics={"time_step_fraction": SAFETY, "rayleigh_fraction": 1.0},
     )
-    bench.rebound()
-    velocity, spin = bench.motions()
-    bench.free()
+    with bench:
+        bench.rebound()
+        velocity, spin = bench.motions()
     return ImpactMotion(-velocity[:, 0, 0], velocity[:, 0, 1], -spin[:, 0, 2])
+
+
+# ---------------------------------------------------------------- contacts that slide throughout
 
 
 def mean_overlap_share(e: float) -> float:
@@ -178,6 +178,9 @@ def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
     """Whether the contact slides throughout (n,): |slip| > 3.5 mu (1 + e) v, with a margin."""
     limit = 3.5 * setup.friction * (1.0 + setup.restitution) * -before.normal
     return np.abs(before.slip(setup.radius)) > SLIDING * limit
+
+
+# ---------------------------------------------------------------- published data, and all impacts
 
 
 def published(source: str) -> dict[str, np.ndarray]:
@@ -269,7 +272,7 @@ def plotted_quantities(sweep: ImpactSweep, kind: str) -> dict[str, np.ndarray]:
     return {"slip": -slip / before.slip(radius)}
 
 
-# Figure of oblique impacts: simulated, published and measured rebounds.
+# ---------------------------------------------------------------- figure
 
 TARGET = 1e-3
 """Target of the relative deviation for contacts that slide throughout."""

@@ -100,7 +100,8 @@ def _model(figure_data: FigureData) -> PageTable:
 
     One row for each restitution in TABULATED.
     """
-    columns, rows = figure_data.columns, []
+    columns = figure_data.columns
+    rows = []
     for e in TABULATED:
         index = int(abs(columns["restitution"] - e).argmin())
         scaled = columns["duration_over_ts_theory"][index]

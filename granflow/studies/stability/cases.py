@@ -1,4 +1,10 @@
-"""A case of the stability study, its execution, and its assessment."""
+"""The cases of the stability study: stiff and extreme situations, each with a reference for its result.
+
+`all_cases` lists them in families, each a grid of rows and columns. `run_case` runs one case and assesses it:
+accurate, stable with an error, refused with a message, or a defect. Three kinds of case exist: two particles
+that collide on the collision bench, columns and beds of many particles, and the measured stability limit of
+the time step (`granflow.studies.stability.time_step_bounds`).
+"""
 
 import math
 import time as clock
@@ -17,6 +23,8 @@ from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.stability.time_step_bounds import LATTICES, RESOLUTION, real_bounds
 from granflow.studies.stability.time_step_bounds import LAWS as BOUND_LAWS
 from granflow.studies.tables import percent
+
+# ---------------------------------------------------------------- a case and its assessment
 
 ACCURATE = 0.01
 """Largest error of an accurate case."""
@@ -141,333 +149,15 @@ def assess(case_result: CaseResult) -> tuple[Kind, str]:
     return "error", f"stable, error {percent(case_result.error)}{statement}"
 
 
-# Many-particle cases: static loads, falling, compressed, impacted and vibrated beds, and their
-# measurements.
+# ---------------------------------------------------------------- all cases
 
-RADIUS, DENSITY, YOUNG, POISSON, GRAVITY = 1e-3, 2500.0, 5e7, 0.25, 9.81
-"""Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio, gravity [m/s2]."""
-DIAMETER = 2.0 * RADIUS
-"""Diameter of the particles [m]."""
-LAWS: Mapping[str, Any] = {
-    "zhou": "zhou",
-    "hertz": "hertz",
-    "linear": {"law": "linear", "stiffness": "onset"},
-}
-"""Settings of `contact.normal` by name; every pair has restitution 0.5."""
-ROW = 4
-"""Particles along each edge of a bed."""
-SIDE = ROW * DIAMETER
-"""Edge of a bed [m]."""
-REST_STEPS = 20_000
-"""Number of steps of a static case."""
-
-
-def scene_with(law: str, particles: Mapping[str, Any], duration: float, **changes: Any) -> Scene:
-    """Scene with particles of the materials `light` and `heavy`, and walls of `light`.
-
-    `law`: key of LAWS; `particles`: groups by name; `duration` [s]. `changes` replace defaults: friction,
-    gravity [m/s2], walls, numerics, run, young_modulus [Pa], density of `heavy` [kg/m3], reach [m].
-    """
-    solid = {"young_modulus": changes.get("young_modulus", YOUNG), "poisson_ratio": POISSON}
-    pair = {"restitution": 0.5, "friction": changes.get("friction", 0.3)}
-    reach = changes.get("reach", 10.0 * SIDE)
-    return Scene.from_dict(
-        {
-            "title": "Many particles in an extreme case",
-            "gravity": [0, 0, -changes.get("gravity", GRAVITY)],
-            "materials": {
-                "light": {**solid, "density": DENSITY},
-                "heavy": {**solid, "density": changes.get("density", DENSITY)},
-            },
-            "pairs": {"light-light": pair, "light-heavy": pair, "heavy-heavy": pair},
-            "contact": {"normal": LAWS[law], "tangential": "mindlin", "rolling": "none"},
-            "walls": changes.get("walls", {"floor": _plane([0, 0, 0], [0, 0, 1])}),
-            "particles": particles,
-            "domain": {"min": [-reach, -reach, -0.1 * reach], "max": [reach] * 3, "on_exit": "error"},
-            "run": {"duration": duration, **changes.get("run", {})},
-            "numerics": changes.get("numerics", {}),
-            "output": {"interval": 1e9, "energy_budget": True},
-        }
-    )
-
-
-def _plane(point: list[float], normal: list[float], motion: Any = ()) -> dict[str, Any]:
-    """Plane wall through a point [m] with a normal."""
-    return {"shape": "plane", "point": point, "normal": normal, "material": "light", "motion": list(motion)}
-
-
-def box_walls(motion: Any = (), spread: float = 0.0) -> dict[str, Any]:
-    """A floor, optionally moving, and four walls around a bed with this relative spacing."""
-    low, high = -0.5 * SIDE * (1.0 + spread), 0.5 * SIDE * (1.0 + spread)
-    return {
-        "floor": _plane([0, 0, 0], [0, 0, 1], motion),
-        "west": _plane([low, 0, 0], [1, 0, 0]),
-        "east": _plane([high, 0, 0], [-1, 0, 0]),
-        "south": _plane([0, low, 0], [0, 1, 0]),
-        "north": _plane([0, high, 0], [0, -1, 0]),
-    }
-
-
-def particles_at(positions: Any, velocity: Any = (0.0, 0.0, 0.0), material: str = "light") -> dict[str, Any]:
-    """A group of particles at positions (n, 3) [m]."""
-    return {
-        "material": material,
-        "diameter": DIAMETER,
-        "velocity": np.asarray(velocity, float).tolist(),
-        "insert": {"kind": "positions", "positions": np.asarray(positions, float).tolist()},
-    }
-
-
-def bed_positions(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
-    """Positions (n, 3) [m] of a cube of touching particles, `height` [m] above the floor.
-
-    `spread` increases the spacing by this fraction and adds random shifts, the same in each call.
-    """
-    points = np.stack(np.meshgrid(*[np.arange(ROW)] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
-    points = (points + 0.5) * DIAMETER - np.array([0.5 * SIDE, 0.5 * SIDE, 0.0])
-    points *= 1.0 + spread
-    shift = np.random.default_rng(1).uniform(-1.0, 1.0, points.shape) * 0.25 * spread * RADIUS
-    return points + shift + np.array([0.0, 0.0, height])
-
-
-def energy_budget_result(scene: Scene) -> CaseResult:
-    """Run the scene; the error is the magnitude of `energy_error` at the end of the run.
-
-    Raises RunError after an abort.
-    """
-    simulation = Simulation(scene)
-    try:
-        result = simulation.run()
-    finally:
-        simulation.free()
-    error = float(result.totals["energy_error"])
-    step = simulation.plan.step
-    return CaseResult("energy error", 0.0, error, abs(error), step.value, step.warnings)
-
-
-def energy_budget_result_of(
-    law: str, particles: Mapping[str, Any], duration: float, changes: Mapping[str, Any]
-) -> CaseResult:
-    """`energy_budget_result` of `scene_with`."""
-    return energy_budget_result(scene_with(law, particles, duration, **changes))
-
-
-def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float) -> CaseResult:
-    """Column of particles at rest, lowest first: the floor force must remain equal to the weight.
-
-    `densities` [kg/m3] from bottom to top; `young_modulus` [Pa]. The initial overlaps are those of the
-    equilibrium; the error is that of the force on the floor after REST_STEPS steps, relative to the weight.
-    """
-    weights = GRAVITY * sphere_volume(RADIUS) * np.array(densities)
-    heavy = max(densities)
-    names = ["heavy" if density == heavy and heavy != DENSITY else "light" for density in densities]
-
-    def scene(heights: np.ndarray) -> Scene:
-        centers = np.stack([0.0 * heights, 0.0 * heights, heights], axis=1)
-        groups = {
-            name: particles_at(centers[[each == name for each in names]], material=name)
-            for name in dict.fromkeys(names)
-        }
-        reach = max(10.0 * SIDE, 2.5 * RADIUS * len(densities))
-        return scene_with(law, groups, 1.0, density=heavy, young_modulus=young_modulus, reach=reach)
-
-    touching = RADIUS * (1.0 + 2.0 * np.arange(len(densities)))
-    plan = plan_for(scene(touching))
-    supported_weights = np.cumsum(weights[::-1])[::-1]
-    masses = np.append(np.inf, weights / GRAVITY)
-    overlaps = [
-        _overlap_for_load(plan, index, supported_weights[index], masses) for index in range(len(densities))
-    ]
-    simulation = Simulation(scene(touching - np.cumsum(overlaps)))
-    simulation.run(until=REST_STEPS * simulation.plan.time_step)
-    contacts = simulation.snapshot(contacts=True).contacts
-    assert contacts is not None
-    floor = float(contacts["normal_force"][contacts["wall"] >= 0].sum())
-    step = simulation.plan.step
-    simulation.free()
-    weight = float(weights.sum())
-    return CaseResult(
-        "force on the floor [N]", weight, floor, abs(floor / weight - 1.0), step.value, step.warnings
-    )
-
-
-def _overlap_for_load(plan: Plan, index: int, load: float, masses: np.ndarray) -> float:
-    """Overlap [m] at which contact `index` of a column carries a load [N]; contact 0 is at the floor.
-
-    `masses` (n + 1,) [kg]: floor (infinite) and particles. The force is that of the reference implementation.
-    """
-    from scipy.optimize import brentq
-
-    radius_eff = RADIUS if index == 0 else 0.5 * RADIUS
-    lower, upper = masses[index], masses[index + 1]
-    mass_eff = upper if index == 0 else lower * upper / (lower + upper)
-    constants = plan.pair_constants[0]
-    history = np.zeros(plan.law.history_count)
-
-    def excess(overlap: float) -> float:
-        arguments = (constants, radius_eff, mass_eff, plan.time_step, overlap, 0.0, history)
-        return plan.law.reference_force(*arguments)[0] - load
-
-    least = 1e-15 * RADIUS  # without an overlap the particles are not in contact and have no force
-    return float(brentq(excess, least, RADIUS, xtol=least, rtol=1e-15))
-
-
-# Head-on collisions of any number of distant pairs in one scene, until all pairs have separated.
-#
-# The pairs share the time step of the stiffest one. The total momentum of each pair is 0.
-
-PAIR_POISSON = 0.25
-"""Poisson ratio of all particles."""
-GAP = 1e-3
-"""Initial gap over the smaller radius."""
-MAX_OVERLAP = 0.1
-"""Overlap over radius above which a run is aborted, the default of scenes."""
-SKIN = 0.3
-"""Skin over the smallest radius; equal for all cases, so that the kernels compile once."""
-
-
-@dataclass(frozen=True)
-class ParticlePair:
-    """Two particles of equal elasticity that collide head-on, in SI units.
-
-    `radius_ratio`, `density_ratio`: second particle over the first.
-    """
-
-    young_modulus: float = 1e8
-    restitution: float | tuple[float, float, float] = 0.7
-    """A number, or sigma, psi and limit velocity [m/s] of Eq. 12."""
-    velocity: float = 1.0
-    radius: float = 1e-3
-    density: float = 2500.0
-    radius_ratio: float = 1.0
-    density_ratio: float = 1.0
-
-    @property
-    def masses(self) -> np.ndarray:
-        """Masses of both particles (2,) [kg]."""
-        return sphere_mass(self.radius, self.density) * np.array(
-            [1.0, self.radius_ratio**3 * self.density_ratio]
-        )
-
-    @property
-    def requested(self) -> float:
-        """Target restitution."""
-        if isinstance(self.restitution, float):
-            return self.restitution
-        return float(VelocityRestitution(*self.restitution)(self.velocity))
-
-
-@dataclass(frozen=True)
-class Rebound:
-    """Results of the pairs (n,): restitution, and momentum error over m v with the smaller mass m.
-
-    `time_step` [s]; `warnings`: of the plan.
-    """
-
-    restitution: np.ndarray
-    momentum: np.ndarray
-    time_step: float
-    warnings: tuple[str, ...]
-
-
-@cache
-def rebound(pairs: tuple[ParticlePair, ...], precision: str = "f64", share: float | None = None) -> Rebound:
-    """Collide the pairs with Zhou's model, at `share` of the largest permitted time step, or at the default
-    one.
-
-    Cached: cases with the same pairs share one run. Raises SceneError if the time step is refused, RunError
-    if the run aborts.
-    """
-    step = None if share is None else share * _largest_step(pairs)
-    bench = _bench(pairs, precision, step)
-    bench.rebound()
-    velocity = bench.motions()[0][:, :, 0]
-    chosen = bench.plan.step
-    bench.free()
-    masses = np.array([pair.masses for pair in pairs])
-    speeds = np.array([pair.velocity for pair in pairs])
-    momentum_error = np.abs(np.sum(masses * velocity, axis=1)) / (masses.min(axis=1) * speeds)
-    return Rebound((velocity[:, 1] - velocity[:, 0]) / speeds, momentum_error, chosen.value, chosen.warnings)
-
-
-@cache
-def _largest_step(pairs: tuple[ParticlePair, ...]) -> float:
-    """Largest permitted time step [s]."""
-    return _bench(pairs, "f64").plan.step.stable_below
-
-
-def _bench(pairs: Sequence[ParticlePair], precision: str, time_step: float | None = None) -> CollisionBench:
-    """Bench with all pairs; `time_step` [s]: automatic if None. The materials of pair 0 are a0 and b0, and so
-    on."""
-    materials = {}
-    pairs_of_materials = {}
-    collisions = []
-    for index, pair in enumerate(pairs):
-        names = (f"a{index}", f"b{index}")
-        masses = pair.masses
-        for name, ratio in zip(names, (1.0, pair.density_ratio), strict=True):
-            density = pair.density * ratio
-            materials[name] = {
-                "young_modulus": pair.young_modulus,
-                "poisson_ratio": PAIR_POISSON,
-                "density": density,
-            }
-        pairs_of_materials["-".join(names)] = {"restitution": _restitution_setting(pair), "friction": 0}
-        gap = GAP * pair.radius * min(pair.radius_ratio, 1.0)
-        collisions.append(
-            Collision(
-                *names,
-                pair.radius,
-                pair.radius * pair.radius_ratio,
-                pair.velocity,
-                share=masses[1] / masses.sum(),
-                first_contact=gap / pair.velocity,
-            )
-        )
-    smallest = min(pair.radius * min(pair.radius_ratio, 1.0) for pair in pairs)
-    return CollisionBench(
-        materials,
-        pairs_of_materials,
-        {"normal": "zhou"},
-        collisions,
-        run={
-            "precision": precision,
-            "velocity_max": max(pair.velocity for pair in pairs),
-            "duration": 1.0 + 10.0 * max(each.first_contact for each in collisions),
-            "time_step": time_step or "auto",
-        },
-        numerics={"skin": SKIN * smallest, "max_overlap": MAX_OVERLAP},
-    )
-
-
-def _restitution_setting(pair: ParticlePair) -> Any:
-    """`restitution` of the pair in the structure of a scene file."""
-    if isinstance(pair.restitution, float):
-        return pair.restitution
-    sigma, psi, limit = pair.restitution
-    return {"sigma": sigma, "psi": psi, "limit_velocity": limit}
-
-
-def rebound_result(
-    pairs: tuple[ParticlePair, ...], index: int, precision: str = "f64", share: float | None = None
-) -> CaseResult:
-    """Larger error of restitution and momentum of one pair, relative to the approach velocity.
-
-    `index`: of the pair; warnings about other pairs are omitted. Raises the errors of `rebound`.
-    """
-    found = rebound(pairs, precision, share)
-    requested = pairs[index].requested
-    reached = float(found.restitution[index])
-    momentum_error = float(found.momentum[index])
-    others = [f"a{other}-b{other}:" for other in range(len(pairs)) if other != index]
-    warnings = tuple(text for text in found.warnings if not text.startswith(tuple(others)))
-    if momentum_error > abs(reached - requested):
-        return CaseResult("momentum error", 0.0, momentum_error, momentum_error, found.time_step, warnings)
-    return CaseResult("restitution", requested, reached, abs(reached - requested), found.time_step, warnings)
-
-
-# All cases: families of stiff and extreme cases, each a grid of rows and columns.
-
+STEPS = "time step against restitution"
+STIFFNESS = "stiffness against velocity"
+SIZES = "size against precision"
+UNEQUAL = "unequal partners"
+MANY = "many particles"
+BOUNDS = "stability limit of the time step"
+"""Names of the families."""
 RESTITUTIONS = (0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 """Target restitutions of the family STEPS."""
 SHARES = (0.01, 0.03, 0.1, 0.3, 0.99, 2.0, 5.0)
@@ -487,13 +177,6 @@ DENSITY_RATIOS = (1.0, 1e3, 1e6)
 """Ratios of the densities of two particles."""
 SPREAD = 0.1
 """Initial gap between falling particles, over their diameter."""
-STEPS = "time step against restitution"
-STIFFNESS = "stiffness against velocity"
-SIZES = "size against precision"
-UNEQUAL = "unequal partners"
-MANY = "many particles"
-BOUNDS = "stability limit of the time step"
-"""Names of the families."""
 WITH_FRICTION = ", friction"
 """Suffix of the columns of lattices with friction."""
 CONSERVATIVE_WARNING = "the check assumes up to 12 contacts per particle, more than in this lattice"
@@ -546,7 +229,8 @@ def _unequal_cases(ratios: tuple[float, ...]) -> Iterator[StabilityCase]:
     """Ratios of radius and density of the two particles."""
     for density in DENSITY_RATIOS:
         for ratio in ratios:
-            run = partial(rebound_result, (ParticlePair(radius_ratio=ratio, density_ratio=density),), 0)
+            pair = ParticlePair(radius_ratio=ratio, density_ratio=density)
+            run = partial(rebound_result, (pair,), 0)
             reference = "the target restitution and conservation of momentum"
             yield StabilityCase(UNEQUAL, f"density 1 : {density:g}", f"radius 1 : {ratio:g}", reference, run)
 
@@ -620,11 +304,339 @@ def _bound_cases() -> Iterator[StabilityCase]:
     for law in BOUND_LAWS:
         for friction in (False, True):
             for lattice in LATTICES:
-                column = lattice + WITH_FRICTION * friction
+                column = lattice + (WITH_FRICTION if friction else "")
                 reference = "1 to 2 times the limit of the check"
                 yield StabilityCase(
                     BOUNDS, law, column, reference, partial(bound_result, law, friction, lattice)
                 )
+
+
+# ---------------------------------------------------------------- two particles
+#
+# The pairs of a case collide head-on in one scene, far apart, and share the time step of the stiffest one.
+# The total momentum of each pair is 0.
+
+PAIR_POISSON = 0.25
+"""Poisson ratio of all particles."""
+GAP = 1e-3
+"""Initial gap over the smaller radius."""
+MAX_OVERLAP = 0.1
+"""Overlap over radius above which a run is aborted, the default of scenes."""
+SKIN = 0.3
+"""Skin over the smallest radius; equal for all cases, so that the kernels compile once."""
+
+
+@dataclass(frozen=True)
+class ParticlePair:
+    """Two particles of equal elasticity that collide head-on, in SI units.
+
+    `radius_ratio`, `density_ratio`: second particle over the first.
+    """
+
+    young_modulus: float = 1e8
+    restitution: float | tuple[float, float, float] = 0.7
+    """A number, or sigma, psi and limit velocity [m/s] of Eq. 12."""
+    velocity: float = 1.0
+    radius: float = 1e-3
+    density: float = 2500.0
+    radius_ratio: float = 1.0
+    density_ratio: float = 1.0
+
+    @property
+    def masses(self) -> np.ndarray:
+        """Masses of both particles (2,) [kg]."""
+        return sphere_mass(self.radius, self.density) * np.array(
+            [1.0, self.radius_ratio**3 * self.density_ratio]
+        )
+
+    @property
+    def requested(self) -> float:
+        """Target restitution."""
+        if isinstance(self.restitution, float):
+            return self.restitution
+        return float(VelocityRestitution(*self.restitution)(self.velocity))
+
+
+@dataclass(frozen=True)
+class Rebound:
+    """Results of the pairs (n,): restitution, and momentum error over m v with the smaller mass m.
+
+    `time_step` [s]; `warnings`: of the plan.
+    """
+
+    restitution: np.ndarray
+    momentum: np.ndarray
+    time_step: float
+    warnings: tuple[str, ...]
+
+
+def rebound_result(
+    pairs: tuple[ParticlePair, ...], index: int, precision: str = "f64", share: float | None = None
+) -> CaseResult:
+    """Larger error of restitution and momentum of one pair, relative to the approach velocity.
+
+    `index`: of the pair; warnings about other pairs are omitted. Raises the errors of `rebound`.
+    """
+    found = rebound(pairs, precision, share)
+    requested = pairs[index].requested
+    reached = float(found.restitution[index])
+    momentum_error = float(found.momentum[index])
+    others = [f"a{other}-b{other}:" for other in range(len(pairs)) if other != index]
+    warnings = tuple(text for text in found.warnings if not text.startswith(tuple(others)))
+    if momentum_error > abs(reached - requested):
+        return CaseResult("momentum error", 0.0, momentum_error, momentum_error, found.time_step, warnings)
+    return CaseResult("restitution", requested, reached, abs(reached - requested), found.time_step, warnings)
+
+
+@cache
+def rebound(pairs: tuple[ParticlePair, ...], precision: str = "f64", share: float | None = None) -> Rebound:
+    """Collide the pairs with Zhou's model, at `share` of the largest permitted time step, or at the default
+    one.
+
+    Cached: cases with the same pairs share one run. Raises SceneError if the time step is refused, RunError
+    if the run aborts.
+    """
+    step = None if share is None else share * _largest_step(pairs)
+    with _bench(pairs, precision, step) as bench:
+        bench.rebound()
+        velocity = bench.motions()[0][:, :, 0]
+        chosen = bench.plan.step
+    masses = np.array([pair.masses for pair in pairs])
+    speeds = np.array([pair.velocity for pair in pairs])
+    momentum_error = np.abs(np.sum(masses * velocity, axis=1)) / (masses.min(axis=1) * speeds)
+    restitution = (velocity[:, 1] - velocity[:, 0]) / speeds
+    return Rebound(restitution, momentum_error, chosen.value, chosen.warnings)
+
+
+@cache
+def _largest_step(pairs: tuple[ParticlePair, ...]) -> float:
+    """Largest permitted time step [s]."""
+    return _bench(pairs, "f64").plan.step.stable_below
+
+
+def _bench(pairs: Sequence[ParticlePair], precision: str, time_step: float | None = None) -> CollisionBench:
+    """Bench with all pairs; `time_step` [s]: automatic if None. The materials of pair 0 are a0 and b0, and so
+    on."""
+    materials = {}
+    pairs_of_materials = {}
+    collisions = []
+    for index, pair in enumerate(pairs):
+        names = (f"a{index}", f"b{index}")
+        masses = pair.masses
+        for name, ratio in zip(names, (1.0, pair.density_ratio), strict=True):
+            density = pair.density * ratio
+            materials[name] = {
+                "young_modulus": pair.young_modulus,
+                "poisson_ratio": PAIR_POISSON,
+                "density": density,
+            }
+        pairs_of_materials["-".join(names)] = {"restitution": _restitution_setting(pair), "friction": 0}
+        gap = GAP * pair.radius * min(pair.radius_ratio, 1.0)
+        collisions.append(
+            Collision(
+                *names,
+                pair.radius,
+                pair.radius * pair.radius_ratio,
+                pair.velocity,
+                share=masses[1] / masses.sum(),
+                first_contact=gap / pair.velocity,
+            )
+        )
+    smallest = min(pair.radius * min(pair.radius_ratio, 1.0) for pair in pairs)
+    return CollisionBench(
+        materials,
+        pairs_of_materials,
+        {"normal": "zhou"},
+        collisions,
+        run={
+            "precision": precision,
+            "velocity_max": max(pair.velocity for pair in pairs),
+            "duration": 1.0 + 10.0 * max(each.first_contact for each in collisions),
+            "time_step": time_step or "auto",
+        },
+        numerics={"skin": SKIN * smallest, "max_overlap": MAX_OVERLAP},
+    )
+
+
+def _restitution_setting(pair: ParticlePair) -> Any:
+    """`restitution` of the pair in the structure of a scene file."""
+    if isinstance(pair.restitution, float):
+        return pair.restitution
+    sigma, psi, limit = pair.restitution
+    return {"sigma": sigma, "psi": psi, "limit_velocity": limit}
+
+
+# ---------------------------------------------------------------- many particles
+
+RADIUS, DENSITY, YOUNG, POISSON, GRAVITY = 1e-3, 2500.0, 5e7, 0.25, 9.81
+"""Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio, gravity [m/s2]."""
+DIAMETER = 2.0 * RADIUS
+"""Diameter of the particles [m]."""
+LAWS: Mapping[str, Any] = {
+    "zhou": "zhou",
+    "hertz": "hertz",
+    "linear": {"law": "linear", "stiffness": "onset"},
+}
+"""Settings of `contact.normal` by name; every pair has restitution 0.5."""
+ROW = 4
+"""Particles along each edge of a bed."""
+SIDE = ROW * DIAMETER
+"""Edge of a bed [m]."""
+REST_STEPS = 20_000
+"""Number of steps of a static case."""
+
+
+def energy_budget_result_of(
+    law: str, particles: Mapping[str, Any], duration: float, changes: Mapping[str, Any]
+) -> CaseResult:
+    """`energy_budget_result` of `scene_with`."""
+    return energy_budget_result(scene_with(law, particles, duration, **changes))
+
+
+def energy_budget_result(scene: Scene) -> CaseResult:
+    """Run the scene; the error is the magnitude of `energy_error` at the end of the run.
+
+    Raises RunError after an abort.
+    """
+    simulation = Simulation(scene)
+    try:
+        result = simulation.run()
+    finally:
+        simulation.free()
+    error = float(result.totals["energy_error"])
+    step = simulation.plan.step
+    return CaseResult("energy error", 0.0, error, abs(error), step.value, step.warnings)
+
+
+def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float) -> CaseResult:
+    """Column of particles at rest, lowest first: the floor force must remain equal to the weight.
+
+    `densities` [kg/m3] from bottom to top; `young_modulus` [Pa]. The initial overlaps are those of the
+    equilibrium; the error is that of the force on the floor after REST_STEPS steps, relative to the weight.
+    """
+    weights = GRAVITY * sphere_volume(RADIUS) * np.array(densities)
+    heavy = max(densities)
+    names = ["heavy" if density == heavy and heavy != DENSITY else "light" for density in densities]
+
+    def scene(heights: np.ndarray) -> Scene:
+        centers = np.stack([0.0 * heights, 0.0 * heights, heights], axis=1)
+        groups = {
+            name: particles_at(centers[[each == name for each in names]], material=name)
+            for name in dict.fromkeys(names)
+        }
+        reach = max(10.0 * SIDE, 2.5 * RADIUS * len(densities))
+        return scene_with(law, groups, 1.0, density=heavy, young_modulus=young_modulus, reach=reach)
+
+    touching = RADIUS * (1.0 + 2.0 * np.arange(len(densities)))
+    plan = plan_for(scene(touching))
+    supported_weights = np.cumsum(weights[::-1])[::-1]
+    masses = np.append(np.inf, weights / GRAVITY)
+    overlaps = [
+        _overlap_for_load(plan, index, supported_weights[index], masses) for index in range(len(densities))
+    ]
+    simulation = Simulation(scene(touching - np.cumsum(overlaps)))
+    simulation.run(until=REST_STEPS * simulation.plan.time_step)
+    contacts = simulation.snapshot(contacts=True).contacts
+    assert contacts is not None
+    floor = float(contacts["normal_force"][contacts["wall"] >= 0].sum())
+    step = simulation.plan.step
+    simulation.free()
+    weight = float(weights.sum())
+    return CaseResult(
+        "force on the floor [N]", weight, floor, abs(floor / weight - 1.0), step.value, step.warnings
+    )
+
+
+def _overlap_for_load(plan: Plan, index: int, load: float, masses: np.ndarray) -> float:
+    """Overlap [m] at which contact `index` of a column carries a load [N]; contact 0 is at the floor.
+
+    `masses` (n + 1,) [kg]: floor (infinite) and particles. The force is that of the reference implementation.
+    """
+    from scipy.optimize import brentq
+
+    radius_eff = RADIUS if index == 0 else 0.5 * RADIUS
+    lower, upper = masses[index], masses[index + 1]
+    mass_eff = upper if index == 0 else lower * upper / (lower + upper)
+    constants = plan.pair_constants[0]
+    history = np.zeros(plan.law.history_count)
+
+    def excess(overlap: float) -> float:
+        arguments = (constants, radius_eff, mass_eff, plan.time_step, overlap, 0.0, history)
+        return plan.law.reference_force(*arguments)[0] - load
+
+    least = 1e-15 * RADIUS  # without an overlap the particles are not in contact and have no force
+    return float(brentq(excess, least, RADIUS, xtol=least, rtol=1e-15))
+
+
+def scene_with(law: str, particles: Mapping[str, Any], duration: float, **changes: Any) -> Scene:
+    """Scene with particles of the materials `light` and `heavy`, and walls of `light`.
+
+    `law`: key of LAWS; `particles`: groups by name; `duration` [s]. `changes` replace defaults: friction,
+    gravity [m/s2], walls, numerics, run, young_modulus [Pa], density of `heavy` [kg/m3], reach [m].
+    """
+    solid = {"young_modulus": changes.get("young_modulus", YOUNG), "poisson_ratio": POISSON}
+    pair = {"restitution": 0.5, "friction": changes.get("friction", 0.3)}
+    reach = changes.get("reach", 10.0 * SIDE)
+    return Scene.from_dict(
+        {
+            "title": "Many particles in an extreme case",
+            "gravity": [0, 0, -changes.get("gravity", GRAVITY)],
+            "materials": {
+                "light": {**solid, "density": DENSITY},
+                "heavy": {**solid, "density": changes.get("density", DENSITY)},
+            },
+            "pairs": {"light-light": pair, "light-heavy": pair, "heavy-heavy": pair},
+            "contact": {"normal": LAWS[law], "tangential": "mindlin", "rolling": "none"},
+            "walls": changes.get("walls", {"floor": _plane([0, 0, 0], [0, 0, 1])}),
+            "particles": particles,
+            "domain": {"min": [-reach, -reach, -0.1 * reach], "max": [reach] * 3, "on_exit": "error"},
+            "run": {"duration": duration, **changes.get("run", {})},
+            "numerics": changes.get("numerics", {}),
+            "output": {"interval": 1e9, "energy_budget": True},
+        }
+    )
+
+
+def _plane(point: list[float], normal: list[float], motion: Any = ()) -> dict[str, Any]:
+    """Plane wall through a point [m] with a normal."""
+    return {"shape": "plane", "point": point, "normal": normal, "material": "light", "motion": list(motion)}
+
+
+def box_walls(motion: Any = (), spread: float = 0.0) -> dict[str, Any]:
+    """A floor, optionally moving, and four walls around a bed with this relative spacing."""
+    low, high = -0.5 * SIDE * (1.0 + spread), 0.5 * SIDE * (1.0 + spread)
+    return {
+        "floor": _plane([0, 0, 0], [0, 0, 1], motion),
+        "west": _plane([low, 0, 0], [1, 0, 0]),
+        "east": _plane([high, 0, 0], [-1, 0, 0]),
+        "south": _plane([0, low, 0], [0, 1, 0]),
+        "north": _plane([0, high, 0], [0, -1, 0]),
+    }
+
+
+def particles_at(positions: Any, velocity: Any = (0.0, 0.0, 0.0), material: str = "light") -> dict[str, Any]:
+    """A group of particles at positions (n, 3) [m]."""
+    return {
+        "material": material,
+        "diameter": DIAMETER,
+        "velocity": np.asarray(velocity, float).tolist(),
+        "insert": {"kind": "positions", "positions": np.asarray(positions, float).tolist()},
+    }
+
+
+def bed_positions(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
+    """Positions (n, 3) [m] of a cube of touching particles, `height` [m] above the floor.
+
+    `spread` increases the spacing by this fraction and adds random shifts, the same in each call.
+    """
+    points = np.stack(np.meshgrid(*[np.arange(ROW)] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
+    points = (points + 0.5) * DIAMETER - np.array([0.5 * SIDE, 0.5 * SIDE, 0.0])
+    points *= 1.0 + spread
+    shift = np.random.default_rng(1).uniform(-1.0, 1.0, points.shape) * 0.25 * spread * RADIUS
+    return points + shift + np.array([0.0, 0.0, height])
+
+
+# ---------------------------------------------------------------- stability limit of the time step
 
 
 def bound_result(law: str, friction: bool, lattice: str) -> CaseResult:
@@ -638,7 +650,12 @@ def bound_result(law: str, friction: bool, lattice: str) -> CaseResult:
     inside = float(np.clip(bound.ratio, 1.0, 2.0))
     too_large = ratio * RESOLUTION < 1.0
     too_small = ratio > 2.0 * RESOLUTION
-    error = 1.0 if too_large else ratio / 2.0 - 1.0 if too_small else 0.0
+    if too_large:
+        error = 1.0
+    elif too_small:
+        error = ratio / 2.0 - 1.0
+    else:
+        error = 0.0
     warnings = (CONSERVATIVE_WARNING,) if too_small else ()
     return CaseResult("measured limit over that of the check", inside, ratio, error, bound.allowed, warnings)
 

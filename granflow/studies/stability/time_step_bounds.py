@@ -1,7 +1,8 @@
 """Measured stability limit of the time step: the largest step at which confined particles do not gain energy.
 
 Particles with the overlap that the check assumes get a small perturbation; a bisection finds the time step at
-which the perturbation grows. The limit of `check` for the same particles is the reference.
+which the perturbation grows. The limit of `check` for the same particles is the reference. `real_bounds`
+measures one contact model on all lattices: single particles between anchors, a chain, and a dense block.
 """
 
 from collections.abc import Mapping
@@ -14,10 +15,8 @@ import numpy as np
 from granflow import ParticleData, Plan, RunError, Scene, Simulation
 from granflow.geometry.shape import sphere_mass
 from granflow.scene.blocks.run import LARGEST_OVERLAP
-from granflow.studies.bench import Impact
 
-# Lattices of touching particles for the stability limit of the time step: single particles, a chain, a
-# dense block.
+# ---------------------------------------------------------------- lattices of touching particles
 #
 # Particles at the boundary are anchors, too heavy to move; they confine the free particles as in the
 # interior of a bed.
@@ -79,6 +78,8 @@ LATTICES: Mapping[str, TestLattice] = {
 }
 """Lattices by name: one particle between anchors, a straight chain, and a block with 12 contacts per
 particle."""
+
+# ---------------------------------------------------------------- measurement
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
 """Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio and yield strength [Pa] of the
@@ -160,16 +161,11 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
         impact = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, VELOCITY)
         allowed = plan.stable_step(pair_case, VELOCITY)
         scale = np.sqrt(pair_case.mass_eff / plan.law.stable_stiffness(*impact))
-        particles = _particles(lattice, overlap_at(plan, impact), friction)
+        particles = _particles(lattice, plan.law.overlap_max(*impact), friction)
         bound = _find_bound(simulation, particles, allowed)
         bounds.append(Bound(law, friction, name, bound, allowed, float(scale)))
     simulation.free()
     return bounds
-
-
-def overlap_at(plan: Plan, impact: Impact) -> float:
-    """Maximum overlap [m] of a collision, by the formula of the contact model."""
-    return plan.law.overlap_max(*impact)
 
 
 def _pair_case(plan: Plan, lattice: TestLattice) -> Any:
@@ -225,9 +221,8 @@ def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> Par
         * ~lattice.is_anchor[:, None]
     )
     if not with_friction:
-        perturbation *= (
-            np.abs(lattice.centers).max(axis=0) > 0.0
-        )  # chains are laterally unstable at any time step
+        # Chains are laterally unstable at any time step.
+        perturbation *= np.abs(lattice.centers).max(axis=0) > 0.0
     kind = lattice.is_anchor.astype(np.int32)
     return ParticleData(
         position=lattice.centers * (2 * RADIUS - overlap),
