@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -265,7 +265,7 @@ class CollisionBench:
         self._threads = threads
         self.scene = Scene.from_dict(self._described(materials, pairs, contact, run, numerics))
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "CollisionBench":
         return self
 
     def __exit__(self, *_: object) -> None:

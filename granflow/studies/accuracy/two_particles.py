@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from math import ceil
 from time import process_time
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -333,7 +333,7 @@ class AccuracyBench:
             numerics={"skin": SKIN * min(kind.diameter for kind in self.kinds)},
         )
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "AccuracyBench":
         return self
 
     def __exit__(self, *_: object) -> None:
