@@ -139,14 +139,14 @@ MUTATIONS = (
     # Lock and checkpoints
     Mutation(
         "shared lock",
-        "granflow/io/files.py",
+        "granflow/io/lock.py",
         "fcntl.LOCK_EX",
         "fcntl.LOCK_SH",
         (f"{CHECKPOINT}test_lock_is_exclusive_and_ends_with_its_process",),
     ),
     Mutation(
         "checksum ignored",
-        "granflow/io/archive.py",
+        "granflow/io/checkpoint.py",
         "if found != file.read(len(CHECKSUM_PLACEHOLDER) + 1) or expected not in (None, found.decode()):",
         "if not file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
         (f"{CHECKPOINT}test_each_flipped_bit_is_detected",),

@@ -352,7 +352,7 @@ def resume(options: argparse.Namespace) -> int:
 
 def _resume(options: argparse.Namespace, out: Path, communicator: "Communicator | None" = None) -> int:
     """Resume in the locked directory: no other process can continue or replace the run at the same time."""
-    from granflow.io.files import locked
+    from granflow.io.lock import locked
 
     with locked(out):
         return _resume_locked(options, out, communicator)
@@ -620,7 +620,7 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
         out = options.out or Path("out") / scene.path.stem
         printed = prepare_output(out, scene, options.overwrite)
         pass
-        from granflow.io.files import locked
+        from granflow.io.lock import locked
         from granflow.simulation import Simulation
 
         simulation = Simulation(
@@ -646,7 +646,7 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
     Raises GranflowError if it contains an earlier run, unless `overwrite` is set and the scene reads no file
     from it. The new run replaces the earlier one after its first frame.
     """
-    from granflow.io.files import locked
+    from granflow.io.lock import locked
     from granflow.runs.run_directory import refuse_inputs_inside, restore_previous_run, results_in
 
     if not out.exists():

@@ -1,18 +1,16 @@
-"""Directory lock for one run at a time; the operating system releases it when the process ends for any
-reason.
+"""Files of a run: how they are written and read.
 
-filelock is not used: its import (asyncio, sqlite3) delays each start by about 80 ms, and on file systems
-without flock it falls back to a lock file that remains when a process is killed.
+A file is written under a temporary name in its directory, then renamed (`replacing`), so that a reader never
+finds half of it. `BackgroundWriter` writes frames in a thread while the simulation continues. Input files are
+opened only if they are regular files: a pipe or a device could block or never end.
 """
 
 import errno
 import hashlib
 import os
-import platform
 import shutil
 import stat
 import sys
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,9 +20,7 @@ from pathlib import Path
 from threading import Condition, Thread
 from typing import BinaryIO
 
-from granflow.errors import GranflowError
-
-# Atomic file writes: under a temporary name in the directory of the target, then renamed.
+# Atomic writes
 
 PART = ".part"
 """Suffix of temporary files."""
@@ -131,7 +127,26 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-# Writes files in a background thread, in order, while the simulation continues.
+# Files that another program takes away
+
+
+class LostFiles(OSError):
+    """A file or directory of a running run was moved, deleted or replaced by another program."""
+
+    def __init__(self, path: Path, sentence: str) -> None:
+        super().__init__(errno.ESTALE, sentence, str(path))
+
+
+Identity = tuple[int, int]
+"""Device and inode number of a file or directory."""
+
+
+def identity_of(status: os.stat_result) -> Identity:
+    """Device and inode number."""
+    return status.st_dev, status.st_ino
+
+
+# Writing in the background
 
 LONGEST_QUEUE = 8
 """Largest number of files that wait: a slow disk then delays the run, instead of filling the memory."""
@@ -225,206 +240,7 @@ class BackgroundWriter:
                 self._changed.notify_all()
 
 
-LOCK = ".lock"
-"""Name of the lock file in the output directory."""
-if sys.platform == "win32":
-    import msvcrt
-
-    def _take(descriptor: int) -> None:
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError as error:
-            raise BlockingIOError from error
-
-    def _folder_descriptor(_path: Path) -> None:
-        """None: Windows does not open directories."""
-else:
-    import fcntl
-
-    def _take(descriptor: int) -> None:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-    def _folder_descriptor(path: Path) -> int:
-        """Descriptor of a directory: while it is open, no other directory can get its inode number."""
-        return os.open(path, os.O_RDONLY)
-
-
-class LostFiles(OSError):
-    """A file or directory of a running run was moved, deleted or replaced by another program."""
-
-    def __init__(self, path: Path, sentence: str) -> None:
-        super().__init__(errno.ESTALE, sentence, str(path))
-
-
-Identity = tuple[int, int]
-"""Device and inode number of a file or directory."""
-
-
-def identity_of(status: os.stat_result) -> Identity:
-    """Device and inode number."""
-    return status.st_dev, status.st_ino
-
-
-class DirectoryLock:
-    """A directory that is locked, with the identity of the directory and of its lock file.
-
-    `path`: absolute; `identity`: of the directory.
-    """
-
-    def __init__(self, path: Path, descriptor: int) -> None:
-        self.path = path
-        self._lock = descriptor
-        self._folder = _folder_descriptor(path)
-        self.identity = identity_of(os.stat(path))
-
-    def check(self) -> None:
-        """Raise LostFiles if the path leads to another directory or lock file than those locked, or to
-        none."""
-        try:
-            found = identity_of(os.stat(self.path))
-        except OSError:
-            raise LostFiles(self.path, "the directory was moved or deleted during the run") from None
-        if found != self.identity:
-            raise LostFiles(self.path, "another directory has replaced that of the run")
-        try:
-            locked_file = identity_of(os.stat(self.path / LOCK))
-        except OSError:
-            raise LostFiles(
-                self.path / LOCK, "the lock of the run was deleted, and another run could start"
-            ) from None
-        if locked_file != identity_of(os.fstat(self._lock)):
-            raise LostFiles(self.path / LOCK, "another file has replaced the lock of the run")
-
-    def present_path(self) -> Path | None:
-        """Where the directory is now; None if it was deleted, or if the system does not tell."""
-        if self._folder is None:
-            return None
-        with suppress(OSError):
-            path = self._told_path()
-            if path is not None and identity_of(os.stat(path)) == self.identity:
-                return path
-        return None
-
-    def _told_path(self) -> Path | None:
-        """Path of the directory according to the system."""
-        assert self._folder is not None
-        if sys.platform == "linux":
-            return Path(os.readlink(f"/proc/self/fd/{self._folder}"))
-        if sys.platform == "darwin":
-            told: bytes = fcntl.fcntl(self._folder, fcntl.F_GETPATH, bytes(1024))
-            return Path(os.fsdecode(told.rstrip(b"\0")))
-        return None
-
-    def close(self) -> None:
-        """Release the lock; its file is then empty."""
-        _write_holder(self._lock, "")
-        os.close(self._lock)
-        if self._folder is not None:
-            os.close(self._folder)
-
-
-_HELD: dict[tuple[int, Path], DirectoryLock] = {}
-"""Locks by thread and resolved path: a verb holds the lock while it calls functions that also lock."""
-_WRITING: dict[Identity, Path] = {}
-"""Directories into which a run of this process writes; the same thread can have several runs."""
-
-
-def _write_holder(descriptor: int, holder: str) -> None:
-    """Replace the content of the lock file; a full disk does not matter. A hard link to another file is not
-    written."""
-    with suppress(OSError):
-        if os.fstat(descriptor).st_nlink <= 1:
-            os.ftruncate(descriptor, 0)
-            os.lseek(descriptor, 0, os.SEEK_SET)
-            os.write(descriptor, holder.encode())
-
-
-def holder_of(directory: Path) -> str:
-    """Who has locked a directory, such as `process 1234 on node7`; empty if it is free or does not exist."""
-    if not (directory / LOCK).exists():
-        return ""
-    try:
-        with locked(directory):
-            return ""
-    except GranflowError:
-        with suppress(OSError):
-            return (directory / LOCK).read_text(encoding="utf-8", errors="replace") or "another process"
-        return "another process"
-
-
-@contextmanager
-def locked(directory: Path) -> Iterator[DirectoryLock]:
-    """Create the directory if necessary and lock it.
-
-    In the block, the same thread may lock it again. The file `.lock` remains after the release, because its
-    deletion could remove the lock of a run that has just acquired it.
-
-    Raises GranflowError if another process or thread has locked it, and OSError if it cannot be created.
-    """
-    directory.mkdir(parents=True, exist_ok=True)
-    key = threading.get_ident(), directory.resolve()
-    if key in _HELD:
-        yield _HELD[key]
-        return
-    descriptor = _open_lock(directory / LOCK)
-    try:
-        _take(descriptor)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise GranflowError(
-            f"Another run is writing into {directory}: wait for it, stop it, or give another directory with "
-            "--out."
-        ) from None
-    except BaseException:
-        os.close(descriptor)
-        raise
-    _write_holder(descriptor, f"process {os.getpid()} on {platform.node()}")
-    lock = DirectoryLock(Path(os.path.abspath(directory)), descriptor)
-    _HELD[key] = lock
-    try:
-        yield lock
-    finally:
-        del _HELD[key]
-        lock.close()
-
-
-def _open_lock(path: Path) -> int:
-    """Descriptor of the lock file; a symbolic link in its place is removed, so that no file outside is
-    created."""
-    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
-    try:
-        return os.open(path, flags, 0o644)
-    except OSError as error:
-        if error.errno != errno.ELOOP:
-            raise
-        path.unlink()
-        return os.open(path, flags, 0o644)
-
-
-@contextmanager
-def writing(directory: Path) -> Iterator[DirectoryLock]:
-    """Lock the directory for the files of one run. Raises the errors of `locked` and of
-    `refuse_second_run`."""
-    refuse_second_run(directory)
-    with locked(directory) as lock:
-        _WRITING[lock.identity] = directory
-        try:
-            yield lock
-        finally:
-            del _WRITING[lock.identity]
-
-
-def refuse_second_run(directory: Path) -> None:
-    """Raise GranflowError if a run of this process writes into the directory."""
-    with suppress(OSError):
-        if identity_of(os.stat(directory)) in _WRITING:
-            raise GranflowError(
-                f"Another Simulation of this process is writing into {directory}: call its close first, or "
-                "give another directory."
-            )
-
-
-# Reads input files, regular files only: a pipe or a device could block or never end.
+# Reading
 
 
 class FormatError(Exception):
@@ -442,12 +258,12 @@ def open_regular(path: Path) -> BinaryIO:
     except ValueError as error:  # a NUL in the name
         raise OSError(errno.EINVAL, str(error), str(path)) from None
     mode = os.fstat(descriptor).st_mode
+    if stat.S_ISDIR(mode):
+        os.close(descriptor)
+        raise OSError(errno.EISDIR, "it is a directory", str(path))
     if not stat.S_ISREG(mode):
         os.close(descriptor)
-        code = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
-        raise OSError(
-            code, "it is a directory" if stat.S_ISDIR(mode) else "it is not a regular file", str(path)
-        )
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     return os.fdopen(descriptor, "rb")
 
 
@@ -466,14 +282,22 @@ def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
     raw = bytearray()
     with open_regular(path) as file:
         too_large = os.fstat(file.fileno()).st_size > largest
-        while not too_large and (
-            piece := file.read(CHUNK_SIZE)
-        ):  # read(largest) would allocate that much for any file
+        # In pieces: read(largest) would allocate that much for any file.
+        while not too_large and (piece := file.read(CHUNK_SIZE)):
             raw += piece
             too_large = len(raw) > largest
     if too_large:
         raise OSError(errno.EFBIG, f"it is larger than {largest / 2**20:.3g} MiB", str(path))
     return bytes(raw)
+
+
+def read_regular_text(path: Path, largest: int = LARGEST_FILE) -> str:
+    """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced.
+
+    largest:  maximum size [bytes]
+    Raises:   OSError as `read_regular` does
+    """
+    return read_regular(path, largest).decode("utf-8-sig", errors="replace")
 
 
 def file_digest(path: Path) -> str:
@@ -496,15 +320,6 @@ def _digest(path: Path, _state: tuple[int, ...]) -> str:
     return digest.hexdigest()
 
 
-def read_regular_text(path: Path, largest: int = LARGEST_FILE) -> str:
-    """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced.
-
-    largest:  maximum size [bytes]
-    Raises:   OSError as `read_regular` does
-    """
-    return read_regular(path, largest).decode("utf-8-sig", errors="replace")
-
-
 def resolved(path: Path) -> Path:
     """Return the path without symbolic links. Raises OSError for circular links, on all Python versions."""
     try:
@@ -515,7 +330,7 @@ def resolved(path: Path) -> Path:
         raise OSError(errno.EINVAL, str(error), str(path)) from None
 
 
-# Paths of the scenes, sweeps and calibrations that are part of granflow.
+# The shipped scenes, sweeps and calibrations
 
 
 def example_paths() -> dict[str, Path]:

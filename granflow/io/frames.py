@@ -1,13 +1,22 @@
-"""A series of VTU files and the PVD file that lists them with their times."""
+"""Frames of a run: series of VTU files, and the PVD files that list them with their times.
+
+A run writes the series `particles`, `contacts`, `walls` and one for each coarse-grained field, each with a
+`FrameSeries`: `STEM_0000.vtu`, `STEM_0001.vtu`, ... and `STEM.pvd`, which ParaView opens. With
+`output.frames_per_rank`, each MPI rank writes its particles into a VTU file (a piece), and a PVTU file lists
+the pieces of the frame. The studies and `granflow.read_run` read all of them.
+"""
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from io import FileIO
 from pathlib import Path
 from xml.parsers.expat import ExpatError
 from xml.sax.saxutils import quoteattr
+
+import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.io.files import (
@@ -18,130 +27,32 @@ from granflow.io.files import (
     read_regular,
     replacing,
     sync_all,
+    write_text,
 )
-from granflow.io.rank_files import SUFFIX, Piece, pieces_in, read_pvtu, write_pvtu
-from granflow.io.vtu import Compression, VtuMesh, read_vtu, write_vtu, xml_of
+from granflow.io.vtu import MAX_PIECES, Compression, VtuMesh, read_vtu, write_vtu, xml_of
 
-# Reads the frames of a run: PVD files with times, and VTU files.
-
-SAME_TIME = 1e-9
-"""Relative tolerance of times for frames of particles, walls and contacts that belong together."""
-HEADER_SIZE, EMPTY = 1000, b'NumberOfPoints="0"'
-"""Text near the beginning of an empty VTU file."""
-LARGEST_FRAME = 2**32
-"""Maximum size of all arrays of one frame in bytes."""
-
-
-def require_directory(directory: Path) -> None:
-    """Raise GranflowError if the directory of a run does not exist."""
-    if not directory.is_dir():
-        raise GranflowError(
-            f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
-        )
-
-
-def listed_frames(directory: Path, stem: str) -> list[tuple[float, Path]]:
-    """Times [s] and existing files of a PVD file; empty if it does not exist.
-
-    Raises GranflowError if it is damaged, or lists files other than the frames of its series in its
-    directory.
-    """
-    listing = directory / f"{stem}.pvd"
-    if not listing.exists():
-        return []
-    try:
-        rows = xml_of(read_regular(listing)).iter("DataSet")
-        found = [(float(row.attrib["timestep"]), row.attrib["file"]) for row in rows]
-    except KeyError as error:
-        raise _damaged_listing(listing, f"it has an entry without {error}") from None
-    except OSError as error:
-        raise _damaged_listing(listing, str(error.strerror or error)) from None
-    except (FormatError, ExpatError, ValueError) as error:
-        raise _damaged_listing(listing, str(error)) from None
-    for time, name in found:
-        if not re.fullmatch(rf"{re.escape(stem)}_\d{{4,9}}\.p?vtu", name):
-            raise _damaged_listing(
-                listing, f"it lists {name[:80]!r}, but a frame is named like {stem}_0000.vtu"
-            )
-        if not math.isfinite(time):
-            raise _damaged_listing(listing, f"the time of {name} is {time}")
-    return [(time, directory / name) for time, name in found if (directory / name).exists()]
-
-
-def _damaged_listing(listing: Path, reason: str) -> GranflowError:
-    return GranflowError(f"{listing} cannot be read ({reason}); write it again with granflow run or resume.")
-
-
-def frame_at(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, Path] | None:
-    """Time [s] and file of the frame nearest to a time [s]; None if no frame is at that time."""
-    near = min(series, key=lambda each: abs(each[0] - time), default=None)
-    return near if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
-
-
-def frame_near(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, Path] | None:
-    """Time [s] and file of the frame nearest to a time [s], at most half of the distance to its next frame
-    away.
-
-    The distance is that to the neighbor on the side of `time`, of the other side for the first and last
-    frame; a single frame must be at that time. None if there is none.
-    """
-    near = min(range(len(series)), key=lambda index: abs(series[index][0] - time), default=None)
-    if near is None or len(series) == 1:
-        return frame_at(series, time)
-    side = near + 1 if time > series[near][0] else near - 1
-    other = side if 0 <= side < len(series) else 2 * near - side
-    interval = abs(series[other][0] - series[near][0])
-    return series[near] if abs(series[near][0] - time) <= 0.5 * interval * (1.0 + SAME_TIME) else None
-
-
-def file_at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
-    """File of the given time [s] in another series of the same run."""
-    found = frame_at(series, time)
-    return found[1] if found else None
-
-
-def is_empty(path: Path) -> bool:
-    """Whether a VTU file is empty, or all pieces of a PVTU file."""
-    if path.suffix == SUFFIX:
-        return all(map(is_empty, filter(Path.exists, _pieces(path))))
-    with open_regular(path) as file:
-        return EMPTY in file.read(HEADER_SIZE)
-
-
-def _pieces(path: Path) -> list[Path]:
-    """Files of a PVTU file. Raises GranflowError if it cannot be read."""
-    try:
-        return pieces_in(path)
-    except (FormatError, OSError) as error:
-        raise _unreadable(path, error) from None
-
-
-def _unreadable(path: Path, error: Exception) -> GranflowError:
-    return GranflowError(f"{path} cannot be read ({error}); remove this frame, or run again.")
-
-
-def read_mesh(path: Path) -> VtuMesh:
-    """Mesh of a VTU or PVTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
-    try:
-        return (read_pvtu if path.suffix == SUFFIX else read_vtu)(path, LARGEST_FRAME)
-    except (FormatError, OSError) as error:
-        raise _unreadable(path, error) from None
-
+# Writing a series
 
 HEAD = b'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
+"""Beginning of a PVD file."""
 TAIL = b"  </Collection>\n</VTKFile>\n"
 """Closing tags of a PVD file; each new frame is written in their place."""
-WritePieces = Callable[[Path, str], Sequence[Piece]]
+WritePieces = Callable[[Path, str], Sequence["Piece"]]
 """Lets all MPI ranks write the pieces of a frame, given the directory and the name without suffix."""
 
 
 class FrameSeries:
     """Writes `STEM_0000.vtu`, `STEM_0001.vtu`, ... and after each frame `STEM.pvd` with the times [s].
 
-    `writer` writes them, at once by default; `compression`: of the arrays. Numbers have at least four digits.
-    The first frame deletes frames of an earlier run in the directory: the PVD file lists exactly the files on
-    disk. `frames`:
-    (time [s], file name) of each frame.
+    Numbers have at least four digits. The first frame deletes frames of an earlier run in the directory: the
+    PVD file lists exactly the files on disk.
+
+    directory:    of the files
+    stem:         start of their names
+    writer:       writes them; at once by default
+    compression:  of the arrays
+
+    `frames`: (time [s], file name) of each frame.
     """
 
     def __init__(
@@ -152,9 +63,8 @@ class FrameSeries:
         compression: Compression = "zlib",
     ) -> None:
         self.directory = Path(directory)
-        self.directory.mkdir(
-            parents=True, exist_ok=True
-        )  # here, so that no frame creates a deleted directory again
+        # Here, so that no frame creates a deleted directory again.
+        self.directory.mkdir(parents=True, exist_ok=True)
         self.stem = stem
         self.compression = compression
         self._writer = writer or BackgroundWriter()
@@ -163,11 +73,15 @@ class FrameSeries:
         self._listing_size = 0
         self._unsynced: list[Path] = []
 
+    @property
+    def listing(self) -> Path:
+        """Path of the PVD file."""
+        return self.directory / f"{self.stem}.pvd"
+
     def write(self, mesh: VtuMesh, time: float) -> None:
         """Write the mesh, whose arrays must not change, as the next frame, at `time` [s].
 
-        If the disk is full, this or a later call raises OSError; the PVD file then
-        lists the earlier frames.
+        If the disk is full, this or a later call raises OSError; the PVD file then lists the earlier frames.
         """
         self._writer.submit(partial(self._write, mesh, time))
 
@@ -204,11 +118,6 @@ class FrameSeries:
         self._list((float(time), path.name))
         self.frame_count += 1
         self._unsynced.append(path)
-
-    @property
-    def listing(self) -> Path:
-        """Path of the PVD file."""
-        return self.directory / f"{self.stem}.pvd"
 
     def _list(self, frame: tuple[float, str]) -> None:
         """Add a frame to the PVD file in place, or rewrite the file if it has changed since the last
@@ -292,3 +201,218 @@ def _write_at(file: FileIO, offset: int, data: bytes) -> None:
     file.seek(offset)
     while data:
         data = data[file.write(data) :]
+
+
+# Pieces of a frame, one for each MPI rank (VTK file formats, PUnstructuredGrid)
+
+SUFFIX = ".pvtu"
+"""Suffix of the file that lists the pieces of a frame."""
+PIECE = re.compile(r"[\w-]+\.\d{4,}\.vtu")
+"""Names of the files of a frame, such as particles_0003.0001.vtu; they are in the directory of the PVTU
+file."""
+LARGEST_LISTING = 2**20
+"""Largest size of a PVTU file [bytes]."""
+TYPE_NAMES = {"f": "Float", "i": "Int", "u": "UInt"}
+"""Beginning of the VTK type by the kind of the numpy type; the number of bits follows."""
+ID = "id"
+"""Array by which the points of all pieces are ordered."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A file of a frame: its name, number of points, and type and components of the arrays by name.
+
+    The points are the array "Points".
+    """
+
+    name: str
+    count: int
+    arrays: Mapping[str, tuple[str, int]]
+
+    @classmethod
+    def of(cls, name: str, mesh: VtuMesh) -> "Piece":
+        """The piece of a mesh with arrays of points only."""
+        arrays = {"Points": mesh.points, **mesh.point_data}
+        described = {}
+        for each, values in arrays.items():
+            kind = f"{TYPE_NAMES[values.dtype.kind]}{8 * values.dtype.itemsize}"
+            described[each] = kind, values.shape[1] if values.ndim > 1 else 1
+        return cls(name, len(mesh.points), described)
+
+
+def piece_path(directory: Path, frame: str, rank: int) -> Path:
+    """File of a rank for a frame such as particles_0003."""
+    return directory / f"{frame}.{rank:04d}.vtu"
+
+
+def write_pvtu(path: Path, pieces: Sequence[Piece]) -> None:
+    """Write the file that lists the pieces, without empty ones, atomically. Raises OSError."""
+    filled = [piece for piece in pieces if piece.count] or pieces[:1]
+    rows = [f"<PDataArray{_attributes(name, *kind)}/>" for name, kind in filled[0].arrays.items()]
+    text = [
+        '<?xml version="1.0"?>',
+        '<VTKFile type="PUnstructuredGrid" version="0.1" byte_order="LittleEndian">',
+        '<PUnstructuredGrid GhostLevel="0">',
+        "<PPoints>",
+        rows[0],
+        "</PPoints>",
+        "<PPointData>",
+        *rows[1:],
+        "</PPointData>",
+        *(f"<Piece Source={quoteattr(piece.name)}/>" for piece in filled),
+        "</PUnstructuredGrid>",
+        "</VTKFile>",
+        "",
+    ]
+    write_text(path, "\n".join(text))
+
+
+def _attributes(name: str, kind: str, components: int) -> str:
+    """XML attributes of an array."""
+    shown = f' NumberOfComponents="{components}"' if components > 1 else ""
+    return f' type="{kind}" Name={quoteattr(name)}{shown}'
+
+
+def pieces_in(path: Path) -> list[Path]:
+    """Files of the pieces. Raises FormatError for an invalid file, OSError if it cannot be read."""
+    try:
+        root = xml_of(read_regular(path, LARGEST_LISTING))
+    except ExpatError as error:
+        raise FormatError(f"is not XML: {error}") from None
+    names = [str(piece.attrib.get("Source")) for piece in root.findall("./PUnstructuredGrid/Piece")]
+    if root.attrib.get("type") != "PUnstructuredGrid" or not 1 <= len(names) <= MAX_PIECES:
+        raise FormatError("is not a PVTU file with pieces")
+    for name in names:
+        if not PIECE.fullmatch(name):
+            raise FormatError(f"has the unexpected piece {name[:80]}")
+    return [path.parent / name for name in names]
+
+
+def read_pvtu(path: Path, largest: int) -> VtuMesh:
+    """Points of all pieces, ordered by id, with the arrays that all pieces have.
+
+    largest:  maximum size [bytes] of all decoded arrays
+    Raises:   FormatError for an invalid or missing piece, OSError if the file cannot be read
+    """
+    meshes = []
+    for piece in pieces_in(path):
+        try:
+            meshes.append(read_vtu(piece, largest))
+        except OSError as error:
+            raise FormatError(
+                f"needs {piece.name}, which cannot be read: {error.strerror or error}"
+            ) from None
+        except FormatError as error:
+            raise FormatError(f"needs {piece.name}, which {error}") from None
+        largest -= sum(values.nbytes for values in (meshes[-1].points, *meshes[-1].point_data.values()))
+    names = [name for name in meshes[0].point_data if all(name in mesh.point_data for mesh in meshes)]
+    points = np.concatenate([mesh.points for mesh in meshes])
+    arrays = {name: np.concatenate([mesh.point_data[name] for mesh in meshes]) for name in names}
+    if ID not in arrays:
+        raise FormatError("has no ids")
+    order = np.argsort(arrays[ID], kind="stable")
+    return VtuMesh.of_points(points[order], {name: values[order] for name, values in arrays.items()})
+
+
+# Reading the frames of a run
+
+SAME_TIME = 1e-9
+"""Relative tolerance of times for frames of particles, walls and contacts that belong together."""
+EMPTY = b'NumberOfPoints="0"'
+"""Text within the first HEADER_SIZE bytes of an empty VTU file."""
+HEADER_SIZE = 1000
+LARGEST_FRAME = 2**32
+"""Maximum size of all arrays of one frame [bytes]."""
+
+
+def require_directory(directory: Path) -> None:
+    """Raise GranflowError if the directory of a run does not exist."""
+    if not directory.is_dir():
+        raise GranflowError(
+            f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
+        )
+
+
+def listed_frames(directory: Path, stem: str) -> list[tuple[float, Path]]:
+    """Times [s] and existing files of a PVD file; empty if it does not exist.
+
+    Raises GranflowError if it is damaged, or lists files other than the frames of its series in its
+    directory.
+    """
+    listing = directory / f"{stem}.pvd"
+    if not listing.exists():
+        return []
+    try:
+        rows = xml_of(read_regular(listing)).iter("DataSet")
+        found = [(float(row.attrib["timestep"]), row.attrib["file"]) for row in rows]
+    except KeyError as error:
+        raise _damaged_listing(listing, f"it has an entry without {error}") from None
+    except OSError as error:
+        raise _damaged_listing(listing, str(error.strerror or error)) from None
+    except (FormatError, ExpatError, ValueError) as error:
+        raise _damaged_listing(listing, str(error)) from None
+    for time, name in found:
+        if not re.fullmatch(rf"{re.escape(stem)}_\d{{4,9}}\.p?vtu", name):
+            raise _damaged_listing(
+                listing, f"it lists {name[:80]!r}, but a frame is named like {stem}_0000.vtu"
+            )
+        if not math.isfinite(time):
+            raise _damaged_listing(listing, f"the time of {name} is {time}")
+    return [(time, directory / name) for time, name in found if (directory / name).exists()]
+
+
+def _damaged_listing(listing: Path, reason: str) -> GranflowError:
+    return GranflowError(f"{listing} cannot be read ({reason}); write it again with granflow run or resume.")
+
+
+def frame_at(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, Path] | None:
+    """Time [s] and file of the frame nearest to a time [s]; None if no frame is at that time."""
+    near = min(series, key=lambda each: abs(each[0] - time), default=None)
+    return near if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
+
+
+def frame_near(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, Path] | None:
+    """Time [s] and file of the frame nearest to a time [s], at most half of the distance to its next frame
+    away.
+
+    The distance is that to the neighbor on the side of `time`, of the other side for the first and last
+    frame; a single frame must be at that time. None if there is none.
+    """
+    near = min(range(len(series)), key=lambda index: abs(series[index][0] - time), default=None)
+    if near is None or len(series) == 1:
+        return frame_at(series, time)
+    side = near + 1 if time > series[near][0] else near - 1
+    other = side if 0 <= side < len(series) else 2 * near - side
+    interval = abs(series[other][0] - series[near][0])
+    return series[near] if abs(series[near][0] - time) <= 0.5 * interval * (1.0 + SAME_TIME) else None
+
+
+def file_at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
+    """File of the given time [s] in another series of the same run."""
+    found = frame_at(series, time)
+    return found[1] if found else None
+
+
+def is_empty(path: Path) -> bool:
+    """Whether a VTU file is empty, or all pieces of a PVTU file. Raises GranflowError if that is damaged."""
+    if path.suffix != SUFFIX:
+        with open_regular(path) as file:
+            return EMPTY in file.read(HEADER_SIZE)
+    try:
+        pieces = pieces_in(path)
+    except (FormatError, OSError) as error:
+        raise _unreadable(path, error) from None
+    return all(is_empty(piece) for piece in pieces if piece.exists())
+
+
+def read_mesh(path: Path) -> VtuMesh:
+    """Mesh of a VTU or PVTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
+    try:
+        read = read_pvtu if path.suffix == SUFFIX else read_vtu
+        return read(path, LARGEST_FRAME)
+    except (FormatError, OSError) as error:
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: Exception) -> GranflowError:
+    return GranflowError(f"{path} cannot be read ({error}); remove this frame, or run again.")

@@ -21,7 +21,7 @@ from granflow.engine.stepper import Stepper
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
-from granflow.io.archive import CheckpointError
+from granflow.io.checkpoint import CheckpointError
 from granflow.load import Scene, identity_of
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.rank_stepper import RankStepper

@@ -10,10 +10,16 @@ import numpy as np
 from granflow.engine.checkpoint import CLOCKS
 from granflow.engine.totals import BY_ID, BY_NAME, EXIT_FACES, SAVED_NUMBERS
 from granflow.geometry.shape import sphere_mass
-from granflow.io.archive import damaged, insert_array
-from granflow.io.checkpoint import LARGEST_COUNT, LARGEST_REAL, Checkpoint, Part
+from granflow.io.checkpoint import (
+    LARGEST_COUNT,
+    LARGEST_REAL,
+    Checkpoint,
+    Part,
+    RankFile,
+    damaged,
+    insert_array,
+)
 from granflow.io.files import FormatError
-from granflow.io.rank_files import RankFile
 from granflow.load import Scene, scene_of
 from granflow.plan.arrays import DeviceArray, particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan

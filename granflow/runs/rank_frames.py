@@ -8,8 +8,7 @@ import numpy as np
 
 from granflow.engine.engine import Engine
 from granflow.engine.state import OneProcess
-from granflow.io.frames import WritePieces
-from granflow.io.rank_files import Piece, piece_path
+from granflow.io.frames import Piece, WritePieces, piece_path
 from granflow.io.vtu import write_vtu
 from granflow.observers.frames import particle_mesh
 

@@ -13,8 +13,9 @@ from granflow.arguments import path_of
 from granflow.errors import GranflowError
 from granflow.fields import CONTACT_QUANTITIES
 from granflow.geometry.shape import sphere_mass
-from granflow.io.files import locked, read_regular_text, resolved
+from granflow.io.files import read_regular_text, resolved
 from granflow.io.frames import frame_near, is_empty, listed_frames, read_mesh, require_directory
+from granflow.io.lock import locked
 from granflow.io.log import LogEntry, read_log
 from granflow.io.tables import TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh

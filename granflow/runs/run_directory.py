@@ -17,23 +17,15 @@ from typing import Any
 from granflow.errors import GranflowError, OutputError
 from granflow.io.checkpoint import (
     Checkpoint,
+    RankFileWriter,
     engine_digest,
     remove_after,
     remove_old_checkpoints,
     write_checkpoint,
 )
-from granflow.io.files import (
-    BackgroundWriter,
-    DirectoryLock,
-    LostFiles,
-    refuse_second_run,
-    remove_parts,
-    replacing,
-    resolved,
-    writing,
-)
+from granflow.io.files import BackgroundWriter, LostFiles, remove_parts, replacing, resolved
+from granflow.io.lock import DirectoryLock, refuse_second_run, writing
 from granflow.io.log import collected_warnings, run_log, write_scene_as_run
-from granflow.io.rank_files import RankFileWriter
 from granflow.load import Scene, copied_scene
 from granflow.observers.observer import Checkpointable, Schedule
 from granflow.observers.timeseries import FILE as COLLISION_ENERGIES

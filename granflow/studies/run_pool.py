@@ -20,7 +20,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from granflow.errors import GranflowError
-from granflow.io.files import holder_of
+from granflow.io.lock import holder_of
 from granflow.io.machine import worker_count
 from granflow.scene.blocks import quantities as q
 from granflow.scene.model import ListOf, Model, Text

@@ -34,9 +34,9 @@ from granflow.fields import (
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
 )
-from granflow.io.checkpoint import PATTERN, newest_checkpoint
-from granflow.io.files import file_digest, locked, write_text
-from granflow.io.rank_files import PATTERN as RANK_PATTERN
+from granflow.io.checkpoint import PATTERN, RANK_PATTERN, newest_checkpoint
+from granflow.io.files import file_digest, write_text
+from granflow.io.lock import locked
 from granflow.load import identity_of, program_version
 from granflow.scene.blocks.output import METRIC_QUANTITIES_BY_KIND
 from granflow.scene.suggest import nearest

@@ -15,7 +15,7 @@ from granflow.cli.arguments import Terminated, show_comparison
 from granflow.cli.main import build_parser, main
 from granflow.cli.run import prepare_output
 from granflow.errors import GranflowError, RunError, SceneError
-from granflow.io.files import locked
+from granflow.io.lock import locked
 from granflow.load import Scene
 from granflow.runs.result import ExpectationResult, Result
 from granflow.runs.run_directory import RESULT_FILES

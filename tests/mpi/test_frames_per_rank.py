@@ -12,8 +12,7 @@ from scene_builders import build_scene, moving_lattice, vibrating_box
 from granflow import read_run
 from granflow.errors import SceneError
 from granflow.io.files import FormatError
-from granflow.io.frames import FrameSeries
-from granflow.io.rank_files import Piece, piece_path, read_pvtu
+from granflow.io.frames import FrameSeries, Piece, piece_path, read_pvtu
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.particles.file import read_particles
 

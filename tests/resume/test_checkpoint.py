@@ -22,7 +22,8 @@ from granflow.io.checkpoint import (
     remove_old_checkpoints,
     write_checkpoint,
 )
-from granflow.io.files import locked, replacing
+from granflow.io.files import replacing
+from granflow.io.lock import locked
 from granflow.runs import resume
 from granflow.runs.run_directory import CheckpointWriter
 from granflow.scene.blocks.output import Checkpoints
@@ -118,7 +119,7 @@ def test_file_is_synced_before_it_is_renamed(tmp_path, monkeypatch):
 
 
 def test_lock_is_exclusive_and_ends_with_its_process(tmp_path):
-    holder = "import sys, time; from pathlib import Path; from granflow.io.files import locked\n"
+    holder = "import sys, time; from pathlib import Path; from granflow.io.lock import locked\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(600)"
     process = subprocess.Popen(
         [sys.executable, "-c", holder, str(tmp_path)], stdout=subprocess.PIPE, text=True

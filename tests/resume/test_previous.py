@@ -13,7 +13,6 @@ from scene_builders import build_scene, particle_group
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError, OutputError, RunError
-from granflow.io import archive as checkpoint_file
 from granflow.io import checkpoint as format_of
 from granflow.io import frames
 from granflow.io.checkpoint import write_checkpoint
@@ -220,7 +219,7 @@ def test_unreadable_checkpoint_is_rejected(stopped, monkeypatch, capsys, code):
     def unreadable(file):
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(checkpoint_file, "_checksum", unreadable)
+    monkeypatch.setattr(format_of, "_checksum", unreadable)
     message = resume_error(stopped, capsys)
     reason = os.strerror(code)
     assert (
@@ -265,7 +264,7 @@ def test_resume_restores_the_run_of_a_killed_replacement(out, capsys):
 
 
 def test_second_resume_is_rejected_before_reading_files(stopped, capsys):
-    holder = "import sys; from pathlib import Path; from granflow.io.files import locked\n"
+    holder = "import sys; from pathlib import Path; from granflow.io.lock import locked\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
     command = [sys.executable, "-c", holder, str(stopped)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:

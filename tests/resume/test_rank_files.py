@@ -11,12 +11,12 @@ from granflow import Simulation
 from granflow.engine.engine import host_particles
 from granflow.io.checkpoint import (
     CheckpointError,
+    RankFileWriter,
     newest_checkpoint,
     read_checkpoint,
     remove_after,
     write_checkpoint,
 )
-from granflow.io.rank_files import RankFileWriter
 from granflow.parallel.rank_engine import share_of_checkpoint
 from granflow.plan.build import plan_for
 from granflow.runs.checkpoint_checks import rank_files_of

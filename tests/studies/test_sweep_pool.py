@@ -163,7 +163,7 @@ def test_a_full_disk_is_reported_in_one_sentence_and_the_sweep_continues(sweep, 
 
 def test_run_waits_for_a_process_that_still_writes_into_its_directory(sweep, tmp_path):
     """A lost worker may leave its run behind: the run is not started twice, its result is used."""
-    from granflow.io.files import locked
+    from granflow.io.lock import locked
 
     out = tmp_path / "out"
     run_sweep(sweep, out, Workers(jobs=1))

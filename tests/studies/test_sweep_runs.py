@@ -11,7 +11,7 @@ import time
 import pytest
 from studies.sweep_files import SCENE, SWEEP, write_sweep
 
-from granflow.io.files import locked
+from granflow.io.lock import locked
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3000)]
 

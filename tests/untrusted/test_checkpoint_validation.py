@@ -11,8 +11,8 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 from granflow import Simulation
-from granflow.io.archive import CHECKSUM_PLACEHOLDER
 from granflow.io.checkpoint import (
+    CHECKSUM_PLACEHOLDER,
     FORMAT,
     CheckpointError,
     newest_checkpoint,

@@ -13,7 +13,8 @@ import numpy as np
 from granflow.arguments import path_of, refuse_other, whole_number
 from granflow.errors import FileError, GranflowError
 from granflow.fields import unit_of
-from granflow.io.files import locked, write_text
+from granflow.io.files import write_text
+from granflow.io.lock import locked
 from granflow.io.machine import worker_count
 from granflow.scene.validated_file import validated_file, validated_mapping
 from granflow.studies.calibration.results import (

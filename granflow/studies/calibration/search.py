@@ -16,7 +16,8 @@ from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from granflow.errors import GranflowError
-from granflow.io.files import locked, replacing
+from granflow.io.files import replacing
+from granflow.io.lock import locked
 from granflow.studies.calibration.schema import CalibrationInput, Parameter
 from granflow.units import in_si
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from granflow.arguments import path_of, refuse_other, whole_number
 from granflow.errors import FileError, GranflowError, SceneError
-from granflow.io.files import locked
+from granflow.io.lock import locked
 from granflow.scene.validated_file import validated_file, validated_mapping
 from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for
 from granflow.studies.run_process import (
