@@ -1,4 +1,8 @@
-"""The record of a run in its output directory: `run.log` and `scene_as_run.yaml`."""
+"""The record of a run in its output directory: `run.log` and `scene_as_run.yaml`.
+
+`run_log` writes the log of a run, which the parser at the end of this file reads again for the report of the
+run: its sessions, the output of `granflow explain`, warnings and errors.
+"""
 
 import logging
 import platform
@@ -16,13 +20,6 @@ from granflow.errors import GranflowError
 from granflow.io.files import read_regular_text, separate_from_links, write_text
 from granflow.kernel_language import KERNELS
 from granflow.visible_text import VisibleFormatter
-
-
-class HasYamlText(Protocol):
-    """Protocol of objects with a YAML text, such as a scene."""
-
-    def to_yaml(self) -> str:
-        """Return the YAML text with all defaults."""
 
 
 @contextmanager
@@ -48,6 +45,22 @@ def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
         logger.setLevel(level_before)
         with suppress(OSError):
             handler.close()
+
+
+class _LogFile(logging.FileHandler):
+    """A log file whose write errors do not stop a run: it must still report other errors and end properly."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Drop the record."""
+
+
+def _file_handler(directory: Path, mode: str) -> logging.FileHandler:
+    """Return a handler that writes to `run.log`; control characters in messages are shown as escapes."""
+    directory.mkdir(parents=True, exist_ok=True)
+    separate_from_links(directory / "run.log")
+    handler = _LogFile(directory / "run.log", mode=mode, encoding="utf-8")
+    handler.setFormatter(VisibleFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    return handler
 
 
 LOGGERS = ("granflow", "granflow.checkpoint")
@@ -90,6 +103,13 @@ def version_of(package: str) -> str:
         return "not installed"
 
 
+class HasYamlText(Protocol):
+    """An object with a YAML text: a scene, whose class is in a higher layer."""
+
+    def to_yaml(self) -> str:
+        """Return the YAML text with all defaults."""
+
+
 def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
     """Write the resolved scene as `scene_as_run.yaml`, which loads as the same scene. Return its path.
 
@@ -101,26 +121,10 @@ def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
     return path
 
 
-class _LogFile(logging.FileHandler):
-    """A log file whose write errors do not stop a run: it must still report other errors and end properly."""
-
-    def handleError(self, record: logging.LogRecord) -> None:
-        """Drop the record."""
-
-
-def _file_handler(directory: Path, mode: str) -> logging.FileHandler:
-    """Return a handler that writes to `run.log`; control characters in messages are shown as escapes."""
-    directory.mkdir(parents=True, exist_ok=True)
-    separate_from_links(directory / "run.log")
-    handler = _LogFile(directory / "run.log", mode=mode, encoding="utf-8")
-    handler.setFormatter(VisibleFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    return handler
-
-
-# Parser of `run.log`: start time, machine, warnings and end of a run.
+# Reading the log
 
 ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*)")
-"""Time, level, logger and text of an entry in the format of granflow.io.log."""
+"""Time, level, logger and text of an entry, see `_file_handler`."""
 COMPILED = re.compile(r"(\w+) with (\w+)(?:, (\d+) threads?)?, compiled in (.+) s")
 """Entry with backend, precision, number of threads on a CPU and compilation time [s]."""
 RESUMED_FROM = "resumed from"

@@ -12,25 +12,11 @@ from pathlib import Path
 
 from granflow.errors import GranflowError
 
-# Free memory of the NVIDIA GPU that CUDA uses, from nvidia-smi, which is part of the driver.
-
-
-def free_gpu_memory() -> int | None:
-    """Free memory [bytes] of the first GPU in CUDA_VISIBLE_DEVICES, or of the first; None if it is
-    unknown."""
-    device = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")[0] or "0"
-    command = ["nvidia-smi", f"--id={device}", "--query-gpu=memory.free", "--format=csv,noheader,nounits"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=30)
-        return int(done.stdout.split()[0]) << 20  # in MiB
-    except (OSError, ValueError, IndexError, subprocess.TimeoutExpired):
-        return None
-
-
 ROOT = Path("/")
 """Root of the file system; tests replace it."""
-SLURM = "SLURM_CPUS_PER_TASK"
-"""Environment variable with the number of cores of a Slurm task."""
+
+# Memory
+
 MEMORY_FILES = (
     ("memory.max", "memory.current", "inactive_file"),
     ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
@@ -69,6 +55,27 @@ def _memory_of_groups() -> Iterator[int]:
                 used = int((folder / usage).read_text())
                 pages = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
                 yield max(limit_bytes - used + int(pages.get(cached, 0)), 0)
+
+
+def free_gpu_memory() -> int | None:
+    """Free memory [bytes] of the NVIDIA GPU that CUDA uses; None if it is unknown.
+
+    The GPU is the first in CUDA_VISIBLE_DEVICES, or the first. The source is nvidia-smi, which is part of the
+    driver.
+    """
+    device = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")[0] or "0"
+    command = ["nvidia-smi", f"--id={device}", "--query-gpu=memory.free", "--format=csv,noheader,nounits"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+        return int(done.stdout.split()[0]) << 20  # in MiB
+    except (OSError, ValueError, IndexError, subprocess.TimeoutExpired):
+        return None
+
+
+# Cores
+
+SLURM = "SLURM_CPUS_PER_TASK"
+"""Environment variable with the number of cores of a Slurm task."""
 
 
 def worker_count(
@@ -118,10 +125,14 @@ def _quotas_of_groups() -> Iterator[float]:
         words = _text(folder / "cpu.max").split()
         if not words:
             words = [
-                word for name in ("quota", "period") for word in _text(folder / f"cpu.cfs_{name}_us").split()
+                *_text(folder / "cpu.cfs_quota_us").split(),
+                *_text(folder / "cpu.cfs_period_us").split(),
             ]
         if len(words) == 2 and all(word.isdecimal() and int(word) > 0 for word in words):
             yield int(words[0]) / int(words[1])
+
+
+# Control groups
 
 
 def _group_folders(controller: str) -> Iterator[Path]:

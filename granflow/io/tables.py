@@ -1,5 +1,9 @@
-"""Tables of text with named columns: one reader for particles, time series and measurements, and one writer
-(CSV)."""
+"""Tables of text with named columns (CSV): reading, writing, and the tables that a run writes.
+
+`table_in` reads every table of granflow, of particles, time series or measurements, as text cells (`Table`);
+`write_table` writes one at once. A run writes its tables row by row with a `RowFile`, which a resumed run
+continues. Two of these tables are also read as numbers: `timeseries.csv` and `collision_energies.csv`.
+"""
 
 import csv
 import os
@@ -14,7 +18,6 @@ import numpy as np
 
 from granflow.errors import FileError, GranflowError
 from granflow.io.files import (
-    LARGEST_FILE,
     LostFiles,
     identity_of,
     named_errors,
@@ -22,6 +25,8 @@ from granflow.io.files import (
     replacing,
     separate_from_links,
 )
+
+# Reading
 
 COMMENT = "#"
 """First character of lines that are ignored; a header may begin with it as well."""
@@ -31,11 +36,14 @@ MOST_COMMENTS = 100
 
 @dataclass(frozen=True)
 class Table:
-    """A table as text: column names, separator (None: white space), line number of the header, and rows with
-    theirs.
+    """A table as text; its rows may be shorter or longer than the header, see `complete`.
 
-    Lines count from 1. Rows may be shorter or longer than the header (see `complete`). `is_terminated`:
-    whether the file ends with a newline; otherwise a program may still be writing its last line.
+    names:          of the columns
+    separator:      of the cells; None: white space
+    heading_line:   line number of the header; lines count from 1
+    rows:           line number and cells of each row
+    is_terminated:  whether the file ends with a newline; otherwise a program may still be writing its last
+                    line
     """
 
     names: tuple[str, ...]
@@ -80,7 +88,7 @@ def read_table(path: Path) -> Table | None:
 
     Raises OSError if the file cannot be read, and FileError for a row that is not CSV.
     """
-    return table_in(read_regular_text(path, LARGEST_FILE), path)
+    return table_in(read_regular_text(path), path)
 
 
 def table_in(
@@ -154,6 +162,9 @@ def _trimmed(cells: list[str], width: int) -> list[str]:
     return cells
 
 
+# Writing
+
+
 def csv_line(cells: Iterable[Any]) -> str:
     """A row of a CSV file with its newline; numbers in full precision."""
     line = StringIO()
@@ -168,78 +179,15 @@ def write_table(path: Path, names: Iterable[str], rows: Iterable[Iterable[Any]])
         file.writelines(csv_line(cells) for cells in (names, *rows))
 
 
-# `collision_energies.csv`: its name, its columns, and its counts by interval and class.
-
-FILE = "collision_energies.csv"
-"""Name of the file in the directory of a run."""
-COLUMNS = (
-    "time_start [s]",
-    "time_end [s]",
-    "contact",
-    "energy_min [J]",
-    "energy_max [J]",
-    "count",
-    "count_total",
-)
-"""Columns of the file."""
-
-
-@dataclass(frozen=True)
-class CollisionTable:
-    """Numbers of collisions by kind of contact ("particle" or "wall"), in i intervals and c classes of impact
-    energy.
-
-    time:    ends of the intervals (i,) [s]
-    edges:   of the classes (c, 2) [J]; the first one begins at 0, the last one ends at infinity
-    counts:  (i, c) contacts that began in the interval, by kind
-    totals:  (i, c) contacts that began since the start of the run, by kind
-    """
-
-    time: np.ndarray
-    edges: np.ndarray
-    counts: dict[str, np.ndarray]
-    totals: dict[str, np.ndarray]
-
-    @property
-    def energy(self) -> np.ndarray:
-        """Logarithmic centers (c,) [J] of the classes; nan for the first and the last one, which are open."""
-        center = np.full(len(self.edges), np.nan)
-        center[1:-1] = np.sqrt(self.edges[1:-1, 0] * self.edges[1:-1, 1])
-        return center
-
-
-def has_collisions(names: Sequence[str]) -> bool:
-    """Whether these are the columns of `collision_energies.csv`."""
-    return tuple(names) == COLUMNS
-
-
-def collision_table(table: Table) -> CollisionTable | None:
-    """The counts in a table with the columns COLUMNS, without an incomplete last interval; None if none is
-    complete."""
-    rows = table.complete()
-    column = {name.partition(" [")[0]: rows.numbers(k) for k, name in enumerate(COLUMNS) if name != "contact"}
-    end = column["time_end"]
-    kinds = list(dict.fromkeys(rows.texts(COLUMNS.index("contact"))))
-    size = int(np.sum(end == end[0])) if len(end) else 0
-    if not size or size % len(kinds) or np.isfinite(column["energy_max"][size - 1]):
-        return None
-    shape = (len(end) // size, len(kinds), size // len(kinds))
-    arrays = {name: values[: shape[0] * size].reshape(shape) for name, values in column.items()}
-    return CollisionTable(
-        arrays["time_end"][:, 0, 0],
-        np.stack([arrays["energy_min"][0, 0], arrays["energy_max"][0, 0]], axis=1),
-        {kind: arrays["count"][:, k] for k, kind in enumerate(kinds)},
-        {kind: arrays["count_total"][:, k] for k, kind in enumerate(kinds)},
-    )
-
-
-# A CSV file that grows by rows during a run, and that a resumed run continues.
+# A file that grows
 
 
 class RowFile:
     """Rows of a CSV file, flushed one by one.
 
-    `path`: of the file; it replaces an existing one at the first row, unless a state was restored.
+    The file replaces an existing one at the first row, unless a state was restored: a resumed run restores
+    size and last row of its checkpoint with `load_state_dict`, removes later rows with `truncate`, and
+    continues. Before each row, `check` refuses a file that another program has changed or taken away.
     """
 
     def __init__(self, path: Path) -> None:
@@ -290,7 +238,7 @@ class RowFile:
         with named_errors(self.path):
             while self._unwritten:
                 written = file.write(self._unwritten)
-                self._size = self._size + written
+                self._size += written
                 self._unwritten = self._unwritten[written:]
 
     def check(self) -> None:
@@ -362,16 +310,17 @@ class RowFile:
         return self.path.stat().st_size if self.path.is_file() else 0
 
 
-# `timeseries.csv` as columns with units.
+# `timeseries.csv`
 
-TIME, STAGE = "time", "stage"
-"""Names of the first two columns of timeseries.csv."""
+TIME = "time"
+STAGE = "stage"
+"""Names of the first two columns."""
 
 
 @dataclass(frozen=True)
 class SeriesColumn:
-    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number),
-    values (n,)."""
+    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" without a
+    dimension), values (n,)."""
 
     name: str
     unit: str
@@ -438,3 +387,72 @@ def _split(head: str) -> tuple[str, str]:
     """Name and unit of "kinetic_energy [J]"."""
     name, _, unit = head.partition(" [")
     return name, unit.removesuffix("]")
+
+
+# `collision_energies.csv`
+
+COLLISION_FILE = "collision_energies.csv"
+"""Name of the file in the directory of a run."""
+COLLISION_COLUMNS = (
+    "time_start [s]",
+    "time_end [s]",
+    "contact",
+    "energy_min [J]",
+    "energy_max [J]",
+    "count",
+    "count_total",
+)
+"""Columns of the file."""
+
+
+@dataclass(frozen=True)
+class CollisionTable:
+    """Numbers of collisions by kind of contact ("particle" or "wall"), in i intervals and c classes of impact
+    energy.
+
+    time:    ends of the intervals (i,) [s]
+    edges:   of the classes (c, 2) [J]; the first one begins at 0, the last one ends at infinity
+    counts:  (i, c) contacts that began in the interval, by kind
+    totals:  (i, c) contacts that began since the start of the run, by kind
+    """
+
+    time: np.ndarray
+    edges: np.ndarray
+    counts: dict[str, np.ndarray]
+    totals: dict[str, np.ndarray]
+
+    @property
+    def energy(self) -> np.ndarray:
+        """Logarithmic centers (c,) [J] of the classes; nan for the first and the last one, which are open."""
+        center = np.full(len(self.edges), np.nan)
+        center[1:-1] = np.sqrt(self.edges[1:-1, 0] * self.edges[1:-1, 1])
+        return center
+
+
+def has_collisions(names: Sequence[str]) -> bool:
+    """Whether these are the columns of `collision_energies.csv`."""
+    return tuple(names) == COLLISION_COLUMNS
+
+
+def collision_table(table: Table) -> CollisionTable | None:
+    """The counts in a table with these columns, without an incomplete last interval; None if none is
+    complete."""
+    rows = table.complete()
+    column = {
+        name.partition(" [")[0]: rows.numbers(k)
+        for k, name in enumerate(COLLISION_COLUMNS)
+        if name != "contact"
+    }
+    end = column["time_end"]
+    kinds = list(dict.fromkeys(rows.texts(COLLISION_COLUMNS.index("contact"))))
+    size = int(np.sum(end == end[0])) if len(end) else 0
+    if not size or size % len(kinds) or np.isfinite(column["energy_max"][size - 1]):
+        return None
+    shape = (len(end) // size, len(kinds), size // len(kinds))
+    arrays = {name: values[: shape[0] * size].reshape(shape) for name, values in column.items()}
+    return CollisionTable(
+        arrays["time_end"][:, 0, 0],
+        np.stack([arrays["energy_min"][0, 0], arrays["energy_max"][0, 0]], axis=1),
+        {kind: arrays["count"][:, k] for k, kind in enumerate(kinds)},
+        {kind: arrays["count_total"][:, k] for k, kind in enumerate(kinds)},
+    )

@@ -1,9 +1,10 @@
 """VTU files (VTK file formats, UnstructuredGrid), written and read by meshio.
 
-meshio is imported with the first file: its import takes 60 ms. Four things are done around its calls, which
-meshio 5.3.5 does not do: special characters of names are escaped; units are added as field data; a frame
-without cells gets a cell that meshio can read; and before a file is read, its XML is checked, because meshio
-expands entities and compressed data without limits, and drops cells and arrays that it does not know.
+`VtuMesh` is what a file contains. meshio is imported with the first file: its import takes 60 ms. Four things
+are done around its calls, which meshio 5.3.5 does not do: special characters of names are escaped; units are
+added as field data; a frame without cells gets a cell that meshio can read; and before a file is read, its
+XML is checked, because meshio expands entities and compressed data without limits, and drops cells and arrays
+that it does not know.
 """
 
 import base64
@@ -27,34 +28,6 @@ from granflow.io.files import FormatError, read_regular, replacing
 
 if TYPE_CHECKING:
     import meshio
-
-Compression = Literal["none", "zlib"]
-"""Compression of the arrays of a VTU file."""
-
-END = b"</UnstructuredGrid>\n</VTKFile>\n"
-"""End of a file of meshio; field data are inserted before it."""
-
-EMPTY_CELL = "polygon"
-"""Type of the cell without corners in frames without particles, contacts or walls: meshio needs a cell to
-read."""
-
-COMPRESSORS = ("vtkZLibDataCompressor", "vtkLZMADataCompressor")
-"""Compressors of VTK that meshio supports."""
-
-TYPE = re.compile(r"(?:Float(?:32|64)|U?Int(?:8|16|32|64))")
-"""Types of arrays that meshio supports; the number is that of bits."""
-
-MAX_PIECES, MAX_ARRAYS, MAX_COMPONENTS, MAX_DEPTH = 1000, 1000, 64, 16
-"""Largest number of pieces, of arrays, of components of an array, and of nested elements."""
-
-CORNER_BYTES = 8 * 64
-"""Largest size of the corners of a cell [bytes]."""
-
-LARGEST_FILE = 2**30
-"""Largest size of a file [bytes]."""
-
-MAX_REASON_LENGTH = 200
-"""Largest length of a message of meshio, in characters."""
 
 
 class CellBlock(NamedTuple):
@@ -109,6 +82,17 @@ class VtuMesh:
         """
         per_block = {name: [values] for name, values in cell_data.items()}
         return cls(points, [CellBlock(kind, cells.astype(np.int64))], {}, per_block, units or {})
+
+
+# Writing
+
+Compression = Literal["none", "zlib"]
+"""Compression of the arrays of a VTU file."""
+EMPTY_CELL = "polygon"
+"""Type of the cell without corners in frames without particles, contacts or walls: meshio needs a cell to
+read."""
+END = b"</UnstructuredGrid>\n</VTKFile>\n"
+"""End of a file of meshio; field data are inserted before it."""
 
 
 def write_vtu(path: Path, mesh: VtuMesh, compression: Compression = "zlib") -> None:
@@ -176,6 +160,14 @@ def _add_field_data(path: Path, names: list[str]) -> None:
         file.write(f"<FieldData>\n{''.join(arrays)}</FieldData>\n".encode() + END)
 
 
+# Reading
+
+LARGEST_FILE = 2**30
+"""Largest size of a file [bytes]."""
+MAX_REASON_LENGTH = 200
+"""Largest length of a message of meshio, in characters."""
+
+
 def read_vtu(path: Path, largest: int) -> VtuMesh:
     """Read the mesh in a file; several pieces are merged.
 
@@ -190,9 +182,8 @@ def read_vtu(path: Path, largest: int) -> VtuMesh:
         raise FormatError(f"cannot be read as VTU: it is not XML: {error}") from None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # numpy stops at the first invalid number; the length is then wrong
+            # numpy stops at the first invalid number; the length is then wrong.
+            warnings.simplefilter("ignore")
             return _mesh_of(_read_guarded(path, size))
     except FormatError:
         raise
@@ -236,6 +227,24 @@ def _native(values: np.ndarray) -> np.ndarray:
     return values[:, 0] if values.shape[1:] == (1,) else values
 
 
+# Checks of the XML before meshio reads it
+
+COMPRESSORS = ("vtkZLibDataCompressor", "vtkLZMADataCompressor")
+"""Compressors of VTK that meshio supports."""
+TYPE = re.compile(r"(?:Float(?:32|64)|U?Int(?:8|16|32|64))")
+"""Types of arrays that meshio supports; the number is that of bits."""
+MAX_PIECES = 1000
+"""Largest number of pieces of a file."""
+MAX_ARRAYS = 1000
+"""Largest number of arrays of a file."""
+MAX_COMPONENTS = 64
+"""Largest number of components of an array."""
+MAX_DEPTH = 16
+"""Largest number of nested elements."""
+CORNER_BYTES = 8 * 64
+"""Largest size of the corners of a cell [bytes]."""
+
+
 def _checked_size(raw: bytes, largest: int) -> int:
     """Size of all arrays by the numbers that the XML of a file declares [bytes], with a margin for corners of
     cells.
@@ -254,9 +263,11 @@ def _checked_size(raw: bytes, largest: int) -> int:
         raise FormatError(f"has {len(pieces)} pieces; the number must be from 1 to {MAX_PIECES}")
     if sum(1 for _ in root.iter("DataArray")) > MAX_ARRAYS:
         raise FormatError(f"has more than {MAX_ARRAYS} arrays")
-    size = cell_count = 0
+    size = 0
+    cell_count = 0
     for piece in pieces:
-        points, cells = (_count(piece, name) for name in ("NumberOfPoints", "NumberOfCells"))
+        points = _count(piece, "NumberOfPoints")
+        cells = _count(piece, "NumberOfCells")
         rows = {"Points": points, "PointData": points, "Cells": cells, "CellData": cells}
         size += sum(rows[part.tag] * _row_size(each) for part in piece if part.tag in rows for each in part)
         cell_count += cells
@@ -332,6 +343,9 @@ def xml_of(text: bytes) -> ElementTree.Element:
     return builder.close()
 
 
+# meshio with limits
+
+
 def _read_guarded(path: Path, size: int) -> "meshio.Mesh":
     """Read a file with meshio, six of whose names are replaced meanwhile; one thread at a time.
 
@@ -369,6 +383,7 @@ def _read_guarded(path: Path, size: int) -> "meshio.Mesh":
 
 
 _lock = Lock()
+"""Taken while names of meshio are replaced."""
 
 
 class _Limited:

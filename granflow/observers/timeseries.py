@@ -15,7 +15,7 @@ from granflow.fields import (
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
 )
-from granflow.io.tables import COLUMNS, FILE, RowFile
+from granflow.io.tables import COLLISION_COLUMNS, COLLISION_FILE, RowFile
 from granflow.observers.flow_meters import FlowCount, FlowMeter
 from granflow.observers.metrics import MetricMeter
 from granflow.observers.observer import PARTICLES, TOTALS, ScheduledObserver
@@ -39,7 +39,7 @@ class CollisionEnergies(ScheduledObserver):
     def __init__(self, directory: Path, interval: float, edges: np.ndarray) -> None:
         super().__init__(interval)
         self._bounds = list(zip([0.0, *edges.tolist()], [*edges.tolist(), np.inf], strict=True))
-        self._rows = RowFile(Path(directory) / FILE)
+        self._rows = RowFile(Path(directory) / COLLISION_FILE)
         self._counted = {kind: np.zeros(len(edges) + 1, dtype=np.int64) for kind in ("particle", "wall")}
 
     def observe(self, snapshot: Snapshot) -> None:
@@ -49,7 +49,7 @@ class CollisionEnergies(ScheduledObserver):
         if not self._schedule.mark_done(snapshot.time):
             return
         if self._rows.is_empty:
-            self._rows.write(COLUMNS)
+            self._rows.write(COLLISION_COLUMNS)
         for kind, counts in snapshot.collisions.items() if before is not None else ():
             new = counts - self._counted[kind]
             for (low, high), count, total in zip(self._bounds, new.tolist(), counts.tolist(), strict=True):

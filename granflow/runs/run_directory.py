@@ -26,9 +26,9 @@ from granflow.io.checkpoint import (
 from granflow.io.files import BackgroundWriter, LostFiles, remove_parts, replacing, resolved
 from granflow.io.lock import DirectoryLock, refuse_second_run, writing
 from granflow.io.log import collected_warnings, run_log, write_scene_as_run
+from granflow.io.tables import COLLISION_FILE
 from granflow.load import Scene, copied_scene
 from granflow.observers.observer import Checkpointable, Schedule
-from granflow.observers.timeseries import FILE as COLLISION_ENERGIES
 from granflow.runs.result import Result, write_result
 from granflow.scene.blocks.output import Checkpoints
 
@@ -243,7 +243,7 @@ def _move(path: Path, target: Path) -> None:
 POSITION = re.compile(r" \((?:[^()]*:\d+(?::\d+)?|--set [^()]*)\)|^\S+:\d+:\d+: ")
 """Position of a value in a warning: `(scene.yaml:31)`, `(--set KEY=VALUE)`, or `scene.yaml:31:5: ` at its
 begin."""
-CONTINUED = ("timeseries.csv", COLLISION_ENERGIES, "run.log")
+CONTINUED = ("timeseries.csv", COLLISION_FILE, "run.log")
 """Files to which a resumed run appends."""
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
-from granflow.io.tables import COLUMNS, read_series
+from granflow.io.tables import COLLISION_COLUMNS, read_series
 from granflow.studies.plot import panels_of, quantity_of, series_of
 
 HEAD = (
@@ -287,7 +287,9 @@ def collisions(tmp_path):
             rows += [(end - 1.0, end, kind, *values) for values in classes]
     rows.append((2.0, 3.0, "particle", 0.0, 1e-6, 9, 9))
     path = tmp_path / "collision_energies.csv"
-    path.write_text("\n".join([",".join(COLUMNS), *(",".join(map(str, row)) for row in rows)]) + "\n")
+    path.write_text(
+        "\n".join([",".join(COLLISION_COLUMNS), *(",".join(map(str, row)) for row in rows)]) + "\n"
+    )
     return path
 
 
@@ -323,8 +325,8 @@ def test_columns_of_collisions_are_listed_for_both_axes(collisions, capsys):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        (",".join(COLUMNS) + "\n", "has no complete rows yet."),
-        (",".join(COLUMNS) + "\n0,1,particle,0,1e-6,2,2\n", "has no complete rows yet."),
+        (",".join(COLLISION_COLUMNS) + "\n", "has no complete rows yet."),
+        (",".join(COLLISION_COLUMNS) + "\n0,1,particle,0,1e-6,2,2\n", "has no complete rows yet."),
         ("time [s],speed [m/s]\n", "has no complete rows yet."),
         ("energy [J],number\n1,2\n", (
             "has neither a column time nor the columns of collision_energies.csv; its columns are: energy, "

@@ -21,7 +21,7 @@ from granflow.fields import (
 from granflow.io.files import write_text
 from granflow.io.frames import listed_frames, read_mesh
 from granflow.io.log import explanation, sessions, warnings_and_errors
-from granflow.io.tables import FILE, SeriesColumn, TimeSeriesTable, collision_table, read_table
+from granflow.io.tables import COLLISION_FILE, SeriesColumn, TimeSeriesTable, collision_table, read_table
 from granflow.studies.figures import COLORS
 from granflow.studies.page import page_text
 from granflow.studies.report.plots import (
@@ -365,7 +365,7 @@ def collision_topics(directory: Path, with_plots: bool) -> Iterator[Topic]:
 
     Raises GranflowError if the file cannot be read.
     """
-    path = directory / FILE
+    path = directory / COLLISION_FILE
     table = read_table(path) if path.exists() else None
     collisions = None if table is None else collision_table(table)
     if collisions is None:
