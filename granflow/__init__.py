@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from granflow.load import Scene
     from granflow.load import load as load_scene
     from granflow.observers.analysis import analyze_snapshots
-    from granflow.observers.flow_meters import steady_flow
+    from granflow.observers.meters import steady_flow
     from granflow.observers.observer import on_interval
     from granflow.particles.group import ParticleData
     from granflow.plan.arrays import estimate_memory

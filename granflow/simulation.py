@@ -32,7 +32,6 @@ from granflow.runs.initial_particles import initial_state, refuse_other_particle
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
-from granflow.runs.rank_frames import write_pieces
 from granflow.runs.ranks import refuse_on_ranks
 from granflow.runs.result import Result
 from granflow.runs.resume import (
@@ -236,7 +235,9 @@ class Simulation:
             plan = begin.plan
             self.files.create()
             engine = engine_for(plan, backend, communicator, scene)
-        from_scene = observers_for(plan, self.files.path, progress, self.files.writer, write_pieces(engine))
+        from_scene = observers_for(
+            plan, self.files.path, progress, self.files.writer, None if communicator is None else engine
+        )
         self.observers = ObserverList(from_scene, observers)
         self._state = RunState(
             engine, begin.insertion, self.observers, wall_clock, begin.earlier, begin.original

@@ -1,6 +1,6 @@
 """Metrics and fields of a scene for a series of snapshots, such as those read from the files of a run."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 from granflow.arguments import path_of, refuse_other, shown
@@ -61,7 +61,8 @@ def analyze_snapshots(
     for frames in fields:
         frames.finish()
     if meters:
-        _write(out / "metrics.csv", rows)
+        names = rows[0] if rows else ["time [s]"]
+        write_table(out / "metrics.csv", names, (row.values() for row in rows))
     return rows
 
 
@@ -70,10 +71,6 @@ def _row(snapshot: Snapshot, meters: dict[str, MetricMeter]) -> MetricRow:
     row: MetricRow = {"time [s]": snapshot.time, "stage": snapshot.stage}
     for name, meter in meters.items():
         meter.update(snapshot)
-        row |= {METRIC_QUANTITIES[each].label_of(name): number for each, number in meter.readings().items()}
+        for quantity, number in meter.readings().items():
+            row[METRIC_QUANTITIES[quantity].label_of(name)] = number
     return row
-
-
-def _write(path: Path, rows: Sequence[MetricRow]) -> None:
-    """Write rows as CSV; the directory is created if necessary."""
-    write_table(path, rows[0] if rows else ["time [s]"], (row.values() for row in rows))

@@ -1,22 +1,23 @@
 """Builds the observers that the `output:` block of a scene specifies."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from granflow.geometry.catalog import area_of, triangles
 from granflow.io.files import BackgroundWriter
-from granflow.io.frames import WritePieces
 from granflow.observers.coarse_graining import GaussianKernel, grid_for
-from granflow.observers.flow_meters import FlowMeter
 from granflow.observers.frames import ContactFrames, FieldFrames, ParticleFrames, WallFrames
+from granflow.observers.meters import FlowMeter, WallForceMeter
 from granflow.observers.metrics import metric_meters
 from granflow.observers.observer import Observer
 from granflow.observers.progress import ProgressDisplay
-from granflow.observers.timeseries import CollisionEnergies, TimeSeries, WallForceMeter
+from granflow.observers.timeseries import CollisionEnergies, TimeSeries
 from granflow.plan.plan import Plan
+
+if TYPE_CHECKING:
+    from granflow.engine.engine import Engine
 
 
 def observers_for(
@@ -24,13 +25,16 @@ def observers_for(
     out_dir: Path | None,
     progress: bool = False,
     writer: BackgroundWriter | None = None,
-    write_pieces: Callable[[float | None], WritePieces] | None = None,
+    rank_engine: "Engine | None" = None,
 ) -> list[Observer]:
     """Return the observers of the output block, and the progress display if `progress`.
 
-    `writer` writes the frames, at once by default; `write_pieces`: see `runs.rank_frames`; None without MPI
-    ranks. Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`,
-    collisions. Without `out_dir`, only the time series, without a file, if it has meters.
+    out_dir:      directory of the files; None: only the time series, without a file, if it has meters
+    writer:       writes the frames; at once by default
+    rank_engine:  engine of MPI ranks, which can write their particles; None without MPI
+
+    Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`,
+    collisions.
     """
     output = plan.output
     observers: list[Observer] = []
@@ -38,32 +42,35 @@ def observers_for(
     if out_dir is not None or output.flow_meters or output.metrics or plan.measured_walls or has_conditions:
         observers.append(time_series_for(plan, out_dir))
     if out_dir is not None and output.particles:
-        reach = _max_coordinate(plan)
-        pieces = write_pieces(reach) if write_pieces and output.frames_per_rank else None
         observers.append(
             ParticleFrames(
-                out_dir, output.interval, 0.0, writer, reach, pieces, compression=output.compression
+                out_dir,
+                output.interval,
+                writer=writer,
+                reach=_max_coordinate(plan),
+                engine=rank_engine if output.frames_per_rank else None,
+                compression=output.compression,
             )
         )
     if out_dir is not None and output.contacts:
-        units = _history_units(plan)
         observers.append(
             ContactFrames(
-                out_dir, output.interval, writer=writer, history_units=units, compression=output.compression
+                out_dir,
+                output.interval,
+                writer=writer,
+                history_units=_history_units(plan),
+                compression=output.compression,
             )
         )
     if out_dir is not None and output.walls and plan.walls:
-        triangles_of_walls = _wall_triangles(plan)
-        measured = plan.measured_areas
-        unbounded = [wall.name for wall in plan.walls if area_of(wall.shape) is None]
         observers.append(
             WallFrames(
                 out_dir,
                 output.interval,
-                triangles_of_walls,
+                _wall_triangles(plan),
                 writer=writer,
-                measured=measured,
-                unbounded=unbounded,
+                measured=plan.measured_areas,
+                unbounded=[wall.name for wall in plan.walls if area_of(wall.shape) is None],
                 has_belts=plan.features.surface_velocity,
                 compression=output.compression,
             )
@@ -75,6 +82,13 @@ def observers_for(
     if progress:
         observers.append(ProgressDisplay([(stage.name, stage.longest) for stage in plan.stages]))
     return observers
+
+
+def _max_coordinate(plan: Plan) -> float | None:
+    """Return the largest absolute coordinate of the domain [m]; None if the domain expands."""
+    if plan.domain.on_exit == "expand":
+        return None
+    return float(np.abs([plan.domain.min, plan.domain.max]).max())
 
 
 def _history_units(plan: Plan) -> dict[str, str]:
@@ -123,19 +137,15 @@ def field_frames(
     half the largest diameter [m].
     """
     grid = grid_for(plan.domain, spec)
-    width = spec.width
-    if width == "auto":
-        width = plan.radius_max
-    interval = spec.interval or plan.output.interval
-    kernel = GaussianKernel(width, spec.cutoff)
-    compression = plan.output.compression
+    width = plan.radius_max if spec.width == "auto" else spec.width
     return FieldFrames(
-        out_dir, name, interval, grid, kernel, spec.quantities, spec.stages or (), writer, compression
+        out_dir,
+        name,
+        spec.interval or plan.output.interval,
+        grid,
+        GaussianKernel(width, spec.cutoff),
+        spec.quantities,
+        spec.stages or (),
+        writer,
+        plan.output.compression,
     )
-
-
-def _max_coordinate(plan: Plan) -> float | None:
-    """Return the largest absolute coordinate of the domain [m]; None if the domain expands."""
-    if plan.domain.on_exit == "expand":
-        return None
-    return float(np.abs([plan.domain.min, plan.domain.max]).max())

@@ -1,8 +1,14 @@
-"""Coarse-grained fields for ParaView: `fields_NAME_0000.vtu`, ..., and their mean over time."""
+"""The observers that write frames for ParaView: particles, contacts, walls and coarse-grained fields.
+
+Each kind of frames is a subclass of `Frames`, which turns a snapshot into a mesh; the series writes it as
+`STEM_NNNN.vtu`, and lists it in `STEM.pvd`. Quantities, units and types of the arrays are those of
+`granflow.fields`.
+"""
 
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +22,7 @@ from granflow.fields import (
 from granflow.geometry.mesh import triangle_areas
 from granflow.io.checkpoint import CheckpointError
 from granflow.io.files import BackgroundWriter
-from granflow.io.frames import FrameSeries, WritePieces
+from granflow.io.frames import FrameSeries, Piece, piece_path
 from granflow.io.vtu import Compression, VtuMesh, write_vtu
 from granflow.observers.coarse_graining import (
     CONTACT_FIELDS,
@@ -29,48 +35,18 @@ from granflow.observers.coarse_graining import (
 from granflow.observers.observer import CONTACTS, PARTICLES, WALLS, ScheduledObserver
 from granflow.snapshot import Snapshot
 
-# Instantaneous traction and pressure on the triangles of walls, for VTU files.
-
-
-def traction_and_pressure(
-    contacts: Mapping[str, np.ndarray], wall: int, areas: np.ndarray, area: float | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return force over area (k, 3) and normal force over area (k,) [Pa] of the particles on each triangle of
-    a wall.
-
-    `contacts`: as in a Snapshot, with `wall`, `force`, `normal_force` and `triangle`; `wall`: index of the
-    wall in the scene; `areas` (k,) [m2] of its triangles; `area` [m2] of the whole wall, None if infinite.
-    For a mesh, the values are those of each triangle; for another shape, the mean over the whole wall (NaN if
-    infinite). The traction is that of the particles on the wall; the pressure is positive in compression.
-    """
-    on_wall = contacts["wall"] == wall
-    force = -contacts["force"][on_wall]
-    normal_force = contacts["normal_force"][on_wall]
-    triangle = contacts["triangle"][on_wall]
-    if len(triangle) == 0 or triangle[0] < 0:
-        total_area = np.nan if area is None else area
-        mean = force.sum(axis=0) / total_area
-        pressure = normal_force.sum() / total_area
-        return np.broadcast_to(mean, (len(areas), 3)).copy(), np.full(len(areas), pressure)
-    traction = np.stack([np.bincount(triangle, component, len(areas)) for component in force.T], axis=1)
-    return traction / areas[:, None], np.bincount(triangle, normal_force, len(areas)) / areas
-
-
-# Frames for ParaView: particles as points, contacts as lines, walls as triangles.
-
-# Largest rounding error of float32 positions over the smallest radius; above it, files contain float64
-# positions.
-POSITION_TOLERANCE = 1e-4
-_CONTACT_POINTS = ("position_i", "position_j")
-"""Arrays of contacts that become the points of the mesh."""
+if TYPE_CHECKING:
+    from granflow.engine.engine import Engine
 
 
 class Frames(ScheduledObserver):
     """Base class of frames: a schedule and a series of files.
 
-    Subclasses define `stem`, the start of the file names, `wants`, and `mesh`. `directory`: of the files;
-    `interval`, `start` [s]: of the frames, in simulated time; `writer`, `compression`: see `FrameSeries`.
-    Raises ValueError for an interval that is not positive.
+    Subclasses define `stem`, the start of the file names, `wants`, and `mesh`.
+
+    directory:            of the files
+    interval, start:      [s], of the frames, in simulated time
+    writer, compression:  see `FrameSeries`
     """
 
     stem = ""
@@ -121,13 +97,20 @@ class Frames(ScheduledObserver):
         raise NotImplementedError
 
 
+# Particles
+
+POSITION_TOLERANCE = 1e-4
+"""Largest rounding error of float32 positions over the smallest radius; above it, files contain float64
+positions."""
+
+
 class ParticleFrames(Frames):
     """`particles_NNNN.vtu`: one vertex per particle, with the arrays of the snapshot.
 
-    `reach` [m]: largest absolute coordinate (from the domain), which determines whether float32 positions
-    resolve 1e-4 of the smallest radius. If None, the positions of each frame determine it. Positions that
-    float32 does not resolve are written as float64. Types of the other arrays: `granflow.fields`.
-    `write_pieces`: lets MPI ranks write `particles_NNNN.pvtu` and one file each instead.
+    reach:   largest absolute coordinate [m] (from the domain), which determines whether float32 positions
+             resolve POSITION_TOLERANCE; None: the positions of each frame determine it
+    engine:  of MPI ranks, of which each writes its particles into a file of its own; a frame is then
+             `particles_NNNN.pvtu`, and requires no snapshot of the particles. None: one file
     """
 
     stem = "particles"
@@ -139,20 +122,25 @@ class ParticleFrames(Frames):
         start: float = 0.0,
         writer: BackgroundWriter | None = None,
         reach: float | None = None,
-        write_pieces: WritePieces | None = None,
+        engine: "Engine | None" = None,
         compression: Compression = "zlib",
     ) -> None:
         super().__init__(directory, interval, start, writer, compression)
         self._reach = reach
-        self._write_pieces = write_pieces
-        self.wants = frozenset() if write_pieces else frozenset({PARTICLES})
+        self._engine = engine
+        self.wants = frozenset({PARTICLES} if engine is None else ())
 
     def write(self, snapshot: Snapshot) -> None:
         """Write one frame."""
-        if self._write_pieces is None:
+        if self._engine is None:
             super().write(snapshot)
         else:
-            self.series.write_pieces(self._write_pieces, snapshot.time)
+            self.series.write_pieces(partial(self._write_pieces, self._engine), snapshot.time)
+
+    def _write_pieces(self, engine: "Engine", directory: Path, frame: str) -> Sequence[Piece]:
+        """Let each MPI rank write its particles into `FRAME.RANK.vtu`. Raises OSError."""
+        task = partial(_write_piece, directory=directory.absolute(), frame=frame, reach=self._reach)
+        return engine.on_each_rank(task)
 
     def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame, see `particle_mesh`."""
@@ -176,6 +164,38 @@ def particle_mesh(particles: Mapping[str, np.ndarray], reach: float, radius_min:
     }
     points = particles["position"].astype(np.float32 if resolved else np.float64)
     return VtuMesh.of_points(points, arrays, units(PARTICLE_QUANTITIES))
+
+
+def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the arrays of a snapshot with `diameter` [m] and, given mass and velocity, `kinetic_energy` [J]
+    (n,)."""
+    arrays = dict(particles)
+    arrays["diameter"] = 2 * arrays["radius"]
+    if "mass" in arrays and "velocity" in arrays:
+        arrays["kinetic_energy"] = 0.5 * arrays["mass"] * (arrays["velocity"] ** 2).sum(axis=1)
+    return arrays
+
+
+def _write_piece(engine: "Engine", rank: int, directory: Path, frame: str, reach: float | None) -> Piece:
+    """On one MPI rank: write the file of its particles for a frame.
+
+    reach:  [m], as in `ParticleFrames`; None: that of the particles of all ranks
+    """
+    particles = engine.own_particles()
+    ranks = engine.state.ranks
+    radius_min = -ranks.largest(-particles["radius"].min(initial=np.inf))
+    if reach is None:
+        reach = ranks.largest(np.abs(particles["position"]).max(initial=0.0))
+    mesh = particle_mesh(particles, reach, radius_min)
+    path = piece_path(directory, frame, rank)
+    write_vtu(path, mesh, engine.plan.output.compression)
+    return Piece.of(path.name, mesh)
+
+
+# Contacts
+
+_CONTACT_POINTS = ("position_i", "position_j")
+"""Arrays of contacts that become the points of the mesh."""
 
 
 class ContactFrames(Frames):
@@ -221,13 +241,18 @@ class ContactFrames(Frames):
         return VtuMesh.of_cells("line", points, lines, arrays | histories, self._units)
 
 
+# Walls
+
+
 class WallFrames(Frames):
     """`walls_NNNN.vtu`: the triangles of the present walls at their current position.
 
-    `triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene. The cell
-    array `wall` is the index of the wall in that order. `measured`: areas [m2] of the walls with measured
-    forces, None for an infinite wall; the cell arrays `traction` and `pressure` [Pa] are their instantaneous
-    values. `has_belts`: write the cell array `surface_velocity` [m/s], which is 0 on walls without one.
+    triangles:  name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene; the cell array
+                `wall` is the index of the wall in that order
+    measured:   areas [m2] of the walls with measured forces, None for an infinite wall; the cell arrays
+                `traction` and `pressure` [Pa] are their instantaneous values
+    unbounded:  names of infinite walls, whose triangles remain in the domain
+    has_belts:  write the cell array `surface_velocity` [m/s], which is 0 on walls without one
     """
 
     stem = "walls"
@@ -261,7 +286,8 @@ class WallFrames(Frames):
         points = [np.zeros((0, 3))]
         corners = [np.zeros((0, 3), np.int64)]
         walls = [np.zeros(0, np.int32)]
-        wall_forces = [(np.zeros((0, 3)), np.zeros(0))]
+        tractions = [np.zeros((0, 3))]
+        pressures = [np.zeros(0)]
         belts = [np.zeros((0, 3))]
         point_count = 0
         for index, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
@@ -272,17 +298,24 @@ class WallFrames(Frames):
             points.append(_kept_in_place(moved, rest_points) if name in self._unbounded else moved)
             corners.append(rest_corners + point_count)
             walls.append(np.full(len(rest_corners), index, np.int32))
-            wall_forces.append(self._traction_and_pressure(snapshot, index, name, len(rest_corners)))
+            traction, pressure = self._traction_and_pressure(snapshot, index, name, len(rest_corners))
+            tractions.append(traction)
+            pressures.append(pressure)
             belts.append(_along_faces(pose.surface_velocity, moved[rest_corners]))
             point_count += len(rest_points)
         cell_data = {"wall": np.concatenate(walls)}
         if self._measured:
-            for name, parts in zip(("traction", "pressure"), zip(*wall_forces, strict=True), strict=True):
-                cell_data[name] = np.concatenate(parts).astype(np.float32)
+            cell_data["traction"] = np.concatenate(tractions).astype(np.float32)
+            cell_data["pressure"] = np.concatenate(pressures).astype(np.float32)
         if self._has_belts:
             cell_data["surface_velocity"] = np.concatenate(belts).astype(np.float32)
-        found = np.concatenate(points), np.concatenate(corners)
-        return VtuMesh.of_cells("triangle", *found, cell_data, units(WALL_ARRAY_QUANTITIES))
+        return VtuMesh.of_cells(
+            "triangle",
+            np.concatenate(points),
+            np.concatenate(corners),
+            cell_data,
+            units(WALL_ARRAY_QUANTITIES),
+        )
 
     def _traction_and_pressure(
         self, snapshot: Snapshot, index: int, name: str, count: int
@@ -292,6 +325,30 @@ class WallFrames(Frames):
         if name not in self._measured:
             return np.full((count, 3), np.nan), np.full(count, np.nan)
         return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._measured[name])
+
+
+def traction_and_pressure(
+    contacts: Mapping[str, np.ndarray], wall: int, areas: np.ndarray, area: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return force over area (k, 3) and normal force over area (k,) [Pa] of the particles on each triangle of
+    a wall.
+
+    `contacts`: as in a Snapshot, with `wall`, `force`, `normal_force` and `triangle`; `wall`: index of the
+    wall in the scene; `areas` (k,) [m2] of its triangles; `area` [m2] of the whole wall, None if infinite.
+    For a mesh, the values are those of each triangle; for another shape, the mean over the whole wall (NaN if
+    infinite). The traction is that of the particles on the wall; the pressure is positive in compression.
+    """
+    on_wall = contacts["wall"] == wall
+    force = -contacts["force"][on_wall]
+    normal_force = contacts["normal_force"][on_wall]
+    triangle = contacts["triangle"][on_wall]
+    if len(triangle) == 0 or triangle[0] < 0:
+        total_area = np.nan if area is None else area
+        mean = force.sum(axis=0) / total_area
+        pressure = normal_force.sum() / total_area
+        return np.broadcast_to(mean, (len(areas), 3)).copy(), np.full(len(areas), pressure)
+    traction = np.stack([np.bincount(triangle, component, len(areas)) for component in force.T], axis=1)
+    return traction / areas[:, None], np.bincount(triangle, normal_force, len(areas)) / areas
 
 
 def _along_faces(velocity: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -314,22 +371,18 @@ def _kept_in_place(moved: np.ndarray, rest: np.ndarray) -> np.ndarray:
     return found
 
 
-def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the arrays of a snapshot with `diameter` [m] and, given mass and velocity, `kinetic_energy` [J]
-    (n,)."""
-    arrays = dict(particles)
-    arrays["diameter"] = 2 * arrays["radius"]
-    if "mass" in arrays and "velocity" in arrays:
-        arrays["kinetic_energy"] = 0.5 * arrays["mass"] * (arrays["velocity"] ** 2).sum(axis=1)
-    return arrays
+# Coarse-grained fields
 
 
 class FieldFrames(Frames):
-    """`fields_NAME_NNNN.vtu`: hexahedra with the fields `quantities`; at the end `fields_NAME_mean.vtu`.
+    """`fields_NAME_NNNN.vtu`: hexahedra with the fields; at the end `fields_NAME_mean.vtu`.
 
-    `interval` [s] of simulated time between frames; `grid`, `kernel`: of the coarse graining; `quantities`:
-    names in FIELD_QUANTITIES, which determine whether contacts are requested; `stages`: stages with frames,
-    all if empty. The mean weights all frames equally.
+    The mean weights all frames equally.
+
+    interval:      [s], of the frames, in simulated time
+    grid, kernel:  of the coarse graining
+    quantities:    names in FIELD_QUANTITIES, which determine whether contacts are requested
+    stages:        stages with frames; all if empty
     """
 
     def __init__(
@@ -346,8 +399,8 @@ class FieldFrames(Frames):
     ) -> None:
         self.stem = f"fields_{name}"
         super().__init__(directory, interval, writer=writer, compression=compression)
-        with_contacts = not set(CONTACT_FIELDS).isdisjoint(quantities)
-        self.wants = frozenset({PARTICLES, CONTACTS} if with_contacts else {PARTICLES})
+        needs_contacts = not set(CONTACT_FIELDS).isdisjoint(quantities)
+        self.wants = frozenset({PARTICLES, CONTACTS} if needs_contacts else {PARTICLES})
         self.grid = grid
         self.kernel = kernel
         self._quantities = tuple(quantities)

@@ -1,4 +1,8 @@
-"""Writes `timeseries.csv`: one row of numbers per due time."""
+"""The observers that write CSV files: `timeseries.csv` and `collision_energies.csv`.
+
+`TimeSeries` writes one row of numbers per due time: totals of the snapshot, and the readings of the meters
+and metrics, which it updates. `CollisionEnergies` writes the numbers of collisions by impact energy.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -16,170 +20,12 @@ from granflow.fields import (
     WALL_QUANTITIES,
 )
 from granflow.io.tables import COLLISION_COLUMNS, COLLISION_FILE, RowFile
-from granflow.observers.flow_meters import FlowCount, FlowMeter
+from granflow.observers.meters import FlowCount, FlowMeter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
 from granflow.observers.observer import PARTICLES, TOTALS, ScheduledObserver
 from granflow.snapshot import Snapshot
 
-# Writes `collision_energies.csv`: numbers of collisions by impact energy, per interval and since the start.
-
-
-class CollisionEnergies(ScheduledObserver):
-    """Writes one row per interval, kind of contact ("particle" or "wall") and class of impact energy.
-
-    The first class of each kind has no lower edge (0 J), the last one no upper edge (inf). `count` is the
-    number of contacts that began in the interval, `count_total` that since the start of the run.
-
-    interval:  [s], in simulated time
-    edges:     (n + 1,) [J], of the classes
-    """
-
-    wants = frozenset({TOTALS})
-
-    def __init__(self, directory: Path, interval: float, edges: np.ndarray) -> None:
-        super().__init__(interval)
-        self._bounds = list(zip([0.0, *edges.tolist()], [*edges.tolist(), np.inf], strict=True))
-        self._rows = RowFile(Path(directory) / COLLISION_FILE)
-        self._counted = {kind: np.zeros(len(edges) + 1, dtype=np.int64) for kind in ("particle", "wall")}
-
-    def observe(self, snapshot: Snapshot) -> None:
-        """Write the rows of the interval since the last snapshot; the first snapshot begins the first
-        interval."""
-        before = self._schedule.last_time
-        if not self._schedule.mark_done(snapshot.time):
-            return
-        if self._rows.is_empty:
-            self._rows.write(COLLISION_COLUMNS)
-        for kind, counts in snapshot.collisions.items() if before is not None else ():
-            new = counts - self._counted[kind]
-            for (low, high), count, total in zip(self._bounds, new.tolist(), counts.tolist(), strict=True):
-                self._rows.write([before, snapshot.time, kind, low, high, count, total])
-            self._counted[kind] = counts
-
-    def finish(self) -> None:
-        """Close the file."""
-        self._rows.close()
-
-    def sync(self) -> None:
-        """Flush all rows to the disk."""
-        self._rows.sync()
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the time of the last rows, the counts there, and the size of the file."""
-        return super().state_dict() | self._rows.state_dict() | {"counted": dict(self._counted)}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state of `state_dict`."""
-        super().load_state_dict(saved)
-        self._rows.load_state_dict(saved)
-        self._counted = {kind: np.array(saved["counted"][kind]) for kind in self._counted}
-
-    def truncate(self) -> None:
-        """Remove the rows after the restored state."""
-        self._rows.truncate()
-
-
-# Wall forces: mean values between the rows of the time series, from accumulated impulses.
-
-NO_IMPULSE: np.ndarray = np.zeros(7)
-"""Impulse (3,) [N s], angular impulse (3,) [N m s] and normal impulse [N s] before the first step."""
-
-
-class WallForceMeter:
-    """Force, torque and pressure of the particles on one wall, each a mean over the time between two samples.
-
-        mean force = (J(t2) - J(t1)) / (t2 - t1),      J: accumulated impulse
-
-    `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure. Force [N] and torque [N
-    m] are those of the particles on the wall; the pressure [Pa] is the normal force over the area.
-    """
-
-    def __init__(self, wall: str, area: float | None) -> None:
-        self.wall = wall
-        self.area = area
-        self._time = 0.0
-        self._impulse = NO_IMPULSE
-        self._stage = ""
-        self._stage_time = 0.0
-        self._stage_impulse = NO_IMPULSE
-        self._mean = NO_IMPULSE
-        self._max_force = 0.0
-        self._max_normal_force = 0.0
-        self._time_before = 0.0
-        self._impulse_before = NO_IMPULSE
-        self._max_force_before = 0.0
-        self._max_normal_force_before = 0.0
-
-    def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
-        """Compute the means since the last sample, or since the start; reads `impulses` of the snapshot.
-
-        `replaces_last`: since the sample before the last one, as if that had not been taken; it is of the
-        same stage.
-        """
-        if replaces_last:
-            self._time = self._time_before
-            self._impulse = self._impulse_before
-            self._max_force = self._max_force_before
-            self._max_normal_force = self._max_normal_force_before
-        self._time_before = self._time
-        self._impulse_before = self._impulse
-        self._max_force_before = self._max_force
-        self._max_normal_force_before = self._max_normal_force
-        time = snapshot.time
-        impulse = snapshot.impulses[self.wall]
-        if snapshot.stage != self._stage:
-            self._stage = snapshot.stage
-            self._stage_time = self._time
-            self._stage_impulse = self._impulse
-        if time > self._time:
-            self._mean = (impulse - self._impulse) / (time - self._time)
-            self._max_force = max(self._max_force, _length(self._mean[:3]))
-            self._max_normal_force = max(self._max_normal_force, float(self._mean[6]))
-        self._time = time
-        self._impulse = impulse
-
-    def readings(self) -> dict[str, float]:
-        """Return means between the last two samples: force [N], torque [N m] and, with an area, pressure
-        [Pa]."""
-        return self._named(self._mean)
-
-    def result(self) -> dict[str, float]:
-        """Return means over the last stage, those between the last two samples, and the largest readings of
-        the run.
-
-        The stage begins at the last sample before it. `wall_force` [N] and `wall_torque` [N m] are magnitudes
-        of the mean vectors; `wall_force_largest` [N] and `wall_pressure_largest` [Pa] are the largest means
-        between two samples. Names of the values between the last two samples end with `_last`.
-        """
-        duration = self._time - self._stage_time
-        mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
-        found = self._named(mean) | {"wall_force": _length(mean[:3]), "wall_torque": _length(mean[3:6])}
-        found |= {f"{name}_last": value for name, value in self.readings().items()}
-        found["wall_force_largest"] = self._max_force
-        if self.area is not None:
-            found["wall_pressure_largest"] = self._max_normal_force / self.area
-        return found
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return all private attributes."""
-        return {name: value for name, value in vars(self).items() if name.startswith("_")}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state of `state_dict`."""
-        vars(self).update(saved)
-
-    def _named(self, mean: np.ndarray) -> dict[str, float]:
-        """Return the components of a mean (7,) by name: force [N], torque [N m] and, with an area, pressure
-        [Pa]."""
-        quantities = ("force", "torque")
-        names = [f"wall_{quantity}_{axis}" for quantity in quantities for axis in "xyz"]
-        pressure = {} if self.area is None else {"wall_pressure": float(mean[6]) / self.area}
-        return dict(zip(names, mean[:6].tolist(), strict=True)) | pressure
-
-
-def _length(vector: np.ndarray) -> float:
-    return float(np.sqrt(vector @ vector))
-
+# `timeseries.csv`
 
 READINGS = {**FLOW_METER_QUANTITIES, **WALL_FORCE_QUANTITIES, **METRIC_QUANTITIES}
 """Quantities that meters read, by name."""
@@ -216,8 +62,7 @@ class TimeSeries(ScheduledObserver):
     the end of a run, replaces it, and its means are those since the row before. They would otherwise be those
     of one or a few steps.
 
-    `interval`, `start` [s]: of the rows, in simulated time. Raises ValueError for an interval that is not
-    positive.
+    `interval`, `start` [s]: of the rows, in simulated time.
     """
 
     def __init__(
@@ -382,3 +227,63 @@ def _column_label(name: str) -> str:
     if quantity in PARTS:
         return PARTS[quantity].label_of(part)
     return TOTAL_QUANTITIES[name].label if name in TOTAL_QUANTITIES else name
+
+
+# `collision_energies.csv`
+
+
+class CollisionEnergies(ScheduledObserver):
+    """Writes one row per interval, kind of contact ("particle" or "wall") and class of impact energy.
+
+    The first class of each kind has no lower edge (0 J), the last one no upper edge (inf). `count` is the
+    number of contacts that began in the interval, `count_total` that since the start of the run.
+
+    interval:  [s], in simulated time
+    edges:     (n + 1,) [J], of the classes
+    """
+
+    wants = frozenset({TOTALS})
+
+    def __init__(self, directory: Path, interval: float, edges: np.ndarray) -> None:
+        super().__init__(interval)
+        self._bounds = list(zip([0.0, *edges.tolist()], [*edges.tolist(), np.inf], strict=True))
+        self._rows = RowFile(Path(directory) / COLLISION_FILE)
+        self._counted = {kind: np.zeros(len(edges) + 1, dtype=np.int64) for kind in ("particle", "wall")}
+
+    def observe(self, snapshot: Snapshot) -> None:
+        """Write the rows of the interval since the last snapshot; the first snapshot begins the first
+        interval."""
+        before = self._schedule.last_time
+        if not self._schedule.mark_done(snapshot.time):
+            return
+        if self._rows.is_empty:
+            self._rows.write(COLLISION_COLUMNS)
+        if before is None:
+            return
+        for kind, counts in snapshot.collisions.items():
+            new = counts - self._counted[kind]
+            for (low, high), count, total in zip(self._bounds, new.tolist(), counts.tolist(), strict=True):
+                self._rows.write([before, snapshot.time, kind, low, high, count, total])
+            self._counted[kind] = counts
+
+    def finish(self) -> None:
+        """Close the file."""
+        self._rows.close()
+
+    def sync(self) -> None:
+        """Flush all rows to the disk."""
+        self._rows.sync()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the time of the last rows, the counts there, and the size of the file."""
+        return super().state_dict() | self._rows.state_dict() | {"counted": dict(self._counted)}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`."""
+        super().load_state_dict(saved)
+        self._rows.load_state_dict(saved)
+        self._counted = {kind: np.array(saved["counted"][kind]) for kind in self._counted}
+
+    def truncate(self) -> None:
+        """Remove the rows after the restored state."""
+        self._rows.truncate()

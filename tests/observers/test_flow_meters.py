@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from observers.snapshots import snapshot_of
 
-from granflow.observers.flow_meters import FlowMeter, steady_flow
+from granflow.observers.meters import FlowMeter, steady_flow
 
 
 def measured(meter, *samples):

@@ -9,9 +9,9 @@ import pytest
 from observers.snapshots import snapshot_of
 
 from granflow.io.tables import read_table, table_in, write_table
-from granflow.observers.flow_meters import FlowMeter
+from granflow.observers.meters import FlowMeter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
-from granflow.observers.timeseries import TimeSeries, WallForceMeter
+from granflow.observers.timeseries import TimeSeries
 
 
 def rows_of(path):

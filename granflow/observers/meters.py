@@ -1,4 +1,10 @@
-"""Flow meters: the mass that passes a plane, tracked for each particle."""
+"""Meters of the time series: the flow through a plane, and the force on a wall.
+
+A meter is updated with the snapshot of each row, gives its readings for the row, means since the row before,
+and at the end its result for `result.json`. A row that follows the one before too early replaces it
+(`replaces_last`): its means are then those since the row before that. Metrics are the third kind of meter,
+see `observers.metrics`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,17 +20,7 @@ from granflow.errors import GranflowError
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.snapshot import Snapshot
 
-
-@dataclass(frozen=True)
-class _Sample:
-    """Particles at a sample: `distance` (n,) [m] beyond the plane, `part` (n,): index of the part."""
-
-    id: np.ndarray
-    mass: np.ndarray
-    position: np.ndarray
-    distance: np.ndarray
-    insertion_time: np.ndarray
-    part: np.ndarray
+# Flow through a plane
 
 
 class FlowCount:
@@ -40,7 +36,8 @@ class FlowCount:
         self.mass = 0.0
         self.count = 0
         self.history: list[tuple[float, str, float]] = []
-        self.passed = self.passed_before = np.zeros(3)
+        self.passed = np.zeros(3)
+        self.passed_before = self.passed
 
     def add(self, mass: np.ndarray, direction: np.ndarray, residence_time: np.ndarray) -> None:
         """Count particles of masses (n,) [kg] with directions (n,), 1 forward, -1 backward, and residence
@@ -99,6 +96,18 @@ class FlowCount:
         self.passed = saved["passed"]
         self.passed_before = saved["passed_before"]
         self.history = [(time, stage, mass) for time, stage, mass in saved["history"]]
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """Particles at a sample: `distance` (n,) [m] beyond the plane, `part` (n,): index of the part."""
+
+    id: np.ndarray
+    mass: np.ndarray
+    position: np.ndarray
+    distance: np.ndarray
+    insertion_time: np.ndarray
+    part: np.ndarray
 
 
 class FlowMeter:
@@ -180,14 +189,14 @@ class FlowMeter:
         particles = snapshot.particles
         distance = (particles["position"] - self.point) @ self.normal
         part = np.zeros(len(distance), np.int32) if self._group_by is None else particles[self._group_by]
-        arrays = (
+        return _Sample(
             particles["id"],
             particles["mass"],
             particles["position"],
             distance,
             particles["insertion_time"],
+            part,
         )
-        return _Sample(*arrays, part)
 
     def _count_crossed(self, last: _Sample, now: _Sample, time: float) -> None:
         """Count the particles that exist in both samples and crossed between them, at `time` [s].
@@ -196,20 +205,23 @@ class FlowMeter:
         are both tested, since the plane may be near either boundary.
         """
         _, before, after = np.intersect1d(last.id, now.id, assume_unique=True, return_indices=True)
-        start, end = last.position[before], now.position[after]
-        direction = self._crossing(
-            start, end if self._periodic_box is None else self._periodic_box.nearest_images(end, start)
-        )
-        if self._periodic_box is not None:
-            crossed_from_image = self._crossing(self._periodic_box.nearest_images(start, end), end)
-            direction = np.where(direction == 0, crossed_from_image, direction)
+        start = last.position[before]
+        end = now.position[after]
+        box = self._periodic_box
+        if box is None:
+            direction = self._crossing(start, end)
+        else:
+            to_image = self._crossing(start, box.nearest_images(end, start))
+            from_image = self._crossing(box.nearest_images(start, end), end)
+            direction = np.where(to_image == 0, from_image, to_image)
         crossed = after[direction != 0]
         self._add(now, crossed, direction[direction != 0], time)
 
     def _crossing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Return (n,): 1, -1 or 0 for lines from `start` to `end` (n, 3) [m] that cross forward, backward or
         not."""
-        first, last = ((points - self.point) @ self.normal for points in (start, end))
+        first = (start - self.point) @ self.normal
+        last = (end - self.point) @ self.normal
         direction = (last > 0).astype(int) - (first > 0).astype(int)
         fraction = first / np.where(direction == 0, 1.0, first - last)
         point = start + fraction[:, None] * (end - start)
@@ -280,11 +292,9 @@ def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
         passed = masses[last] - masses[first]
         if passed != 0:
             share = (masses[first : last + 1] - masses[first]) / passed
-            quarters = [
-                _first_reached(times[first : last + 1], share, share_reached)
-                for share_reached in (0.25, 0.75)
-            ]
-            return float(0.5 * passed / (quarters[1] - quarters[0]))
+            begin = _first_reached(times[first : last + 1], share, 0.25)
+            end = _first_reached(times[first : last + 1], share, 0.75)
+            return float(0.5 * passed / (end - begin))
     return 0.0
 
 
@@ -303,3 +313,106 @@ def _first_reached(times: np.ndarray, share: np.ndarray, share_reached: float) -
     after = int(np.argmax(share >= share_reached))
     fraction = (share_reached - share[after - 1]) / (share[after] - share[after - 1])
     return float(times[after - 1] + fraction * (times[after] - times[after - 1]))
+
+
+# Force on a wall
+
+NO_IMPULSE: np.ndarray = np.zeros(7)
+"""Impulse (3,) [N s], angular impulse (3,) [N m s] and normal impulse [N s] before the first step."""
+
+
+class WallForceMeter:
+    """Force, torque and pressure of the particles on one wall, each a mean over the time between two samples.
+
+        mean force = (J(t2) - J(t1)) / (t2 - t1),      J: accumulated impulse
+
+    `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure. Force [N] and torque [N
+    m] are those of the particles on the wall; the pressure [Pa] is the normal force over the area.
+    """
+
+    def __init__(self, wall: str, area: float | None) -> None:
+        self.wall = wall
+        self.area = area
+        self._time = 0.0
+        self._impulse = NO_IMPULSE
+        self._stage = ""
+        self._stage_time = 0.0
+        self._stage_impulse = NO_IMPULSE
+        self._mean = NO_IMPULSE
+        self._max_force = 0.0
+        self._max_normal_force = 0.0
+        self._time_before = 0.0
+        self._impulse_before = NO_IMPULSE
+        self._max_force_before = 0.0
+        self._max_normal_force_before = 0.0
+
+    def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
+        """Compute the means since the last sample, or since the start; reads `impulses` of the snapshot.
+
+        `replaces_last`: since the sample before the last one, as if that had not been taken; it is of the
+        same stage.
+        """
+        if replaces_last:
+            self._time = self._time_before
+            self._impulse = self._impulse_before
+            self._max_force = self._max_force_before
+            self._max_normal_force = self._max_normal_force_before
+        self._time_before = self._time
+        self._impulse_before = self._impulse
+        self._max_force_before = self._max_force
+        self._max_normal_force_before = self._max_normal_force
+        time = snapshot.time
+        impulse = snapshot.impulses[self.wall]
+        if snapshot.stage != self._stage:
+            self._stage = snapshot.stage
+            self._stage_time = self._time
+            self._stage_impulse = self._impulse
+        if time > self._time:
+            self._mean = (impulse - self._impulse) / (time - self._time)
+            self._max_force = max(self._max_force, _length(self._mean[:3]))
+            self._max_normal_force = max(self._max_normal_force, float(self._mean[6]))
+        self._time = time
+        self._impulse = impulse
+
+    def readings(self) -> dict[str, float]:
+        """Return means between the last two samples: force [N], torque [N m] and, with an area, pressure
+        [Pa]."""
+        return self._named(self._mean)
+
+    def result(self) -> dict[str, float]:
+        """Return means over the last stage, those between the last two samples, and the largest readings of
+        the run.
+
+        The stage begins at the last sample before it. `wall_force` [N] and `wall_torque` [N m] are magnitudes
+        of the mean vectors; `wall_force_largest` [N] and `wall_pressure_largest` [Pa] are the largest means
+        between two samples. Names of the values between the last two samples end with `_last`.
+        """
+        duration = self._time - self._stage_time
+        mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
+        found = self._named(mean) | {"wall_force": _length(mean[:3]), "wall_torque": _length(mean[3:6])}
+        found |= {f"{name}_last": value for name, value in self.readings().items()}
+        found["wall_force_largest"] = self._max_force
+        if self.area is not None:
+            found["wall_pressure_largest"] = self._max_normal_force / self.area
+        return found
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all private attributes."""
+        return {name: value for name, value in vars(self).items() if name.startswith("_")}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`."""
+        vars(self).update(saved)
+
+    def _named(self, mean: np.ndarray) -> dict[str, float]:
+        """Return the components of a mean (7,) by name: force [N], torque [N m] and, with an area, pressure
+        [Pa]."""
+        names = [f"wall_{quantity}_{axis}" for quantity in ("force", "torque") for axis in "xyz"]
+        found = dict(zip(names, mean[:6].tolist(), strict=True))
+        if self.area is not None:
+            found["wall_pressure"] = float(mean[6]) / self.area
+        return found
+
+
+def _length(vector: np.ndarray) -> float:
+    return float(np.sqrt(vector @ vector))
