@@ -1,5 +1,7 @@
-"""Coarse-grained fields on a grid: sums over particles and contacts, additive over snapshots, and fields from
-them.
+"""Coarse-grained fields on a grid: sums over particles and contacts, and the fields that follow from them.
+
+`accumulate` distributes the particles and contacts of a snapshot to the cells of a `CoarseGrid` with a
+`GaussianKernel`. The sums are additive over snapshots; `fields_from` computes the fields from them.
 
 Goldhirsch, Granular Matter 12 (2010) 239; Weinhart et al., Granular Matter 14 (2012) 289 for walls. m, x, v:
 mass, center and velocity of a particle; f: force on particle i of a contact; b: branch vector from i to its
@@ -27,7 +29,7 @@ from granflow.io.vtu import VtuMesh
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.output import GridSpec
 
-# The coarse-graining kernel: a truncated and normalized Gaussian along each axis.
+# Kernel: a truncated and normalized Gaussian along each axis
 
 NODES = 2**14
 """Nodes in the table of the distribution function; linear interpolation has an error of 1e-8."""
@@ -66,7 +68,7 @@ def _distribution(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
     return nodes, np.array([0.5 + 0.5 * erf(node / sqrt(2.0)) / full for node in nodes])
 
 
-# A box of equal cells to which points are distributed with a kernel.
+# Grid: a box of equal cells to which points are distributed with a kernel
 
 CHUNK_POINTS = 2**17
 """Points processed at a time, which limits the temporary memory."""
@@ -213,10 +215,8 @@ class _Padded:
     ) -> np.ndarray:
         """Return the share (n, cells) of each point in the cells of its window along one axis."""
         edges = base[:, None] - self.reached_cells[axis] + np.arange(self.window[axis] + 1)
-        return np.diff(
-            kernel.cumulative(self.grid.low[axis] + self.grid.cell_size[axis] * edges - position[:, None]),
-            axis=1,
-        )
+        distance = self.grid.low[axis] + self.grid.cell_size[axis] * edges - position[:, None]
+        return np.diff(kernel.cumulative(distance), axis=1)
 
     def fold(self) -> np.ndarray:
         """Return the cells of the grid (cells, k); along periodic axes, the margin is added to them.
@@ -224,9 +224,9 @@ class _Padded:
         Along other axes, the margin is dropped.
         """
         total = self.total
-        for axis, (count, pad) in enumerate(
-            zip(self.grid.counts[::-1], self.reached_cells[::-1], strict=True)
-        ):
+        for axis in range(3):  # z, y, x
+            count = self.grid.counts[2 - axis]
+            pad = self.reached_cells[2 - axis]
             total = np.moveaxis(total, axis, 0)
             inner = total[pad : pad + count].copy()
             if self.grid.periodic[2 - axis]:
@@ -236,7 +236,7 @@ class _Padded:
         return np.ascontiguousarray(total).reshape(-1, self.width)
 
 
-# Subsets of the particles of a snapshot.
+# Subsets of the arrays of a snapshot
 
 
 def mobile_particles(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
@@ -245,15 +245,12 @@ def mobile_particles(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.nda
     return selected(particles, particles["fixed"] == 0) if "fixed" in particles else particles
 
 
-def wall_contacts(particles: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the number of contacts of each particle with walls (n,); zeros in a scene without walls."""
-    return particles.get("wall_contact_count", np.zeros(len(particles["position"]), np.int32))
-
-
 def selected(arrays: Mapping[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:
     """Return the entries of all arrays (n, ...) for which `mask` (n,) is True."""
     return {name: values[mask] for name, values in arrays.items()}
 
+
+# Sums and fields
 
 PARTICLE_FIELDS = {"mass": 1, "volume": 1, "number": 1, "touching": 1, "momentum": 3, "momentum_flux": 9}
 """Quantities accumulated over particles, with their numbers of components."""
@@ -313,14 +310,13 @@ def fields_from(accumulated: AccumulatedFields) -> dict[str, np.ndarray]:
     density = s["mass"]
     velocity = _ratio(s["momentum"], density)
     kinetic_stress = _kinetic_stress(s)
+    fluctuation = np.maximum(-_trace(kinetic_stress)[:, None], 0.0) / 3.0
     found = {
         "density": density[:, 0],
         "solid_fraction": s["volume"][:, 0],
         "momentum": s["momentum"],
         "velocity": velocity,
-        "granular_temperature": _ratio(np.maximum(-_trace(kinetic_stress)[:, None], 0.0) / 3.0, density)[
-            :, 0
-        ],
+        "granular_temperature": _ratio(fluctuation, density)[:, 0],
         "granular_temperature_of_frames": _ratio(np.maximum(s["thermal"], 0.0), density)[:, 0],
         "kinetic_stress": kinetic_stress,
         "coordination_number": _ratio(s["touching"], s["number"])[:, 0],
@@ -345,21 +341,22 @@ def _accumulate_particles(
     """Return the sums of PARTICLE_FIELDS over the mobile particles, per cell volume: name -> (cells,
     components)."""
     particles = mobile_particles(particles)
-    mass, velocity = (particles[name].astype(float) for name in ("mass", "velocity"))
+    mass = particles["mass"].astype(float)
+    velocity = particles["velocity"].astype(float)
     momentum = mass[:, None] * velocity
     volume = sphere_volume(particles["radius"].astype(float))
-    each = [
-        mass,
-        volume,
-        np.ones_like(mass),
-        particles["coordination_number"],
-        momentum,
-        _dyads(momentum, velocity),
-    ]
-    values = np.column_stack(each)
-    return _split(
-        PARTICLE_FIELDS, grid.deposit(kernel, particles["position"].astype(float), values) / grid.cell_volume
+    values = np.column_stack(
+        [
+            mass,
+            volume,
+            np.ones_like(mass),
+            particles["coordination_number"],
+            momentum,
+            _dyads(momentum, velocity),
+        ]
     )
+    total = grid.deposit(kernel, particles["position"].astype(float), values)
+    return _split(PARTICLE_FIELDS, total / grid.cell_volume)
 
 
 def _accumulate_contacts(
@@ -370,8 +367,9 @@ def _accumulate_contacts(
     The mean of the kernel along the branch vector, L, is a quadrature (Goldhirsch 2010). For a contact with a
     wall, the branch vector ends at the contact point (Weinhart et al. 2012).
     """
-    start, end, force = (contacts[name].astype(float) for name in ("position_i", "position_j", "force"))
-    branch = end - start
+    start = contacts["position_i"].astype(float)
+    branch = contacts["position_j"].astype(float) - start
+    force = contacts["force"].astype(float)
     length = np.linalg.norm(branch, axis=1)
     normal = branch / length[:, None]
     values = np.column_stack([_dyads(force, branch), np.ones_like(length), _dyads(normal, normal)])

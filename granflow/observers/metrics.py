@@ -1,6 +1,8 @@
-"""Angle of repose: the slope of the free surface of a heap, or of a bed in a drum.
+"""Metrics of the time series: numbers that a snapshot gives, such as a mixing index or an angle of repose.
 
-The surface consists of the highest particle of each square column; the tops of these spheres are fitted.
+Each entry of `output.metrics` becomes a `MetricMeter`, which evaluates the metric for each row of the time
+series and computes its mean over the last stage. Each section has one metric: its formula, a function of
+arrays, and its meter, which selects these arrays from a snapshot.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -10,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from granflow.geometry.shape import sphere_volume
-from granflow.observers.coarse_graining import CoarseGrid, grid_for, mobile_particles, selected, wall_contacts
+from granflow.observers.coarse_graining import CoarseGrid, grid_for, mobile_particles, selected
 from granflow.observers.observer import CONTACTS, PARTICLES
 from granflow.particles.packing import frame_along
 from granflow.plan.plan import Plan
@@ -18,6 +20,7 @@ from granflow.scene.blocks.output import (
     AnyMetric,
     CenterOfMassMetric,
     ContentMetric,
+    CoordinationMetric,
     FabricMetric,
     LaceyMetric,
     ProbeMetric,
@@ -28,8 +31,6 @@ from granflow.scene.blocks.output import (
 )
 from granflow.scene.blocks.shapes import Box
 from granflow.snapshot import Snapshot
-
-# Metrics of the time series: evaluated at each row, with a mean over the last stage.
 
 
 class MetricMeter:
@@ -97,9 +98,15 @@ class MetricMeter:
     def state_dict(self) -> dict[str, Any]:
         """Return the stage, the last values and their remark, and sums and counts of the stage, also without
         these."""
-        sums = {"sums": self._sums, "counts": self._counts}
-        sums |= {"sums_before": self._sums_before, "counts_before": self._counts_before}
-        return {"stage": self._stage, "last": self._last, "remark": self.remark, **sums}
+        return {
+            "stage": self._stage,
+            "last": self._last,
+            "remark": self.remark,
+            "sums": self._sums,
+            "counts": self._counts,
+            "sums_before": self._sums_before,
+            "counts_before": self._counts_before,
+        }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
@@ -112,15 +119,53 @@ class MetricMeter:
         self._counts_before = saved["counts_before"]
 
 
-# Lacey's mixing index of two kinds of particles, by number.
+# The meters of a scene
+
+NEEDS_PARTICLES = frozenset({PARTICLES})
+NEEDS_CONTACTS = frozenset({CONTACTS})
+
+
+def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
+    """Return a meter for each metric of the plan, by its name in `output.metrics`."""
+    return {name: _metric_meter(plan, spec) for name, spec in plan.output.metrics.items()}
+
+
+def _metric_meter(plan: Plan, spec: AnyMetric) -> MetricMeter:
+    """Return the meter of one metric; the class of `spec` determines the kind."""
+    match spec:
+        case LaceyMetric():
+            return _lacey_meter(plan, spec)
+        case SegregationMetric():
+            return _segregation_meter(plan, spec)
+        case ReposeMetric():
+            return _repose_meter(plan, spec)
+        case CoordinationMetric(region=region):
+            return MetricMeter(lambda snapshot: _coordination(snapshot, region), NEEDS_PARTICLES)
+        case FabricMetric(region=region):
+            return MetricMeter(lambda snapshot: _fabric(snapshot, region), NEEDS_CONTACTS)
+        case SlidingMetric():
+            return _sliding_meter(plan, spec)
+        case CenterOfMassMetric():
+            return _center_of_mass_meter(plan, spec)
+        case ContentMetric(region=region):
+            return MetricMeter(lambda snapshot: _content(snapshot, region), NEEDS_PARTICLES)
+        case ProbeMetric(id=particle_id):
+            return MetricMeter(lambda snapshot: _probe(snapshot.particles, particle_id), NEEDS_PARTICLES)
+
+
+# Mixing of two kinds of particles, by number: Lacey's index
+
+DROPPED_SHARE = 0.1
+"""Share of the particles of a component outside the cells of a Lacey index above which a remark reports
+it."""
 
 
 def lacey_index(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, at_least: int) -> float:
     """Return Lacey's mixing index of particles at `position` (n, 3) [m]; `is_kind_a` (n,): whether of the
     first kind.
 
-        M = (S0^2 - S^2) / (S0^2 - SR^2),   S^2 = sum n_k (p_k - p)^2 / sum n_k,   S0^2 = p (1 - p),   SR^2 =
-        S0^2 / n
+        M = (S0^2 - S^2) / (S0^2 - SR^2)
+        S^2 = sum n_k (p_k - p)^2 / sum n_k,   S0^2 = p (1 - p),   SR^2 = S0^2 / n
 
     p_k is the share by number of the first kind among the n_k particles of cell k, p the share in all cells,
     n the mean of n_k; cells with fewer than `at_least` particles are excluded. 0: each cell contains one kind
@@ -158,6 +203,127 @@ def dropped_share(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid,
     )
 
 
+def _lacey_meter(plan: Plan, spec: LaceyMetric) -> MetricMeter:
+    """Return a meter of the Lacey index, with a remark if it excludes more than DROPPED_SHARE of a kind."""
+    grid = grid_for(plan.domain, spec)
+    is_kind_a = _first_component(plan, spec)
+    dropped = 0.0
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        nonlocal dropped
+        particles = mobile_particles(snapshot.particles)
+        arguments = particles["position"], is_kind_a(particles), grid, spec.at_least
+        dropped = dropped_share(*arguments)
+        return {"lacey_index": lacey_index(*arguments)}
+
+    def remark() -> str:
+        if dropped <= DROPPED_SHARE:
+            return ""
+        return (
+            f"the Lacey index excludes {dropped:.0%} of the particles of one component, because their cells "
+            f"contain fewer than {spec.at_least} particles (at_least): increase cell, or use kind: "
+            "segregation, which weights particles by volume and excludes no cell"
+        )
+
+    return MetricMeter(measure, NEEDS_PARTICLES, remark)
+
+
+# Segregation of two kinds of particles, by volume
+
+
+def segregation_intensity(
+    position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid
+) -> float:
+    """Return the intensity of segregation of particles at `position` (n, 3) [m] with volumes (n,) [m3].
+
+        I = sum V_k (c_k - c)^2 / (c (1 - c) sum V_k)
+
+    V_k: volume of the particles with centers in cell k; c_k, c: share by volume of the first kind
+    (`is_kind_a` (n,)) in cell k and in all cells. 1: each cell contains one kind only; 0: the same share in
+    all cells. No cell is excluded. NaN with one kind. (sigma^2 / (c (1 - c)) of P. V. Danckwerts, Appl. Sci.
+    Res. A 3 (1952) 279, with samples weighted by their volume.)
+    """
+    cell, inside = grid.cells_of(position)
+    total = np.bincount(cell[inside], weights=volume[inside], minlength=grid.cell_count)
+    first = np.bincount(cell[inside], weights=(volume * is_kind_a)[inside], minlength=grid.cell_count)
+    first = first[total > 0.0]
+    total = total[total > 0.0]
+    share = first.sum() / total.sum() if len(total) else np.nan
+    segregated = share * (1.0 - share) * total.sum()
+    if not segregated > 0.0:
+        return float("nan")
+    return float((total * (first / total - share) ** 2).sum() / segregated)
+
+
+def random_intensity(
+    position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid
+) -> float:
+    """Return the expected intensity of segregation of a random mixture of the same particles in the same
+    cells.
+
+        I_R = K (c v_b + (1 - c) v_a) / sum V_k,      v_a, v_b = sum v^2 / sum v
+
+    K: number of cells with particles; v_a, v_b: mean volumes of the particles of each kind, weighted by
+    volume. In a random mixture, the volumes V_a and V_b in a cell are sums over independent particles, with
+    the variances V_a v_a and V_b v_b. To first order, the variance of c = V_a / (V_a + V_b) = V_a / V is
+
+        ((1 - c)^2 V_a v_a + c^2 V_b v_b) / V^2 = c (1 - c) (c v_b + (1 - c) v_a) / V
+
+    For equal volumes v, it is that of Lacey, c (1 - c) v / V. Arguments as `segregation_intensity`; NaN with
+    one kind.
+    """
+    cell, inside = grid.cells_of(position)
+    volume = volume[inside]
+    is_kind_a = is_kind_a[inside]
+    if is_kind_a.all() or not is_kind_a.any():
+        return float("nan")
+    first = volume[is_kind_a]
+    second = volume[~is_kind_a]
+    mean_a = (first**2).sum() / first.sum()
+    mean_b = (second**2).sum() / second.sum()
+    share = first.sum() / volume.sum()
+    return float(len(np.unique(cell[inside])) * (share * mean_b + (1.0 - share) * mean_a) / volume.sum())
+
+
+def _segregation_meter(plan: Plan, spec: SegregationMetric) -> MetricMeter:
+    """Return a meter of the intensity of segregation."""
+    grid = grid_for(plan.domain, spec)
+    is_kind_a = _first_component(plan, spec)
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        particles = mobile_particles(snapshot.particles)
+        volume = sphere_volume(particles["radius"].astype(float))
+        arguments = particles["position"], volume, is_kind_a(particles), grid
+        return {
+            "segregation_intensity": segregation_intensity(*arguments),
+            "segregation_intensity_random": random_intensity(*arguments),
+        }
+
+    return MetricMeter(measure, NEEDS_PARTICLES)
+
+
+def _first_component(plan: Plan, spec: TwoComponentGrid) -> Callable[[Mapping[str, np.ndarray]], np.ndarray]:
+    """Return the function that selects particles (n,): given groups or materials, or diameters below
+    `smaller_than`."""
+    names = [group.name for group in plan.groups]
+    groups = [names.index(name) for name in spec.groups or ()]
+    materials = [list(plan.solids).index(name) for name in spec.materials or ()]
+
+    def is_first(particles: Mapping[str, np.ndarray]) -> np.ndarray:
+        if spec.smaller_than is not None:
+            return np.asarray(2.0 * particles["radius"] < spec.smaller_than)
+        return np.isin(particles["group"], groups) | np.isin(particles["material"], materials)
+
+    return is_first
+
+
+# Angle of repose
+#
+# The surface of a heap, or of a bed in a drum, consists of the highest particle of each square column; a line
+# or plane is fitted to the tops of these spheres.
+
+COLUMN_WIDTH = 2.0
+"""Edge of the columns in which the surface of a heap is determined, in largest diameters."""
 FLANK = (0.8, 0.2)
 """Upper and lower end of the fitted flank, over the height of the cone: excludes the rounded top and the
 foot."""
@@ -168,6 +334,35 @@ SIGNIFICANCE = 0.05
 slope."""
 RELATIVE_ERROR = 0.25
 """Largest standard error of a gradient over its magnitude."""
+
+
+def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
+    """Return a meter of the angle of repose [rad]; the vertical is opposite to gravity, also if gravity is
+    inclined.
+
+    Particles with fewer than MIN_CONTACTS contacts are not part of the heap: one that rolls away on the floor
+    has one.
+    """
+    upwards = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
+    frame = frame_along(upwards)
+    edge = COLUMN_WIDTH * 2.0 * plan.radius_max
+    axis = None if spec.axis is None else (frame @ np.array(spec.axis))[:2]
+    reason = ""
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        nonlocal reason
+        particles = mobile_particles(snapshot.particles)
+        contacts = particles["coordination_number"] + _wall_contacts(particles)
+        heap = selected(particles, (contacts >= MIN_CONTACTS) & _inside(particles["position"], spec.region))
+        points = heap["position"].astype(float) @ frame.T
+        if spec.surface == "cone":
+            slope = slope_of_cone(points, heap["radius"], edge, axis)
+        else:
+            slope = slope_of_plane(points, heap["radius"], edge)
+        reason = slope.reason
+        return {"angle_of_repose": slope.angle, "angle_of_repose_error": slope.error}
+
+    return MetricMeter(measure, NEEDS_PARTICLES, lambda: reason and f"the angle of repose is NaN: {reason}")
 
 
 @dataclass(frozen=True)
@@ -299,61 +494,7 @@ def _chance(unexplained: float, slopes: int, freedom: int) -> float:
     return float(betainc(0.5 * freedom, 0.5 * slopes, min(unexplained, 1.0)))
 
 
-# Intensity of segregation of two kinds of particles, by volume.
-
-
-def segregation_intensity(
-    position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid
-) -> float:
-    """Return the intensity of segregation of particles at `position` (n, 3) [m] with volumes (n,) [m3].
-
-        I = sum V_k (c_k - c)^2 / (c (1 - c) sum V_k)
-
-    V_k: volume of the particles with centers in cell k; c_k, c: share by volume of the first kind
-    (`is_kind_a` (n,)) in cell k and in all cells. 1: each cell contains one kind only; 0: the same share in
-    all cells. No cell is excluded. NaN with one kind. (sigma^2 / (c (1 - c)) of P. V. Danckwerts, Appl. Sci.
-    Res. A 3 (1952) 279, with samples weighted by their volume.)
-    """
-    cell, inside = grid.cells_of(position)
-    total = np.bincount(cell[inside], weights=volume[inside], minlength=grid.cell_count)
-    first = np.bincount(cell[inside], weights=(volume * is_kind_a)[inside], minlength=grid.cell_count)
-    first = first[total > 0.0]
-    total = total[total > 0.0]
-    share = first.sum() / total.sum() if len(total) else np.nan
-    segregated = share * (1.0 - share) * total.sum()
-    if not segregated > 0.0:
-        return float("nan")
-    return float((total * (first / total - share) ** 2).sum() / segregated)
-
-
-def random_intensity(
-    position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid
-) -> float:
-    """Return the expected intensity of segregation of a random mixture of the same particles in the same
-    cells.
-
-        I_R = K (c v_b + (1 - c) v_a) / sum V_k,      v_a, v_b = sum v^2 / sum v
-
-    K: number of cells with particles; v_a, v_b: mean volumes of the particles of each kind, weighted by
-    volume. In a random mixture, the volumes V_a and V_b in a cell are sums over independent particles, with
-    the variances V_a v_a and V_b v_b. To first order, the variance of c = V_a / (V_a + V_b) = V_a / V is
-
-        ((1 - c)^2 V_a v_a + c^2 V_b v_b) / V^2 = c (1 - c) (c v_b + (1 - c) v_a) / V
-
-    For equal volumes v, it is that of Lacey, c (1 - c) v / V. Arguments as `segregation_intensity`; NaN with
-    one kind.
-    """
-    cell, inside = grid.cells_of(position)
-    volume = volume[inside]
-    is_kind_a = is_kind_a[inside]
-    if is_kind_a.all() or not is_kind_a.any():
-        return float("nan")
-    mean_a, mean_b = ((volume[kind] ** 2).sum() / volume[kind].sum() for kind in (is_kind_a, ~is_kind_a))
-    share = volume[is_kind_a].sum() / volume.sum()
-    return float(len(np.unique(cell[inside])) * (share * mean_b + (1.0 - share) * mean_a) / volume.sum())
-
-
-# Structure of a bed: center of mass, number of contacts per particle, their orientation and sliding.
+# Contacts per particle
 
 MIN_CONTACTS = 2
 """Smallest number of contacts, with particles and walls, of a particle that carries a load."""
@@ -379,26 +520,19 @@ def coordination(with_particles: np.ndarray, with_walls: np.ndarray) -> dict[str
     }
 
 
-def center_of_mass(position: np.ndarray, mass: np.ndarray) -> dict[str, float]:
-    """Return the center of mass [m] of particles at `position` (n, 3) [m] with `mass` (n,) [kg]; NaN without
-    any."""
-    total = float(mass.sum())
-    center = mass.astype(float) @ position.astype(float) / total if total else np.full(3, np.nan)
-    return {f"center_of_mass_{axis}": float(center[k]) for k, axis in enumerate("xyz")}
+def _coordination(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
+    """Return the coordination numbers of the mobile particles with centers inside the region."""
+    particles = mobile_particles(snapshot.particles)
+    inside = _inside(particles["position"], region)
+    return coordination(particles["coordination_number"][inside], _wall_contacts(particles)[inside])
 
 
-def sliding_share(contacts: Mapping[str, np.ndarray], walls: Collection[int] | None) -> dict[str, float]:
-    """Return the share of contacts whose friction force is at the Coulomb limit; NaN without contacts.
-
-    `contacts`: arrays `wall` and `sliding` (n,); `walls`: numbers of the walls in the scene, or None for the
-    contacts between particles.
-    """
-    selected = contacts["wall"] < 0 if walls is None else np.isin(contacts["wall"], list(walls))
-    return {"sliding_share": _mean(contacts["sliding"][selected])}
+def _wall_contacts(particles: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the number of contacts of each particle with walls (n,); zeros in a scene without walls."""
+    return particles.get("wall_contact_count", np.zeros(len(particles["position"]), np.int32))
 
 
-def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if len(values) else float("nan")
+# Directions of contacts
 
 
 def fabric_tensor(contacts: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -425,99 +559,45 @@ def anisotropy(fabric: np.ndarray) -> float:
     return float(np.sqrt(1.5 * (deviator**2).sum()))
 
 
-# Builds the meters that `output.metrics` of a scene specifies.
-
-COLUMN_WIDTH = 2.0
-"""Edge of the columns in which the surface of a heap is determined, in largest diameters."""
-DROPPED_SHARE = 0.1
-"""Share of the particles of a component outside the cells of a Lacey index above which a remark reports
-it."""
-NEEDS_PARTICLES, NEEDS_CONTACTS = frozenset({PARTICLES}), frozenset({CONTACTS})
-
-
-def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
-    """Return a meter for each metric of the plan, by its name in `output.metrics`."""
-    return {name: _metric_meter(plan, spec) for name, spec in plan.output.metrics.items()}
+def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
+    """Return the anisotropy and the diagonal of the fabric tensor of contacts with midpoints inside the
+    region."""
+    contacts = snapshot.contacts or {}
+    middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
+    tensor = fabric_tensor(selected(contacts, _inside(middle, region)))
+    parts = {f"fabric_{axis}{axis}": float(tensor[k, k]) for k, axis in enumerate("xyz")}
+    return {"fabric_anisotropy": anisotropy(tensor)} | parts
 
 
-def _metric_meter(plan: Plan, spec: AnyMetric) -> MetricMeter:
-    """Return the meter of one metric; the class of `spec` determines the kind."""
-    if isinstance(spec, LaceyMetric):
-        return _lacey_metric_meter(plan, spec)
-    if isinstance(spec, SegregationMetric):
-        return _segregation_meter(plan, spec)
-    if isinstance(spec, ReposeMetric):
-        return _repose_meter(plan, spec)
-    if isinstance(spec, FabricMetric):
-        return MetricMeter(lambda snapshot: _fabric(snapshot, spec.region), NEEDS_CONTACTS)
-    if isinstance(spec, ContentMetric):
-        return MetricMeter(lambda snapshot: _content(snapshot, spec.region), NEEDS_PARTICLES)
-    if isinstance(spec, CenterOfMassMetric):
-        return _center_of_mass_meter(plan, spec)
-    if isinstance(spec, ProbeMetric):
-        return MetricMeter(lambda snapshot: _probe(snapshot.particles, spec.id), NEEDS_PARTICLES)
-    if isinstance(spec, SlidingMetric):
-        names = [wall.name for wall in plan.walls]
-        walls = None if spec.walls is None else [names.index(name) for name in spec.walls]
-        return MetricMeter(lambda snapshot: sliding_share(snapshot.contacts or {}, walls), NEEDS_CONTACTS)
-    return MetricMeter(lambda snapshot: _coordination(snapshot, spec.region), NEEDS_PARTICLES)
+# Sliding contacts
 
 
-def _lacey_metric_meter(plan: Plan, spec: LaceyMetric) -> MetricMeter:
-    """Return a meter of the Lacey index, with a remark if it excludes more than DROPPED_SHARE of a kind."""
-    grid: CoarseGrid = grid_for(plan.domain, spec)
-    is_kind_a = _first_component(plan, spec)
-    dropped = 0.0
+def sliding_share(contacts: Mapping[str, np.ndarray], walls: Collection[int] | None) -> dict[str, float]:
+    """Return the share of contacts whose friction force is at the Coulomb limit; NaN without contacts.
 
-    def measure(snapshot: Snapshot) -> dict[str, float]:
-        nonlocal dropped
-        particles = mobile_particles(snapshot.particles)
-        arguments = particles["position"], is_kind_a(particles), grid, spec.at_least
-        dropped = dropped_share(*arguments)
-        return {"lacey_index": lacey_index(*arguments)}
-
-    def remark() -> str:
-        if dropped <= DROPPED_SHARE:
-            return ""
-        return (
-            f"the Lacey index excludes {dropped:.0%} of the particles of one component, because their cells "
-            f"contain fewer than {spec.at_least} particles (at_least): increase cell, or use kind: "
-            "segregation, which weights particles by volume and excludes no cell"
-        )
-
-    return MetricMeter(measure, NEEDS_PARTICLES, remark)
+    `contacts`: arrays `wall` and `sliding` (n,); `walls`: numbers of the walls in the scene, or None for the
+    contacts between particles.
+    """
+    selected = contacts["wall"] < 0 if walls is None else np.isin(contacts["wall"], list(walls))
+    return {"sliding_share": _mean(contacts["sliding"][selected])}
 
 
-def _segregation_meter(plan: Plan, spec: SegregationMetric) -> MetricMeter:
-    """Return a meter of the intensity of segregation."""
-    grid: CoarseGrid = grid_for(plan.domain, spec)
-    is_kind_a = _first_component(plan, spec)
-
-    def measure(snapshot: Snapshot) -> dict[str, float]:
-        particles = mobile_particles(snapshot.particles)
-        volume = sphere_volume(particles["radius"].astype(float))
-        arguments = particles["position"], volume, is_kind_a(particles), grid
-        return {
-            "segregation_intensity": segregation_intensity(*arguments),
-            "segregation_intensity_random": random_intensity(*arguments),
-        }
-
-    return MetricMeter(measure, NEEDS_PARTICLES)
+def _sliding_meter(plan: Plan, spec: SlidingMetric) -> MetricMeter:
+    """Return a meter of the share of sliding contacts, between particles or with the given walls."""
+    names = [wall.name for wall in plan.walls]
+    walls = None if spec.walls is None else [names.index(name) for name in spec.walls]
+    return MetricMeter(lambda snapshot: sliding_share(snapshot.contacts or {}, walls), NEEDS_CONTACTS)
 
 
-def _first_component(plan: Plan, spec: TwoComponentGrid) -> Callable[[Mapping[str, np.ndarray]], np.ndarray]:
-    """Return the function that selects particles (n,): given groups or materials, or diameters below
-    `smaller_than`."""
-    names = [group.name for group in plan.groups]
-    groups = [names.index(name) for name in spec.groups or ()]
-    materials = [list(plan.solids).index(name) for name in spec.materials or ()]
+# Position and content
 
-    def is_first(particles: Mapping[str, np.ndarray]) -> np.ndarray:
-        if spec.smaller_than is not None:
-            return np.asarray(2.0 * particles["radius"] < spec.smaller_than)
-        return np.isin(particles["group"], groups) | np.isin(particles["material"], materials)
 
-    return is_first
+def center_of_mass(position: np.ndarray, mass: np.ndarray) -> dict[str, float]:
+    """Return the center of mass [m] of particles at `position` (n, 3) [m] with `mass` (n,) [kg]; NaN without
+    any."""
+    total = float(mass.sum())
+    center = mass.astype(float) @ position.astype(float) / total if total else np.full(3, np.nan)
+    return {f"center_of_mass_{axis}": float(center[k]) for k, axis in enumerate("xyz")}
 
 
 def _center_of_mass_meter(plan: Plan, spec: CenterOfMassMetric) -> MetricMeter:
@@ -532,52 +612,6 @@ def _center_of_mass_meter(plan: Plan, spec: CenterOfMassMetric) -> MetricMeter:
         return center_of_mass(particles["position"][own], particles["mass"][own])
 
     return MetricMeter(measure, NEEDS_PARTICLES)
-
-
-def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
-    """Return a meter of the angle of repose [rad]; the vertical is opposite to gravity, also if gravity is
-    inclined.
-
-    Particles with fewer than MIN_CONTACTS contacts are not part of the heap: one that rolls away on the floor
-    has one.
-    """
-    upwards = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
-    frame = frame_along(upwards)
-    edge = COLUMN_WIDTH * 2.0 * plan.radius_max
-    axis = None if spec.axis is None else (frame @ np.array(spec.axis))[:2]
-    reason = ""
-
-    def measure(snapshot: Snapshot) -> dict[str, float]:
-        nonlocal reason
-        particles = mobile_particles(snapshot.particles)
-        contacts = particles["coordination_number"] + wall_contacts(particles)
-        heap = selected(particles, (contacts >= MIN_CONTACTS) & _inside(particles["position"], spec.region))
-        points = heap["position"].astype(float) @ frame.T
-        if spec.surface == "cone":
-            slope = slope_of_cone(points, heap["radius"], edge, axis)
-        else:
-            slope = slope_of_plane(points, heap["radius"], edge)
-        reason = slope.reason
-        return {"angle_of_repose": slope.angle, "angle_of_repose_error": slope.error}
-
-    return MetricMeter(measure, NEEDS_PARTICLES, lambda: reason and f"the angle of repose is NaN: {reason}")
-
-
-def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
-    """Return the anisotropy and the diagonal of the fabric tensor of contacts with midpoints inside the
-    region."""
-    contacts = snapshot.contacts or {}
-    middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
-    tensor = fabric_tensor(selected(contacts, _inside(middle, region)))
-    parts = {f"fabric_{axis}{axis}": float(tensor[k, k]) for k, axis in enumerate("xyz")}
-    return {"fabric_anisotropy": anisotropy(tensor)} | parts
-
-
-def _coordination(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
-    """Return the coordination numbers of the mobile particles with centers inside the region."""
-    particles = mobile_particles(snapshot.particles)
-    inside = _inside(particles["position"], region)
-    return coordination(particles["coordination_number"][inside], wall_contacts(particles)[inside])
 
 
 def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:
@@ -608,6 +642,9 @@ def _probe(particles: Mapping[str, np.ndarray], particle_id: int) -> Mapping[str
     return found
 
 
+# Shared by several metrics
+
+
 def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:
     """Return whether points (n, 3) [m] are inside the region; True without a region."""
     if region is None:
@@ -615,3 +652,7 @@ def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:
     above = points >= np.array(region.min)
     below = points <= np.array(region.max)
     return np.asarray(np.logical_and(above, below).all(axis=1))
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else float("nan")

@@ -1,4 +1,10 @@
-"""An observer that calls a Python function at a regular interval."""
+"""What an observer is, when it is due, and the observer that calls a function of the user.
+
+A run passes a snapshot to each observer at its due times. `Observer` is the protocol; `WritesFiles` and
+`Checkpointable` are what an observer can do in addition. `ScheduledObserver` is the base class of all
+observers of granflow: its `Schedule` gives due times at a regular interval. `on_interval` is the observer
+that a Python program appends to `simulation.observers`.
+"""
 
 import math
 import weakref
@@ -18,9 +24,10 @@ from granflow.errors import GranflowError, StopRun
 from granflow.snapshot import Snapshot
 from granflow.units import seconds_of
 
-# Protocols of observers.
-
-PARTICLES, CONTACTS, WALLS, TOTALS = "particles", "contacts", "walls", "totals"
+PARTICLES = "particles"
+CONTACTS = "contacts"
+WALLS = "walls"
+TOTALS = "totals"
 """Parts of a snapshot that an observer can request."""
 
 
@@ -68,11 +75,9 @@ class Checkpointable(Protocol):
         """Restore the files to their content at the time of the restored state."""
 
 
-# Due times at a regular interval.
-
-# A time that precedes a due time by less than this fraction of the interval counts as due: the simulated
-# clock is rounded, and a frame one step later would duplicate the state.
 EARLY_FRACTION = 1e-3
+"""A time that precedes a due time by less than this fraction of the interval counts as due: the simulated
+clock is rounded, and a frame one step later would duplicate the state."""
 
 
 class Schedule:

@@ -13,13 +13,9 @@ from granflow.snapshot import Snapshot
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-# Updates per run: at fixed simulated times, independent of the wall clock, so that the display does not
-# affect a run.
 UPDATE_COUNT = 500
-SECONDS_BETWEEN_LINES = 10.0
-# Number of updates over which rates are averaged: large enough for a steady value, small enough to follow
-# insertion.
-RATE_SAMPLES = 25
+"""Updates per run: at fixed simulated times, independent of the wall clock, so that the display does not
+affect a run."""
 
 
 class ProgressDisplay(ScheduledObserver):
@@ -85,6 +81,11 @@ class StagePlan:
         self.end = max(end, self.end)
 
 
+RATE_SAMPLES = 25
+"""Number of updates over which rates are averaged: large enough for a steady value, small enough to follow
+insertion."""
+
+
 class StepRates:
     """Steps and particle-steps per second of wall clock over the latest updates."""
 
@@ -99,7 +100,8 @@ class StepRates:
         """Return the steps per second, 0 while unknown."""
         if len(self._samples) < 2:
             return 0.0
-        (first_seconds, first_step, _), (last_seconds, last_step, _) = self._samples[0], self._samples[-1]
+        first_seconds, first_step, _ = self._samples[0]
+        last_seconds, last_step, _ = self._samples[-1]
         elapsed = last_seconds - first_seconds
         return (last_step - first_step) / elapsed if elapsed > 0 else 0.0
 
@@ -140,6 +142,10 @@ class _Bar:
 
     def close(self) -> None:
         self._progress.stop()
+
+
+SECONDS_BETWEEN_LINES = 10.0
+"""Wall clock [s] between two lines."""
 
 
 class _Lines:
