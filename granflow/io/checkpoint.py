@@ -130,8 +130,12 @@ def _from_archive(
     engine = header.get("engine")
     scene = header.get("scene")
     saved = header.get("saved")
-    has_texts = isinstance(version, str) and isinstance(engine, str) and isinstance(scene, str)
-    if not (has_texts and isinstance(saved, dict)):
+    if not (
+        isinstance(version, str)
+        and isinstance(engine, str)
+        and isinstance(scene, str)
+        and isinstance(saved, dict)
+    ):
         raise FormatError("lacks the version, the scene or the state of the run")
     time = header.get("time")
     if not (isinstance(time, int | float) and isfinite(time)):
