@@ -23,6 +23,7 @@ from granflow.live.walls import LiveWalls
 from granflow.load import Scene, refuse_other_object
 from granflow.observers.build import observers_for
 from granflow.observers.observer import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
+from granflow.parallel.refusals import refuse_on_ranks
 from granflow.particles.group import ParticleData
 from granflow.plan.arrays import refuse_too_many, refuse_without_device_memory, refuse_without_memory
 from granflow.plan.build import plan_for, rank_plan
@@ -32,7 +33,6 @@ from granflow.runs.initial_particles import initial_state, refuse_other_particle
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
-from granflow.runs.ranks import refuse_on_ranks
 from granflow.runs.result import Result
 from granflow.runs.resume import (
     Change,

@@ -342,7 +342,7 @@ def resume(options: argparse.Namespace) -> int:
     if not out.is_dir():
         raise GranflowError(f"{out}: no such directory; give the directory of a run.")
     pass
-    from granflow.parallel.launch import refuse_without_mpi_flag
+    from granflow.parallel.refusals import refuse_without_mpi_flag
 
     if options.mpi:
         return on_ranks(options, partial(_resume, options, out), partial(_resumed_plan, options))
@@ -597,7 +597,7 @@ def run(options: argparse.Namespace) -> int:
     --mpi.
     """
     pass
-    from granflow.parallel.launch import refuse_without_mpi_flag
+    from granflow.parallel.refusals import refuse_without_mpi_flag
 
     if options.mpi:
         return on_ranks(options, partial(run_scene, options), partial(scene_and_plan, options))
@@ -672,13 +672,13 @@ def check(options: argparse.Namespace) -> int:
     problems. If the particles do not fit into the memory, their packing is not checked.
     """
     scene = load(options)
+    from granflow.parallel.refusals import refuse_on_ranks
     from granflow.particles.insertion import initial_particles, inserters
     from granflow.plan.arrays import fits, memory_warning, refuse_too_many
     from granflow.plan.build import plan_for
     from granflow.plan.explain import refuse_run_time
     from granflow.plan.forecast import particle_warnings, refuse_initial_overlaps
     from granflow.runs.initial_particles import particles_from_run
-    from granflow.runs.ranks import refuse_on_ranks
 
     plan = plan_for(scene)
     if options.mpi:

@@ -70,7 +70,9 @@ def bisected(communicator: Communicator, position: np.ndarray, weights: np.ndarr
         axes, cuts = _cuts(communicator, part, points, weights[inside], shares)
         below = []
         for number, each in enumerate(level):
-            axis[each], cut[each], child[each] = int(axes[number]), float(cuts[number]), len(ranks)
+            axis[each] = int(axes[number])
+            cut[each] = float(cuts[number])
+            child[each] = len(ranks)
             low = ranks[each] // 2
             below += [len(ranks), len(ranks) + 1]
             first += [first[each], first[each] + low]
@@ -116,7 +118,8 @@ def _cuts(
     for _ in range(BISECTIONS):
         middle = 0.5 * (begin + end)
         below = summed(along < middle[part])
-        begin, end = np.where(below < wanted, middle, begin), np.where(below < wanted, end, middle)
+        begin = np.where(below < wanted, middle, begin)
+        end = np.where(below < wanted, end, middle)
     return axes, end
 
 
@@ -173,8 +176,8 @@ class LoadBalance:
 
     def record(self, seconds: float) -> None:
         """Account for a step that took this computing time [s] on this rank, without messages."""
-        self._seconds = self._seconds + seconds
-        self._steps = self._steps + 1
+        self._seconds += seconds
+        self._steps += 1
 
     @property
     def cost(self) -> MeasuredCost:

@@ -80,9 +80,8 @@ def within(state: State, box: Box, position: np.ndarray, reach: np.ndarray) -> n
 def _image_gap(state: State, box: Box, position: np.ndarray, axis: int) -> np.ndarray:
     """Distance (n,) [m] of the nearest periodic images from the box along an axis."""
     width = state.plan.domain_high[axis] - state.plan.domain_low[axis]
-    above, below = (
-        _gap(position[:, axis] + shift, box.low[axis], box.high[axis]) for shift in (width, -width)
-    )
+    above = _gap(position[:, axis] + width, box.low[axis], box.high[axis])
+    below = _gap(position[:, axis] - width, box.low[axis], box.high[axis])
     found: np.ndarray = np.minimum(above, below)
     return found
 
@@ -102,7 +101,8 @@ class GhostExchange:
         self._state = state
         self._communicator = communicator
         self._flags = np.zeros(FLAGS, np.int32)
-        self.first = self.count = 0
+        self.first = 0
+        self.count = 0
         self._prepare([], [])
 
     def selected(self, arrays: Arrays, reach_time: float) -> list[np.ndarray]:
@@ -136,7 +136,8 @@ class GhostExchange:
         records = _records(self._state)
         self.count = sum(received)
         self._entries = np.concatenate(entries or [np.zeros(0, np.int64)])
-        self._out, self._in = (np.zeros(size, records.dtype) for size in (len(self._entries), self.count))
+        self._out = np.zeros(len(self._entries), records.dtype)
+        self._in = np.zeros(self.count, records.dtype)
         self._sends = _parts(self._out, [len(rows) for rows in entries])
         self._receives = _parts(self._in, received)
 
@@ -155,13 +156,16 @@ class GhostExchange:
         """
         control = self._state.control
         flags = self._flags
-        flags[STOP], flags[REBUILD] = stop, int(rebuild)
-        flags[ABORT], flags[PARTICLE] = int(control.abort[0]), -NO_PARTICLE
+        flags[STOP] = stop
+        flags[REBUILD] = int(rebuild)
+        flags[ABORT] = int(control.abort[0])
+        flags[PARTICLE] = -NO_PARTICLE
         if flags[ABORT]:
             flags[PARTICLE] = -int(control.abort_particle[0])
         agreed = self._communicator.largest_of(flags)
         if agreed[ABORT]:
-            control.abort[0], control.abort_particle[0] = int(agreed[ABORT]), -int(agreed[PARTICLE])
+            control.abort[0] = int(agreed[ABORT])
+            control.abort_particle[0] = -int(agreed[PARTICLE])
         return bool(agreed[REBUILD]), int(agreed[STOP])
 
 

@@ -1,4 +1,4 @@
-"""Ranks work with Taichi only, see `granflow.runs.ranks`."""
+"""Ranks work with Taichi only, see `granflow.parallel.refusals`."""
 
 import pytest
 

@@ -9,8 +9,8 @@ from scene_builders import build_scene, particle_group, plane
 from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.parallel.rank_engine import RankEngine
+from granflow.parallel.refusals import refuse_on_ranks
 from granflow.runs import ranks
-from granflow.runs.ranks import refuse_on_ranks
 
 
 def scene_with(changes):

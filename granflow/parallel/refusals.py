@@ -1,11 +1,27 @@
-"""What cannot run on MPI ranks."""
+"""What is refused with MPI: processes that would all run the same scene, and scenes that ranks cannot run."""
 
+import os
 from collections.abc import Sequence
 
 from granflow.contact import registry
 from granflow.errors import GranflowError
 from granflow.kernel_language import KERNELS, VARIABLE
 from granflow.load import Scene
+
+SIZE_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "SLURM_STEP_NUM_TASKS")
+"""Environment variables with the number of ranks, set by the mpirun of Open MPI, MPICH and Intel MPI, and by
+srun."""
+
+
+def refuse_without_mpi_flag() -> None:
+    """Raise GranflowError if mpirun has started several processes, which would all run the same scene."""
+    numbers = [os.environ.get(name, "") for name in SIZE_VARIABLES]
+    ranks = max((int(number) for number in numbers if number.isdecimal()), default=1)
+    if ranks > 1:
+        raise GranflowError(
+            f"mpirun has started {ranks} processes that would all run the whole scene: add --mpi to "
+            "distribute it, or start granflow without mpirun."
+        )
 
 
 def refuse_on_ranks(arch: str = "cpu", forces: Sequence[object] = (), scene: Scene | None = None) -> None:
