@@ -10,7 +10,8 @@ import numpy as np
 from granflow.engine.state import Arrays
 from granflow.errors import GranflowError
 
-COMMAND_TAG, GHOST_TAG = 1, 2
+COMMAND_TAG = 1
+GHOST_TAG = 2
 """Tags of messages."""
 
 POLL_SECONDS = 2e-4
@@ -116,7 +117,7 @@ class Communicator:
         requests += [self._world.Isend(array, dest=rank, tag=GHOST_TAG) for rank, array in sends]
         self._mpi.Request.Waitall(requests)
 
-    # As `engine.ranks.Gathering`.
+    # The methods of `engine.state.Gathering`
 
     def total(self, words: np.ndarray) -> np.ndarray:
         """Integers (1, ...): the sum over the first axis of the arrays (n, ...) of all ranks."""

@@ -1,6 +1,8 @@
-"""Decomposition of space among the ranks by recursive coordinate bisection (Berger and Bokhari 1987).
+"""Which rank owns a particle: decomposition of space, and its balance of computing time.
 
-Which rank owns a particle has no influence on the bits of a run.
+Space is divided among the ranks by recursive coordinate bisection (Berger and Bokhari 1987). `LoadBalance`
+measures the steps of each rank, gives the particles their weights, and decides when space is divided again.
+Its rule depends on measured times: which rank owns a particle has no influence on the bits of a run.
 """
 
 from collections.abc import Sequence
@@ -9,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.parallel.communicator import Communicator
+
+# Decomposition of space
 
 BISECTIONS = 40
 """Halvings of the range of a cut: its position is then exact to 1e-12 of the size of the bed."""
@@ -123,16 +127,14 @@ def _cuts(
     return axes, end
 
 
-# Balance of the computing time of the ranks: when particles migrate, and the weights of a new
-# decomposition.
-#
-# The rule depends on measured times. Which rank owns a particle has no influence on the bits of a run.
+# Balance of the computing time
 
 IMBALANCE = 1.03
 """Largest over mean cost of a rank above which a migration decomposes space again."""
 LOSS = 2.0
 """A migration is due if imbalance has cost this multiple of the time of a migration since the last one."""
-PARTICLE_WEIGHT, CONTACT_WEIGHT = 2, 1
+PARTICLE_WEIGHT = 2
+CONTACT_WEIGHT = 1
 """Cost of a particle with six walls, and of a contact in the list of one particle: 40 and 24 ns, measured."""
 LARGEST_FACTOR = 2.0
 """Limit of the measured cost of a unit of weight on a rank over the mean, and of its inverse."""

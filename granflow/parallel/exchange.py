@@ -1,4 +1,9 @@
-"""Ghosts: copies of particles that other ranks own, within reach of the particles of this rank."""
+"""What ranks exchange: ghosts in each step, and particles that migrate at some rebuilds.
+
+Ghosts are copies of particles that other ranks own, within reach of the particles of this rank.
+`GhostExchange` selects them at each neighbor-list rebuild, and updates them in each step. `migrated` sends particles, with
+their contact histories, to the ranks that own their positions.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,7 +36,7 @@ class Box:
 
 def reaches(state: State, arrays: Arrays, reach_time: float) -> np.ndarray:
     """Radius plus an upper bound of the reach (n,) [m] of particles, see
-    `engine.neighbor.bounds.bounds_phases`."""
+    `engine.neighbor.sort.bounds_phases`."""
     plan = state.plan
     velocity = arrays["velocity"].astype(float)
     speed = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
@@ -109,7 +114,7 @@ class GhostExchange:
         """Indices (k,) of the owned particles that each rank needs as ghosts.
 
         arrays:      position, velocity, radius and reach of the owned particles
-        reach_time:  [s], see `engine.neighbor.bounds.bounds_phases`
+        reach_time:  [s], see `engine.neighbor.sort.bounds_phases`
         """
         communicator = self._communicator
         position = arrays["position"].astype(float)
@@ -188,7 +193,7 @@ def _parts(buffer: np.ndarray, lengths: list[int]) -> list[tuple[int, np.ndarray
     return [(rank, bytes_of[ends[rank] : ends[rank + 1]]) for rank, length in enumerate(lengths) if length]
 
 
-# Migration of particles, with their contact histories, to the ranks that own their positions.
+# Migration
 
 
 @dataclass(frozen=True)
@@ -255,7 +260,7 @@ def _rows_of_both(first: np.ndarray, second: np.ndarray, rows: np.ndarray) -> np
 
 
 def cell_order(position: np.ndarray, cell_size: float) -> np.ndarray:
-    """Order (n,) of particles by blocks of cells, as `engine.neighbor.cells.cell_number`: chunks are compact.
+    """Order (n,) of particles by blocks of cells, as `engine.neighbor.sort.cell_number`: chunks are compact.
 
     position:   (n, 3) [m]
     cell_size:  [m]

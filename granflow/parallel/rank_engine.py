@@ -1,4 +1,9 @@
-"""The engine of one MPI rank. The root controls the run; the other ranks execute its commands."""
+"""The engine of one MPI rank, and the program of the ranks that are not the root.
+
+The root (rank 0) executes the program of the user, as without MPI. Its `RankEngine` sends each call that
+concerns all ranks as a command, the name of the method with its arguments; the other ranks wait for commands
+in `serve`, and call the same method of their engines. A failure of one rank ends all of them.
+"""
 
 import atexit
 import gc
@@ -29,79 +34,9 @@ from granflow.plan.build import rank_plan
 from granflow.plan.plan import Plan
 from granflow.snapshot import Snapshot
 
-# Reading of a checkpoint that MPI ranks have written: each rank reads a part of the files.
-
-
-def share_of_checkpoint(
-    state: State,
-    communicator: Communicator,
-    particles: HostParticles | None,
-    files: RankFiles | None,
-    accounting: Mapping[str, Any],
-) -> tuple[HostParticles, str | None]:
-    """The particles that this rank reads, and a sentence on a problem of any rank, or None; all ranks call
-    this.
-
-    particles:   of the checkpoint itself, on the root
-    files:       with the other particles
-    accounting:  state of `Accounting`
-    """
-    parts = [no_particles(state) if particles is None else particles]
-    problem = None
-    try:
-        if files is not None:  # the root, which has particles already, is the last one to read a file
-            for number in range((communicator.rank - 1) % communicator.size, files.count, communicator.size):
-                parts.append(host_particles(state, files.read(number, state.plan, accounting)))
-    except GranflowError as error:
-        problem = str(error)
-    problem = _first(communicator, problem)
-    found = joined_particles(parts)
-    if files is not None and problem is None:
-        problem = _first(communicator, _contradiction(communicator, found))
-    return found, problem
-
-
-def no_particles(state: State) -> HostParticles:
-    """Empty arrays and histories of the state."""
-    none = saved_particle_table(state).take(np.zeros(0, np.int32))
-    contacts = {"count": np.zeros(0, np.int64), "partner": np.zeros(0, np.int32)}
-    return host_particles(state, {"particles": none, "contacts": contacts})
-
-
-def _first(communicator: Communicator, problem: str | None) -> str | None:
-    """The sentence of the lowest rank that has one."""
-    return next(filter(None, communicator.from_each(problem)), None)
-
-
-def _contradiction(communicator: Communicator, particles: HostParticles) -> str | None:
-    """A sentence if a particle is in two files, or a contact between two particles at one of them only.
-
-    Each rank compares the ids, and the contacts by their lower id, with its number modulo the number of
-    ranks.
-    """
-    ids = particles.arrays["id"]
-    histories = particles.histories
-    size = communicator.size
-    pairs = np.stack([ids[histories.owner], histories.partner], axis=1)[histories.partner >= 0]
-    lower = pairs.min(axis=1, initial=2**31 - 1)
-    sent = [(ids[ids % size == rank], pairs[lower % size == rank]) for rank in range(size)]
-    compared, contacts = (np.concatenate(each) for each in zip(*communicator.exchanged(sent), strict=True))
-    if len(np.unique(compared)) < len(compared):
-        return (
-            "The checkpoint has a particle in the files of two ranks. Remove it to use the checkpoint before "
-            "it."
-        )
-    first, second = (each[np.lexsort(each.T)] for each in (contacts, contacts[:, ::-1]))
-    if not np.array_equal(first, second):
-        return (
-            "The checkpoint has a contact between two particles at one of them only. Remove it to use the "
-            "checkpoint before it."
-        )
-    return None
-
-
 _T = TypeVar("_T")
-START, END = "start", "end"
+START = "start"
+END = "end"
 """Commands that create the engines and end the ranks; all others are names of methods of `RankEngine`."""
 
 
@@ -271,8 +206,85 @@ class RankEngine(Engine):
             return next((each for each in self.communicator.to_root(found) if each is not None), None)
 
 
-# The ranks of a run: the root executes a program, the others execute its commands. A failure ends all
-# ranks.
+# Reading a checkpoint: each rank reads a part of the files
+
+
+def share_of_checkpoint(
+    state: State,
+    communicator: Communicator,
+    particles: HostParticles | None,
+    files: RankFiles | None,
+    accounting: Mapping[str, Any],
+) -> tuple[HostParticles, str | None]:
+    """The particles that this rank reads, and a sentence on a problem of any rank, or None; all ranks call
+    this.
+
+    particles:   of the checkpoint itself, on the root
+    files:       with the other particles
+    accounting:  state of `Accounting`
+    """
+    parts = [no_particles(state) if particles is None else particles]
+    problem = None
+    try:
+        if files is not None:  # the root, which has particles already, is the last one to read a file
+            for number in range((communicator.rank - 1) % communicator.size, files.count, communicator.size):
+                parts.append(host_particles(state, files.read(number, state.plan, accounting)))
+    except GranflowError as error:
+        problem = str(error)
+    problem = _first(communicator, problem)
+    found = joined_particles(parts)
+    if files is not None and problem is None:
+        problem = _first(communicator, _contradiction(communicator, found))
+    return found, problem
+
+
+def no_particles(state: State) -> HostParticles:
+    """Empty arrays and histories of the state."""
+    none = saved_particle_table(state).take(np.zeros(0, np.int32))
+    contacts = {"count": np.zeros(0, np.int64), "partner": np.zeros(0, np.int32)}
+    return host_particles(state, {"particles": none, "contacts": contacts})
+
+
+def _first(communicator: Communicator, problem: str | None) -> str | None:
+    """The sentence of the lowest rank that has one."""
+    return next(filter(None, communicator.from_each(problem)), None)
+
+
+def _contradiction(communicator: Communicator, particles: HostParticles) -> str | None:
+    """A sentence if a particle is in two files, or a contact between two particles at one of them only.
+
+    Each rank compares the ids, and the contacts by their lower id, with its number modulo the number of
+    ranks.
+    """
+    ids = particles.arrays["id"]
+    histories = particles.histories
+    size = communicator.size
+    pairs = np.stack([ids[histories.owner], histories.partner], axis=1)[histories.partner >= 0]
+    lower = pairs.min(axis=1, initial=2**31 - 1)
+    sent = [(ids[ids % size == rank], pairs[lower % size == rank]) for rank in range(size)]
+    received = communicator.exchanged(sent)
+    compared = np.concatenate([of_rank for of_rank, _ in received])
+    contacts = np.concatenate([of_rank for _, of_rank in received])
+    if len(np.unique(compared)) < len(compared):
+        return (
+            "The checkpoint has a particle in the files of two ranks. Remove it to use the checkpoint before "
+            "it."
+        )
+    if not np.array_equal(_sorted_rows(contacts), _sorted_rows(contacts[:, ::-1])):
+        return (
+            "The checkpoint has a contact between two particles at one of them only. Remove it to use the "
+            "checkpoint before it."
+        )
+    return None
+
+
+def _sorted_rows(pairs: np.ndarray) -> np.ndarray:
+    """Rows (k, 2) in the order of their last, then their first entry."""
+    found: np.ndarray = pairs[np.lexsort(pairs.T)]
+    return found
+
+
+# The program of each rank
 
 EXIT_FAILED_RANK = 3
 """Exit code of all ranks after a failure of one of them."""

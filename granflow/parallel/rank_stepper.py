@@ -341,7 +341,7 @@ class RankRebuild:
 
         present:     (k,) indices of the particles that are not deleted
         deleted:     of this rank
-        reach_time:  [s], see `engine.neighbor.bounds.bounds_phases`
+        reach_time:  [s], see `engine.neighbor.sort.bounds_phases`
         """
         share = self._share(particles, present)
         entries = self.ghosts.selected(share.arrays, reach_time)
@@ -369,7 +369,7 @@ class RankRebuild:
         return HostParticles(arrays, self._histories.listed(self._ids, len(arrays["id"])))
 
     def _without_deleted(self, owned: Arrays) -> tuple[np.ndarray, Arrays]:
-        """Indices of the particles that remain, and the others, see `engine.neighbor.sort`."""
+        """Indices of the particles that remain, and the others, see `engine.neighbor.deletion`."""
         stays = remaining(self._state, owned)
         deleted = {name: values[~stays] for name, values in owned.items()}
         names = [name for name in DELETED_FIELDS if name in deleted]
