@@ -1,8 +1,8 @@
 """What ranks exchange: ghosts in each step, and particles that migrate at some rebuilds.
 
 Ghosts are copies of particles that other ranks own, within reach of the particles of this rank.
-`GhostExchange` selects them at each neighbor-list rebuild, and updates them in each step. `migrated` sends particles, with
-their contact histories, to the ranks that own their positions.
+`GhostExchange` selects them at each neighbor-list rebuild, and updates them in each step. `migrated` sends
+particles, with their contact histories, to the ranks that own their positions.
 """
 
 from collections.abc import Callable
