@@ -1,13 +1,17 @@
-"""Forces from device functions, which act on the particles of a simulation."""
+"""Forces from Python: device functions that act on the particles of a simulation.
+
+A `ParticleForce` has a function, which is compiled into the kernel of the time step, and `ForceParameters`,
+which may change while the simulation runs. `Forces` is `simulation.forces`: it puts the forces into the plan.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import replace
 from inspect import isfunction, signature
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
-from granflow.arguments import item_at, refuse_other, shown
+from granflow.arguments import GuardedList, refuse_other, shown
 from granflow.device_functions import reason_of
 from granflow.engine.backend import Backend
 from granflow.engine.particle_forces import compile_alone
@@ -15,9 +19,6 @@ from granflow.errors import FunctionError, GranflowError
 from granflow.live.particles import finite, real_array
 from granflow.plan.plan import ExternalForce, ParameterValue, Plan
 from granflow.runs.run_state import RunState
-
-ARGUMENTS = ("position", "velocity", "radius", "mass", "time", "parameters")
-"""Arguments of the function of a force, in order."""
 
 
 class ForceParameters(MutableMapping[str, ParameterValue]):
@@ -80,6 +81,10 @@ class ForceParameters(MutableMapping[str, ParameterValue]):
             )
         finite(f"{self._force}: the parameter {name}", array)
         return float(array) if array.shape == () else (float(array[0]), float(array[1]), float(array[2]))
+
+
+ARGUMENTS = ("position", "velocity", "radius", "mass", "time", "parameters")
+"""Arguments of the function of a force, in order."""
 
 
 class ParticleForce:
@@ -179,7 +184,7 @@ def _refuse_other_arguments(name: str, function: Callable[..., Any]) -> None:
         )
 
 
-class Forces(Sequence[ParticleForce]):
+class Forces(GuardedList[ParticleForce]):
     """The forces of a simulation; `append` and `remove` take effect with the next step, which compiles the
     kernels.
 
@@ -187,55 +192,33 @@ class Forces(Sequence[ParticleForce]):
     energy budget.
     """
 
+    _name = "forces"
+
     def __init__(self, state: RunState, forces: Sequence[ParticleForce]) -> None:
         self._state = state
-        self._forces = tuple(forces)
-
-    def __getitem__(self, index: int) -> ParticleForce:  # type: ignore[override]
-        """The force with an index. Raises GranflowError without such a force."""
-        return item_at("forces", self._forces, index)
-
-    def __iter__(self) -> Iterator[ParticleForce]:
-        return iter(self._forces)
-
-    def __setitem__(self, index: object, value: object) -> NoReturn:
-        """Raises GranflowError: `append` and `remove` change the list."""
-        raise GranflowError("forces[...] cannot be set: use forces.append and forces.remove.")
-
-    def __delitem__(self, index: object) -> NoReturn:
-        """Raises GranflowError: `remove` removes a force."""
-        raise GranflowError("forces[...] cannot be deleted: use forces.remove.")
-
-    def __setattr__(self, name: str, value: object) -> None:
-        """Raises AttributeError: the list has no attributes of its own."""
-        if not name.startswith("_"):
-            raise AttributeError(f"forces.{name} cannot be set: use forces.append and forces.remove.")
-        super().__setattr__(name, value)
-
-    def __len__(self) -> int:
-        return len(self._forces)
+        self._items = tuple(forces)
 
     def __repr__(self) -> str:
-        return repr(list(self._forces))
+        return repr(list(self._items))
 
     def append(self, force: ParticleForce) -> None:
         """Add a force. Raises FunctionError if its function cannot be compiled, GranflowError if its name
         exists."""
-        forces = (*self._forces, force)
+        forces = (*self._items, force)
         refuse_invalid(forces)
         check_compiled(force, self._state.engine.state.backend, self._state.engine.time)
         self._set(forces)
 
     def remove(self, force: ParticleForce) -> None:
         """Remove a force. Raises GranflowError if it is not in the list."""
-        if force not in self._forces:
+        if force not in self._items:
             raise GranflowError(f"{shown(force)} is not a force of this simulation.")
-        self._set(tuple(each for each in self._forces if each is not force))
+        self._set(tuple(each for each in self._items if each is not force))
 
     def _set(self, forces: tuple[ParticleForce, ...]) -> None:
         """Change the plan; the velocities are at the time of the positions when forces begin and end."""
         self._state.engine.begin_change()
-        self._forces = forces
+        self._items = forces
         self._state.plan = _with_forces(self._state.plan, forces)
 
 

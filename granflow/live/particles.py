@@ -1,4 +1,9 @@
-"""The particles of a simulation, read and changed from Python while it runs."""
+"""The particles of a simulation, read and changed from Python while it runs.
+
+`simulation.particles` is a `LiveParticles`; each of its properties is a `ParticleArray`, which reads from the
+device and writes to it. Particles are added as arrays that follow from the arguments of `LiveParticles.add`.
+All values are checked before they are written; a check raises GranflowError with one sentence.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,179 +24,7 @@ from granflow.runs.run_state import RunState
 from granflow.scene.checks import pair_name, possible_contacts
 from granflow.scene.suggest import suggestion_sentence
 
-# Checks of values from Python; each raises GranflowError with one sentence.
-
-LARGEST = 1e30
-"""Largest magnitude of a number [SI], as in a scene; squares of larger ones overflow in single precision."""
-
-
-def real_array(name: str, given: Any) -> np.ndarray:
-    """The numbers in a value as a new float64 array of any shape.
-
-    Raises GranflowError for what is not real numbers: text, None, truth values, complex numbers, masked
-    entries.
-    """
-    try:
-        values = np.array(given)
-        if values.dtype.kind not in "iuf" and not (
-            values.dtype.kind == "O" and None not in values.ravel().tolist()
-        ):
-            raise TypeError
-        if np.ma.is_masked(given):
-            raise GranflowError(f"{name} has masked entries, whose values are unknown: fill them.")
-        return values.astype(np.float64)
-    except (ValueError, TypeError, OverflowError):
-        kind = "complex numbers" if np.iscomplexobj(given) else shown(given)
-        raise GranflowError(
-            f"{name} is {kind}, but must be real numbers, such as 0.5 or [0, 0, 1]."
-        ) from None
-
-
-def finite(name: str, values: np.ndarray) -> np.ndarray:
-    """The values, all of which must be finite and of a magnitude that occurs."""
-    if not np.isfinite(values).all():
-        first = values[~np.isfinite(values)].flat[0]
-        raise GranflowError(f"{name} contains {first}; all values must be finite.")
-    if (np.abs(values) > LARGEST).any():
-        first = values[np.abs(values) > LARGEST].flat[0]
-        raise GranflowError(f"{name} contains {first:g}; a value of this magnitude is out of range.")
-    return values
-
-
-def array_of(name: str, given: object, count: int, width: int | None) -> np.ndarray:
-    """An array (count,) or (count, width) of finite numbers, from one entry for all or one for each."""
-    shape = (count,) if width is None else (count, width)
-    values = real_array(name, given)
-    if values.shape not in (shape, shape[1:]):
-        remedy = f"; give its transpose, {name}.T" if values.ndim == 2 and width == len(values) else ""
-        raise GranflowError(
-            f"{name} has the shape {values.shape}, but must have {shape} or {shape[1:]}{remedy}."
-        )
-    return finite(name, np.broadcast_to(values, shape).copy())
-
-
-def in_domain(plan: Plan, name: str, position: np.ndarray) -> None:
-    """Positions (n, 3) [m] must be inside the domain, unless it expands."""
-    if plan.domain.on_exit == "expand":
-        return
-    outside = np.any((position < plan.domain_low) | (position > plan.domain_high), axis=1)
-    if outside.any():
-        point, low, high = (
-            list(map(float, each)) for each in (position[outside][0], plan.domain_low, plan.domain_high)
-        )
-        raise GranflowError(f"{name} contains {point} m, which is outside the domain from {low} to {high} m.")
-
-
-def named(what: str, name: str, names: Sequence[str]) -> int:
-    """The index of a name among `names`."""
-    if name not in names:
-        raise GranflowError(f"{what} is {name!r}, but must be one of {', '.join(names)}.")
-    return list(names).index(name)
-
-
-# Particles that are added from Python: arguments to arrays.
-
-ARGUMENTS = ("position", "diameter", "material", "velocity", "group", "angular_velocity")
-"""Arguments of `LiveParticles.add`."""
-
-
-def refuse_other_arguments(given: Iterable[str]) -> None:
-    """Raise GranflowError for the first of these arguments, which `LiveParticles.add` does not have."""
-    for name in given:
-        remedy = "Give diameter, twice the radius."
-        if name != "radius":
-            remedy = suggestion_sentence(name, ARGUMENTS, "arguments")
-        raise GranflowError(f"particles.add has no argument {name}. {remedy}")
-
-
-def particle_data(
-    plan: Plan,
-    position: Any,
-    diameter: Any,
-    material: str | None,
-    velocity: Any,
-    group: str | None,
-    angular_velocity: Any,
-) -> ParticleData:
-    """Arrays of new particles from the arguments of `LiveParticles.add`. Raises GranflowError."""
-    centers = np.asarray(position, dtype=object)
-    count = 1 if centers.ndim == 1 and centers.shape == (3,) else len(centers) if centers.ndim else 0
-    number = _group_number(plan, material, group)
-    chosen = plan.groups[number]
-    position = array_of("position", position, count, 3)
-    in_domain(plan, "position", position)
-    velocity = array_of("velocity", velocity, count, 3)
-    angular_velocity = array_of("angular_velocity", angular_velocity, count, 3)
-    if chosen.fixed and (velocity.any() or angular_velocity.any()):
-        raise GranflowError(
-            f"group is {chosen.name}, which is fixed: leave out velocity and angular_velocity."
-        )
-    return ParticleData(
-        position=position,
-        velocity=velocity,
-        angular_velocity=angular_velocity,
-        radius=0.5 * _diameters(plan, chosen, diameter, count),
-        material=np.full(count, list(plan.solids).index(chosen.material), dtype=np.int32),
-        group=np.full(count, number, dtype=np.int32),
-    )
-
-
-def refuse_without_pair(plan: Plan, counts: np.ndarray) -> None:
-    """Raise GranflowError if particles can be in contact without constants of their pair.
-
-    `counts`: number of particles of each group: present, added, and to be inserted.
-    """
-    mobile = Counter[str]()
-    fixed = Counter[str]()
-    for group, count in zip(plan.groups, counts, strict=True):
-        if count:
-            (fixed if group.fixed else mobile)[group.material] += int(count)
-    for both, reason in possible_contacts(mobile, fixed, walls={}).items():
-        if (min(both), max(both)) not in plan.pair_materials:
-            raise GranflowError(
-                f"{reason} now, but the scene has no pair {pair_name(both)}; add it to pairs."
-            )
-
-
-def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
-    """Number of the group: given, or the only one of the material, or of the scene."""
-    names = [each.name for each in plan.groups]
-    materials = [each.material for each in plan.groups]
-    if material is not None:
-        named("material", material, list(dict.fromkeys(materials)))
-    if group is None and material is None and len(names) > 1:
-        raise GranflowError(f"group is missing: give one of {', '.join(names)}.")
-    if group is None and material is not None and materials.count(material) > 1:
-        both = [name for name, each in zip(names, materials, strict=True) if each == material]
-        raise GranflowError(f"group is missing: {', '.join(both)} are of {material}.")
-    if group is None:
-        return 0 if material is None else materials.index(material)
-    number = named("group", group, names)
-    if material not in (None, materials[number]):
-        raise GranflowError(f"material is {material!r}, but the group {group} is of {materials[number]}.")
-    return number
-
-
-def _diameters(plan: Plan, group: PlannedGroup, given: Any, count: int) -> np.ndarray:
-    """Diameters (count,) [m]: given, or that of the group. Those of the scene bound them."""
-    low, high = group.diameters
-    if given is None and low < high:
-        raise GranflowError(
-            f"diameter is missing: the group {group.name} has diameters from {low:.6g} to {high:.6g} m."
-        )
-    diameter = array_of("diameter", low if given is None else given, count, None)
-    smallest = 2.0 * plan.radius_min
-    largest = 2.0 * plan.radius_max
-    outside = (diameter < smallest) | (diameter > largest)
-    if outside.any():
-        raise GranflowError(
-            f"diameter contains {diameter[outside][0]:.6g} m, but the diameters of the scene, on which time "
-            f"step and neighbor lists depend, lie in [{smallest:.6g}, {largest:.6g}] m."
-        )
-    return diameter
-
-
-# Arrays of particle properties that write through to the device.
+# Arrays of properties
 
 
 class ParticleArray(NDArrayOperatorsMixin):
@@ -310,6 +143,8 @@ def _shape(values: np.ndarray, index: Any) -> tuple[int, ...] | None:
     except (IndexError, TypeError):
         return None
 
+
+# The particles
 
 LARGER = 2
 """Factor by which the capacity grows if there is no space for added particles."""
@@ -509,7 +344,8 @@ class LiveParticles:
         engine = self._engine
         arrays = engine.synchronized(("position", "velocity"))
         order = present_indices(engine.state)
-        position, velocity = (arrays[name][order].astype(float) for name in ("position", "velocity"))
+        position = arrays["position"][order].astype(float)
+        velocity = arrays["velocity"][order].astype(float)
         return engine.plan.periodic_box.wrap_with_velocity(position, velocity, engine.time)
 
     def _angular_velocity(self) -> np.ndarray:
@@ -538,8 +374,12 @@ class LiveParticles:
         """Write the entries of a field that differ from the present ones, and other fields with it."""
         engine = self._engine
         engine.begin_change()
-        present = np.asarray(getattr(self, name if name != "radius" else "diameter"))
-        compared = values if name != "radius" else 2.0 * values
+        if name == "radius":
+            present = np.asarray(self.diameter)
+            compared = 2.0 * values
+        else:
+            present = np.asarray(getattr(self, name))
+            compared = values
         rows = np.flatnonzero((present != compared).reshape(len(present), -1).any(axis=1))
         arrays = {name: values, **others}
         write_particles(
@@ -612,3 +452,183 @@ class LiveParticles:
     def _is_fixed(self, groups: np.ndarray) -> np.ndarray:
         """Whether each group number (n,) is that of a fixed group."""
         return np.array([group.fixed for group in self._engine.plan.groups])[groups]
+
+
+# Added particles: arguments to arrays
+
+ARGUMENTS = ("position", "diameter", "material", "velocity", "group", "angular_velocity")
+"""Arguments of `LiveParticles.add`."""
+
+
+def refuse_other_arguments(given: Iterable[str]) -> None:
+    """Raise GranflowError for the first of these arguments, which `LiveParticles.add` does not have."""
+    for name in given:
+        remedy = "Give diameter, twice the radius."
+        if name != "radius":
+            remedy = suggestion_sentence(name, ARGUMENTS, "arguments")
+        raise GranflowError(f"particles.add has no argument {name}. {remedy}")
+
+
+def particle_data(
+    plan: Plan,
+    position: Any,
+    diameter: Any,
+    material: str | None,
+    velocity: Any,
+    group: str | None,
+    angular_velocity: Any,
+) -> ParticleData:
+    """Arrays of new particles from the arguments of `LiveParticles.add`. Raises GranflowError."""
+    count = _particle_count(position)
+    number = _group_number(plan, material, group)
+    chosen = plan.groups[number]
+    position = array_of("position", position, count, 3)
+    in_domain(plan, "position", position)
+    velocity = array_of("velocity", velocity, count, 3)
+    angular_velocity = array_of("angular_velocity", angular_velocity, count, 3)
+    if chosen.fixed and (velocity.any() or angular_velocity.any()):
+        raise GranflowError(
+            f"group is {chosen.name}, which is fixed: leave out velocity and angular_velocity."
+        )
+    return ParticleData(
+        position=position,
+        velocity=velocity,
+        angular_velocity=angular_velocity,
+        radius=0.5 * _diameters(plan, chosen, diameter, count),
+        material=np.full(count, list(plan.solids).index(chosen.material), dtype=np.int32),
+        group=np.full(count, number, dtype=np.int32),
+    )
+
+
+def _particle_count(position: Any) -> int:
+    """Number of positions in an argument: (k, 3), or (3,) for one particle."""
+    centers = np.asarray(position, dtype=object)
+    if centers.shape == (3,):
+        return 1
+    return len(centers) if centers.ndim else 0
+
+
+def refuse_without_pair(plan: Plan, counts: np.ndarray) -> None:
+    """Raise GranflowError if particles can be in contact without constants of their pair.
+
+    `counts`: number of particles of each group: present, added, and to be inserted.
+    """
+    mobile = Counter[str]()
+    fixed = Counter[str]()
+    for group, count in zip(plan.groups, counts, strict=True):
+        if count:
+            counted = fixed if group.fixed else mobile
+            counted[group.material] += int(count)
+    for both, reason in possible_contacts(mobile, fixed, walls={}).items():
+        if (min(both), max(both)) not in plan.pair_materials:
+            raise GranflowError(
+                f"{reason} now, but the scene has no pair {pair_name(both)}; add it to pairs."
+            )
+
+
+def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
+    """Number of the group: given, or the only one of the material, or of the scene."""
+    names = [each.name for each in plan.groups]
+    materials = [each.material for each in plan.groups]
+    if material is not None:
+        named("material", material, list(dict.fromkeys(materials)))
+    if group is None and material is None and len(names) > 1:
+        raise GranflowError(f"group is missing: give one of {', '.join(names)}.")
+    if group is None and material is not None and materials.count(material) > 1:
+        both = [name for name, each in zip(names, materials, strict=True) if each == material]
+        raise GranflowError(f"group is missing: {', '.join(both)} are of {material}.")
+    if group is None:
+        return 0 if material is None else materials.index(material)
+    number = named("group", group, names)
+    if material not in (None, materials[number]):
+        raise GranflowError(f"material is {material!r}, but the group {group} is of {materials[number]}.")
+    return number
+
+
+def _diameters(plan: Plan, group: PlannedGroup, given: Any, count: int) -> np.ndarray:
+    """Diameters (count,) [m]: given, or that of the group. Those of the scene bound them."""
+    low, high = group.diameters
+    if given is None and low < high:
+        raise GranflowError(
+            f"diameter is missing: the group {group.name} has diameters from {low:.6g} to {high:.6g} m."
+        )
+    diameter = array_of("diameter", low if given is None else given, count, None)
+    smallest = 2.0 * plan.radius_min
+    largest = 2.0 * plan.radius_max
+    outside = (diameter < smallest) | (diameter > largest)
+    if outside.any():
+        raise GranflowError(
+            f"diameter contains {diameter[outside][0]:.6g} m, but the diameters of the scene, on which time "
+            f"step and neighbor lists depend, lie in [{smallest:.6g}, {largest:.6g}] m."
+        )
+    return diameter
+
+
+# Checks of values
+
+LARGEST = 1e30
+"""Largest magnitude of a number [SI], as in a scene; squares of larger ones overflow in single precision."""
+
+
+def real_array(name: str, given: Any) -> np.ndarray:
+    """The numbers in a value as a new float64 array of any shape.
+
+    Raises GranflowError for what is not real numbers: text, None, truth values, complex numbers, masked
+    entries.
+    """
+    try:
+        values = np.array(given)
+        if values.dtype.kind not in "iuf" and not (
+            values.dtype.kind == "O" and None not in values.ravel().tolist()
+        ):
+            raise TypeError
+        if np.ma.is_masked(given):
+            raise GranflowError(f"{name} has masked entries, whose values are unknown: fill them.")
+        return values.astype(np.float64)
+    except (ValueError, TypeError, OverflowError):
+        kind = "complex numbers" if np.iscomplexobj(given) else shown(given)
+        raise GranflowError(
+            f"{name} is {kind}, but must be real numbers, such as 0.5 or [0, 0, 1]."
+        ) from None
+
+
+def finite(name: str, values: np.ndarray) -> np.ndarray:
+    """The values, all of which must be finite and of a magnitude that occurs."""
+    if not np.isfinite(values).all():
+        first = values[~np.isfinite(values)].flat[0]
+        raise GranflowError(f"{name} contains {first}; all values must be finite.")
+    if (np.abs(values) > LARGEST).any():
+        first = values[np.abs(values) > LARGEST].flat[0]
+        raise GranflowError(f"{name} contains {first:g}; a value of this magnitude is out of range.")
+    return values
+
+
+def array_of(name: str, given: object, count: int, width: int | None) -> np.ndarray:
+    """An array (count,) or (count, width) of finite numbers, from one entry for all or one for each."""
+    shape = (count,) if width is None else (count, width)
+    values = real_array(name, given)
+    if values.shape not in (shape, shape[1:]):
+        remedy = f"; give its transpose, {name}.T" if values.ndim == 2 and width == len(values) else ""
+        raise GranflowError(
+            f"{name} has the shape {values.shape}, but must have {shape} or {shape[1:]}{remedy}."
+        )
+    return finite(name, np.broadcast_to(values, shape).copy())
+
+
+def in_domain(plan: Plan, name: str, position: np.ndarray) -> None:
+    """Positions (n, 3) [m] must be inside the domain, unless it expands."""
+    if plan.domain.on_exit == "expand":
+        return
+    outside = np.any((position < plan.domain_low) | (position > plan.domain_high), axis=1)
+    if outside.any():
+        point = [float(x) for x in position[outside][0]]
+        low = [float(x) for x in plan.domain_low]
+        high = [float(x) for x in plan.domain_high]
+        raise GranflowError(f"{name} contains {point} m, which is outside the domain from {low} to {high} m.")
+
+
+def named(what: str, name: str, names: Sequence[str]) -> int:
+    """The index of a name among `names`."""
+    if name not in names:
+        raise GranflowError(f"{what} is {name!r}, but must be one of {', '.join(names)}.")
+    return list(names).index(name)

@@ -1,4 +1,4 @@
-"""The walls of a simulation, changed from Python while it runs."""
+"""The walls of a simulation, changed from Python while it runs: `simulation.walls[NAME]` is a `LiveWall`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -76,8 +76,11 @@ class LiveWall:
     @motion.setter
     def motion(self, given: KINDS | Sequence[KINDS] | None) -> None:
         state = self._state
-        time = self._state.engine.time
-        motions = [] if given is None else list(given) if isinstance(given, list | tuple) else [given]
+        time = state.engine.time
+        if given is None:
+            motions = []
+        else:
+            motions = list(given) if isinstance(given, list | tuple) else [given]
         for each in motions:
             if not isinstance(each, KINDS):
                 raise GranflowError(

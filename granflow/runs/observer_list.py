@@ -1,11 +1,10 @@
 """The observers of a run: one snapshot for all that are due, their readings, and their state."""
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import inf
-from typing import NoReturn
 
-from granflow.arguments import item_at, items_of, shown
+from granflow.arguments import GuardedList, items_of, shown
 from granflow.errors import FunctionError, GranflowError, StopRun
 from granflow.observers.frames import Frames
 from granflow.observers.observer import (
@@ -23,7 +22,7 @@ TakeSnapshot = Callable[[frozenset[str]], Snapshot]
 """Function from the requested quantities to a snapshot of the present state."""
 
 
-class ObserverList(Sequence[Observer]):
+class ObserverList(GuardedList[Observer]):
     """The observers of a run, in the order in which they receive snapshots: those of the scene, then those
     from Python.
 
@@ -32,41 +31,19 @@ class ObserverList(Sequence[Observer]):
 
     from_scene:  observers of the scene's output block
     added:       observers from Python
-
     """
+
+    _name = "observers"
 
     def __init__(self, from_scene: Sequence[Observer], added: Sequence[Observer]) -> None:
         refuse_other_objects(added)
         for observer in added:
             self._begin(observer)
         self._from_scene = tuple(from_scene)
-        self._observers = (*from_scene, *added)
-        self._series = [observer for observer in self._observers if isinstance(observer, TimeSeries)][:1]
+        self._items = (*from_scene, *added)
+        self._series = [observer for observer in self._items if isinstance(observer, TimeSeries)][:1]
         self._last_time: float | None = None
         self._raised: BaseException | None = None
-
-    def __getitem__(self, index: int) -> Observer:  # type: ignore[override]
-        """The observer with an index. Raises GranflowError without such an observer."""
-        return item_at("observers", self._observers, index)
-
-    def __iter__(self) -> Iterator[Observer]:
-        return iter(self._observers)
-
-    def __setitem__(self, index: object, value: object) -> NoReturn:
-        """Raises GranflowError: `append` and `remove` change the list."""
-        raise GranflowError("observers[...] cannot be set: use observers.append and observers.remove.")
-
-    def __delitem__(self, index: object) -> NoReturn:
-        """Raises GranflowError: `remove` removes an observer."""
-        raise GranflowError("observers[...] cannot be deleted: use observers.remove.")
-
-    def __setattr__(self, name: str, value: object) -> None:
-        """Raises AttributeError: the list has no attributes of its own."""
-        if not name.startswith("_"):
-            raise AttributeError(
-                f"observers.{name} cannot be set: use observers.append and observers.remove."
-            )
-        super().__setattr__(name, value)
 
     def _begin(self, observer: Observer) -> None:
         """Take an observer into this run. Raises GranflowError if it belongs to another one, which has not
@@ -77,11 +54,8 @@ class ObserverList(Sequence[Observer]):
                 "one for each simulation with granflow.on_interval(interval, function)."
             )
 
-    def __len__(self) -> int:
-        return len(self._observers)
-
     def __repr__(self) -> str:
-        return f"[{', '.join(map(name_of, self._observers))}]"
+        return f"[{', '.join(map(name_of, self._items))}]"
 
     def append(self, observer: Observer) -> None:
         """Add an observer; after the start of the run, its first snapshot is that of its next due time.
@@ -89,18 +63,18 @@ class ObserverList(Sequence[Observer]):
         Raises GranflowError for another object, such as a function without an interval.
         """
         refuse_other_objects([observer])
-        if observer in self._observers:
+        if observer in self._items:
             raise GranflowError(f"{name_of(observer)} is an observer of this simulation already.")
         self._begin(observer)
         if self._last_time is not None and isinstance(observer, ScheduledObserver):
             observer.skip_to(self._last_time)
-        self._observers = (*self._observers, observer)
+        self._items = (*self._items, observer)
 
     def remove(self, observer: Observer) -> None:
         """Remove an observer and close its files. Raises GranflowError if it is not in the list."""
-        if observer not in self._observers:
+        if observer not in self._items:
             raise GranflowError(f"{name_of(observer)} is not an observer of this simulation.")
-        self._observers = tuple(each for each in self._observers if each is not observer)
+        self._items = tuple(each for each in self._items if each is not observer)
         observer.finish()
         if isinstance(observer, ScheduledObserver):
             observer.end()
@@ -113,14 +87,14 @@ class ObserverList(Sequence[Observer]):
 
     def next_time(self) -> float:
         """Return the simulated time [s] of the next due observer; infinite without."""
-        return min((observer.next_time() for observer in self._observers), default=inf)
+        return min((observer.next_time() for observer in self._items), default=inf)
 
     def notify_due(self, is_reached: Callable[[float], bool], take: TakeSnapshot) -> None:
         """Pass one snapshot to the observers that are due; `is_reached`: whether a time [s] is reached.
 
         Raises StopRun after all of them have received it, FunctionError if a function from Python fails.
         """
-        if due := [observer for observer in self._observers if is_reached(observer.next_time())]:
+        if due := [observer for observer in self._items if is_reached(observer.next_time())]:
             self._pass_snapshot(due, take, frozenset(), only_finite=False)
 
     def notify_all(
@@ -132,7 +106,7 @@ class ObserverList(Sequence[Observer]):
         only_finite:  pass it only if all its numbers are finite
         Raises:       as `notify_due`
         """
-        return self._pass_snapshot(self._observers, take, quantities, only_finite)
+        return self._pass_snapshot(self._items, take, quantities, only_finite)
 
     def _pass_snapshot(
         self, observers: Sequence[Observer], take: TakeSnapshot, quantities: frozenset[str], only_finite: bool
@@ -141,7 +115,7 @@ class ObserverList(Sequence[Observer]):
         self._last_time = snapshot.time
         stop = None
         for observer in observers if not only_finite or snapshot.is_finite else ():
-            if observer in self._observers:  # another one may have removed it
+            if observer in self._items:  # another one may have removed it
                 try:
                     self._observe(observer, snapshot)
                 except StopRun as stopped:
@@ -174,7 +148,7 @@ class ObserverList(Sequence[Observer]):
 
     def row_at(self, time: float) -> Row | None:
         """Return the row of the time series at `time` [s]; None if there is none."""
-        rows = [series.last_row for series in self._series if series in self._observers]
+        rows = [series.last_row for series in self._series if series in self._items]
         return next((row for row in rows if row is not None and row.time == time), None)
 
     def log_end(self) -> None:
@@ -188,7 +162,7 @@ class ObserverList(Sequence[Observer]):
         """A sentence on the frames that another program has deleted or moved since they were written, if
         any."""
         found = []
-        for series in (observer.series for observer in self._observers if isinstance(observer, Frames)):
+        for series in (observer.series for observer in self._items if isinstance(observer, Frames)):
             if missing := series.missing():
                 counts = f"{len(missing)} of the {len(series.frames)} frames in {series.listing.name}"
                 found.append(f"{counts} (the first is {missing[0]})")
@@ -204,17 +178,17 @@ class ObserverList(Sequence[Observer]):
     @property
     def function_names(self) -> list[str]:
         """Names of the functions of the observers from Python."""
-        return [name_of(observer) for observer in self._observers if observer not in self._from_scene]
+        return [name_of(observer) for observer in self._items if observer not in self._from_scene]
 
     @property
     def removed_names(self) -> list[str]:
         """Names in checkpoints of the observers of the scene that were removed."""
-        return [name for name, each in _by_name(self._from_scene).items() if each not in self._observers]
+        return [name for name, each in _by_name(self._from_scene).items() if each not in self._items]
 
     def remove_named(self, names: Sequence[str]) -> None:
         """Remove the observers of the scene with these names in checkpoints, without an effect on files."""
         removed = [each for name, each in _by_name(self._from_scene).items() if name in names]
-        self._observers = tuple(each for each in self._observers if each not in removed)
+        self._items = tuple(each for each in self._items if each not in removed)
 
     def checkpointed(self) -> dict[str, Checkpointable]:
         """Return the observers whose state is part of checkpoints, by unique names."""
@@ -225,18 +199,18 @@ class ObserverList(Sequence[Observer]):
 
     def sync(self) -> None:
         """Flush the files of the observers of the scene to the disk: a checkpoint names their sizes."""
-        for observer in self._observers:
+        for observer in self._items:
             if isinstance(observer, WritesFiles):
                 observer.sync()
 
     def finish(self) -> None:
         """Close the files of all observers."""
-        for observer in self._observers:
+        for observer in self._items:
             observer.finish()
 
     def end(self) -> None:
         """Leave the observers to later simulations."""
-        for observer in self._observers:
+        for observer in self._items:
             if isinstance(observer, ScheduledObserver):
                 observer.end()
 

@@ -8,9 +8,9 @@ from scene_builders import build_scene, particle_group, plane
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
+from granflow.parallel import refusals
 from granflow.parallel.rank_engine import RankEngine
 from granflow.parallel.refusals import refuse_on_ranks
-from granflow.runs import ranks
 
 
 def scene_with(changes):
@@ -25,7 +25,7 @@ def test_a_gpu_is_refused():
 
 
 def test_another_kernel_language_is_refused_by_check(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(ranks, "KERNELS", "quadrants")
+    monkeypatch.setattr(refusals, "KERNELS", "quadrants")
     path = scene_with({}).save(tmp_path / "scene.yaml")
     assert main(["check", str(path), "--mpi"]) == 2
     assert (
