@@ -42,7 +42,7 @@ TAICHI_LAYERS = {"device_functions", "contact", "geometry", "engine"}
 VAGUE_NAMES = {"util", "utils", "core", "manager", "managers", "helpers", "misc", "common"}
 TOP_LEVEL = {
     *("granflow", "scenes", "tests", "tools", "docs"),
-    *("pyproject.toml", "constraints.txt", "README.md", "LICENSE", "CHANGELOG.md"),
+    *("pyproject.toml", "constraints.txt", "README.md", "ARCHITECTURE.md", "LICENSE", "CHANGELOG.md"),
 }
 STUDIES_IMPORT = {
     "granflow",
