@@ -13,7 +13,7 @@ LONGEST_PAGE = 150
 """Largest number of lines."""
 PLACEHOLDER = re.compile(r"\b[A-Z][A-Z_]+\b")
 """Part of a path that stands for a name to choose, as in `contact/normal/NAME.py`."""
-PATH = re.compile(r"(?<![\w./*-])(?:[\w-]+/)*[\w-]+\.(?:py|md|toml|yaml)(?![\w/])")
+PATH = re.compile(r"(?<![\w./*-])(?:[\w-]+/)*[\w-]+\.(?:py|md)(?![\w/])")
 FOLDER = re.compile(r"(?<![\w./*-])(?:[\w-]+/)+(?![\w./*{-])")
 MODULE = re.compile(r"(?<![\w./-])granflow(?:\.\w+)+")
 BRACES = re.compile(r"\{([\w, -]+)\}")
@@ -46,13 +46,14 @@ def names_in(text):
 
 
 def path_exists(name):
-    """Whether a path exists in the repository or in the package; a name alone, anywhere in the package."""
+    """Whether a path exists in the repository or in the package; a single name, anywhere in the package."""
     if PLACEHOLDER.search(name):
         name = name[: PLACEHOLDER.search(name).start()].rpartition("/")[0]
     places = [ROOT, ROOT / "granflow"]
     if any((place / name).exists() for place in places):
         return True
-    return "/" not in name and any((ROOT / "granflow").rglob(name))
+    single = name.removesuffix("/")
+    return "/" not in single and any((ROOT / "granflow").rglob(single))
 
 
 def module_exists(name):
@@ -121,6 +122,7 @@ io/   NAME.py of contact/normal/NAME.py, granflow.io.lock.locked
         ("io/absent.py", False),
         ("absent.py", False),
         ("io/", True),
+        ("cohesion/", True),
         ("absent/", False),
     ],
 )
