@@ -194,7 +194,7 @@ def remove_after(directory: Path, path: Path | None) -> None:
     for other in checkpoints(directory):
         if path is None or other.name > path.name:
             other.unlink()
-    remove_unused(directory, map(_step_of, checkpoints(directory)))
+    _remove_unused_rank_files(directory)
 
 
 def remove_old_checkpoints(directory: Path, count: int) -> None:
@@ -202,13 +202,7 @@ def remove_old_checkpoints(directory: Path, count: int) -> None:
     skipped."""
     for path in checkpoints(directory)[count:]:
         path.unlink(missing_ok=True)
-    remove_unused(directory, map(_step_of, checkpoints(directory)))
-
-
-def _step_of(path: Path) -> int:
-    """The step in the name of a checkpoint; -1 for another file."""
-    digits = path.stem.partition("_")[2]
-    return int(digits) if digits.isdecimal() else -1
+    _remove_unused_rank_files(directory)
 
 
 # The sources that determine the motion of a run
@@ -355,15 +349,17 @@ def with_rank_files(arrays: dict[str, np.ndarray], files: Sequence[RankFile]) ->
         for name in names.symmetric_difference(parts[-1]):
             raise damaged(file.path, f"has other arrays than its checkpoint: {name[:80]}")
         for name in names:
-            own, other = arrays[name], parts[-1][name]
+            own = arrays[name]
+            other = parts[-1][name]
             if own.dtype != other.dtype or own.shape[1:] != other.shape[1:]:
                 raise damaged(file.path, f"has an array {other.shape} of {other.dtype} for {name[:80]}")
     return arrays | {name: np.concatenate([arrays[name], *(part[name] for part in parts)]) for name in names}
 
 
-def remove_unused(directory: Path, steps: Iterable[int]) -> None:
-    """Remove the files of all ranks except those of checkpoints of these steps."""
-    kept = {*steps}
+def _remove_unused_rank_files(directory: Path) -> None:
+    """Remove the files of ranks of steps of which the directory has no checkpoint."""
+    numbers = [path.stem.partition("_")[2] for path in checkpoints(directory)]
+    kept = {int(number) for number in numbers if number.isdecimal()}
     for path in directory.glob(RANK_PATTERN):
         name = RANK_NAME.fullmatch(path.name)
         if name and int(name[1]) not in kept:

@@ -192,7 +192,7 @@ def _session(entries: list[LogEntry]) -> RunSession:
     """Session from its entries; texts are empty if the log lacks them."""
     compiled = next(filter(None, (COMPILED.fullmatch(entry.text) for entry in entries)), None)
     resumed_from = next((entry.text for entry in entries if entry.text.startswith(RESUMED_FROM)), "")
-    arch, precision, threads, seconds = compiled.groups("") if compiled else ("",) * COMPILED.groups
+    arch, precision, threads, seconds = compiled.groups("") if compiled else ("", "", "", "")
     return RunSession(entries[0].time, entries[0].text, arch, precision, threads, seconds, resumed_from)
 
 

@@ -303,7 +303,8 @@ class RowFile:
                 self._write_rest()
                 self.close()
             else:
-                self._unwritten = self._last = b""  # the next row follows a new header
+                self._unwritten = b""  # the next row follows a new header
+                self._last = b""
 
     def _present_size(self) -> int:
         """Size of the file [bytes]."""

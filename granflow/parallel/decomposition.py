@@ -106,7 +106,8 @@ def _cuts(
     np.maximum.at(bounds[1], part, -points)
     largest = communicator.largest_of(bounds)
     largest[~np.isfinite(largest)] = 0.0  # without particles
-    high, low = largest[0], -largest[1]
+    high = largest[0]
+    low = -largest[1]
     axes = np.argmax(high - low, axis=1)
     rows = np.arange(parts)
     begin = low[rows, axes]
@@ -195,7 +196,8 @@ class LoadBalance:
         """
         weights = PARTICLE_WEIGHT + CONTACT_WEIGHT * contacts
         gathered = self._communicator.from_each((int(weights.sum()), self.cost.step))
-        sums, seconds = map(np.array, zip(*gathered, strict=True))
+        sums = np.array([weight for weight, _ in gathered])
+        seconds = np.array([step for _, step in gathered])
         self._seconds = 0.0
         self._steps = 0
         factors = relative_costs(sums, seconds)
