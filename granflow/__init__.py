@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from granflow.observers.meters import steady_flow
     from granflow.observers.observer import on_interval
     from granflow.particles.group import ParticleData
-    from granflow.plan.arrays import estimate_memory
     from granflow.plan.build import plan_for
     from granflow.plan.explain import explain
+    from granflow.plan.memory import estimate_memory
     from granflow.plan.plan import Plan
     from granflow.runs.read_run import Run, read_run
     from granflow.runs.result import Result

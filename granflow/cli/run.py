@@ -674,10 +674,10 @@ def check(options: argparse.Namespace) -> int:
     scene = load(options)
     from granflow.parallel.refusals import refuse_on_ranks
     from granflow.particles.insertion import initial_particles, inserters
-    from granflow.plan.arrays import fits, memory_warning, refuse_too_many
     from granflow.plan.build import plan_for
-    from granflow.plan.explain import refuse_run_time
-    from granflow.plan.forecast import particle_warnings, refuse_initial_overlaps
+    from granflow.plan.initial_overlaps import particle_warnings, refuse_initial_overlaps
+    from granflow.plan.memory import fits, memory_warning, refuse_too_many
+    from granflow.plan.run_time import refuse_run_time
     from granflow.runs.initial_particles import particles_from_run
 
     plan = plan_for(scene)

@@ -22,7 +22,8 @@ from granflow.engine.state import State
 from granflow.engine.statistics import candidate_pairs
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_velocities
 from granflow.engine.walls import walls_of
-from granflow.geometry.mesh import Mesh, reference_contact
+from granflow.geometry.mesh import Mesh
+from granflow.geometry.mesh_contact import reference_contact
 from granflow.geometry.motion import pose
 from granflow.plan.limits import COARSEST, remedy, share_of, spacing_at
 from granflow.plan.overlaps import (

@@ -40,7 +40,7 @@ from granflow.engine.pair import (
 from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.sums import add_energy, build_list_shares, build_to_grid, holds_sums
 from granflow.kernel_language import ti
-from granflow.plan.capacities import DAMPING, ENERGY, FORCE, FRICTION, LOSSES, ROLLING, TORQUE
+from granflow.plan.sum_units import DAMPING, ENERGY, FORCE, FRICTION, LOSSES, ROLLING, TORQUE
 
 
 def build_batched_forces(state: State) -> Any:

@@ -14,7 +14,8 @@ from granflow.engine.state import State
 from granflow.engine.sums import SHARES, add_energy
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.kernel_language import ti
-from granflow.plan.capacities import ENERGY, WALL_BATCH
+from granflow.plan.capacities import WALL_BATCH
+from granflow.plan.sum_units import ENERGY
 
 # Images
 

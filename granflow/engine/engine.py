@@ -49,20 +49,20 @@ from granflow.engine.totals import (
 from granflow.engine.wall_dynamics import wall_impulses
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
-from granflow.geometry.clump import product
 from granflow.geometry.motion import Motion, pose
+from granflow.geometry.quaternions import product
 from granflow.geometry.shape import sphere_mass, sphere_volume
 from granflow.io.machine import worker_count
 from granflow.particles.group import ParticleData
 from granflow.plan.arrays import (
     DeviceArray,
-    estimate_memory,
     fits_lists,
     saved_arrays,
     structure_of,
     sum_arrays,
     wall_dynamics_arrays,
 )
+from granflow.plan.memory import estimate_memory
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import STEPS_BETWEEN_UPDATES
 from granflow.snapshot import Snapshot

@@ -17,7 +17,7 @@ from granflow.engine.state import State
 from granflow.engine.sums import add_energy, build_list_shares
 from granflow.engine.walls import WallGeometry
 from granflow.kernel_language import ti
-from granflow.plan.capacities import ENERGY, LOSSES, PLASTIC
+from granflow.plan.sum_units import ENERGY, LOSSES, PLASTIC
 
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)
 """State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this

@@ -21,8 +21,8 @@ from granflow.engine.pair import number_at, vector_at
 from granflow.engine.state import State
 from granflow.engine.sums import add_energy, holds_sums
 from granflow.kernel_language import ti
-from granflow.plan.capacities import DAMPING, ENERGY, LOSSES
 from granflow.plan.plan import ExternalForce
+from granflow.plan.sum_units import DAMPING, ENERGY, LOSSES
 
 
 def build_set_forces(state: State) -> Any:

@@ -20,7 +20,7 @@ from granflow.engine.fields import (
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.catalog import surface_code
-from granflow.geometry.mesh import MeshAdjacency
+from granflow.geometry.mesh_contact import MeshAdjacency
 from granflow.geometry.motion import Motion
 from granflow.geometry.shape import PARAMETER_COUNT, Shape
 from granflow.kernel_language import ti

@@ -39,7 +39,7 @@ from granflow.engine.sums import (
 )
 from granflow.engine.walls import WallGeometry, triangles_of, walls_of
 from granflow.kernel_language import ti
-from granflow.plan.capacities import ENERGY
+from granflow.plan.sum_units import ENERGY
 
 
 def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

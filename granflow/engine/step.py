@@ -55,7 +55,7 @@ from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest
 from granflow.engine.threads import arrive, release, wait
 from granflow.engine.wall_dynamics import build_carry_impulses, build_clear_wall_forces, build_move_walls
 from granflow.kernel_language import ti
-from granflow.plan.capacities import FORCE, SUM_BITS, TORQUE
+from granflow.plan.sum_units import FORCE, SUM_BITS, TORQUE
 
 
 def build_steps(state: State) -> Callable[..., None]:

@@ -26,8 +26,8 @@ from granflow.engine.sums import shares_rows
 from granflow.engine.threads import Workers
 from granflow.engine.walls import upload_poses
 from granflow.kernel_language import ti
-from granflow.plan.arrays import estimate_memory, refuse_growth
 from granflow.plan.capacities import WALL_BATCH, Capacities
+from granflow.plan.memory import estimate_memory, refuse_growth
 
 # Wall-clock time of a run by phase.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from granflow.engine.state import ALONE, Gathering, State
 from granflow.kernel_language import ti
-from granflow.plan.capacities import CARRY_BITS
+from granflow.plan.sum_units import CARRY_BITS
 
 # Forces and torques
 

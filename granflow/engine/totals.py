@@ -27,9 +27,9 @@ from granflow.engine.sums import (
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_totals, controlled_work
 from granflow.geometry.motion import pose
 from granflow.kernel_language import ti
-from granflow.plan.capacities import LOSSES, PLASTIC
-from granflow.plan.parts import outlet_of
+from granflow.plan.outlets import outlet_of
 from granflow.plan.plan import Plan
+from granflow.plan.sum_units import LOSSES, PLASTIC
 from granflow.plan.time_step import stable_step
 from granflow.snapshot import WallPose
 

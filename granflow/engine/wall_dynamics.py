@@ -25,7 +25,7 @@ from granflow.engine.state import State
 from granflow.engine.sums import carried, exact_totals, shares_rows, to_units
 from granflow.geometry.motion import is_running, pose
 from granflow.kernel_language import ti
-from granflow.plan.capacities import ANGULAR_IMPULSE, CARRY_BITS, IMPULSE, IMPULSE_SIZE, WALL_FORCE
+from granflow.plan.sum_units import ANGULAR_IMPULSE, CARRY_BITS, IMPULSE, IMPULSE_SIZE, WALL_FORCE
 
 # Force-controlled walls on the device
 

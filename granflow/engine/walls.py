@@ -16,7 +16,7 @@ from granflow.engine.box import build_near_image, build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
-from granflow.geometry.mesh import NOT_OWNED, OPEN_EDGE, ROUNDING
+from granflow.geometry.mesh_contact import NOT_OWNED, OPEN_EDGE, ROUNDING
 from granflow.geometry.motion import pose
 from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.revolved import REVOLVED

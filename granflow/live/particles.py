@@ -18,7 +18,7 @@ from granflow.engine.engine import Engine, present_indices, remove_particles, wr
 from granflow.errors import GranflowError
 from granflow.geometry.shape import sphere_mass
 from granflow.particles.group import ParticleData
-from granflow.plan.parts import PlannedGroup
+from granflow.plan.groups import PlannedGroup
 from granflow.plan.plan import Plan
 from granflow.runs.run_state import RunState
 from granflow.scene.checks import pair_name, possible_contacts

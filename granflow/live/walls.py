@@ -6,7 +6,7 @@ from typing import Any, NoReturn
 
 from granflow.engine.totals import wall_poses
 from granflow.errors import GranflowError
-from granflow.plan.build import wall_named, with_motions, without_wall
+from granflow.plan.wall_changes import wall_named, with_motions, without_wall
 from granflow.plan.walls import planned_motions, wall_motions
 from granflow.runs.run_state import RunState
 from granflow.scene.blocks.walls import Rotation, SurfaceVelocity, Translation, Vibration

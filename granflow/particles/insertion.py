@@ -12,28 +12,12 @@ import numpy as np
 from granflow.errors import SceneError
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.particles.close_pairs import overlaps_any
 from granflow.particles.file import particles_from_file
-from granflow.particles.group import (
-    ParticleData,
-    SceneGroup,
-    draw_diameters,
-    groups_of,
-    ordered_diameters,
-    particles_of,
-    shortfall,
-)
-from granflow.particles.packing import (
-    CylinderSampler,
-    RegionFullError,
-    RegionSampler,
-    SlabSampler,
-    Spheres,
-    check_width,
-    fill_lattice,
-    overlaps_any,
-    pack_at_random,
-    sampler_of,
-)
+from granflow.particles.group import ParticleData, SceneGroup, groups_of, particles_of, shortfall
+from granflow.particles.packing import RegionFullError, Spheres, check_width, fill_lattice, pack_at_random
+from granflow.particles.regions import CylinderSampler, RegionSampler, SlabSampler, sampler_of
+from granflow.particles.sizes import draw_diameters, ordered_diameters
 from granflow.scene.blocks.particles import (
     DiscFace,
     FileInsertion,

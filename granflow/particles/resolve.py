@@ -12,9 +12,10 @@ import numpy as np
 from pydantic.fields import FieldInfo
 
 from granflow.errors import SceneError
+from granflow.particles.close_pairs import near_pairs
 from granflow.particles.file import ParticleTable, rows_of, unassigned_rows, with_motion_files
-from granflow.particles.group import SceneGroup, count_for_volume, groups_of
-from granflow.particles.packing import near_pairs
+from granflow.particles.group import SceneGroup, groups_of
+from granflow.particles.sizes import count_for_volume
 from granflow.scene.blocks.particles import FileInsertion, FileSummary, Group, InletInsertion, RainInsertion
 from granflow.scene.blocks.quantities import LARGEST_COUNT, Number
 from granflow.scene.blocks.scene import SceneInput

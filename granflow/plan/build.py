@@ -1,4 +1,4 @@
-"""Scene -> Plan: computes the plan of a scene and refuses scenes that cannot be simulated."""
+"""Build."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,22 +8,22 @@ from typing import Any
 import numpy as np
 
 from granflow.contact.law import NormalLaw
-from granflow.errors import GranflowError, SceneError
-from granflow.geometry import motion
-from granflow.geometry import motion as motion_speed
-from granflow.geometry.catalog import reach_about
+from granflow.errors import SceneError
 from granflow.geometry.mesh import Mesh
 from granflow.load import Scene, refuse_other_object
 from granflow.plan.features import features_of, reasons_for
 from granflow.plan.forecast import forecasts_of, size_problems
-from granflow.plan.joined_walls import joints_of
-from granflow.plan.limits import (
-    controlled_motions_of,
+from granflow.plan.groups import planned_groups, size_classes
+from granflow.plan.impact_velocity import (
     image_speed,
     initial_rotation_rates,
     initial_speeds,
     max_impact_velocity,
+)
+from granflow.plan.joined_walls import joints_of
+from granflow.plan.limits import (
     refuse_coarse,
+    refuse_coarse_liquid,
     refuse_cut_walls,
     refuse_fast_images,
     refuse_fast_motion,
@@ -32,8 +32,10 @@ from granflow.plan.limits import (
     refuse_fast_walls,
     refuse_infinite_rotations,
     refuse_narrow_box,
+    resolution_warning,
     share_of,
 )
+from granflow.plan.outlets import planned_outlets
 from granflow.plan.pairs import (
     active_models,
     adhesion_velocity,
@@ -43,41 +45,19 @@ from granflow.plan.pairs import (
     pair_table,
     solid,
 )
-from granflow.plan.parts import (
-    planned_damping,
-    planned_groups,
-    planned_outlets,
-    planned_stages,
-    refuse_coarse_liquid,
-    refuse_unresolved_drag,
-    size_classes,
-)
-from granflow.plan.plan import Plan, settings_of
+from granflow.plan.plan import Plan
+from granflow.plan.settings import settings_of
+from granflow.plan.stages import planned_damping, planned_stages, refuse_unresolved_drag
 from granflow.plan.time_step import (
     AdaptiveTimeStep,
     PairCase,
     TimeStep,
     adaptive_time_step_for,
     choose_time_step,
-    resolution_warning,
 )
-from granflow.plan.walls import MeshNote, PlannedMotion, PlannedWall, notes_on, planned_walls, wall_speeds
+from granflow.plan.wall_control import controlled_motions_of
+from granflow.plan.walls import MeshNote, PlannedWall, notes_on, planned_walls, wall_speeds
 from granflow.scene.blocks.run import Numerics
-
-SMALL_SCENE_PARTICLES = 64
-"""Number of particles up to which each is a separate chunk: the longer run time is less than the saved
-compile time."""
-CHUNK_COUNT = 32
-"""Number of chunks to distribute over the threads, if their size is within CHUNK_BOUNDS."""
-CHUNK_BOUNDS = (512, 2048)
-"""Particles per chunk: smaller chunks have more pairs across chunks, computed twice; larger ones exceed the
-cache."""
-SKIN_STEPS = 60
-"""Minimum number of steps in which a particle at the maximum velocity crosses half the skin."""
-LARGEST_SKIN = 20.0
-"""Maximum `numerics.skin` over the smallest radius: 2^3 * 11^3 neighbors."""
-SKIN_SHARES = (0.05, 0.3)
-"""Range of the automatic skin over the smallest radius."""
 
 
 def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
@@ -158,20 +138,6 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     return plan
 
 
-def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: float, reach: float) -> None:
-    """Raise SceneError for a periodic box or walls that do not fit neighbor lists of this reach beyond
-    contact [m]."""
-    refuse_narrow_box(scene, radius_max, 2.0 * reach if scene.domain.lees_edwards is not None else reach)
-    refuse_cut_walls(scene, walls, radius_max + reach)
-    refuse_infinite_rotations(scene, walls)
-
-
-def _mesh_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> tuple[MeshNote, ...]:
-    """Notes on all mesh walls; `smallest`: diameter [m] of the smallest particle."""
-    meshes = [(wall.name, wall.shape) for wall in walls if isinstance(wall.shape, Mesh)]
-    return tuple(note for name, mesh in meshes for note in notes_on(scene, name, mesh, smallest))
-
-
 def _as_given(scene: Scene) -> dict[str, Any]:
     """The fields of the plan that the scene gives directly."""
     return {
@@ -211,37 +177,19 @@ def _sources(scene: Scene) -> dict[str, str]:
     }
 
 
-def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> None:
-    """Raise SceneError for velocities [m/s] at which contacts can be missed from the start, and for a fast
-    decay."""
-    refuse_unresolved_drag(scene, plan.longest_time_step)
-    refuse_fast_start(scene, initial_speeds(scene.particles), plan.time_step, plan.radius_min)
-    refuse_fast_rotation(scene, initial_rotation_rates(scene.particles), plan.time_step)
-    step = plan.longest_time_step
-    skin = f"of the skin {plan.skin:.3g} m"
-    limit = plan.wall_travel_limit
-    displacement = plan.wall_displacement_limit
-    travel = share_of(limit, plan.radius_min)
-    share = f"{displacement / plan.skin:.2g} {skin}"
-    refuse_fast_walls(scene, wall_speeds, step, *min((limit, travel), (displacement, share)))
-    image_limits = (plan.travel_limit, share_of(plan.travel_limit, plan.radius_min)), (plan.skin, f"1 {skin}")
-    refuse_fast_images(scene, plan.image_speed, step, *min(image_limits))
-
-
-def _refuse_collision_energies(scene: Scene, plan: Plan) -> None:
-    """Raise SceneError for collision energies of contacts without a history, whose begin is not known."""
-    if plan.features.collision_energies and not plan.history:
-        raise SceneError(
-            f"{scene.locate('output', 'collision_energies')}: output.collision_energies needs a contact "
-            f"model with a history, and contact.normal {scene.contact.name('normal')} without friction has "
-            "none. Give a pair a friction above 0, set contact.normal to zhou, or remove the block."
-        )
-
-
 def _used_materials(scene: Scene) -> tuple[str, ...]:
     """Names of the materials of particles, then those of walls, each once."""
     parts = [*scene.particles.values(), *scene.walls.values()]
     return tuple(dict.fromkeys(part.material for part in parts))
+
+
+def _mesh_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> tuple[MeshNote, ...]:
+    """Notes on all mesh walls; `smallest`: diameter [m] of the smallest particle."""
+    meshes = [(wall.name, wall.shape) for wall in walls if isinstance(wall.shape, Mesh)]
+    return tuple(note for name, mesh in meshes for note in notes_on(scene, name, mesh, smallest))
+
+
+# Time step.
 
 
 def _time_step(
@@ -283,27 +231,19 @@ def _adaptive_time_step(
     return adaptive_time_step_for(pair_cases, law, velocity, max(speed, image_speed(scene.domain)), *bounds)
 
 
-def _chunk_size(numerics: Numerics, particle_count: int) -> int:
-    """Particles per chunk, a power of two. It depends on the scene only, because sums are computed chunk by
-    chunk."""
-    if numerics.chunk_size != "auto":
-        return int(numerics.chunk_size)
-    if particle_count <= SMALL_SCENE_PARTICLES:
-        return 1
-    min_size, max_size = CHUNK_BOUNDS
-    return int(np.clip(2 ** int(np.ceil(np.log2(particle_count / CHUNK_COUNT))), min_size, max_size))
+# Skin and chunks.
 
 
-def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
-    """The skin [m] of the scene. Raises SceneError if it exceeds LARGEST_SKIN times the smallest radius
-    [m]."""
-    if skin > LARGEST_SKIN * radius_min:
-        raise SceneError(
-            f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} "
-            f"times the smallest radius {radius_min:.3g} m: a neighbor list would have thousands of entries. "
-            "Set it to auto."
-        )
-    return skin
+SKIN_STEPS = 60
+"""Minimum number of steps in which a particle at the maximum velocity crosses half the skin."""
+
+
+LARGEST_SKIN = 20.0
+"""Maximum `numerics.skin` over the smallest radius: 2^3 * 11^3 neighbors."""
+
+
+SKIN_SHARES = (0.05, 0.3)
+"""Range of the automatic skin over the smallest radius."""
 
 
 def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:
@@ -319,10 +259,88 @@ def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> floa
     return float(np.clip(2.0 * SKIN_STEPS * velocity * step, min_size, max_size))
 
 
-# Plan of one of several MPI ranks.
+def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
+    """The skin [m] of the scene. Raises SceneError if it exceeds LARGEST_SKIN times the smallest radius
+    [m]."""
+    if skin > LARGEST_SKIN * radius_min:
+        raise SceneError(
+            f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} "
+            f"times the smallest radius {radius_min:.3g} m: a neighbor list would have thousands of entries. "
+            "Set it to auto."
+        )
+    return skin
+
+
+SMALL_SCENE_PARTICLES = 64
+"""Number of particles up to which each is a separate chunk: the longer run time is less than the saved
+compile time."""
+
+
+CHUNK_COUNT = 32
+"""Number of chunks to distribute over the threads, if their size is within CHUNK_BOUNDS."""
+
+
+CHUNK_BOUNDS = (512, 2048)
+"""Particles per chunk: smaller chunks have more pairs across chunks, computed twice; larger ones exceed the
+cache."""
+
+
+def _chunk_size(numerics: Numerics, particle_count: int) -> int:
+    """Particles per chunk, a power of two. It depends on the scene only, because sums are computed chunk by
+    chunk."""
+    if numerics.chunk_size != "auto":
+        return int(numerics.chunk_size)
+    if particle_count <= SMALL_SCENE_PARTICLES:
+        return 1
+    min_size, max_size = CHUNK_BOUNDS
+    return int(np.clip(2 ** int(np.ceil(np.log2(particle_count / CHUNK_COUNT))), min_size, max_size))
+
+
+# Checks.
+
+
+def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: float, reach: float) -> None:
+    """Raise SceneError for a periodic box or walls that do not fit neighbor lists of this reach beyond
+    contact [m]."""
+    refuse_narrow_box(scene, radius_max, 2.0 * reach if scene.domain.lees_edwards is not None else reach)
+    refuse_cut_walls(scene, walls, radius_max + reach)
+    refuse_infinite_rotations(scene, walls)
+
+
+def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> None:
+    """Raise SceneError for velocities [m/s] at which contacts can be missed from the start, and for a fast
+    decay."""
+    refuse_unresolved_drag(scene, plan.longest_time_step)
+    refuse_fast_start(scene, initial_speeds(scene.particles), plan.time_step, plan.radius_min)
+    refuse_fast_rotation(scene, initial_rotation_rates(scene.particles), plan.time_step)
+    step = plan.longest_time_step
+    skin = f"of the skin {plan.skin:.3g} m"
+    limit = plan.wall_travel_limit
+    displacement = plan.wall_displacement_limit
+    travel = share_of(limit, plan.radius_min)
+    share = f"{displacement / plan.skin:.2g} {skin}"
+    refuse_fast_walls(scene, wall_speeds, step, *min((limit, travel), (displacement, share)))
+    image_limits = (plan.travel_limit, share_of(plan.travel_limit, plan.radius_min)), (plan.skin, f"1 {skin}")
+    refuse_fast_images(scene, plan.image_speed, step, *min(image_limits))
+
+
+def _refuse_collision_energies(scene: Scene, plan: Plan) -> None:
+    """Raise SceneError for collision energies of contacts without a history, whose begin is not known."""
+    if plan.features.collision_energies and not plan.history:
+        raise SceneError(
+            f"{scene.locate('output', 'collision_energies')}: output.collision_energies needs a contact "
+            f"model with a history, and contact.normal {scene.contact.name('normal')} without friction has "
+            "none. Give a pair a friction above 0, set contact.normal to zhou, or remove the block."
+        )
+
+
+# Ranks.
+
 
 BALANCE = 1.2
 """Particles of a rank over the mean for which its arrays are allocated; they grow if one rank has more."""
+
+
 GHOST_LAYERS = 1.5
 """Thickness of the layer of ghosts in diameters."""
 
@@ -337,113 +355,3 @@ def rank_plan(plan: Plan, ranks: int) -> Plan:
     ghosts = (share ** (1 / 3) + 2.0 * GHOST_LAYERS) ** 3 - share if ranks > 1 else 0.0
     needed = ceil(share + min(ghosts, plan.particle_capacity - share)) + plan.chunk_size
     return replace(plan, particle_capacity=needed, has_ghosts=True)
-
-
-# Walls that a program changes during a run: the plan with other walls.
-
-
-def without_wall(plan: Plan, name: str, time: float) -> Plan:
-    """The plan with a wall that vanishes at `time` [s]."""
-    return with_wall(plan, replace(wall_named(plan, name), vanishes_at=time))
-
-
-def with_motions(
-    plan: Plan, name: str, motions: Sequence[motion.Motion], time: float, present: Sequence[motion.Motion]
-) -> Plan:
-    """The plan with a wall that moves with `motions` from `time` [s], from the pose of its present motions
-    there.
-
-    Raises GranflowError for a force-controlled wall, or if the wall would be too fast for the time step.
-    """
-    wall = wall_named(plan, name)
-    if any(controlled.name == name for controlled in plan.controlled_motions):
-        raise GranflowError(f"walls[{name!r}] is force-controlled: its motion cannot be changed.")
-    try:
-        motion.single_rotation(motions)
-    except ValueError:
-        raise GranflowError(
-            f"walls[{name!r}].motion has two rotations, but a wall can have at most one."
-        ) from None
-    placed = (motion.placement_at(present, time), *motions)
-    return with_wall(plan, replace(wall, motions=tuple(PlannedMotion(each, None) for each in placed)))
-
-
-def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
-    """The plan with another wall of the same name. Raises GranflowError if it is too fast for the time
-    step."""
-    speed = _speed(plan, wall)
-    limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
-    if speed * plan.longest_time_step > limit:
-        raise GranflowError(
-            f"walls[{wall.name!r}].motion moves the wall at up to {speed:.3g} m/s, but at most "
-            f"{limit / plan.longest_time_step:.3g} m/s is possible with a time step of "
-            f"{plan.longest_time_step:.3g} s."
-        )
-    if plan.adaptive_time_step is not None and speed > plan.wall_speed:
-        raise GranflowError(
-            f"walls[{wall.name!r}].motion moves the wall at up to {speed:.3g} m/s, but the adaptive time "
-            f"step is for walls up to {plan.wall_speed:.3g} m/s: give the fastest motion in the scene."
-        )
-    walls = tuple(wall if each.name == wall.name else each for each in plan.walls)
-    has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)
-    joints = joints_of(walls, plan.radius_max, plan.periodic_box.axes)
-    features = replace(
-        plan.features,
-        joined_walls=plan.features.joined_walls or any(joints),
-        moving_walls=plan.features.moving_walls or bool(wall.motions),
-        surface_velocity=plan.features.surface_velocity or has_belt,
-    )
-    wall_speed = max(plan.wall_speed, speed)
-    return replace(plan, walls=walls, wall_joints=joints, features=features, wall_speed=wall_speed)
-
-
-def wall_named(plan: Plan, name: str) -> PlannedWall:
-    """The wall with this name. Raises GranflowError."""
-    found = {wall.name: wall for wall in plan.walls}
-    if name not in found:
-        raise GranflowError(
-            f"walls: {name!r} is not a wall of the scene; its walls are {', '.join(found) or 'none'}."
-        )
-    return found[name]
-
-
-def _speed(plan: Plan, wall: PlannedWall) -> float:
-    """Largest speed [m/s] of the geometry of the wall within the domain, by its prescribed motions without
-    stages.
-
-    A rotation of a placed wall is about an axis in space; the axis through the wall at rest is inversely
-    placed.
-    """
-    motions = [each.given for each in wall.motions if each.stages is None]
-    rotation = motion.single_rotation(motions)
-    reach = 0.0
-    if rotation is not None:
-        point = np.array(rotation.point)
-        axis = np.array(rotation.axis)
-        corners = np.abs([plan.domain_low - point, plan.domain_high - point]).max(axis=0)
-        if isinstance(motions[0], motion.Placement):
-            turned = np.array(motions[0].rotation).T
-            point = turned @ (point - np.array(motions[0].translation))
-            axis = turned @ axis
-        reach = reach_about(wall.shape, point, axis, float(np.linalg.norm(corners)))
-    return motion_speed.speed_bound(motions, reach)
-
-
-MOTIONS = {
-    kind.__name__: kind
-    for kind in (
-        motion.Translation,
-        motion.Rotation,
-        motion.Vibration,
-        motion.SurfaceVelocity,
-        motion.Placement,
-    )
-}
-"""Motions that checkpoints contain, by name."""
-
-
-def changed_walls(plan: Plan, original: Plan) -> Mapping[str, PlannedWall]:
-    """The walls that differ from those of the original plan, by name."""
-    return {
-        wall.name: wall for wall, before in zip(plan.walls, original.walls, strict=True) if wall is not before
-    }

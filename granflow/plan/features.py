@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from granflow.contact import registry
 from granflow.contact.law import FRICTION, ContactModel
 from granflow.load import Scene
-from granflow.plan.parts import CLASSES_FROM_RATIO, diameter_range, size_classes
+from granflow.plan.groups import CLASSES_FROM_RATIO, diameter_range, size_classes
 from granflow.plan.walls import has_belt, is_force_controlled
 from granflow.scene.blocks.run import Damping
 

@@ -1,14 +1,12 @@
-"""Dimensions of walls and diameters that are far above the size of the domain or of an inlet: probably a
-wrong unit."""
+"""Forecast."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import combinations, pairwise
+from itertools import combinations
 from math import ceil, dist, hypot, inf, pi, sqrt
 
 import numpy as np
 
 from granflow.contact import registry
-from granflow.errors import SceneError
 from granflow.fields import unit_of
 from granflow.geometry.catalog import Surface, area_of, distance_from, triangles
 from granflow.geometry.mesh import Mesh
@@ -16,11 +14,11 @@ from granflow.geometry.motion import pose
 from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
-from granflow.particles.group import ParticleData, orientations
 from granflow.particles.insertion import MAX_BATCHES, insertion_region
-from granflow.particles.packing import BoxSampler, CylinderSampler, RegionSampler, SlabSampler, near_pairs
-from granflow.plan.falls import forecast_velocity, path_velocity, region_of, velocity_warnings
-from granflow.plan.limits import ControlledMotion
+from granflow.particles.regions import BoxSampler, CylinderSampler, RegionSampler, SlabSampler
+from granflow.plan.falls import forecast_velocity, path_velocity, velocity_warnings
+from granflow.plan.groups import outer_diameter_range
+from granflow.plan.initial_overlaps import region_warnings
 from granflow.plan.overlaps import (
     HARDEST,
     bed_pressures,
@@ -33,9 +31,10 @@ from granflow.plan.overlaps import (
     supported_pairs,
     touching_pairs,
 )
-from granflow.plan.parts import PlannedStage, outer_diameter_range
 from granflow.plan.plan import Forecast, Plan
-from granflow.plan.walls import PlannedWall, StageTimes, surface_speed
+from granflow.plan.stages import StageTimes, nominal_times
+from granflow.plan.wall_control import ControlledMotion
+from granflow.plan.walls import PlannedWall, surface_speed
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.particles import (
     Clump,
@@ -43,17 +42,16 @@ from granflow.scene.blocks.particles import (
     FileInsertion,
     Group,
     InletInsertion,
-    PositionsInsertion,
     RainInsertion,
 )
 from granflow.scene.blocks.shapes import Axial, Rectangular
 from granflow.scene.blocks.walls import Servo, Translation, Vibration, Wall
 
-# Forecasts of clumps with a sphere that occurs twice, and of clumps with a gap between their spheres.
-
 SAME = 1e-6
 """Distance and difference of radii, over the radius, below which spheres are equal, or a gap below which they
 touch."""
+
+
 COMMON_OVERLAP = 0.1
 """Overlap over the smaller radius of the position that closes a gap."""
 
@@ -129,10 +127,10 @@ def _center(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{each + 0.0:.4g}" for each in values) + "]"
 
 
-# Forecasts of overlaps in particle files that are larger than loading and impacts explain.
-
 OVERLAP_TOLERANCE = 1.5
 """Overlap of a file over the forecast one above which a warning appears."""
+
+
 ROUNDING = 1e-3
 """Overlap over the radius that is never reported: positions in VTU files resolve 1e-4 of the smallest
 radius."""
@@ -162,17 +160,18 @@ def file_warnings(particles: Mapping[str, Group], static: float, impact: float) 
             )
 
 
-# Forecasts of insertions: runs that are too short, rates too high for a face or region, inlets turned
-# backward.
-
 DENSEST_FLOW = 0.45
 """Solid fraction that the flow out of an inlet does not exceed.
 
 Random sequential packings reach 0.38. Free fall from a disc of 10 diameters has 0.40, from one of 1.5
 diameters 0.25.
 """
+
+
 COUNT_TOLERANCE = 0.01
 """Fraction of the count that may be missing without a warning: the mean mass of particles is a sample."""
+
+
 ALONG_FACE = 1e-3
 """Component along the normal over the magnitude below which a vector is parallel to a face: decimals are
 rounded."""
@@ -357,12 +356,14 @@ def _interval(plan: Plan, group: Group, insertion: RainInsertion | InletInsertio
     return mean_volume(group) * plan.solids[group.material].density / insertion.mass_flow
 
 
-# Forecasts of output intervals that are longer than the run, or that show a vibration at two phases only.
-
 PERIOD_TOLERANCE = 0.01
 """Largest relative deviation of an interval from an odd multiple of half a period."""
+
+
 FRAMES_PER_PERIOD = 8
 """Number of frames per period that a message suggests."""
+
+
 COARSE = 0.25
 """Interval over the period above which frames do not resolve a vibration."""
 
@@ -432,16 +433,22 @@ def _intervals(scene: Scene) -> Iterator[tuple[tuple[str, ...], float]]:
             yield ("output", "fields", name, "interval"), grid.interval
 
 
-# Forecasts of servo walls that cannot reach the bed, and so their force, in the time of their motion.
-
 LOOSEST = 0.45
 """Smallest solid fraction of a bed of clumps or of cohesive particles at rest."""
+
+
 LOOSE = 0.55
 """Solid fraction of a random loose packing of spheres, without the last layer."""
+
+
 SAMPLES_ALONG = 400
 """Points along the path of a servo at which its distance from other walls is computed."""
+
+
 PARALLEL = 1e-6
 """Largest deviation of the direction of a servo from that of gravity, as the cosine of their angle."""
+
+
 MARGIN = 1.2
 """Recommended over required velocity."""
 
@@ -544,11 +551,17 @@ def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledM
 LARGE_DIAMETER = 10.0
 """Diameter over the longest side of the domain above which a unit is probably wrong; large spheres serve as
 walls."""
+
+
 LARGE_WALL = 20.0
 """Dimension of a wall over the longest side of the domain above which a unit is probably wrong; walls can be
 larger than the domain."""
+
+
 RADII = ("radius", "radius_from", "radius_to", "hole_radius")
 """Keys of walls with one length."""
+
+
 MILLI = 1e-3
 
 
@@ -630,214 +643,20 @@ def _likely(length: float, limit: float) -> str:
     return f"Check the unit: {length:.3g} mm is {MILLI * length:.3g} m."
 
 
-# The spheres of particles: of a clump all of its spheres, of other particles the particle itself.
-
-
-def spheres_by_particle(
-    group: Group, points: np.ndarray, radius: np.ndarray, orientation: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Centers (n, k, 3) [m] and radii (n, k) [m] of the k spheres of each particle at `points` (n, 3) [m].
-
-    `radius` (n,) [m]: of spheres. `orientation` (n, 4): of clumps; None for those of new clumps.
-    """
-    if group.clump is None:
-        return points[:, None], radius[:, None]
-    shape = group.clump.shape
-    if orientation is None:
-        orientation = orientations(group.clump, len(points), lambda: np.random.default_rng(1))
-    return shape.spheres(points, orientation), np.broadcast_to(shape.radius, (len(points), len(shape)))
-
-
-def spheres_of(scene: Scene, particles: ParticleData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centers (m, 3) [m] and radii (m,) [m] of the spheres of all particles, and the index (m,) of their
-    particle."""
-    centers = [np.empty((0, 3))]
-    radii = [np.empty(0)]
-    owners: list[np.ndarray] = [np.empty(0, dtype=np.int64)]
-    for number, group in enumerate(scene.particles.values()):
-        own = np.flatnonzero(particles.group == number)
-        turns = None if particles.orientation is None else particles.orientation[own]
-        center, radius = spheres_by_particle(group, particles.position[own], particles.radius[own], turns)
-        centers.append(center.reshape(-1, 3))
-        radii.append(radius.reshape(-1))
-        owners.append(np.repeat(own, radius.shape[1]))
-    return np.concatenate(centers), np.concatenate(radii), np.concatenate(owners)
-
-
-# Initial particles that overlap each other by more than the limit, with which a run would stop at its
-# start.
-
-
-def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
-    """Raise SceneError with the pair of the largest overlap if it exceeds `numerics.max_overlap`.
-
-        (R_i + R_j - |x_i - x_j|) / min(R_i, R_j)
-
-    Particles on lattices and in packings do not overlap: only scenes with positions or files are searched.
-    Fixed particles overlap each other without a force, as do the spheres of one clump. Images across periodic
-    faces are included.
-    """
-    given = (PositionsInsertion, FileInsertion)
-    if not any(isinstance(each.insert, given) for each in scene.particles.values()):
-        return
-    spheres, radii, owners = spheres_of(scene, particles)
-    position, radius, sphere = scene.domain.periodic_box().images(spheres, radii)
-    owner = owners[sphere]
-    first, second = _mobile_pairs(scene, particles, len(radii), owner, near_pairs(position, radius, 0.0))
-    smaller = np.minimum(radius[first], radius[second])
-    depth = radius[first] + radius[second] - np.linalg.norm(position[first] - position[second], axis=1)
-    limit = scene.numerics.max_overlap
-    above = np.flatnonzero(depth > limit * smaller)
-    if not len(above):
-        return
-    worst = above[(depth[above] / smaller[above]).argmax()]
-    pair = sorted((int(first[worst]), int(second[worst])))
-    names = [_name(scene, particles, int(owner[k]), position[k] - spheres[sphere[k]]) for k in pair]
-    group = list(scene.particles)[particles.group[owner[pair[0]]]]
-    count = len(np.unique(np.sort([owner[first[above]], owner[second[above]]], axis=0), axis=1).T)
-    pairs = f"{count} pairs overlap" if count > 1 else "1 pair overlaps"
-    raise SceneError(
-        f"{scene.locate('particles', group)}: {' and '.join(names)} overlap by "
-        f"{depth[worst] / smaller[worst]:.3g} of the smaller radius at the start, and the run stops above "
-        f"numerics.max_overlap {limit:g} ({pairs} by more). Move them {depth[worst]:.3g} m apart, or let "
-        "granflow place them: kind pack."
-    )
-
-
-def _mobile_pairs(
-    scene: Scene, particles: ParticleData, count: int, owner: np.ndarray, pairs: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs (p,), (p,) of spheres of two particles that are not both fixed.
-
-    `owner` (m,): index of the particle of each sphere, first of the `count` spheres, then of their images.
-    Pairs of two images are left out: they are pairs of spheres too.
-    """
-    first, second = pairs
-    fixed = np.array([group.fixed for group in scene.particles.values()])[particles.group][owner]
-    counts = (
-        (np.minimum(first, second) < count)
-        & (owner[first] != owner[second])
-        & ~(fixed[first] & fixed[second])
-    )
-    return first[counts], second[counts]
-
-
-def _name(scene: Scene, particles: ParticleData, index: int, shift: np.ndarray) -> str:
-    """Words for a particle or, if `shift` (3,) [m] is not zero, for its image displaced by it."""
-    place = f"[{', '.join(f'{x:.4g}' for x in particles.position[index] + shift)}] m"
-    group = int(particles.group[index])
-    number = int((particles.group[:index] == group).sum())
-    image = "the periodic image of " if np.any(shift) else ""
-    return f"{image}particles {list(scene.particles)[group]}[{number}] at {place}"
-
-
-# Times of the stages if each lasts as long as it can, and presence of walls.
-
-
-def nominal_times(stages: Sequence[PlannedStage]) -> StageTimes:
-    """Start and end [s] of each stage if all stages take their longest duration."""
-    edges = np.concatenate([[0.0], np.cumsum([stage.longest for stage in stages])]).tolist()
-    return {stage.name: span for stage, span in zip(stages, pairwise(edges), strict=True)}
-
-
 def present_from(wall: PlannedWall, times: StageTimes) -> float:
     """Time [s] at which a wall appears; infinite if it never does."""
     started = [times[name][0] for name in wall.stages or times if name in times]
     return max(wall.appears_at, min(started, default=np.inf))
 
 
-def is_present(wall: PlannedWall, time: float, times: StageTimes) -> bool:
-    """Whether a wall is present at `time` [s]."""
-    stage = next((name for name, (start, end) in times.items() if start <= time < end), None)
-    return stage is not None and wall.is_present(stage, time)
-
-
-# Forecasts of insertion regions that walls cut, and of initial particles inside walls.
-
-SAMPLES = 2000
-"""Number of random positions at which a region is compared with the walls."""
-
-
-def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
-    """A sentence for each region and wall where particles would be inserted with overlaps above the limit."""
-    for name, group in scene.particles.items():
-        region = region_of(group)
-        if region is None or group.fixed:
-            continue
-        radius = 0.5 * outer_diameter_range(group)[0]
-        if radius > region.radius_max:
-            continue  # the particles do not fit: reported when they are generated
-        points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
-        bodies = spheres_by_particle(group, points, np.full(SAMPLES, radius), None)
-        start = getattr(group.insert, "start", 0.0)
-        for wall, overlap in _overlaps(plan.walls, bodies, start, times):
-            share = float(np.mean(overlap > plan.max_overlap))
-            if share > 0.0:
-                yield (
-                    f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): "
-                    f"{100 * share:.3g} % of the positions in the region are inside or behind "
-                    f"walls.{wall.name}, and particles there stop the run. Choose a region that does not "
-                    "intersect the wall."
-                )
-
-
-def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iterator[str]:
-    """A sentence for each group and wall whose initial particles overlap the wall by more than the limit.
-
-    Groups in regions are compared with walls by `region_warnings`.
-    """
-    times = nominal_times(plan.stages)
-    for number, (name, group) in enumerate(scene.particles.items()):
-        own = np.flatnonzero(particles.group == number)
-        if group.fixed or not len(own) or region_of(group) is not None:
-            continue
-        points = particles.position[own]
-        turns = particles.orientation
-        bodies = spheres_by_particle(
-            group, points, particles.radius[own], None if turns is None else turns[own]
-        )
-        for wall, overlap in _overlaps(plan.walls, bodies, 0.0, times):
-            count = int((overlap > plan.max_overlap).sum())
-            if count:
-                worst = int(overlap.argmax())
-                x, y, z = points[worst]
-                yield (
-                    f"particles.{name} ({scene.where('particles', name)}): {count} of {len(own)} particles "
-                    f"are inside walls.{wall.name} at the start, by up to {overlap[worst]:.3g} of the "
-                    f"radius, at [{x:.4g}, {y:.4g}, {z:.4g}] m. Move them out, or move the wall."
-                )
-
-
-def _overlaps(
-    walls: Sequence[PlannedWall], bodies: tuple[np.ndarray, np.ndarray], time: float, times: StageTimes
-) -> Iterator[tuple[PlannedWall, np.ndarray]]:
-    """For each wall that is present at `time` [s]: largest overlap over the radius (n,) of the spheres of a
-    particle.
-
-    `bodies`: centers (n, k, 3) [m] and radii (n, k) [m] of spheres.
-    """
-    points = bodies[0].reshape(-1, 3)
-    radius = bodies[1].reshape(-1)
-    for wall in walls:
-        if not is_present(wall, time, times):
-            continue
-        at = pose([each.at(_started(times, time)) for each in wall.motions], np.array([time]))
-        local = (points - at.pivot - at.offset[0]) @ at.rotation[0] + at.pivot
-        overlap = 1.0 - distance_from(wall.shape, local, float(radius.max())) / radius
-        yield wall, overlap.reshape(bodies[1].shape).max(axis=1)
-
-
-def _started(times: StageTimes, time: float) -> Mapping[str, tuple[float, float]]:
-    """The stages that have begun at `time` [s]."""
-    return {name: span for name, span in times.items() if span[0] <= time}
-
-
-# Forecasts of values that are possible, but probably have a wrong unit.
-
 LIGHTEST = 20.0
 """Density [kg/m3] of light foams. There is no upper limit: scaled densities are common."""
+
+
 MOST_FRICTION = 5.0
 """Coefficient of friction above that of all granular materials."""
+
+
 FASTEST_SURFACE = 10.0
 """Surface speed of a wall [m/s] above that of drums, mixers and conveyors."""
 
@@ -912,12 +731,14 @@ def _speed_warnings(scene: Scene) -> Iterator[str]:
         )
 
 
-# Forecasts of walls that are far outside the domain, of walls that leave it, and of coincident walls.
-
 POINTS_PER_AXIS = 13
 """Points along each axis of the domain at which the distance from a wall is computed."""
+
+
 SAME_CORNER = 1e-6
 """Distance of corners over the size of a wall below which they are the same."""
+
+
 TIMES = 40
 """Times of the run at which the position of a moving wall is computed."""
 
@@ -1029,9 +850,6 @@ def _leaves(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray)
         f"{left:.3g} s of {end:.3g} s no particle can be in contact with it. If this is intended, give its "
         "motion an end or the wall vanishes_at."
     )
-
-
-# All forecasts of a scene that need no particles.
 
 
 def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:

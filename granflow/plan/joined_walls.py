@@ -10,7 +10,8 @@ from itertools import combinations
 import numpy as np
 
 from granflow.geometry.catalog import Surface, reach_about, triangles
-from granflow.geometry.mesh import Mesh, classify_edges
+from granflow.geometry.mesh import Mesh
+from granflow.geometry.mesh_contact import classify_edges
 from granflow.geometry.motion import ForceControlled, Rotation, SurfaceVelocity, TableRotation
 from granflow.geometry.plane import HALF_SPACE, RECTANGLE
 from granflow.geometry.revolved import FACET_COUNT, REVOLVED

@@ -17,11 +17,11 @@ from granflow.contact.selected_laws import ContactLaws
 from granflow.geometry.catalog import area_of
 from granflow.geometry.shape import sphere_mass, sphere_volume
 from granflow.load import Scene
-from granflow.particles.group import draw_diameters
-from granflow.particles.packing import BoxSampler, CylinderSampler, sampler_of
-from granflow.plan.limits import section
-from granflow.plan.parts import PlannedGroup, diameter_range
+from granflow.particles.regions import BoxSampler, CylinderSampler, sampler_of
+from granflow.particles.sizes import draw_diameters
+from granflow.plan.groups import PlannedGroup, diameter_range
 from granflow.plan.plan import Forecast, Plan
+from granflow.plan.wall_control import section
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.particles import (
     FileInsertion,

@@ -23,7 +23,7 @@ from granflow.contact.selected_laws import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.shape import sphere_mass
 from granflow.load import Scene
-from granflow.plan.parts import PlannedGroup
+from granflow.plan.groups import PlannedGroup
 from granflow.plan.time_step import PairCase
 from granflow.scene.blocks.materials import Material, MaterialPair, RestitutionFit
 from granflow.visible_text import alternatives

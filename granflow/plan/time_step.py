@@ -1,4 +1,4 @@
-"""The time step: computed from the stiffest phase of all possible contacts, or given and checked."""
+"""The time step."""
 
 import math
 from bisect import bisect_left
@@ -8,7 +8,6 @@ from itertools import accumulate
 
 import numpy as np
 
-from granflow.contact import theory
 from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial, Solid
 from granflow.scene.blocks.run import LARGEST_OVERLAP
@@ -28,15 +27,18 @@ step. Stable steps are below the limit: v dt < 2 v/w = 2 d_max <= 0.2 R, for ove
 L = 0.1.
 """
 
+
 MAX_CONTACTS = 12
 """Maximum number of contacts of a sphere with equal spheres."""
+
+
 NORMAL_MODES, SLIDING_MODES = 4.0, 20.0
 """Squared highest frequencies of densely packed equal spheres with 12 contacts, over K/M and Kt/M of a
 contact."""
+
+
 STABLE_SHARE = 0.99
 """Time step over the stability limit of the stiffest mode."""
-STEPS_OF_RESOLUTION = 1000
-"""Minimum ratio of an overlap to the resolution of the precision, for a force error below 0.15 %."""
 
 
 @dataclass(frozen=True)
@@ -145,33 +147,6 @@ def choose_time_step(
     step = TimeStep(value, limited_by, stable, stable_name, 0.0, given is not None, (), resolved / fraction)
     least, warnings = _restitution_reached(step, pair_cases, law, velocity)
     return replace(step, least_restitution=least, warnings=warnings)
-
-
-def resolution_warning(
-    pair_cases: Sequence[PairCase], velocity: float, precision: str, reach: float
-) -> tuple[str, ...]:
-    """A warning if the overlaps of a collision at `velocity` [m/s] are close to the resolution of the
-    precision.
-
-    An overlap is a difference of lengths up to `reach` [m]: coordinates of the domain in f32, two radii in
-    mixed. The overlap is that of a Hertz contact (Zhou 2011, Eq. 5). Empty in f64, and if the overlap exceeds
-    STEPS_OF_RESOLUTION times the rounding error.
-    """
-    if precision == "f64":
-        return ()
-    resolved = float(np.finfo(np.float32).eps) * reach
-    overlaps = []
-    for pair_case in pair_cases:
-        k = theory.hertz_stiffness(pair_case.pair.modulus_eff, pair_case.radius_eff)
-        overlaps.append((float(theory.overlap_max(k, pair_case.mass_eff, velocity)), pair_case.name))
-    smallest, name = min(overlaps)
-    if smallest > STEPS_OF_RESOLUTION * resolved:
-        return ()
-    remedy = "mixed or f64" if precision == "f32" else "f64"
-    return (
-        f"{precision} resolves lengths to {resolved:.2g} m here, but the overlaps of {name} are only "
-        f"{smallest:.2g} m at {velocity:.3g} m/s: forces are inaccurate. Use --precision {remedy}.",
-    )
 
 
 def shortest_phase(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
@@ -296,16 +271,20 @@ def _shortfall(
     )
 
 
-# Adaptive time step: the rule of the fixed time step, applied to the current maximum impact velocity.
-
 STEPS_BETWEEN_UPDATES = 128
 """Number of steps between two updates of the maximum impact velocity; a contact lasts about as long."""
+
+
 VELOCITY_MARGIN = 2.0
 """Factor applied to the current maximum impact velocity: a light particle hit by a much heavier one rebounds
 at up to twice the velocity of the heavy one."""
+
+
 LEVELS_PER_DOUBLING = 2
 """Velocity levels per factor of 2: a time step is about proportional to v^(-1/5), so that it is at most 7 %
 below the ideal one."""
+
+
 DOUBLINGS = (-24, 6)
 """Range of the table in powers of 2, relative to the planned maximum impact velocity."""
 

@@ -15,10 +15,11 @@ from granflow.io.checkpoint import LARGEST_REAL, Checkpoint, CheckpointError, Pa
 from granflow.io.log import version_of
 from granflow.load import Scene, copied_scene, scene_of
 from granflow.plan.arrays import particle_arrays, saved_arrays
-from granflow.plan.build import MOTIONS, changed_walls, wall_named, with_wall
-from granflow.plan.capacities import SumUnits
 from granflow.plan.plan import ExternalForce, Plan
-from granflow.plan.walls import PlannedMotion, PlannedWall, StageTimes, planned_motions, wall_motions
+from granflow.plan.stages import StageTimes
+from granflow.plan.sum_units import SumUnits
+from granflow.plan.wall_changes import MOTIONS, changed_walls, wall_named, with_wall
+from granflow.plan.walls import PlannedMotion, PlannedWall, planned_motions, wall_motions
 from granflow.runs.checkpoint_checks import check_engine, check_run
 from granflow.runs.observer_list import ObserverList
 from granflow.scene.differences import Difference, differences, forbidden

@@ -20,8 +20,8 @@ from granflow.engine.checkpoint import (
 from granflow.engine.engine import Engine
 from granflow.engine.state import Clock
 from granflow.io.checkpoint import Checkpoint
-from granflow.plan.parts import PlannedStage
 from granflow.plan.plan import Plan
+from granflow.plan.stages import PlannedStage
 from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.runs.checkpoint_checks import check_observers, check_streams, rank_files_of
 from granflow.runs.insertion import ParticleInsertion

@@ -15,9 +15,9 @@ from granflow.fields import unit_of
 from granflow.geometry.catalog import area_of
 from granflow.geometry.motion import is_running
 from granflow.observers.timeseries import Row
-from granflow.plan.limits import ControlledMotion
-from granflow.plan.parts import PlannedStage, StageCondition
 from granflow.plan.plan import Plan
+from granflow.plan.stages import PlannedStage, StageCondition
+from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import wall_change_times, wall_motions
 
 # Warnings of servo walls that are off their target force when a stage ends.

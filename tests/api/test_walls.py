@@ -16,7 +16,8 @@ from granflow.geometry.motion import (
     placement_at,
     pose,
 )
-from granflow.plan.build import plan_for, with_motions
+from granflow.plan.build import plan_for
+from granflow.plan.wall_changes import with_motions
 
 GRAVITY = 9.81
 

@@ -7,7 +7,7 @@ import pytest
 
 from granflow.engine.state import OneProcess
 from granflow.engine.totals import Accounting, energy_budget_totals, mechanical_energy
-from granflow.plan.capacities import LOSSES
+from granflow.plan.sum_units import LOSSES
 
 ENERGIES = (7.0, 2.0, -4.0)
 """Kinetic, rotational and gravitational energy [J]."""

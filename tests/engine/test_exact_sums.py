@@ -14,7 +14,7 @@ from granflow.engine.sums import CARRY_BITS, build_to_grid, exact_sum, exact_tot
 from granflow.errors import RunError
 from granflow.kernel_language import ti
 from granflow.observers.observer import on_interval
-from granflow.plan import capacities as sum_units
+from granflow.plan import sum_units
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 

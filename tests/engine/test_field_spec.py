@@ -9,8 +9,8 @@ from scene_builders import build_scene, particle_group
 from granflow import fields
 from granflow.engine.host import copy_to_host, particle_table
 from granflow.io.checkpoint import newest_checkpoint
-from granflow.plan.arrays import estimate_memory
 from granflow.plan.build import plan_for
+from granflow.plan.memory import estimate_memory
 from granflow.simulation import Simulation
 
 ROOM, HOT = 293.15, 400.0

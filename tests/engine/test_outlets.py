@@ -11,7 +11,7 @@ from subprocess_runner import each_in_subprocess
 
 from granflow.engine import threads as workers
 from granflow.io.checkpoint import read_checkpoint
-from granflow.plan.parts import outlet_of, planned_outlets
+from granflow.plan.outlets import outlet_of, planned_outlets
 from granflow.simulation import Simulation
 
 MASSES = {diameter: pi / 6.0 * diameter**3 * SOFT["density"] for diameter in (0.004, 0.005)}

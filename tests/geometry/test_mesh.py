@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from geometry.meshes import cube, mesh, sheet, tube
 
-from granflow.geometry.mesh import grid_over, reference_contact, triangle_distances
+from granflow.geometry.mesh import grid_over
+from granflow.geometry.mesh_contact import reference_contact, triangle_distances
 from granflow.geometry.mesh_file import STL_RECORD, read_triangles
 from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.shape import FAR_AWAY

@@ -16,7 +16,7 @@ from scene_builders import run_to_end
 from subprocess_runner import in_subprocess
 
 from granflow.engine import backend as vulkan_devices
-from granflow.plan import capacities as sum_units
+from granflow.plan import sum_units
 
 pytestmark = pytest.mark.gpu
 

@@ -6,8 +6,10 @@ from particles.scenes import BOX, TUBE, UNIFORM, clearance, scene_with, smallest
 
 from granflow.errors import SceneError
 from granflow.particles import packing
+from granflow.particles.close_pairs import near_pairs
 from granflow.particles.insertion import initial_particles
-from granflow.particles.packing import BoxSampler, Spheres, near_pairs
+from granflow.particles.packing import Spheres
+from granflow.particles.regions import BoxSampler
 
 TOUCHING = -1e-12
 """Smallest gap [m] between touching particles, negative because of rounding."""

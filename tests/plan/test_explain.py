@@ -7,10 +7,10 @@ import pytest
 from plan.scenes import TEXT, scene_of
 from subprocess_runner import in_subprocess
 
-from granflow.plan.arrays import estimate_memory
 from granflow.plan.build import plan_for
 from granflow.plan.explain import WIDTH, duration, explain, feature_label, size
 from granflow.plan.features import Features
+from granflow.plan.memory import estimate_memory
 
 
 @pytest.fixture(scope="module")

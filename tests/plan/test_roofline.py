@@ -3,9 +3,9 @@
 import pytest
 from scene_builders import build_scene, particle_group
 
-from granflow.plan.arrays import estimate_memory
 from granflow.plan.build import plan_for
 from granflow.plan.explain import GPUS, bytes_per_particle_step, explain, particle_steps_per_second
+from granflow.plan.memory import estimate_memory
 
 
 def gas_plan(**pair):

@@ -13,7 +13,7 @@ from granflow.contact.normal.linear_spring import Spring
 from granflow.contact.theory import damping_ratio_for
 from granflow.errors import SceneError
 from granflow.plan.build import plan_for
-from granflow.plan.limits import max_impact_velocity
+from granflow.plan.impact_velocity import max_impact_velocity
 from granflow.plan.time_step import PairCase, stable_step
 
 RADIUS, DENSITY, YOUNG, POISSON, VELOCITY = 2e-3, 2500.0, 10e6, 0.23, 1.0

@@ -9,11 +9,12 @@ from plan.scenes import TEXT
 
 from granflow.errors import SceneError
 from granflow.load import load, scene_of
-from granflow.particles.group import draw_diameters, groups_of
+from granflow.particles.group import groups_of
 from granflow.particles.insertion import initial_particles
 from granflow.particles.resolve import scaled
+from granflow.particles.sizes import draw_diameters
 from granflow.plan.build import plan_for
-from granflow.plan.limits import max_impact_velocity
+from granflow.plan.impact_velocity import max_impact_velocity
 from granflow.scene.blocks.walls import MeshWall, Vibration
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0

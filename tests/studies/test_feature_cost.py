@@ -9,8 +9,8 @@ from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.load import load
-from granflow.plan.arrays import estimate_memory
 from granflow.plan.build import plan_for
+from granflow.plan.memory import estimate_memory
 from granflow.studies.feature_cost import variants_of
 
 TEXT = """\

@@ -1,0 +1,214 @@
+"""Memory."""
+
+from dataclasses import dataclass
+from itertools import groupby
+from typing import get_args
+
+from granflow.arguments import refuse_other, shown
+from granflow.errors import GranflowError, SceneError
+from granflow.io.machine import available_memory
+from granflow.plan.arrays import (
+    Precision,
+    cell_arrays,
+    mesh_arrays,
+    neighbor_arrays,
+    particle_arrays,
+    sum_arrays,
+)
+from granflow.plan.capacities import Capacities
+from granflow.plan.plan import Plan
+
+
+@dataclass(frozen=True)
+class MemoryEstimate:
+    """Initial device memory [bytes]; neighbor lists grow if they are too short.
+
+    `per_particle`, `per_neighbor`: for one particle and one list entry; all others: totals.
+    """
+
+    per_particle: int
+    per_neighbor: int
+    """Per list entry: partner index, contact history, and the share of an entry saved during a rebuild."""
+    particles: int
+    neighbor_lists: int
+    cells: int
+    meshes: int = 0
+    sums: int = 0
+    """Energies and wall forces: per chunk, on a GPU per particle."""
+
+    @property
+    def total(self) -> int:
+        """Total device memory [bytes]."""
+        return self.particles + self.neighbor_lists + self.cells + self.meshes + self.sums
+
+
+def estimate_memory(plan: Plan, precision: Precision, capacities: Capacities | None = None) -> MemoryEstimate:
+    """Sum of the sizes [bytes] of all arrays that scale with particles, contacts, cells or triangles.
+
+    capacities:  of the neighbor lists; None: those at the start
+
+    >>> gf.estimate_memory(gf.plan_for(gf.load_scene("two.yaml")), "f64").total > 0
+    True
+    """
+    refuse_other("plan", plan, Plan, "a plan of granflow.plan_for")
+    if precision not in get_args(Precision):
+        raise GranflowError(f"precision is {shown(precision)}; give one of {', '.join(get_args(Precision))}.")
+    capacities = capacities or plan.capacities
+    lists = neighbor_arrays(plan, capacities)
+    cells = cell_arrays(plan)
+    particles = sum(
+        each.size(precision) for each in (*particle_arrays(plan), *lists, *cells) if each.per_particle
+    )
+    list_bytes = sum(each.size(precision) for each in lists if not each.per_particle)
+    return MemoryEstimate(
+        per_particle=particles // capacities.particles,
+        per_neighbor=list_bytes // capacities.list_entries,
+        particles=particles,
+        neighbor_lists=list_bytes,
+        cells=sum(each.size(precision) for each in cells if not each.per_particle),
+        meshes=sum(each.size(precision) for each in mesh_arrays(plan)) if plan.meshes else 0,
+        sums=sum(each.size(precision) for each in sum_arrays(plan)),
+    )
+
+
+def largest_block(plan: Plan, capacities: Capacities) -> int:
+    """Bytes of the largest array, or arrays that are interleaved entry by entry."""
+    arrays = [
+        *particle_arrays(plan),
+        *neighbor_arrays(plan, capacities),
+        *cell_arrays(plan),
+        *sum_arrays(plan),
+    ]
+    blocks = groupby(arrays, key=lambda array: array.block or array.name)
+    return max(sum(array.size(plan.precision) for array in block) for _, block in blocks)
+
+
+RUNTIME = 100_000_000
+"""Memory [bytes] of the compiler, independent of the scene."""
+
+
+HOST_PER_PARTICLE = 600
+"""Host memory [bytes] per particle when a frame is written (measured: 510); insertion needs less."""
+
+
+WARNED_SHARE = 0.8
+"""Share of the available memory above which a warning appears: lists may grow, other processes need some."""
+
+
+def required_memory(plan: Plan) -> int:
+    """Peak memory [bytes] of a run on a CPU, with the initial estimate of contacts.
+
+    Sum of device fields, frames on the host (HOST_PER_PARTICLE) and compiler (RUNTIME).
+    """
+    host = HOST_PER_PARTICLE * plan.particle_capacity
+    return estimate_memory(plan, plan.precision).total + host + RUNTIME
+
+
+def fits(plan: Plan) -> bool:
+    """True if a run fits or the available memory is unknown."""
+    available = available_memory()
+    return available is None or required_memory(plan) <= available
+
+
+def refuse_without_memory(plan: Plan) -> None:
+    """Raise SceneError if a run on a CPU does not fit into the available memory; never if that is unknown."""
+    if not fits(plan):
+        raise SceneError(f"{_location(plan)}: {memory_warning(plan)}")
+
+
+def memory_warning(plan: Plan) -> str | None:
+    """A sentence if a run does not fit or almost fills the memory; None if it fits or the memory is unknown.
+
+    "Almost" is WARNED_SHARE of the available memory. The sentence names needed and free memory [GB] and
+    remedies.
+    """
+    needed = required_memory(plan)
+    available = available_memory()
+    if available is None or needed <= WARNED_SHARE * available:
+        return None
+    count = plan.particle_capacity
+    free = f"{available / 1e9:.3g} GB"
+    statement = (
+        f"but only {free} are free" if needed > available else f"which is most of the {free} that are free"
+    )
+    sizes = f"{count} particles need about {needed / 1e9:.3g} GB of memory, {statement}"
+    return f"{sizes}: {_remedies(plan, needed, available)}."
+
+
+def _remedies(plan: Plan, needed: int, available: int) -> str:
+    """Remedies: fewer particles, lower precision, more memory.
+
+    `needed`, `available` [bytes]; the suggested number of particles fills WARNED_SHARE of the available
+    memory.
+    """
+    fitting_count = int(
+        WARNED_SHARE * max(available - RUNTIME, 0) / ((needed - RUNTIME) / plan.particle_capacity)
+    )
+    precision_remedy = ", set run.precision to mixed" if plan.precision == "f64" else ""
+    count_remedy = (
+        f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free memory"
+    )
+    return f"{count_remedy}{precision_remedy}, or use a machine with more memory"
+
+
+MAX_LIST_ENTRIES = 2**31 - 1
+"""Neighbor-list entries have 32-bit indices."""
+
+
+def refuse_too_many(plan: Plan) -> None:
+    """Raise SceneError if the neighbor-list entries of all chunks exceed the range of 32-bit indices.
+
+    The message suggests a number of particles, rounded to two digits.
+    """
+    list_entries = plan.capacities.list_entries
+    if list_entries > MAX_LIST_ENTRIES:
+        max_count = float(f"{plan.particle_capacity * (MAX_LIST_ENTRIES / list_entries):.2g}")
+        request = (
+            f"{plan.particle_capacity} particles are requested, but about {max_count:.0f} is the maximum"
+        )
+        raise SceneError(f"{_location(plan)}: {request} for 32-bit neighbor-list indices. Lower the count.")
+
+
+def refuse_without_device_memory(plan: Plan, free: int | None, largest_buffer: int | None) -> None:
+    """Raise SceneError if the fields of a run on a GPU exceed its free memory, or one of them the largest
+    buffer.
+
+    free, largest_buffer:  [bytes]; None if unknown
+    """
+    total = estimate_memory(plan, plan.precision).total
+    longest = largest_block(plan, plan.capacities)
+    if free is not None and total > free:
+        raise _too_large(plan, total, free, f"{{needed}} on the GPU, but only {free / 1e9:.3g} GB are free")
+    if largest_buffer is not None and longest > largest_buffer:
+        statement = f"{{needed}} in one buffer, but this GPU allows at most {largest_buffer / 1e9:.3g} GB"
+        raise _too_large(plan, longest, largest_buffer, statement)
+
+
+def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_buffer: int | None) -> None:
+    """Raise SceneError if the fields of a run on a GPU with longer neighbor lists do not fit.
+
+    available, largest_buffer:  [bytes], those of the present fields included; None if unknown
+    """
+    total = estimate_memory(plan, plan.precision, grown).total
+    longest = largest_block(plan, grown)
+    if available is not None and total > available or largest_buffer is not None and longest > largest_buffer:
+        entries = f"{grown.list_entries / plan.particle_capacity:.3g} candidate pairs per particle"
+        raise SceneError(
+            f"{_location(plan)}: the neighbor lists of {entries} no longer fit into the memory of the GPU, "
+            f"because all fields need {total / 1e9:.3g} GB. Lower the count, or numerics.skin."
+        )
+
+
+def _too_large(plan: Plan, needed: int, available: int, statement: str) -> SceneError:
+    """The error for `needed` above `available` [bytes], with the number of particles that fits."""
+    sizes = f"{plan.particle_capacity} particles need about " + statement.format(
+        needed=f"{needed / 1e9:.3g} GB"
+    )
+    count = float(f"{plan.particle_capacity * WARNED_SHARE * available / needed:.2g}")
+    remedy = " or set run.precision to mixed" if plan.precision == "f64" else ""
+    return SceneError(f"{_location(plan)}: {sizes}: lower the count to about {count:.0f}{remedy}.")
+
+
+def _location(plan: Plan) -> str:
+    """File and line of the count of the largest group."""
+    return max(plan.groups, key=lambda group: group.sphere_count).source

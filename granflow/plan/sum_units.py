@@ -1,0 +1,151 @@
+"""Sums over contacts: what each chunk of particles adds up, and the units that make the sums exact."""
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from math import ceil, frexp, inf, log2
+
+import numpy as np
+
+from granflow.contact.law import NormalLaw
+from granflow.geometry.shape import sphere_volume
+from granflow.plan.groups import PlannedGroup
+from granflow.plan.time_step import PairCase
+
+# Quantities.
+
+
+LOSSES = (
+    "plastic_dissipation",
+    "friction_dissipation",
+    "rolling_dissipation",
+    "damping_dissipation",
+    "wall_work",
+)
+"""Terms of the energy budget that each chunk sums [J], with the names of the totals."""
+
+
+PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
+
+
+IMPULSE_SIZE = 7
+"""Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force
+(1)."""
+
+
+# Units.
+
+
+FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 53, 43
+"""Binary digits of the largest force in units of a force, and so on: fewer, if more terms are added.
+
+An energy is added in two words, so that the contacts of small particles count in the presence of very large
+ones.
+"""
+
+
+SUM_BITS = 50
+"""Binary digits of the largest sum of forces on a particle in its unit, a quarter of what f64 represents
+exactly in half units: partial sums can be larger than the sum."""
+
+
+CARRY_BITS = 40
+"""Binary digits of the low word of a sum over a run; a high word counts the rest."""
+
+
+FORCE, TORQUE, ENERGY, IMPULSE, ANGULAR_IMPULSE, WALL_FORCE = range(6)
+"""Order of the units in device arrays."""
+
+
+@dataclass(frozen=True)
+class SumUnits:
+    """Units of the sums, powers of two.
+
+    force:            force on a particle [N]
+    torque:           torque on a particle [N m]
+    energy:           dissipated energy and work [J]
+    impulse:          time integral of a wall force [N s]
+    angular_impulse:  time integral of a wall torque [N m s]
+    wall_force:       force on a force-controlled wall [N]
+    """
+
+    force: float
+    torque: float
+    energy: float
+    impulse: float
+    angular_impulse: float
+    wall_force: float
+
+    @property
+    def are_valid(self) -> bool:
+        """Whether all units are powers of two."""
+        return all(0.0 < unit < inf and frexp(unit)[0] == 0.5 for unit in astuple(self))
+
+    @property
+    def largest_force(self) -> float:
+        """Largest contact force [N] on a particle: above it, the sums are not exact."""
+        return self.force * 2.0**SUM_BITS
+
+
+def sum_units(
+    pair_cases: Sequence[PairCase],
+    law: NormalLaw,
+    velocity: float,
+    max_overlap: float,
+    radius: float,
+    time_step: float,
+    size: float,
+    weight: float = 0.0,
+) -> SumUnits:
+    """Units of a scene.
+
+    pair_cases:   contacts that can occur, and those that only limit the time step
+    velocity:     maximum expected impact velocity [m/s]
+    max_overlap:  overlap limit over the radius
+    radius:       largest radius [m]
+    time_step:    longest time step [s]
+    size:         largest distance [m] of a particle from the pivot of a wall
+    weight:       [N], of the heaviest sphere
+    """
+    force = weight
+    energy = 0.0
+    for case in [case for case in pair_cases if case.pair_key] or pair_cases:
+        overlap = max_overlap * case.largest_radius
+        arguments = (case.pair, case.radius_eff, case.mass_eff, velocity)
+        hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.largest_radius) * overlap**1.5
+        viscosity = law.viscosity(*case.dashpot_arguments, velocity)
+        spring = law.loading_stiffness(*arguments) * overlap + viscosity * velocity
+        force = max(force, hertz, spring)
+        energy = max(energy, max(hertz, spring) * overlap)
+    force_scale = _power_of_two(force)
+    radius_scale = _power_of_two(radius)
+    impulse = force_scale * _power_of_two(time_step) / 2.0**IMPULSE_BITS
+    return SumUnits(
+        force=force_scale / 2.0**FORCE_BITS,
+        torque=force_scale * radius_scale / 2.0**FORCE_BITS,
+        energy=_power_of_two(energy) / 2.0**ENERGY_BITS,
+        impulse=impulse,
+        angular_impulse=impulse * _power_of_two(size),
+        wall_force=force_scale / 2.0**WALL_BITS,
+    )
+
+
+def _power_of_two(value: float) -> float:
+    """Smallest power of two not below a positive value."""
+    return 2.0 ** ceil(log2(value))
+
+
+LIQUID_BITS = 50
+"""Binary digits of the volume of all liquid in its unit: three fewer than f64 has, for the halves of odd
+volumes and for particles that a program adds."""
+
+
+def liquid_unit(groups: Sequence[PlannedGroup]) -> float:
+    """Unit [m3] of liquid volumes, a power of two: bridges take whole units, so that all sums of volumes are
+    exact.
+
+    The liquid of all groups, with the largest diameters, over 2^LIQUID_BITS; 1 without liquid.
+    """
+    total = sum(
+        group.count * group.liquid_content * sphere_volume(0.5 * group.diameters[1]) for group in groups
+    )
+    return 2.0 ** (ceil(log2(total)) - LIQUID_BITS) if total > 0.0 else 1.0

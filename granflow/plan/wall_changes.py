@@ -1,0 +1,121 @@
+"""Wall changes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.geometry import motion
+from granflow.geometry import motion as motion_speed
+from granflow.geometry.catalog import reach_about
+from granflow.plan.joined_walls import joints_of
+from granflow.plan.plan import Plan
+from granflow.plan.walls import PlannedMotion, PlannedWall
+
+
+def without_wall(plan: Plan, name: str, time: float) -> Plan:
+    """The plan with a wall that vanishes at `time` [s]."""
+    return with_wall(plan, replace(wall_named(plan, name), vanishes_at=time))
+
+
+def with_motions(
+    plan: Plan, name: str, motions: Sequence[motion.Motion], time: float, present: Sequence[motion.Motion]
+) -> Plan:
+    """The plan with a wall that moves with `motions` from `time` [s], from the pose of its present motions
+    there.
+
+    Raises GranflowError for a force-controlled wall, or if the wall would be too fast for the time step.
+    """
+    wall = wall_named(plan, name)
+    if any(controlled.name == name for controlled in plan.controlled_motions):
+        raise GranflowError(f"walls[{name!r}] is force-controlled: its motion cannot be changed.")
+    try:
+        motion.single_rotation(motions)
+    except ValueError:
+        raise GranflowError(
+            f"walls[{name!r}].motion has two rotations, but a wall can have at most one."
+        ) from None
+    placed = (motion.placement_at(present, time), *motions)
+    return with_wall(plan, replace(wall, motions=tuple(PlannedMotion(each, None) for each in placed)))
+
+
+def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
+    """The plan with another wall of the same name. Raises GranflowError if it is too fast for the time
+    step."""
+    speed = _speed(plan, wall)
+    limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
+    if speed * plan.longest_time_step > limit:
+        raise GranflowError(
+            f"walls[{wall.name!r}].motion moves the wall at up to {speed:.3g} m/s, but at most "
+            f"{limit / plan.longest_time_step:.3g} m/s is possible with a time step of "
+            f"{plan.longest_time_step:.3g} s."
+        )
+    if plan.adaptive_time_step is not None and speed > plan.wall_speed:
+        raise GranflowError(
+            f"walls[{wall.name!r}].motion moves the wall at up to {speed:.3g} m/s, but the adaptive time "
+            f"step is for walls up to {plan.wall_speed:.3g} m/s: give the fastest motion in the scene."
+        )
+    walls = tuple(wall if each.name == wall.name else each for each in plan.walls)
+    has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)
+    joints = joints_of(walls, plan.radius_max, plan.periodic_box.axes)
+    features = replace(
+        plan.features,
+        joined_walls=plan.features.joined_walls or any(joints),
+        moving_walls=plan.features.moving_walls or bool(wall.motions),
+        surface_velocity=plan.features.surface_velocity or has_belt,
+    )
+    wall_speed = max(plan.wall_speed, speed)
+    return replace(plan, walls=walls, wall_joints=joints, features=features, wall_speed=wall_speed)
+
+
+def _speed(plan: Plan, wall: PlannedWall) -> float:
+    """Largest speed [m/s] of the geometry of the wall within the domain, by its prescribed motions without
+    stages.
+
+    A rotation of a placed wall is about an axis in space; the axis through the wall at rest is inversely
+    placed.
+    """
+    motions = [each.given for each in wall.motions if each.stages is None]
+    rotation = motion.single_rotation(motions)
+    reach = 0.0
+    if rotation is not None:
+        point = np.array(rotation.point)
+        axis = np.array(rotation.axis)
+        corners = np.abs([plan.domain_low - point, plan.domain_high - point]).max(axis=0)
+        if isinstance(motions[0], motion.Placement):
+            turned = np.array(motions[0].rotation).T
+            point = turned @ (point - np.array(motions[0].translation))
+            axis = turned @ axis
+        reach = reach_about(wall.shape, point, axis, float(np.linalg.norm(corners)))
+    return motion_speed.speed_bound(motions, reach)
+
+
+def wall_named(plan: Plan, name: str) -> PlannedWall:
+    """The wall with this name. Raises GranflowError."""
+    found = {wall.name: wall for wall in plan.walls}
+    if name not in found:
+        raise GranflowError(
+            f"walls: {name!r} is not a wall of the scene; its walls are {', '.join(found) or 'none'}."
+        )
+    return found[name]
+
+
+MOTIONS = {
+    kind.__name__: kind
+    for kind in (
+        motion.Translation,
+        motion.Rotation,
+        motion.Vibration,
+        motion.SurfaceVelocity,
+        motion.Placement,
+    )
+}
+"""Motions that checkpoints contain, by name."""
+
+
+def changed_walls(plan: Plan, original: Plan) -> Mapping[str, PlannedWall]:
+    """The walls that differ from those of the original plan, by name."""
+    return {
+        wall.name: wall for wall, before in zip(plan.walls, original.walls, strict=True) if wall is not before
+    }
