@@ -9,8 +9,6 @@ from granflow.geometry.shape import Shape, ShapeKind
 
 SHAPE_KINDS: tuple[ShapeKind, ...] = (HALF_SPACE, RECTANGLE, REVOLVED)
 """Kinds of shapes other than meshes."""
-
-
 Surface = Shape | Mesh
 """Geometry of a wall in its rest pose."""
 

@@ -104,12 +104,9 @@ def _right_handed(axes: np.ndarray) -> np.ndarray:
 
 # Integrals.
 
-
 LATITUDES = 64
 """Number of circles of latitude between two at which arcs appear or vanish: relative error 1e-13 unless three
 spheres overlap each other, then below 1e-5."""
-
-
 ARC_POINTS = 8
 """Points of the quadrature on an arc of at most a quarter of a circle."""
 

@@ -80,7 +80,6 @@ def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 # From file.
 
-
 WELD_TOLERANCE = 1e-6
 """Points closer than this fraction of the mesh size are merged: ten times the rounding error of float32
 files."""
@@ -165,12 +164,9 @@ def first_occurrences(rows: np.ndarray) -> np.ndarray:
 
 # Hanging points.
 
-
 MAX_PAIRS = 2 * 10**8
 """Maximum number of (open edge, point) pairs; a mesh with more is not split, because its parts do not
 match."""
-
-
 SPLIT_CHUNK_PAIRS = 10**6
 """Number of pairs evaluated at a time."""
 
@@ -268,19 +264,12 @@ def split_triangles(
 
 # Grid.
 
-
 CELLS_PER_TRIANGLE, MIN_CELLS = 8.0, 4096
 """Maximum number of cells of a grid."""
-
-
 ENTRIES_PER_TRIANGLE, MIN_ENTRIES = 64.0, 65536
 """Maximum total number of (cell, triangle) candidates; a large triangle lies in many cells."""
-
-
 REACH_FACTOR = 1.0 + 1e-5
 """Factor of the reach that allows for rounding of positions on the device, including float32."""
-
-
 CHUNK_PAIRS = 200_000
 """Number of (cell, triangle) candidates evaluated at a time."""
 

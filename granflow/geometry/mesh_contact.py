@@ -12,13 +12,9 @@ COPLANAR_ANGLE = 1e-4
 
 A contact point may then lie outside its triangle by up to half this angle times the radius.
 """
-
-
 SMOOTH_ANGLE = np.radians(30.0)
 """Angle [rad] up to which a concave edge approximates a curved wall: a tube of twelve facets is round, one of
 ten is not."""
-
-
 NOT_OWNED, OPEN_EDGE, SHARED_EDGE = range(3)
 """Role of a triangle at one of its edges: no ownership, owner of an open edge, or owner of a shared edge."""
 
@@ -245,7 +241,6 @@ def neighbors_of(corners: np.ndarray, point_count: int) -> tuple[np.ndarray, np.
 
 
 # Reference.
-
 
 ROUNDING = 16.0
 """Tolerance, in units in the last place of the lengths at a vertex, for a center above the vertex."""

@@ -191,7 +191,6 @@ HALF_SPACE = ShapeKind(
     reach_about=half_space_reach,
     area=lambda parameters: None,
 )
-
 RECTANGLE = ShapeKind(
     name="rectangle",
     parameter_names=(

@@ -103,21 +103,13 @@ def widest_spacing(free_sites: Sites, count: int, least: float, guess: float) ->
 
 MAX_PACKING_FRACTION = 0.57
 """Largest solid fraction of a random packing: the number of sweeps diverges toward 0.6."""
-
-
 SWELLING = 0.02
 """Relative increase of the radii during separation, so that no overlap remains."""
-
-
 MAX_SWEEPS = 2000
 """Number of sweeps after which overlapping spheres are reported as not fitting."""
-
-
 STALLED_SWEEPS = 300
 """Number of sweeps without a smaller largest overlap after which they are reported: a sphere is inside an
 obstacle."""
-
-
 OVERSHOOT = 1.4
 """Separation of overlapping pairs per sweep, over their overlap: halves the number of sweeps (tested: 1, 1.2,
 1.4)."""

@@ -84,8 +84,6 @@ def ordered_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) 
 
 MAX_COUNTED = 10_000_000
 """Largest count that is derived from a mass by summation; larger counts follow from the mean of a sample."""
-
-
 SAMPLE = 10_000
 """Number of diameters in a sample from which the mean cube is estimated."""
 

@@ -233,15 +233,10 @@ def _adaptive_time_step(
 
 # Skin and chunks.
 
-
 SKIN_STEPS = 60
 """Minimum number of steps in which a particle at the maximum velocity crosses half the skin."""
-
-
 LARGEST_SKIN = 20.0
 """Maximum `numerics.skin` over the smallest radius: 2^3 * 11^3 neighbors."""
-
-
 SKIN_SHARES = (0.05, 0.3)
 """Range of the automatic skin over the smallest radius."""
 
@@ -274,12 +269,8 @@ def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
 SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved
 compile time."""
-
-
 CHUNK_COUNT = 32
 """Number of chunks to distribute over the threads, if their size is within CHUNK_BOUNDS."""
-
-
 CHUNK_BOUNDS = (512, 2048)
 """Particles per chunk: smaller chunks have more pairs across chunks, computed twice; larger ones exceed the
 cache."""
@@ -336,11 +327,8 @@ def _refuse_collision_energies(scene: Scene, plan: Plan) -> None:
 
 # Ranks.
 
-
 BALANCE = 1.2
 """Particles of a rank over the mean for which its arrays are allocated; they grow if one rank has more."""
-
-
 GHOST_LAYERS = 1.5
 """Thickness of the layer of ghosts in diameters."""
 

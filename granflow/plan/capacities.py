@@ -5,54 +5,30 @@ from math import ceil
 
 MIN_PARTICLES, MIN_CHUNKS, MIN_LIST_ENTRIES, MIN_CELLS = 2048, 64, 20_480, 8192
 """Smallest capacities for particles: all small scenes have the same arrays, of a few MB."""
-
-
 MIN_SIZE_CLASSES, MIN_WALLS, MIN_PAIRS = 8, 8, 64
 """Smallest capacities for size classes, walls and pairs of materials."""
-
-
 MIN_TRIANGLES = 1024
 """Smallest capacity for triangles, edges, vertices and cells of meshes."""
-
-
 MIN_BATCH, MIN_CHUNK_PARTICLES = 1024, 512
 """Smallest capacities of a batch of contacts, those of several particles or of one with many neighbors, and
 of the force sums of a chunk."""
-
-
 WORKERS = 16
 """Number of CPU threads up to which all thread counts have the same arrays."""
-
-
 BOUNDS = 256
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
-
-
 SUBPARTS = 64
 """Number of threads of a GPU for each of these parts."""
-
-
 SHARED_ROWS = 64
 """Rows of the sums of wall forces if each particle is a chunk: few particles are at walls, and atomic
 additions of integers are exact."""
-
-
 SCAN_BLOCK = 1024
 """Number of cells summed by one task of the prefix sum."""
-
-
 REACH_STEPS = 40
 """Number of steps at its velocity that a particle may move between rebuilds, in addition to half the skin."""
-
-
 WALL_BATCH = 256
 """Number of steps whose wall poses are uploaded together."""
-
-
 GROWTH_FACTOR = 1.3
 """Factor by which the capacity exceeds the needed list entries when a list grows."""
-
-
 SPARE = 8
 """Entries per segment in addition to a share, for segments with few list entries."""
 
@@ -138,12 +114,8 @@ def rounded_capacity(needed: int, smallest: int) -> int:
 GENEROUS_BELOW = 20_000
 """Number of particles below which memory is negligible and each particle gets `GENEROUS_NEIGHBORS` list
 entries."""
-
-
 GENEROUS_NEIGHBORS = 7.0
 """List entries per particle in small scenes."""
-
-
 IN_CONTACT_NEIGHBORS, NEIGHBORS_PER_SKIN = 3.4, 10.0
 """Candidate pairs per particle in a settled bed: contacts, and an increase with skin over radius.
 
@@ -164,8 +136,6 @@ def neighbors_per_particle(particle_count: int, skin_over_radius: float) -> floa
 
 HISTORY_SHARE = 0.8
 """Share of the list entries that can hold a contact history at a neighbor-list rebuild."""
-
-
 SAVED_CONTACTS = 3.1
 """Contacts per particle whose history can be saved in large scenes with one segment; packings without
 friction have 3.

@@ -31,11 +31,7 @@ INTEGRATION_READ = (
     "position_at_rebuild",
     "reach",
 )
-
-
 INTEGRATION_WRITTEN = ("position", "velocity", "velocity_synchronized", "angular_velocity")
-
-
 FORCES_READ = (
     "position",
     "velocity",
@@ -45,19 +41,11 @@ FORCES_READ = (
     "mass",
     "material",
 )
-
-
 FORCES_WRITTEN = ("force", "torque")
-
-
 CONTACTS, LIST_ENTRIES, STEPS_PER_REBUILD = 6.0, 9.0, 50.0
 """Contacts and list entries per particle and steps between rebuilds, as in a settled bed that is agitated."""
-
-
 INTEGER, LIST_RANGE, SORT_INTEGERS = 4, 3, 8
 """Bytes of an integer; integers per particle of its list range, and of the sort."""
-
-
 INTEGRATION_OPERATIONS, ENTRY_OPERATIONS, CONTACT_OPERATIONS = 75.0, 10.0, 388.0
 """Per particle, list entry and frictional contact (zhou): sums and products, and 20 for each root or
 quotient."""
@@ -111,16 +99,10 @@ def _entry_size(array: DeviceArray, precision: Precision) -> int:
 
 WIDTH = 100
 """Width of the text in columns."""
-
-
 PARTICLE_STEPS_PER_SECOND = 5e6
 """Rate assumed for the run time on a CPU: settled particles with friction, two threads."""
-
-
 STEPS_PER_SECOND = 2e5
 """Maximum step rate, for small numbers of particles."""
-
-
 LABELS = {"one_material": "one particle material", "rate_dependent": "viscous normal force"}
 """Labels of features whose names do not describe them; the others are their names."""
 

@@ -50,8 +50,6 @@ from granflow.scene.blocks.walls import Servo, Translation, Vibration, Wall
 SAME = 1e-6
 """Distance and difference of radii, over the radius, below which spheres are equal, or a gap below which they
 touch."""
-
-
 COMMON_OVERLAP = 0.1
 """Overlap over the smaller radius of the position that closes a gap."""
 
@@ -129,8 +127,6 @@ def _center(values: np.ndarray) -> str:
 
 OVERLAP_TOLERANCE = 1.5
 """Overlap of a file over the forecast one above which a warning appears."""
-
-
 ROUNDING = 1e-3
 """Overlap over the radius that is never reported: positions in VTU files resolve 1e-4 of the smallest
 radius."""
@@ -166,12 +162,8 @@ DENSEST_FLOW = 0.45
 Random sequential packings reach 0.38. Free fall from a disc of 10 diameters has 0.40, from one of 1.5
 diameters 0.25.
 """
-
-
 COUNT_TOLERANCE = 0.01
 """Fraction of the count that may be missing without a warning: the mean mass of particles is a sample."""
-
-
 ALONG_FACE = 1e-3
 """Component along the normal over the magnitude below which a vector is parallel to a face: decimals are
 rounded."""
@@ -358,12 +350,8 @@ def _interval(plan: Plan, group: Group, insertion: RainInsertion | InletInsertio
 
 PERIOD_TOLERANCE = 0.01
 """Largest relative deviation of an interval from an odd multiple of half a period."""
-
-
 FRAMES_PER_PERIOD = 8
 """Number of frames per period that a message suggests."""
-
-
 COARSE = 0.25
 """Interval over the period above which frames do not resolve a vibration."""
 
@@ -435,20 +423,12 @@ def _intervals(scene: Scene) -> Iterator[tuple[tuple[str, ...], float]]:
 
 LOOSEST = 0.45
 """Smallest solid fraction of a bed of clumps or of cohesive particles at rest."""
-
-
 LOOSE = 0.55
 """Solid fraction of a random loose packing of spheres, without the last layer."""
-
-
 SAMPLES_ALONG = 400
 """Points along the path of a servo at which its distance from other walls is computed."""
-
-
 PARALLEL = 1e-6
 """Largest deviation of the direction of a servo from that of gravity, as the cosine of their angle."""
-
-
 MARGIN = 1.2
 """Recommended over required velocity."""
 
@@ -551,17 +531,11 @@ def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledM
 LARGE_DIAMETER = 10.0
 """Diameter over the longest side of the domain above which a unit is probably wrong; large spheres serve as
 walls."""
-
-
 LARGE_WALL = 20.0
 """Dimension of a wall over the longest side of the domain above which a unit is probably wrong; walls can be
 larger than the domain."""
-
-
 RADII = ("radius", "radius_from", "radius_to", "hole_radius")
 """Keys of walls with one length."""
-
-
 MILLI = 1e-3
 
 
@@ -651,12 +625,8 @@ def present_from(wall: PlannedWall, times: StageTimes) -> float:
 
 LIGHTEST = 20.0
 """Density [kg/m3] of light foams. There is no upper limit: scaled densities are common."""
-
-
 MOST_FRICTION = 5.0
 """Coefficient of friction above that of all granular materials."""
-
-
 FASTEST_SURFACE = 10.0
 """Surface speed of a wall [m/s] above that of drums, mixers and conveyors."""
 
@@ -733,12 +703,8 @@ def _speed_warnings(scene: Scene) -> Iterator[str]:
 
 POINTS_PER_AXIS = 13
 """Points along each axis of the domain at which the distance from a wall is computed."""
-
-
 SAME_CORNER = 1e-6
 """Distance of corners over the size of a wall below which they are the same."""
-
-
 TIMES = 40
 """Times of the run at which the position of a moving wall is computed."""
 

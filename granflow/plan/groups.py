@@ -52,7 +52,6 @@ def planned_groups(scene: Scene) -> tuple[PlannedGroup, ...]:
 
 # Sizes.
 
-
 Span = tuple[float, float]
 """Smallest and largest value [m]."""
 
@@ -92,8 +91,6 @@ def _diameters(group: Group) -> list[Span]:
 
 CLASSES_FROM_RATIO = 3.0
 """Ratio of largest to smallest radius from which the neighbor search uses size classes."""
-
-
 CLASS_WIDTH = 2.5
 """Ratio of largest to smallest radius within a class."""
 

@@ -20,17 +20,13 @@ from granflow.plan.walls import PlannedMotion, PlannedWall
 
 ITSELF, OTHERS = 1, 2
 """Bits of `joints_of`: parts of the wall touch each other; the wall touches other walls."""
-
 PLACE_TOLERANCE = 1e-3
 """Distance of surfaces over the largest radius below which they may touch: ten times that of one contact on
 both."""
-
 ANGLE_TOLERANCE = 1e-2
 """Sine of the angle below which two half spaces may have the same surface."""
-
 MAX_PARTS = 64
 """Number of parts of a mesh above which they are not compared, but assumed to touch."""
-
 Bounds = tuple[np.ndarray, np.ndarray]
 """Low and high corner (3,) [m] of a bounding box."""
 

@@ -20,11 +20,8 @@ from granflow.scene.blocks.walls import Rotation, Vibration
 
 # Domain.
 
-
 SAMPLES = 101
 """Points along each side of a face at which walls are compared with those at the opposite face."""
-
-
 DISTANCE_TOLERANCE = 1e-3
 """Tolerance for the difference of wall distances between opposite faces, relative to the reach."""
 
@@ -100,7 +97,6 @@ def _face(periodic_box: PeriodicBox, axis: int) -> np.ndarray:
 
 
 # Resolution.
-
 
 COARSEST = 0.1
 """Largest spacing of positions over the smallest radius: above it contact forces are noise in any contact
@@ -196,7 +192,6 @@ def refuse_coarse_liquid(scene: Scene, transfers_liquid: bool) -> None:
 
 # Periods.
 
-
 STEPS_PER_PERIOD = 10
 """Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion
 (aliasing)."""
@@ -247,7 +242,6 @@ def _period(motion: Vibration | Rotation, gravity: Vector3) -> float:
 
 
 # Displacements per step.
-
 
 STEP_MARGIN = 0.9
 """Time step that a message suggests, relative to the limit."""

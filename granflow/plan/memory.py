@@ -85,12 +85,8 @@ def largest_block(plan: Plan, capacities: Capacities) -> int:
 
 RUNTIME = 100_000_000
 """Memory [bytes] of the compiler, independent of the scene."""
-
-
 HOST_PER_PARTICLE = 600
 """Host memory [bytes] per particle when a frame is written (measured: 510); insertion needs less."""
-
-
 WARNED_SHARE = 0.8
 """Share of the available memory above which a warning appears: lists may grow, other processes need some."""
 

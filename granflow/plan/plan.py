@@ -111,8 +111,6 @@ class Forecast:
 
 CELLS_PER_PARTICLE = 3
 """Maximum number of cells per particle; a sparser domain gets larger cells."""
-
-
 BLOCK_CELLS = 8**3
 """Number of cells in a block, which is the smallest grid."""
 

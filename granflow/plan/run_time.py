@@ -7,28 +7,16 @@ from granflow.plan.plan import Plan
 
 MAX_STEPS_PER_SECOND = 1e6
 """Upper bound of steps per second of wall-clock time for few particles (measured on a CPU: 3e5)."""
-
-
 MAX_PARTICLE_STEPS_PER_SECOND = 1e9
 """Upper bound of particle-steps per second of wall-clock time (measured on two CPU cores: 2e7)."""
-
-
 WRITES_PER_SECOND = 1e4
 """Upper bound of frames, time-series rows and checkpoints per second of wall-clock time (measured: 1e3)."""
-
-
 YEAR = 365.25 * 86400.0
 """Seconds per year."""
-
-
 LONGEST = YEAR
 """Lower bound of the run time [s] above which a scene is refused: probably a wrong unit or exponent."""
-
-
 CLOCK_STEPS = 2.0**52
 """Number of steps above which single steps no longer advance the time in double precision."""
-
-
 ROUNDING = 1e-6
 """Tolerance, as a fraction of the time step, for a stage shorter than one step."""
 

@@ -13,8 +13,6 @@ from granflow.scene.blocks.contact import LawSettings
 
 KeyPath = tuple[str | int, ...]
 """Keys and list indices from the root of a scene."""
-
-
 _UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
 """Unit in brackets in a description of the schema."""
 
@@ -97,8 +95,6 @@ _REASONS: dict[str | int, str] = {
     "unloading_angle": "default: bound on sqrt(K/M) dt, where K is the unloading stiffness",
 }
 """Origin of default values that are copied from other keys or need an explanation."""
-
-
 _MANY_ROWS = 3
 """Lists with more entries are shown by their length."""
 

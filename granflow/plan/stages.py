@@ -72,7 +72,6 @@ def planned_stages(scene: Scene) -> tuple[PlannedStage, ...]:
 
 # Times of stages.
 
-
 StageTimes = Mapping[str, tuple[float, float]]
 """Start and end [s] of each stage that has begun; the end is infinite during the stage."""
 

@@ -13,7 +13,6 @@ from granflow.plan.time_step import PairCase
 
 # Quantities.
 
-
 LOSSES = (
     "plastic_dissipation",
     "friction_dissipation",
@@ -22,11 +21,7 @@ LOSSES = (
     "wall_work",
 )
 """Terms of the energy budget that each chunk sums [J], with the names of the totals."""
-
-
 PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
-
-
 IMPULSE_SIZE = 7
 """Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force
 (1)."""
@@ -34,24 +29,17 @@ IMPULSE_SIZE = 7
 
 # Units.
 
-
 FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 53, 43
 """Binary digits of the largest force in units of a force, and so on: fewer, if more terms are added.
 
 An energy is added in two words, so that the contacts of small particles count in the presence of very large
 ones.
 """
-
-
 SUM_BITS = 50
 """Binary digits of the largest sum of forces on a particle in its unit, a quarter of what f64 represents
 exactly in half units: partial sums can be larger than the sum."""
-
-
 CARRY_BITS = 40
 """Binary digits of the low word of a sum over a run; a high word counts the rest."""
-
-
 FORCE, TORQUE, ENERGY, IMPULSE, ANGULAR_IMPULSE, WALL_FORCE = range(6)
 """Order of the units in device arrays."""
 

@@ -26,17 +26,11 @@ so that the overlap limit stops the run. Two particles pass each other only with
 step. Stable steps are below the limit: v dt < 2 v/w = 2 d_max <= 0.2 R, for overlaps d_max up to the default
 L = 0.1.
 """
-
-
 MAX_CONTACTS = 12
 """Maximum number of contacts of a sphere with equal spheres."""
-
-
 NORMAL_MODES, SLIDING_MODES = 4.0, 20.0
 """Squared highest frequencies of densely packed equal spheres with 12 contacts, over K/M and Kt/M of a
 contact."""
-
-
 STABLE_SHARE = 0.99
 """Time step over the stability limit of the stiffest mode."""
 
@@ -273,18 +267,12 @@ def _shortfall(
 
 STEPS_BETWEEN_UPDATES = 128
 """Number of steps between two updates of the maximum impact velocity; a contact lasts about as long."""
-
-
 VELOCITY_MARGIN = 2.0
 """Factor applied to the current maximum impact velocity: a light particle hit by a much heavier one rebounds
 at up to twice the velocity of the heavy one."""
-
-
 LEVELS_PER_DOUBLING = 2
 """Velocity levels per factor of 2: a time step is about proportional to v^(-1/5), so that it is at most 7 %
 below the ideal one."""
-
-
 DOUBLINGS = (-24, 6)
 """Range of the table in powers of 2, relative to the planned maximum impact velocity."""
 

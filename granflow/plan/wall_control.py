@@ -103,8 +103,6 @@ def controlled_motions_of(
 GAIN_SHARE = 0.2
 """Share of the force error that a servo corrects in one step, if all particles within reach are in
 contact."""
-
-
 MAX_GAIN = 2.0
 """This share at which the overshoot of a servo grows from step to step."""
 

@@ -284,20 +284,13 @@ def _force_controlled_speed(gravity: Sequence[float], given: Any, distance: floa
 
 # Mesh walls.
 
-
 REFUSED_SIZE_RATIO, WARNED_SIZE_RATIO = 100.0, 5.0
 """Ratios of mesh size to domain size above which a mesh is refused, or causes a warning: wrong unit of
 length."""
-
-
 FAR_TOO_SMALL = 1e-3
 """Ratio of mesh size to the smallest diameter below which a mesh is refused: wrong unit of length."""
-
-
 MILLIMETERS = 1000.0
 """Millimeters per meter, the most frequent mistake in units of mesh files."""
-
-
 FILES_CACHED = 16
 """Number of meshes in the cache: a run builds several plans."""
 
