@@ -1,9 +1,13 @@
-"""Build."""
+"""Scene -> Plan: `plan_for` makes all decisions for a scene, and refuses scenes that cannot be simulated.
+
+The decisions follow each other: walls and impact velocity, contact laws of the pairs, time step, skin, and
+what depends on these. Each has its own module; this one contains their order, the choices of a few lines
+(skin, chunk size), and the checks that need several decisions.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +15,7 @@ from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.mesh import Mesh
 from granflow.load import Scene, refuse_other_object
-from granflow.plan.features import features_of, reasons_for
+from granflow.plan.features import features_of
 from granflow.plan.forecast import forecasts_of, size_problems
 from granflow.plan.groups import planned_groups, size_classes
 from granflow.plan.impact_velocity import (
@@ -86,18 +90,22 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     impact_velocity = max_impact_velocity(scene)
     velocity = impact_velocity.value
     groups = planned_groups(scene)
+    particle_count = sum(group.sphere_count for group in groups)
+    radius_min = 0.5 * min(group.diameters[0] for group in groups)
+    radius_max = 0.5 * max(group.diameters[1] for group in groups)
+
     models = active_models(scene)
-    radii = [0.5 * diameter for group in groups for diameter in group.diameters]
-    radius_min, radius_max = min(radii), max(radii)
     solids = {name: solid(given) for name, given in scene.materials.items()}
     pairs = pair_materials(scene, models, solids)
     laws = build_laws(scene, groups, models, pairs, velocity)
     law = laws.normal
-    joints = joints_of(walls, radius_max, scene.domain.periodic_box().axes)
-    features = features_of(scene, models, law.rate_dependent, any(joints))
+    periodic_box = scene.domain.periodic_box()
+    joints = joints_of(walls, radius_max, periodic_box.axes)
+    features, reasons = features_of(scene, models, law.rate_dependent, any(joints))
     pair_constants = pair_table(scene, laws, pairs, materials)
     refuse_coarse(scene, radius_min)
     refuse_coarse_liquid(scene, features.liquid_transfer)
+
     pair_cases = pair_cases_of(scene, groups, solids, pairs)
     adhesion = adhesion_velocity(laws, pair_cases)
     step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
@@ -106,75 +114,70 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
     _refuse_geometry(scene, walls, radius_max, skin + laws.range)
-    particle_count = sum(group.sphere_count for group in groups)
-    controlled_motions = controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value)
+    has_chunks = law.branch_free and not on_gpu
+
     plan = Plan(
-        **_as_given(scene),
+        title=scene.title,
+        path=str(scene.path) if scene.path.name else "",
+        remarks=scene.remarks,
+        settings=settings_of(scene),
+        sources=_sources(scene),
+        precision=scene.run.precision,
+        domain=scene.domain,
+        periodic_box=periodic_box,
+        gravity=scene.gravity,
+        max_overlap=scene.numerics.max_overlap,
+        stages=planned_stages(scene),
+        damping=planned_damping(scene.damping),
+        outlets=planned_outlets(scene.outlets),
+        output=scene.output,
+        flow_meter_parts={name: scene.flow_meter_parts(name) for name in scene.output.flow_meters},
+        measured_walls=scene.measured_walls,
+        expectations=scene.expect,
         features=features,
-        reasons=reasons_for(scene, features),
+        reasons=reasons,
         groups=groups,
+        particle_capacity=particle_count,
+        radius_min=radius_min,
+        radius_max=radius_max,
+        size_classes=size_classes(scene.particles),
+        chunk_size=_chunk_size(scene.numerics, particle_count) if has_chunks else 1,
+        skin=skin,
         solids=solids,
         materials=materials,
         laws=laws,
         pair_materials={both: pair for both, pair in pairs.items() if set(both) <= set(materials)},
         pair_constants=pair_constants,
         pair_cases=pair_cases,
-        particle_capacity=particle_count,
-        radius_min=radius_min,
-        radius_max=radius_max,
-        chunk_size=_chunk_size(scene.numerics, particle_count) if law.branch_free and not on_gpu else 1,
-        skin=skin,
         step=step,
+        adaptive_time_step=_adaptive_time_step(scene, pair_cases, law, velocity, max(speed, adhesion)),
         impact_velocity=impact_velocity,
         walls=walls,
         wall_joints=joints,
-        mesh_notes=_mesh_notes(scene, walls, 2.0 * radius_min),
         wall_speed=speed,
-        controlled_motions=controlled_motions,
-        adaptive_time_step=_adaptive_time_step(scene, pair_cases, law, velocity, max(speed, adhesion)),
+        controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
+        mesh_notes=_mesh_notes(scene, walls, 2.0 * radius_min),
     )
     _refuse_fast(scene, plan, speeds)
     _refuse_collision_energies(scene, plan)
     return plan
 
 
-def _as_given(scene: Scene) -> dict[str, Any]:
-    """The fields of the plan that the scene gives directly."""
-    return {
-        "title": scene.title,
-        "path": str(scene.path) if scene.path.name else "",
-        "remarks": scene.remarks,
-        "settings": settings_of(scene),
-        "sources": _sources(scene),
-        "precision": scene.run.precision,
-        "domain": scene.domain,
-        "periodic_box": scene.domain.periodic_box(),
-        "output": scene.output,
-        "flow_meter_parts": {name: scene.flow_meter_parts(name) for name in scene.output.flow_meters},
-        "expectations": scene.expect,
-        "gravity": scene.gravity,
-        "max_overlap": scene.numerics.max_overlap,
-        "stages": planned_stages(scene),
-        "damping": planned_damping(scene.damping),
-        "size_classes": size_classes(scene.particles),
-        "measured_walls": scene.measured_walls,
-        "outlets": planned_outlets(scene.outlets),
-    }
-
-
 def _sources(scene: Scene) -> dict[str, str]:
     """Positions in the scene file for messages: of the key that sets the number of steps, given numerics,
     `on_exit`."""
-    given_step = not isinstance(scene.run.time_step, str)
-    steps = ("run", "time_step") if given_step else ("stages",) if scene.stages else ("run", "duration")
-    sources = {"steps": scene.locate(*steps), "domain.on_exit": scene.where("domain", "on_exit")}
-    is_given = {
-        "skin": scene.numerics.skin != "auto",
-        "max_overlap": scene.is_given("numerics", "max_overlap"),
-    }
-    return sources | {
-        f"numerics.{name}": scene.where("numerics", name) for name, given in is_given.items() if given
-    }
+    if not isinstance(scene.run.time_step, str):
+        steps = scene.locate("run", "time_step")
+    elif scene.stages:
+        steps = scene.locate("stages")
+    else:
+        steps = scene.locate("run", "duration")
+    sources = {"steps": steps, "domain.on_exit": scene.where("domain", "on_exit")}
+    if scene.numerics.skin != "auto":
+        sources["numerics.skin"] = scene.where("numerics", "skin")
+    if scene.is_given("numerics", "max_overlap"):
+        sources["numerics.max_overlap"] = scene.where("numerics", "max_overlap")
+    return sources
 
 
 def _used_materials(scene: Scene) -> tuple[str, ...]:
@@ -189,7 +192,7 @@ def _mesh_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> 
     return tuple(note for name, mesh in meshes for note in notes_on(scene, name, mesh, smallest))
 
 
-# Time step.
+# The time step.
 
 
 def _time_step(
@@ -200,16 +203,9 @@ def _time_step(
     `velocity` [m/s]: maximum expected impact velocity; `diameter` [m]: of the largest particle.
     """
     given = None if isinstance(scene.run.time_step, str) else float(scene.run.time_step)
-    numerics = scene.numerics
+    fractions = (scene.numerics.time_step_fraction, scene.numerics.rayleigh_fraction)
     try:
-        step = choose_time_step(
-            given,
-            pair_cases,
-            law,
-            velocity,
-            numerics.time_step_fraction,
-            numerics.rayleigh_fraction,
-        )
+        step = choose_time_step(given, pair_cases, law, velocity, *fractions)
     except ValueError as error:
         raise SceneError(f"{scene.locate('run', 'time_step')}: run.time_step {error}") from None
     precision = scene.run.precision
@@ -227,11 +223,12 @@ def _adaptive_time_step(
     """
     if scene.run.time_step != "adaptive":
         return None
-    bounds = (scene.numerics.time_step_fraction, scene.numerics.rayleigh_fraction)
-    return adaptive_time_step_for(pair_cases, law, velocity, max(speed, image_speed(scene.domain)), *bounds)
+    fractions = (scene.numerics.time_step_fraction, scene.numerics.rayleigh_fraction)
+    speed = max(speed, image_speed(scene.domain))
+    return adaptive_time_step_for(pair_cases, law, velocity, speed, *fractions)
 
 
-# Skin and chunks.
+# The skin of the neighbor lists, and the chunks of particles that threads process.
 
 SKIN_STEPS = 60
 """Minimum number of steps in which a particle at the maximum velocity crosses half the skin."""
@@ -246,17 +243,13 @@ def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> floa
     SKIN_SHARES.
 
     `radius_min` [m], `velocity` [m/s], `step` [s]. A thicker skin means fewer rebuilds, but more candidate
-    pairs.
+    pairs. Raises SceneError if the given skin exceeds LARGEST_SKIN times the smallest radius.
     """
-    if scene.numerics.skin != "auto":
-        return _given_skin(scene, float(scene.numerics.skin), radius_min)
-    min_size, max_size = (neighbors * radius_min for neighbors in SKIN_SHARES)
-    return float(np.clip(2.0 * SKIN_STEPS * velocity * step, min_size, max_size))
-
-
-def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
-    """The skin [m] of the scene. Raises SceneError if it exceeds LARGEST_SKIN times the smallest radius
-    [m]."""
+    if scene.numerics.skin == "auto":
+        smallest, largest = SKIN_SHARES
+        wanted = 2.0 * SKIN_STEPS * velocity * step
+        return float(np.clip(wanted, smallest * radius_min, largest * radius_min))
+    skin = float(scene.numerics.skin)
     if skin > LARGEST_SKIN * radius_min:
         raise SceneError(
             f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} "
@@ -283,17 +276,18 @@ def _chunk_size(numerics: Numerics, particle_count: int) -> int:
         return int(numerics.chunk_size)
     if particle_count <= SMALL_SCENE_PARTICLES:
         return 1
-    min_size, max_size = CHUNK_BOUNDS
-    return int(np.clip(2 ** int(np.ceil(np.log2(particle_count / CHUNK_COUNT))), min_size, max_size))
+    power_of_two = 2 ** int(np.ceil(np.log2(particle_count / CHUNK_COUNT)))
+    return int(np.clip(power_of_two, *CHUNK_BOUNDS))
 
 
-# Checks.
+# Checks that need several decisions.
 
 
 def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: float, reach: float) -> None:
     """Raise SceneError for a periodic box or walls that do not fit neighbor lists of this reach beyond
     contact [m]."""
-    refuse_narrow_box(scene, radius_max, 2.0 * reach if scene.domain.lees_edwards is not None else reach)
+    is_sheared = scene.domain.lees_edwards is not None
+    refuse_narrow_box(scene, radius_max, 2.0 * reach if is_sheared else reach)
     refuse_cut_walls(scene, walls, radius_max + reach)
     refuse_infinite_rotations(scene, walls)
 
@@ -301,18 +295,21 @@ def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: f
 def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> None:
     """Raise SceneError for velocities [m/s] at which contacts can be missed from the start, and for a fast
     decay."""
-    refuse_unresolved_drag(scene, plan.longest_time_step)
+    step = plan.longest_time_step
+    refuse_unresolved_drag(scene, step)
     refuse_fast_start(scene, initial_speeds(scene.particles), plan.time_step, plan.radius_min)
     refuse_fast_rotation(scene, initial_rotation_rates(scene.particles), plan.time_step)
-    step = plan.longest_time_step
-    skin = f"of the skin {plan.skin:.3g} m"
-    limit = plan.wall_travel_limit
-    displacement = plan.wall_displacement_limit
-    travel = share_of(limit, plan.radius_min)
-    share = f"{displacement / plan.skin:.2g} {skin}"
-    refuse_fast_walls(scene, wall_speeds, step, *min((limit, travel), (displacement, share)))
-    image_limits = (plan.travel_limit, share_of(plan.travel_limit, plan.radius_min)), (plan.skin, f"1 {skin}")
-    refuse_fast_images(scene, plan.image_speed, step, *min(image_limits))
+
+    def share_of_radius(limit: float) -> tuple[float, str]:
+        return limit, share_of(limit, plan.radius_min)
+
+    def share_of_skin(limit: float) -> tuple[float, str]:
+        return limit, f"{limit / plan.skin:.2g} of the skin {plan.skin:.3g} m"
+
+    limit, share = min(share_of_radius(plan.wall_travel_limit), share_of_skin(plan.wall_displacement_limit))
+    refuse_fast_walls(scene, wall_speeds, step, limit, share)
+    limit, share = min(share_of_radius(plan.travel_limit), share_of_skin(plan.skin))
+    refuse_fast_images(scene, plan.image_speed, step, limit, share)
 
 
 def _refuse_collision_energies(scene: Scene, plan: Plan) -> None:
@@ -325,7 +322,7 @@ def _refuse_collision_energies(scene: Scene, plan: Plan) -> None:
         )
 
 
-# Ranks.
+# The plan of one of several MPI ranks.
 
 BALANCE = 1.2
 """Particles of a rank over the mean for which its arrays are allocated; they grow if one rank has more."""

@@ -1,4 +1,8 @@
-"""Capacities."""
+"""Capacities: the lengths of the device arrays, which are estimated before a run.
+
+Capacities are rounded up, so that scenes of similar size share their machine code. Neighbor lists that are
+too short grow during the run; all kernels are then compiled again.
+"""
 
 from dataclasses import dataclass, replace
 from math import ceil
@@ -96,6 +100,8 @@ class Capacities:
         )
 
 
+# Rounding.
+
 LARGE = 100_000
 """Capacity above which the steps between capacities are smaller."""
 
@@ -110,6 +116,8 @@ def rounded_capacity(needed: int, smallest: int) -> int:
         capacity += max(capacity // (4 if capacity < LARGE else 16), 1)
     return capacity
 
+
+# Estimates of the length of the neighbor lists.
 
 GENEROUS_BELOW = 20_000
 """Number of particles below which memory is negligible and each particle gets `GENEROUS_NEIGHBORS` list

@@ -1,7 +1,13 @@
-"""Features: parts of the simulator that a scene needs. All other parts are not compiled."""
+"""Features: parts of the simulator that a scene needs. All other parts are not compiled.
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+The features follow from the scene alone. `features_of` is a table with one row per feature: its value, and
+the reason with the line of the scene that determines it. The kernels read the values at compile time;
+`granflow explain` prints the rows.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 from granflow.contact import registry
 from granflow.contact.law import FRICTION, ContactModel
@@ -57,60 +63,6 @@ class Features:
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
 
-def features_of(
-    scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool, has_joined_walls: bool
-) -> Features:
-    """Derive all features from the scene.
-
-    `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous
-    term, so that forces depend on synchronized velocities; `has_joined_walls`: whether surfaces of walls may
-    touch. Rotation is on only with friction, rolling or twisting friction, or with clumps: otherwise no
-    torque exists.
-    """
-    classes = size_classes(scene.particles)
-    clumps = any(group.clump for group in scene.particles.values())
-    return Features(
-        friction="tangential" in models,
-        rolling=_name(models, "rolling"),
-        twisting=_name(models, "twisting"),
-        rotation=clumps or any(slot in models for slot in ("tangential", "rolling", "twisting")),
-        rate_dependent=law_is_damped,
-        cohesion=_name(models, "cohesion"),
-        walls=bool(scene.walls),
-        moving_walls=any(wall.motion for wall in scene.walls.values()),
-        surface_velocity=any(has_belt(wall) for wall in scene.walls.values()),
-        force_controlled_walls=any(is_force_controlled(wall) for wall in scene.walls.values()),
-        mesh_walls=any(wall.shape == "mesh" for wall in scene.walls.values()),
-        joined_walls=has_joined_walls,
-        one_material=len({group.material for group in scene.particles.values()}) == 1,
-        energy_budget=scene.output.energy_budget,
-        wall_forces=bool(scene.measured_walls),
-        collision_energies=scene.output.collision_energies is not None,
-        adaptive_step=scene.run.time_step == "adaptive",
-        periodic=", ".join(scene.domain.periodic) or "none",
-        lees_edwards=scene.domain.lees_edwards is not None,
-        fixed_particles=any(group.fixed for group in scene.particles.values()),
-        outlets=bool(scene.outlets),
-        size_classes=str(len(classes)) if len(classes) > 1 else "none",
-        damping=" and ".join(damping_kinds(scene.damping)) or "none",
-        clumps=clumps,
-        liquid_transfer=_name(models, "cohesion") in registry.liquid_models(),
-        velocity_remainders=scene.run.precision != "f64",
-    )
-
-
-def _name(models: Mapping[str, ContactModel], slot: str) -> str:
-    return models[slot].name if slot in models else "none"
-
-
-def damping_kinds(damping: Damping | None) -> list[str]:
-    """Kinds of damping of all motion that a scene requests."""
-    return [kind for kind in ("cundall", "drag") if getattr(damping, kind, None) is not None]
-
-
-# Reasons for the features of a scene, with the lines that determine them.
-
-
 @dataclass(frozen=True)
 class Reason:
     """One line of `granflow explain`: a feature, its setting, and the reason."""
@@ -120,62 +72,19 @@ class Reason:
     why: str
 
 
-def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
-    """Reason for the setting of each feature, with the line of the scene that determines it.
+def features_of(
+    scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool, has_joined_walls: bool
+) -> tuple[Features, tuple[Reason, ...]]:
+    """All features of the scene, and the reason for each in the order of the fields of Features.
 
-    In the order of the fields of Features.
+    `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous
+    term, so that forces depend on synchronized velocities; `has_joined_walls`: whether surfaces of walls may
+    touch.
     """
-    reasons = {
-        "friction": _model_reason(scene, "tangential", features.friction),
-        "rolling": _model_reason(scene, "rolling", features.rolling != "none"),
-        "twisting": _model_reason(scene, "twisting", features.twisting != "none"),
-        "rotation": (
-            "required by "
-            f"{'clumps' if features.clumps else 'friction, rolling friction or twisting friction'}"
-            if features.rotation
-            else "no torques: every pair has friction and rolling friction 0"
-        ),
-        "rate_dependent": _rate_reason(scene, features),
-        "cohesion": _model_reason(scene, "cohesion", features.cohesion != "none"),
-        "walls": _walls_reason(scene),
-        "moving_walls": _moving_reason(scene, features),
-        "surface_velocity": _belt_reason(scene, features),
-        "force_controlled_walls": _force_controlled_reason(scene, features),
-        "mesh_walls": _mesh_reason(scene, features),
-        "joined_walls": (
-            "the surfaces of walls, or parts of a mesh, may touch: a contact found on several of them counts "
-            "once"
-            if features.joined_walls
-            else "the surfaces of the walls do not touch each other"
-        ),
-        "one_material": _material_reason(scene),
-        "energy_budget": (
-            f"output.energy_budget is {'on' if features.energy_budget else 'off'} "
-            f"({scene.where('output', 'energy_budget')})"
-        ),
-        "wall_forces": _wall_forces_reason(scene, features),
-        "collision_energies": (
-            f"output.collision_energies is {'given' if features.collision_energies else 'absent'} "
-            f"({scene.where('output', 'collision_energies')})"
-        ),
-        "adaptive_step": _time_step_reason(scene),
-        "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
-        if scene.domain.periodic
-        else "the domain has no periodic axes",
-        "lees_edwards": _lees_edwards_reason(scene),
-        "fixed_particles": _fixed_reason(scene, features),
-        "outlets": _outlets_reason(scene),
-        "size_classes": _sizes_reason(scene),
-        "damping": _damping_reason(scene),
-        "clumps": _clumps_reason(scene, features),
-        "liquid_transfer": _liquid_reason(scene, features),
-        "velocity_remainders": f"run.precision is {scene.run.precision} ({scene.where('run', 'precision')})",
-        "external_forces": "forces are added from Python only",
-    }
-    return tuple(
-        Reason(item.name, _setting(getattr(features, item.name)), reasons[item.name])
-        for item in fields(features)
-    )
+    rows = list(_rows(scene, models, law_is_damped, has_joined_walls))
+    values: dict[str, Any] = {name: value for name, value, _ in rows}
+    reasons = tuple(Reason(name, _setting(value), why) for name, value, why in rows)
+    return Features(**values), reasons
 
 
 def _setting(value: bool | str) -> str:
@@ -185,7 +94,177 @@ def _setting(value: bool | str) -> str:
     return "off" if value == "none" else value
 
 
-def _model_reason(scene: Scene, slot: str, on: bool) -> str:
+def _rows(
+    scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool, has_joined_walls: bool
+) -> Iterator[tuple[str, bool | str, str]]:
+    """Name, value and reason of each feature. Arguments as of `features_of`."""
+    walls = scene.walls
+    groups = scene.particles
+    where = scene.where
+
+    # Contacts.
+    yield "friction", "tangential" in models, _model_reason(scene, models, "tangential")
+    yield "rolling", _name(models, "rolling"), _model_reason(scene, models, "rolling")
+    yield "twisting", _name(models, "twisting"), _model_reason(scene, models, "twisting")
+    clumps = [name for name, group in groups.items() if group.clump]
+    has_torques = any(slot in models for slot in ("tangential", "rolling", "twisting"))
+    if clumps:
+        why = "required by clumps"
+    elif has_torques:
+        why = "required by friction, rolling friction or twisting friction"
+    else:
+        why = "no torques: every pair has friction and rolling friction 0"
+    yield "rotation", bool(clumps) or has_torques, why
+    yield "rate_dependent", law_is_damped, _rate_reason(scene, law_is_damped)
+    cohesion = _name(models, "cohesion")
+    yield "cohesion", cohesion, _model_reason(scene, models, "cohesion")
+
+    # Walls.
+    yield (
+        "walls",
+        bool(walls),
+        f"{', '.join(walls)} ({where('walls')})" if walls else "the scene has no walls",
+    )
+    moving = [name for name, wall in walls.items() if wall.motion]
+    yield (
+        "moving_walls",
+        bool(moving),
+        f"motion of {', '.join(moving)} ({where('walls', moving[0], 'motion')})"
+        if moving
+        else "no wall has a motion",
+    )
+    belts = [name for name, wall in walls.items() if has_belt(wall)]
+    yield (
+        "surface_velocity",
+        bool(belts),
+        f"surface velocity of {belts[0]} ({where('walls', belts[0], 'motion')})"
+        if belts
+        else "no wall has a surface velocity",
+    )
+    controlled = [name for name, wall in walls.items() if is_force_controlled(wall)]
+    yield (
+        "force_controlled_walls",
+        bool(controlled),
+        f"walls.{controlled[0]} is {_kinds_of_motion(scene, controlled[0])} "
+        f"({where('walls', controlled[0], 'motion')})"
+        if controlled
+        else "no wall is force-controlled",
+    )
+    meshes = [name for name, wall in walls.items() if wall.shape == "mesh"]
+    yield (
+        "mesh_walls",
+        bool(meshes),
+        f"walls.{meshes[0]} is a mesh ({where('walls', meshes[0], 'shape')})"
+        if meshes
+        else "no wall is a mesh",
+    )
+    yield (
+        "joined_walls",
+        has_joined_walls,
+        "the surfaces of walls, or parts of a mesh, may touch: a contact found on several of them counts once"
+        if has_joined_walls
+        else "the surfaces of the walls do not touch each other",
+    )
+    materials = sorted({group.material for group in groups.values()})
+    yield (
+        "one_material",
+        len(materials) == 1,
+        f"all particles are of the material {materials[0]}"
+        if len(materials) == 1
+        else f"the particles are of the materials {', '.join(materials)}",
+    )
+
+    # Output.
+    output = scene.output
+    yield (
+        "energy_budget",
+        output.energy_budget,
+        f"output.energy_budget is {'on' if output.energy_budget else 'off'} "
+        f"({where('output', 'energy_budget')})",
+    )
+    yield (
+        "wall_forces",
+        bool(scene.measured_walls),
+        f"output.wall_forces selects {', '.join(scene.measured_walls) or 'no wall'} "
+        f"({where('output', 'wall_forces')})",
+    )
+    has_energies = output.collision_energies is not None
+    yield (
+        "collision_energies",
+        has_energies,
+        f"output.collision_energies is {'given' if has_energies else 'absent'} "
+        f"({where('output', 'collision_energies')})",
+    )
+
+    # Run and domain.
+    time_step = scene.run.time_step if isinstance(scene.run.time_step, str) else "a number"
+    yield (
+        "adaptive_step",
+        time_step == "adaptive",
+        f"run.time_step is {time_step} ({where('run', 'time_step')})",
+    )
+    yield (
+        "periodic",
+        ", ".join(scene.domain.periodic) or "none",
+        f"domain.periodic ({where('domain', 'periodic')})"
+        if scene.domain.periodic
+        else "the domain has no periodic axes",
+    )
+    shear = scene.domain.lees_edwards
+    yield (
+        "lees_edwards",
+        shear is not None,
+        "the domain is not sheared"
+        if shear is None
+        else f"shear rate {shear.rate:g} 1/s, flow along {shear.flow}, gradient along {shear.gradient} "
+        f"({where('domain', 'lees_edwards')})",
+    )
+
+    # Particles.
+    fixed = [name for name, group in groups.items() if group.fixed]
+    yield (
+        "fixed_particles",
+        bool(fixed),
+        f"particles.{fixed[0]} is fixed ({where('particles', fixed[0], 'fixed')})"
+        if fixed
+        else "no group of particles is fixed",
+    )
+    yield (
+        "outlets",
+        bool(scene.outlets),
+        f"{', '.join(scene.outlets)} ({where('outlets')})" if scene.outlets else "the scene has no outlets",
+    )
+    classes = len(size_classes(groups))
+    yield "size_classes", str(classes) if classes > 1 else "none", _sizes_reason(scene)
+    yield "damping", " and ".join(_damping_kinds(scene.damping)) or "none", _damping_reason(scene)
+    yield (
+        "clumps",
+        bool(clumps),
+        f"{', '.join(clumps)} ({where('particles', clumps[0], 'clump')})"
+        if clumps
+        else "no group of particles has clumps",
+    )
+    takes_liquid = cohesion in registry.liquid_models()
+    yield (
+        "liquid_transfer",
+        takes_liquid,
+        f"contact.cohesion is {cohesion} ({where('contact', 'cohesion')})"
+        if takes_liquid
+        else "no cohesion model takes liquid from films on the particles",
+    )
+    yield (
+        "velocity_remainders",
+        scene.run.precision != "f64",
+        f"run.precision is {scene.run.precision} ({where('run', 'precision')})",
+    )
+    yield "external_forces", False, "forces are added from Python only"
+
+
+def _name(models: Mapping[str, ContactModel], slot: str) -> str:
+    return models[slot].name if slot in models else "none"
+
+
+def _model_reason(scene: Scene, models: Mapping[str, ContactModel], slot: str) -> str:
     """The first pair with a value other than 0 of a pair option of the model, or why the model is not
     active."""
     model = registry.models(slot).get(scene.contact.name(slot))
@@ -196,25 +275,25 @@ def _model_reason(scene: Scene, slot: str, on: bool) -> str:
         return f"contact.{slot} is none ({scene.where('contact', slot)})"
     if not keys:
         return f"contact.{slot} is {scene.contact.name(slot)} ({scene.where('contact', slot)})"
-    if not on:
+    if slot not in models:
         return f"every pair has {' and '.join(keys)} 0"
     name, key = next((name, key) for name, pair in scene.pairs.items() for key in keys if getattr(pair, key))
     return f"pairs.{name}.{key} is {getattr(scene.pairs[name], key):g} ({scene.where('pairs', name, key)})"
 
 
-def _rate_reason(scene: Scene, features: Features) -> str:
+def _rate_reason(scene: Scene, law_is_damped: bool) -> str:
     """The damping ratio, or the property of the contact model, that makes forces depend on velocities."""
     normal = scene.contact.normal
     options = scene.contact.options("normal")
     damping_ratio = options.get("damping_ratio")
     if damping_ratio is not None:
-        rests = not features.rate_dependent and options.get("rest_damping")
+        rests = not law_is_damped and options.get("rest_damping")
         addition = ", and rest_damping acts only on contacts that reload" if rests else ""
         return (
             f"contact.normal.damping_ratio is {damping_ratio:g}{addition} "
             f"({scene.where('contact', 'normal')})"
         )
-    if not features.rate_dependent:
+    if not law_is_damped:
         return f"the {normal.law} contact model with these settings has no viscous force"
     return (
         f"the {normal.law} contact model obtains a restitution below 1 by damping "
@@ -222,89 +301,8 @@ def _rate_reason(scene: Scene, features: Features) -> str:
     )
 
 
-def _walls_reason(scene: Scene) -> str:
-    if not scene.walls:
-        return "the scene has no walls"
-    return f"{', '.join(scene.walls)} ({scene.where('walls')})"
-
-
-def _moving_reason(scene: Scene, features: Features) -> str:
-    if not features.moving_walls:
-        return "no wall has a motion"
-    names = [name for name, wall in scene.walls.items() if wall.motion]
-    return f"motion of {', '.join(names)} ({scene.where('walls', names[0], 'motion')})"
-
-
-def _belt_reason(scene: Scene, features: Features) -> str:
-    if not features.surface_velocity:
-        return "no wall has a surface velocity"
-    name = next(name for name, wall in scene.walls.items() if has_belt(wall))
-    return f"surface velocity of {name} ({scene.where('walls', name, 'motion')})"
-
-
-def _force_controlled_reason(scene: Scene, features: Features) -> str:
-    if not features.force_controlled_walls:
-        return "no wall is force-controlled"
-    name = next(name for name, wall in scene.walls.items() if is_force_controlled(wall))
-    kinds = " and ".join(dict.fromkeys(each.kind for each in scene.walls[name].motion))
-    return f"walls.{name} is {kinds} ({scene.where('walls', name, 'motion')})"
-
-
-def _mesh_reason(scene: Scene, features: Features) -> str:
-    if not features.mesh_walls:
-        return "no wall is a mesh"
-    name = next(name for name, wall in scene.walls.items() if wall.shape == "mesh")
-    return f"walls.{name} is a mesh ({scene.where('walls', name, 'shape')})"
-
-
-def _wall_forces_reason(scene: Scene, features: Features) -> str:
-    if not features.wall_forces:
-        return f"output.wall_forces selects no wall ({scene.where('output', 'wall_forces')})"
-    return (
-        f"output.wall_forces selects {', '.join(scene.measured_walls)} "
-        f"({scene.where('output', 'wall_forces')})"
-    )
-
-
-def _outlets_reason(scene: Scene) -> str:
-    return (
-        f"{', '.join(scene.outlets)} ({scene.where('outlets')})"
-        if scene.outlets
-        else "the scene has no outlets"
-    )
-
-
-def _fixed_reason(scene: Scene, features: Features) -> str:
-    if not features.fixed_particles:
-        return "no group of particles is fixed"
-    name = next(name for name, group in scene.particles.items() if group.fixed)
-    return f"particles.{name} is fixed ({scene.where('particles', name, 'fixed')})"
-
-
-def _clumps_reason(scene: Scene, features: Features) -> str:
-    if not features.clumps:
-        return "no group of particles has clumps"
-    names = [name for name, group in scene.particles.items() if group.clump]
-    return f"{', '.join(names)} ({scene.where('particles', names[0], 'clump')})"
-
-
-def _liquid_reason(scene: Scene, features: Features) -> str:
-    if not features.liquid_transfer:
-        return "no cohesion model takes liquid from films on the particles"
-    return f"contact.cohesion is {features.cohesion} ({scene.where('contact', 'cohesion')})"
-
-
-def _time_step_reason(scene: Scene) -> str:
-    setting = scene.run.time_step if isinstance(scene.run.time_step, str) else "a number"
-    return f"run.time_step is {setting} ({scene.where('run', 'time_step')})"
-
-
-def _lees_edwards_reason(scene: Scene) -> str:
-    lees_edwards = scene.domain.lees_edwards
-    if lees_edwards is None:
-        return "the domain is not sheared"
-    description = f"flow along {lees_edwards.flow}, gradient along {lees_edwards.gradient}"
-    return f"shear rate {lees_edwards.rate:g} 1/s, {description} ({scene.where('domain', 'lees_edwards')})"
+def _kinds_of_motion(scene: Scene, wall: str) -> str:
+    return " and ".join(dict.fromkeys(each.kind for each in scene.walls[wall].motion))
 
 
 def _sizes_reason(scene: Scene) -> str:
@@ -316,20 +314,17 @@ def _sizes_reason(scene: Scene) -> str:
     return f"the largest diameter is {ratio:.3g} times the smallest ({scene.where('particles')})"
 
 
+def _damping_kinds(damping: Damping | None) -> list[str]:
+    """Kinds of damping of all motion that a scene requests."""
+    return [kind for kind in ("cundall", "drag") if getattr(damping, kind, None) is not None]
+
+
 def _damping_reason(scene: Scene) -> str:
     """Numbers of the damping and its stages."""
     if scene.damping is None:
         return "the scene has no damping"
-    numbers = [f"damping.{kind} is {getattr(scene.damping, kind):g}" for kind in damping_kinds(scene.damping)]
+    numbers = [
+        f"damping.{kind} is {getattr(scene.damping, kind):g}" for kind in _damping_kinds(scene.damping)
+    ]
     stages = "in all stages" if scene.damping.stages is None else f"in {', '.join(scene.damping.stages)}"
     return f"{' and '.join(numbers)} {stages} ({scene.where('damping')})"
-
-
-def _material_reason(scene: Scene) -> str:
-    materials = sorted({group.material for group in scene.particles.values()})
-    names = ", ".join(materials)
-    return (
-        f"all particles are of the material {names}"
-        if len(materials) == 1
-        else f"the particles are of the materials {names}"
-    )

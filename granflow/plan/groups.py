@@ -1,4 +1,8 @@
-"""Groups of particles in numeric form, their sizes before sampling, and size classes with separate cell grids."""
+"""Groups of particles in numeric form: numbers, materials, and sizes before any diameter is drawn.
+
+The smallest and largest diameters of all groups determine the time step and the cells of the neighbor
+search. If they differ much, size classes with separate cell grids keep the search fast.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -50,7 +54,7 @@ def planned_groups(scene: Scene) -> tuple[PlannedGroup, ...]:
     )
 
 
-# Sizes.
+# Range of the diameters of a group.
 
 Span = tuple[float, float]
 """Smallest and largest value [m]."""
@@ -68,7 +72,9 @@ def diameter_range(group: Group) -> Span:
 def outer_diameter_range(group: Group) -> Span:
     """As `diameter_range`, but of the spheres around clumps: the size of the particles when they are
     inserted."""
-    return diameter_range(group) if group.clump is None else (group.clump.outer_diameter,) * 2
+    if group.clump is None:
+        return diameter_range(group)
+    return group.clump.outer_diameter, group.clump.outer_diameter
 
 
 def _diameters(group: Group) -> list[Span]:
@@ -83,11 +89,12 @@ def _diameters(group: Group) -> list[Span]:
     if isinstance(sizes, tuple):
         return [(each, each) for each in sorted(set(sizes))]
     if isinstance(sizes, ClassSizes):
-        return [
-            (each, each) for each in sorted(each.diameter for each in sizes.classes if each.fraction > 0.0)
-        ]
+        used = [each.diameter for each in sizes.classes if each.fraction > 0.0]
+        return [(each, each) for each in sorted(used)]
     return [(sizes.min, sizes.max)]
 
+
+# Size classes with separate cell grids.
 
 CLASSES_FROM_RATIO = 3.0
 """Ratio of largest to smallest radius from which the neighbor search uses size classes."""

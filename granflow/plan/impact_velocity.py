@@ -1,4 +1,8 @@
-"""Maximum impact velocity."""
+"""Maximum impact velocity of the plan, on which the time step depends: given in the scene, or estimated.
+
+The estimate is from free fall through the domain, initial velocities, and the motions of walls and periodic
+images.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -33,21 +37,19 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
     If particles start faster than they fall and faster than walls and images move, two of them approach at
     2 v_initial. Without any motion and gravity, DEFAULT_SPEED. The result is finite and above 0.
     """
-    if scene.run.velocity_max is not None:
-        return ImpactVelocity(
-            scene.run.velocity_max, f"run.velocity_max ({scene.where('run', 'velocity_max')})"
-        )
+    given = scene.run.velocity_max
+    if given is not None:
+        return ImpactVelocity(given, f"run.velocity_max ({scene.where('run', 'velocity_max')})")
     fall = free_fall(scene)
-    initial = initial_speed(scene)
-    surface = max(surface_speed(scene), image_speed(scene.domain))
+    initial = max(initial_speeds(scene.particles).values(), default=0.0)
+    images = image_speed(scene.domain)
+    surface = max(surface_speed(scene), images)
     if not max(fall, initial, surface) > 0.0:
         return ImpactVelocity(DEFAULT_SPEED, "assumed: no initial motion and no gravity")
     speed = fall
     source = f"free fall through the domain ({fall:.3g} m/s)"
-    opposing_name = (
-        "the fastest wall" if not image_speed(scene.domain) else "the image across the sheared boundary"
-    )
     opposing = surface
+    opposing_name = "the image across the sheared boundary" if images else "the fastest wall"
     opposing_source = f"{opposing_name} ({surface:.3g} m/s)"
     if initial > fall:
         speed = initial
@@ -55,7 +57,11 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
         if initial > surface:
             opposing = initial
             opposing_source = "another one of the same speed"
-    parts = ([source] if speed > 0.0 else []) + ([opposing_source] if opposing > 0.0 else [])
+    parts = []
+    if speed > 0.0:
+        parts.append(source)
+    if opposing > 0.0:
+        parts.append(opposing_source)
     return ImpactVelocity(speed + opposing, f"estimated from {' against '.join(parts)}")
 
 
@@ -77,15 +83,10 @@ def image_speed(domain: Domain) -> float:
     return 0.0 if image_motion is None else abs(image_motion.speed)
 
 
-def initial_speed(scene: Scene) -> float:
-    """Largest initial speed [m/s] of all particles, 0 without groups."""
-    return max(initial_speeds(scene.particles).values(), default=0.0)
-
-
 def initial_speeds(particles: Mapping[str, Group]) -> dict[str, float]:
     """Largest initial speed [m/s] of each group, by name, from the scene or from the file with its particles.
 
-    Random velocities count with `particles.thermal.largest_speed`.
+    Random velocities count with `group.largest_speed`.
     """
     return {
         name: max(_largest_norm(group.velocity) + _random_speed(group), _in_file(group, "speed_max"))

@@ -1,8 +1,14 @@
-"""Limits."""
+"""Limits that a scene must respect so that no contact is missed; each check raises SceneError beyond one of
+them.
+
+A periodic box must be wider than the neighbor lists reach, positions must be resolved at the end of the
+domain, the time step must resolve the motions of walls, and nothing may cross a large part of a radius in
+one step.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
-from math import inf, isinf
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +24,7 @@ from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.quantities import Vector3
 from granflow.scene.blocks.walls import Rotation, Vibration
 
-# Domain.
+# The domain: width of periodic boxes, walls that cross periodic boundaries, and domains that expand.
 
 SAMPLES = 101
 """Points along each side of a face at which walls are compared with those at the opposite face."""
@@ -54,11 +60,10 @@ def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -
     periodic_box = scene.domain.periodic_box()
     for axis in periodic_box.axes:
         face = _face(periodic_box, axis)
+        opposite = face + periodic_box.width[axis] * np.eye(3)[axis]
         for wall in walls:
-            opposite = face + periodic_box.width[axis] * np.eye(3)[axis]
-            distance_low, distance_high = (
-                distance_from(wall.shape, points, reach) for points in (face, opposite)
-            )
+            distance_low = distance_from(wall.shape, face, reach)
+            distance_high = distance_from(wall.shape, opposite, reach)
             is_near = np.minimum(np.abs(distance_low), np.abs(distance_high)) < reach
             if np.any(is_near & ~(np.abs(distance_low - distance_high) <= DISTANCE_TOLERANCE * reach)):
                 raise SceneError(
@@ -76,9 +81,10 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
     times = always(scene.schedule)
     for wall in walls:
         rotation = single_rotation([each.at(times) for each in wall.motions])
-        if rotation and isinf(
-            reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), inf)
-        ):
+        if rotation is None:
+            continue
+        reach = reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), math.inf)
+        if math.isinf(reach):
             raise SceneError(
                 f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is unbounded and rotates, "
                 "which is not supported in a domain that expands. Use a bounded shape (shape: rectangle), or "
@@ -90,13 +96,11 @@ def _face(periodic_box: PeriodicBox, axis: int) -> np.ndarray:
     """Uniformly spaced points (SAMPLES^2, 3) [m] on the low face along an axis (0, 1 or 2)."""
     shares = np.linspace(0.0, 1.0, SAMPLES)
     coordinates = [np.zeros(1) if each == axis else shares for each in range(3)]
-    return (
-        periodic_box.low
-        + np.stack(np.meshgrid(*coordinates, indexing="ij"), axis=-1).reshape(-1, 3) * periodic_box.width
-    )
+    points = np.stack(np.meshgrid(*coordinates, indexing="ij"), axis=-1).reshape(-1, 3)
+    return periodic_box.low + points * periodic_box.width
 
 
-# Resolution.
+# The precision: resolution of positions, of overlaps, and of liquid volumes.
 
 COARSEST = 0.1
 """Largest spacing of positions over the smallest radius: above it contact forces are noise in any contact
@@ -132,11 +136,8 @@ def refuse_coarse(scene: Scene, radius_min: float) -> None:
     farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
     if farthest <= coordinate_limit(precision, radius_min):
         return
-    better = (
-        "Use --precision mixed, or move"
-        if precision == "f32" and _mixed_resolves(farthest, radius_min)
-        else "Move"
-    )
+    mixed_resolves = precision == "f32" and farthest <= coordinate_limit("mixed", radius_min)
+    better = "Use --precision mixed, or move" if mixed_resolves else "Move"
     key = ("run", "precision") if scene.is_given("run", "precision") else ("domain",)
     raise SceneError(
         f"{scene.locate(*key)}: run.precision is {precision}, but it resolves positions only to "
@@ -144,10 +145,6 @@ def refuse_coarse(scene: Scene, radius_min: float) -> None:
         f"domain. The required resolution is {COARSEST:g} of the smallest radius {radius_min:.3g} m. "
         f"{better} the scene closer to the origin."
     )
-
-
-def _mixed_resolves(farthest: float, radius_min: float) -> bool:
-    return farthest <= coordinate_limit("mixed", radius_min)
 
 
 STEPS_OF_RESOLUTION = 1000
@@ -190,7 +187,7 @@ def refuse_coarse_liquid(scene: Scene, transfers_liquid: bool) -> None:
         )
 
 
-# Periods.
+# Motions of walls: the time step must resolve their period, or the rows of their table.
 
 STEPS_PER_PERIOD = 10
 """Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion
@@ -207,16 +204,16 @@ def refuse_fast_motion(scene: Scene, walls: Sequence[PlannedWall], time_step: fl
     planned = {wall.name: wall.motions for wall in walls}
     for name, wall in scene.walls.items():
         for index, motion in enumerate(wall.motion):
+            key = f"walls.{name}.motion.{index}"
             shortest = _shortest_row(planned[name][index].given)
             if time_step > shortest * (1.0 + 1e-9):
                 problems.append(
-                    f"{scene.locate('walls', name, 'motion', index)}: walls.{name}.motion.{index} has rows "
-                    f"that are {shortest:.3g} s apart, less than the time step of {time_step:.3g} s. Give "
-                    f"fewer rows, or set run.time_step to {shortest:.2g} s or less."
+                    f"{scene.locate('walls', name, 'motion', index)}: {key} has rows that are {shortest:.3g} "
+                    f"s apart, less than the time step of {time_step:.3g} s. Give fewer rows, or set "
+                    f"run.time_step to {shortest:.2g} s or less."
                 )
-            period = _period(motion, scene.gravity) if isinstance(motion, Vibration | Rotation) else math.inf
+            period = _period(motion, scene.gravity)
             if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
-                key = f"walls.{name}.motion.{index}"
                 problems.append(
                     f"{scene.locate('walls', name, 'motion')}: {key} has a period of {period:.3g} s, shorter "
                     f"than {STEPS_PER_PERIOD} time steps of {time_step:.3g} s. Slow the motion down, or set "
@@ -231,17 +228,19 @@ def _shortest_row(motion: Motion) -> float:
     return motion.table.shortest_step if isinstance(motion, TableTranslation | TableRotation) else math.inf
 
 
-def _period(motion: Vibration | Rotation, gravity: Vector3) -> float:
-    """Period 2 pi / w [s] of a vibration or rotation; infinite without motion (w = 0 or amplitude 0)."""
+def _period(motion: Any, gravity: Vector3) -> float:
+    """Period 2 pi / w [s] of a vibration or rotation; infinite without motion (w = 0 or amplitude 0), and for
+    other motions."""
+    rate = 0.0
     if isinstance(motion, Rotation):
         rate = max(abs(motion.angular_velocity), abs(motion.initial_angular_velocity or 0.0))
-    else:
-        amplitude, rate = motion.amplitude_and_angular_frequency(gravity)
-        rate = rate if amplitude else 0.0
+    elif isinstance(motion, Vibration):
+        amplitude, frequency = motion.amplitude_and_angular_frequency(gravity)
+        rate = frequency if amplitude else 0.0
     return 2.0 * math.pi / rate if rate else math.inf
 
 
-# Displacements per step.
+# Displacements in one step, of particles at the start, walls, and images of a sheared box.
 
 STEP_MARGIN = 0.9
 """Time step that a message suggests, relative to the limit."""
@@ -257,10 +256,8 @@ def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, ra
         if speed * step > limit:
             given = scene.is_given("particles", name, "velocity")
             place = scene.locate("particles", name, *(["velocity"] if given else []))
-            statement = f"{place}: particles.{name} starts with {speed:.3g} m/s"
-            raise SceneError(
-                f"{statement}{_per_step(scene, speed, step, limit, share_of(limit, radius_min))}"
-            )
+            excess = _per_step(scene, speed, step, limit, share_of(limit, radius_min))
+            raise SceneError(f"{place}: particles.{name} starts with {speed:.3g} m/s{excess}")
 
 
 def refuse_fast_rotation(scene: Scene, rates: Mapping[str, float], step: float) -> None:
@@ -289,10 +286,9 @@ def refuse_fast_walls(
     """
     for name, speed in speeds.items():
         if speed * step > limit:
-            statement = (
-                f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
-            )
-            raise SceneError(f"{statement}{_per_step(scene, speed, step, limit, share)}")
+            place = scene.locate("walls", name, "motion")
+            excess = _per_step(scene, speed, step, limit, share)
+            raise SceneError(f"{place}: walls.{name} moves at up to {speed:.3g} m/s{excess}")
 
 
 def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float, share: str) -> None:
@@ -301,11 +297,9 @@ def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float, sh
     `share`: the limit relative to the length from which it follows.
     """
     if speed * step > limit:
-        statement = (
-            f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} "
-            "m/s"
-        )
-        raise SceneError(f"{statement}{_per_step(scene, speed, step, limit, share)}")
+        place = scene.locate("domain", "lees_edwards")
+        excess = _per_step(scene, speed, step, limit, share)
+        raise SceneError(f"{place}: domain.lees_edwards moves the images at {speed:.3g} m/s{excess}")
 
 
 def _per_step(scene: Scene, speed: float, step: float, limit: float, share: str) -> str:

@@ -1,6 +1,7 @@
-"""Outlets in numeric form, and the depth of points in an outlet (numpy).
+"""Outlets in numeric form: a box, a half space or a disc, in which particles are deleted.
 
-The device only tests whether a particle is inside or outside; the depth tells on the host which outlet deleted a particle.
+The device tests at neighbor-list rebuilds whether a particle is inside an outlet. The host finds the outlet
+that has deleted a particle by its depth in each of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,7 +33,9 @@ class PlannedOutlet:
     @property
     def kind(self) -> Literal["box", "half_space", "disc"]:
         """Kind of the region."""
-        return "box" if self.low is not None else "disc" if self.radius < inf else "half_space"
+        if self.low is not None:
+            return "box"
+        return "disc" if self.radius < inf else "half_space"
 
     def depth(self, points: np.ndarray) -> np.ndarray:
         """Depth [m] (n,) of points (n, 3) [m] inside the outlet: distance from its surface, negative outside.
@@ -51,7 +54,8 @@ def planned_outlets(outlets: Mapping[str, Outlet]) -> tuple[PlannedOutlet, ...]:
     planned = []
     for name, outlet in outlets.items():
         if isinstance(outlet, BoxOutlet):
-            low, high = np.array(outlet.box.min), np.array(outlet.box.max)
+            low = np.array(outlet.box.min)
+            high = np.array(outlet.box.max)
             planned.append(PlannedOutlet(name, low, high, low, np.zeros(3), inf))
         elif isinstance(outlet, DiscOutlet):
             disc = outlet.disc

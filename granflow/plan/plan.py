@@ -1,4 +1,9 @@
-"""Plan."""
+"""The plan of a run: all decisions before any array is allocated, and the numbers that follow from them.
+
+`Plan` is what `plan_for` returns and what the simulation is built from. Two of its records are defined
+here: the forces that a program adds, and the forecasts that `granflow explain` and the checks before a run
+show.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -54,6 +59,8 @@ from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.output import Expectation, Output
 from granflow.scene.blocks.run import Precision
 
+# Forces on particles that a program adds with device functions.
+
 ParameterValue = float | tuple[float, float, float]
 """Value of a parameter of a force: a number or a vector."""
 
@@ -86,6 +93,8 @@ def parameter_count(forces: Sequence[ExternalForce]) -> int:
     return sum(width for force in forces for _, width in force.layout)
 
 
+# One forecast of a plan.
+
 Cause = Literal["impact", "weight", "wall", "cohesion"]
 """Causes of overlaps: an impact, the weight of the bed, a wall that presses on the bed, an attraction."""
 
@@ -109,6 +118,8 @@ class Forecast:
     force: float = 0.0
 
 
+# The plan.
+
 CELLS_PER_PARTICLE = 3
 """Maximum number of cells per particle; a sparser domain gets larger cells."""
 BLOCK_CELLS = 8**3
@@ -116,13 +127,19 @@ BLOCK_CELLS = 8**3
 
 
 @dataclass(frozen=True, eq=False)
-class Decisions:
-    """All decisions for one scene, in SI units; the functions that compute them document the reasons.
+class Plan:
+    """All decisions for one scene, in SI units, and the numbers that follow from them.
 
-    Lengths [m]: `radius_min`, `radius_max`, `skin`. `wall_speed` [m/s]: of prescribed motions. `chunk_size`:
-    particles per unit of work of a thread.
+    The fields are the decisions; `build.plan_for` computes them, and its functions document the reasons. The
+    properties are numbers that follow from the fields: limits of displacements, capacities of the arrays,
+    grids of mesh walls. A plan does not change: a wall that a program moves, a force that it adds, or a rank
+    of several, gives another plan by `dataclasses.replace`.
+
+    >>> gf.plan_for(gf.load_scene("two.yaml")).title
+    'Two steel spheres'
     """
 
+    # What the scene gives.
     title: str
     path: str
     """Path of the scene file; empty for a scene from Python."""
@@ -134,53 +151,70 @@ class Decisions:
     precision: Precision
     domain: Domain
     periodic_box: PeriodicBox
-    output: Output
-    flow_meter_parts: Mapping[str, tuple[str, ...]]
-    """Names of the materials or groups with separate counts, by name of the flow meter."""
-    expectations: tuple[Expectation, ...]
     gravity: tuple[float, float, float]
     """Gravity [m/s2]."""
     max_overlap: float
     """Overlap over radius above which the run aborts."""
-    features: Features
-    reasons: tuple[Reason, ...]
     stages: tuple[PlannedStage, ...]
     damping: PlannedDamping | None
     """Damping of all motion, for settling."""
+    outlets: tuple[PlannedOutlet, ...]
+    output: Output
+    flow_meter_parts: Mapping[str, tuple[str, ...]]
+    """Names of the materials or groups with separate counts, by name of the flow meter."""
+    measured_walls: tuple[str, ...]
+    """Names of the walls with measured forces."""
+    expectations: tuple[Expectation, ...]
+
+    # What is compiled.
+    features: Features
+    reasons: tuple[Reason, ...]
+
+    # Particles.
     groups: tuple[PlannedGroup, ...]
+    particle_capacity: int
+    radius_min: float
+    """Smallest radius [m]."""
+    radius_max: float
+    """Largest radius [m]."""
     size_classes: tuple[float, ...]
     """Largest radius [m] of each size class, in ascending order."""
+    chunk_size: int
+    """Particles per unit of work of a thread."""
+    skin: float
+    """Distance [m] beyond contact up to which neighbor lists contain pairs."""
+
+    # Materials and contacts.
     solids: Mapping[str, Solid]
     """Constants of all materials of the scene by name, in its order, to which `ParticleData.material`
     refers."""
-    laws: ContactLaws
     materials: tuple[str, ...]
     """Names of the materials in plan order, those of particles first."""
+    laws: ContactLaws
     pair_materials: Mapping[tuple[str, str], PairMaterial]
     """Constants of each two materials that can come into contact, by their names in either order."""
     pair_constants: np.ndarray
     """(materials^2, constants): constants of the contact laws, in the order of `laws.constant_names`."""
     pair_cases: tuple[PairCase, ...]
     """The possible contacts."""
-    particle_capacity: int
-    radius_min: float
-    radius_max: float
-    chunk_size: int
-    skin: float
+
+    # Time step.
     step: TimeStep
+    adaptive_time_step: AdaptiveTimeStep | None
+    """Time steps by impact velocity if the time step is adaptive."""
     impact_velocity: ImpactVelocity
+
+    # Walls.
     walls: tuple[PlannedWall, ...]
     wall_joints: tuple[int, ...]
     """For each wall, whether it touches others or itself; see `joined_walls.joints_of`."""
-    measured_walls: tuple[str, ...]
-    """Names of the walls with measured forces."""
-    mesh_notes: tuple[MeshNote, ...]
     wall_speed: float
+    """Largest speed [m/s] of the prescribed motions."""
     controlled_motions: tuple[ControlledMotion, ...]
     """Motions of walls that respond to the forces of the particles."""
-    outlets: tuple[PlannedOutlet, ...]
-    adaptive_time_step: AdaptiveTimeStep | None
-    """Time steps by impact velocity if the time step is adaptive."""
+    mesh_notes: tuple[MeshNote, ...]
+
+    # What is known after the other decisions, or from a program.
     forecasts: tuple[Forecast, ...] = ()
     """Overlaps to expect, and probable mistakes that end a run or make it pointless."""
     external_forces: tuple[ExternalForce, ...] = ()
@@ -189,21 +223,43 @@ class Decisions:
     """Units of the sums of the run that a checkpoint continues, in which it has saved them; None for a new
     run."""
     has_ghosts: bool = False
-    """Whether the run is one of several MPI ranks: its neighbor lists contain ghosts, see `plan.ranks`."""
-
-
-@dataclass(frozen=True, eq=False)
-class Plan(Decisions):
-    """All decisions for one scene, in SI units, and what follows from them. `build.plan_for` creates plans.
-
-    >>> gf.plan_for(gf.load_scene("two.yaml")).title
-    'Two steel spheres'
-    """
+    """Whether neighbor lists contain ghosts: those of one of several MPI ranks, see `build.rank_plan`."""
 
     @property
     def time_step(self) -> float:
         """Time step dt [s]; an adaptive time step starts with it."""
         return self.step.value
+
+    @property
+    def longest_time_step(self) -> float:
+        """Longest possible time step [s]: that of an adaptive time step when only walls move."""
+        return self.time_step if self.adaptive_time_step is None else self.adaptive_time_step.longest
+
+    @property
+    def velocity_max(self) -> float:
+        """Maximum expected impact velocity [m/s]."""
+        return self.impact_velocity.value
+
+    @property
+    def law(self) -> NormalLaw:
+        """The normal contact law."""
+        return self.laws.normal
+
+    @property
+    def law_parameters(self) -> tuple[float, ...]:
+        """Parameters of the contact laws, in the order of `laws.parameters`."""
+        return tuple(value for own in self.laws.parameters.values() for value in own.values())
+
+    @property
+    def history(self) -> dict[str, int]:
+        """Contact history: slot of the contact model -> number of components; slots without history are
+        absent."""
+        return {slot: law.history_count for slot, law in self.laws.by_slot.items() if law.history_count}
+
+    @property
+    def material_count(self) -> int:
+        """Number of materials of particles and walls."""
+        return len(self.materials)
 
     def pair(self, first: str, second: str) -> PairMaterial:
         """Constants of two materials in any order. Raises KeyError if they cannot come into contact."""
@@ -224,65 +280,6 @@ class Plan(Decisions):
         return {group.name: group.diameters for group in self.groups}
 
     @property
-    def longest_time_step(self) -> float:
-        """Longest possible time step [s]: that of an adaptive time step when only walls move."""
-        return self.time_step if self.adaptive_time_step is None else self.adaptive_time_step.longest
-
-    @property
-    def material_count(self) -> int:
-        """Number of materials of particles and walls."""
-        return len(self.materials)
-
-    @property
-    def velocity_max(self) -> float:
-        """Maximum expected impact velocity [m/s]."""
-        return self.impact_velocity.value
-
-    @property
-    def law(self) -> NormalLaw:
-        """The normal contact law."""
-        return self.laws.normal
-
-    @property
-    def law_parameters(self) -> tuple[float, ...]:
-        """Parameters of the contact laws, in the order of `laws.parameters`."""
-        return tuple(value for own in self.laws.parameters.values() for value in own.values())
-
-    @property
-    def has_walls(self) -> bool:
-        """True if the scene has walls."""
-        return self.features.walls
-
-    @property
-    def history(self) -> dict[str, int]:
-        """Contact history: slot of the contact model -> number of components; slots without history are
-        absent."""
-        return {slot: law.history_count for slot, law in self.laws.by_slot.items() if law.history_count}
-
-    @cached_property
-    def sum_units(self) -> SumUnits:
-        """Units of the sums over contacts; they do not change when a run continues with another overlap
-        limit."""
-        if self.saved_sum_units is not None:
-            return self.saved_sum_units
-        farthest = 2.0 * float(np.abs([self.domain_low, self.domain_high]).max())
-        return sum_units(
-            self.pair_cases,
-            self.law,
-            self.velocity_max,
-            self.max_overlap,
-            self.radius_max,
-            self.longest_time_step,
-            farthest,
-            self.largest_weight,
-        )
-
-    @cached_property
-    def liquid_unit(self) -> float:
-        """Unit [m3] of liquid volumes, a power of two, see `liquid`."""
-        return liquid_unit(self.groups)
-
-    @property
     def largest_weight(self) -> float:
         """Weight [N] of the heaviest sphere."""
         gravity = float(np.linalg.norm(self.gravity))
@@ -292,82 +289,29 @@ class Plan(Decisions):
         )
 
     @property
-    def chunk_capacity(self) -> int:
-        """Number of chunks for all particles, at least 1."""
-        return max(-(-self.particle_capacity // self.chunk_size), 1)
-
-    @property
-    def list_capacity_per_segment(self) -> int:
-        """Initial number of neighbor-list entries per segment; lists that are too short grow during the run.
-
-        If each particle is a chunk, both particles list a pair, and all lists are one segment.
-        """
-        neighbors = neighbors_per_particle(
-            self.particle_capacity, (self.skin + self.laws.range) / self.radius_min
-        )
-        at_meshes = max(
-            (near_triangles(mesh.typical_edge, self.skin + self.laws.range) for mesh in self.meshes.values()),
-            default=0.0,
-        )
-        if self.chunk_size == 1:
-            return int((2.0 * neighbors + SHARE_AT_MESHES * at_meshes) * self.particle_capacity) + 16
-        neighbors += SHARE_AT_MESHES * at_meshes
-        return int(neighbors * min(self.chunk_size, self.particle_capacity)) + 16
-
-    @cached_property
-    def capacities(self) -> Capacities:
-        """Lengths of the device arrays at the start."""
-        chunk_count = self.chunk_capacity
-        segments = 1 if self.chunk_size == 1 else chunk_count
-        list_entries = segments * self.list_capacity_per_segment
-        return Capacities(
-            particles=rounded_capacity(self.particle_capacity, MIN_PARTICLES),
-            segments=segments,
-            chunks=rounded_capacity(chunk_count, MIN_CHUNKS),
-            list_entries=rounded_capacity(list_entries, MIN_LIST_ENTRIES),
-            cells=rounded_capacity(self.cell_capacity, MIN_CELLS),
-            class_cells=rounded_capacity(self.class_cell_capacity, MIN_CELLS)
-            if self.class_cell_capacity
-            else 0,
-            size_classes=rounded_capacity(len(self.size_classes), MIN_SIZE_CLASSES),
-            walls=rounded_capacity(len(self.walls), MIN_WALLS),
-            measured_walls=rounded_capacity(len(self.measured_walls), MIN_WALLS)
-            if self.measured_walls
-            else 0,
-            pairs=rounded_capacity(len(self.pair_constants), MIN_PAIRS),
-            batch=MIN_BATCH,
-            chunk_particles=rounded_capacity(
-                min(self.chunk_size, self.particle_capacity), MIN_CHUNK_PARTICLES
-            ),
-            wall_rows=SHARED_ROWS if self.chunk_size == 1 else rounded_capacity(chunk_count, MIN_CHUNKS),
-            energy_classes=len(self.collision_edges) + 1 if self.features.collision_energies else 0,
-            history_share=history_share(self.particle_capacity, segments, list_entries),
-        )
-
-    @property
     def collision_edges(self) -> np.ndarray:
         """Edges (n + 1,) [J] of the n classes of collision energies, equally spaced on a logarithmic
         scale."""
         given = self.output.collision_energies
         if given is None:
             return np.empty(0)
-        return np.array(
-            [float(f"{edge:.12g}") for edge in np.geomspace(given.min, given.max, given.classes + 1)]
-        )
+        edges = np.geomspace(given.min, given.max, given.classes + 1)
+        return np.array([float(f"{edge:.12g}") for edge in edges])
 
     @property
-    def cell_capacity(self) -> int:
-        """Maximum number of cells of the cell grid: CELLS_PER_PARTICLE per particle, at least MIN_CELLS."""
-        return max(CELLS_PER_PARTICLE * self.particle_capacity, MIN_CELLS)
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences to show before a run: changes to the scene, time step and precision, mesh walls,
+        forecasts."""
+        meshes = tuple(f"walls.{note.wall}: {note.sentence}." for note in self.mesh_notes if note.warning)
+        forecasts = tuple(each.warning for each in self.forecasts if each.warning is not None)
+        return self.remarks + self.step.warnings + meshes + forecasts
+
+    # Walls, periodic images, and the domain.
 
     @property
-    def class_cell_capacity(self) -> int:
-        """Maximum number of cells in the grids of all size classes; 0 for a single class without shear or
-        ghosts."""
-        classes = len(self.size_classes)
-        several = len(self.size_classes) > 1
-        needed = several or self.features.lees_edwards or self.has_ghosts
-        return 2 * self.cell_capacity + classes * BLOCK_CELLS if needed else 0
+    def has_walls(self) -> bool:
+        """True if the scene has walls."""
+        return self.features.walls
 
     @property
     def has_poses(self) -> bool:
@@ -377,43 +321,13 @@ class Plan(Decisions):
     @property
     def image_speed(self) -> float:
         """Speed [m/s] of the images across a sheared boundary; 0 without shear."""
-        return 0.0 if self.periodic_box.image_motion is None else abs(self.periodic_box.image_motion.speed)
+        motion = self.periodic_box.image_motion
+        return 0.0 if motion is None else abs(motion.speed)
 
     @property
-    def wall_displacement_limit(self) -> float:
-        """Limit of the wall displacement [m] between rebuilds: half the skin, divided between two kinds of
-        motion."""
-        return (0.25 if self.controlled_motions and self.wall_speed > 0.0 else 0.5) * self.skin
-
-    @cached_property
-    def reach_max(self) -> float:
-        """Largest displacement [m] of a particle between rebuilds: that of fast particles, at least half the
-        skin.
-
-        Half the skin in a periodic box, for whose images the skin is checked. At most half the thickness of
-        an outlet, which a particle must not cross between two rebuilds, and half the radius at mesh walls,
-        whose cells would contain too many triangles.
-        """
-        boxes = [outlet.high - outlet.low for outlet in self.outlets if outlet.low is not None]
-        radius = (0.5 if self.features.mesh_walls else 1.0) * self.radius_min
-        largest = 0.0 if self.periodic_box.axes else min([radius, *(0.5 * float(box.min()) for box in boxes)])
-        return max(0.5 * self.skin, largest)
-
-    @property
-    def travel_limit(self) -> float:
-        """Maximum displacement [m] of a particle in one step."""
-        return STEP_SHARE * self.radius_min
-
-    @property
-    def wall_travel_limit(self) -> float:
-        """Maximum displacement [m] of a wall in one step: that of particles, divided between two kinds of
-        motion."""
-        return (0.5 if self.controlled_motions and self.wall_speed > 0.0 else 1.0) * self.travel_limit
-
-    @property
-    def coordinate_limit(self) -> float:
-        """Coordinate [m] above which the resolution of positions is too coarse for the smallest particle."""
-        return coordinate_limit(self.precision, self.radius_min)
+    def measured_areas(self) -> dict[str, float | None]:
+        """Area [m2] of each wall with measured forces, by name; None for an unbounded wall."""
+        return {wall.name: area_of(wall.shape) for wall in self.walls if wall.name in self.measured_walls}
 
     @cached_property
     def meshes(self) -> dict[int, Mesh]:
@@ -430,14 +344,6 @@ class Plan(Decisions):
         """Index of the first triangle of a mesh wall, numbered over all meshes."""
         return sum(mesh.triangle_count for before, mesh in self.meshes.items() if before < index)
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences to show before a run: changes to the scene, time step and precision, mesh walls,
-        forecasts."""
-        meshes = tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
-        forecasts = tuple(each.warning for each in self.forecasts if each.warning is not None)
-        return self.remarks + self.step.warnings + meshes + forecasts
-
     @cached_property
     def domain_low(self) -> np.ndarray:
         """Smallest coordinates of the domain (3,) [m]."""
@@ -448,7 +354,133 @@ class Plan(Decisions):
         """Largest coordinates of the domain (3,) [m]."""
         return np.array(self.domain.max)
 
+    # Limits of displacements and coordinates.
+
     @property
-    def measured_areas(self) -> dict[str, float | None]:
-        """Area [m2] of each wall with measured forces, by name; None for an unbounded wall."""
-        return {wall.name: area_of(wall.shape) for wall in self.walls if wall.name in self.measured_walls}
+    def travel_limit(self) -> float:
+        """Maximum displacement [m] of a particle in one step."""
+        return STEP_SHARE * self.radius_min
+
+    @property
+    def wall_travel_limit(self) -> float:
+        """Maximum displacement [m] of a wall in one step: that of particles, divided between two kinds of
+        motion."""
+        return self.travel_limit / self._kinds_of_wall_motion
+
+    @property
+    def wall_displacement_limit(self) -> float:
+        """Limit of the wall displacement [m] between rebuilds: half the skin, divided between two kinds of
+        motion."""
+        return 0.5 * self.skin / self._kinds_of_wall_motion
+
+    @property
+    def _kinds_of_wall_motion(self) -> int:
+        """2 if walls have both prescribed and force-controlled motions, which may add, otherwise 1."""
+        return 2 if self.controlled_motions and self.wall_speed > 0.0 else 1
+
+    @cached_property
+    def reach_max(self) -> float:
+        """Largest displacement [m] of a particle between rebuilds: that of fast particles, at least half the
+        skin.
+
+        Half the skin in a periodic box, for whose images the skin is checked. At most half the thickness of
+        an outlet, which a particle must not cross between two rebuilds, and half the radius at mesh walls,
+        whose cells would contain too many triangles.
+        """
+        if self.periodic_box.axes:
+            return 0.5 * self.skin
+        radius = (0.5 if self.features.mesh_walls else 1.0) * self.radius_min
+        outlets = [0.5 * float((each.high - each.low).min()) for each in self.outlets if each.low is not None]
+        return max(0.5 * self.skin, min([radius, *outlets]))
+
+    @property
+    def coordinate_limit(self) -> float:
+        """Coordinate [m] above which the resolution of positions is too coarse for the smallest particle."""
+        return coordinate_limit(self.precision, self.radius_min)
+
+    # Capacities of the device arrays at the start, and the units of sums.
+
+    @cached_property
+    def capacities(self) -> Capacities:
+        """Lengths of the device arrays at the start."""
+        chunk_count = self.chunk_capacity
+        each_is_a_chunk = self.chunk_size == 1
+        segments = 1 if each_is_a_chunk else chunk_count
+        list_entries = segments * self.list_capacity_per_segment
+        in_chunk = min(self.chunk_size, self.particle_capacity)
+        class_cells = self.class_cell_capacity
+        measured = len(self.measured_walls)
+        return Capacities(
+            particles=rounded_capacity(self.particle_capacity, MIN_PARTICLES),
+            segments=segments,
+            chunks=rounded_capacity(chunk_count, MIN_CHUNKS),
+            list_entries=rounded_capacity(list_entries, MIN_LIST_ENTRIES),
+            cells=rounded_capacity(self.cell_capacity, MIN_CELLS),
+            class_cells=rounded_capacity(class_cells, MIN_CELLS) if class_cells else 0,
+            size_classes=rounded_capacity(len(self.size_classes), MIN_SIZE_CLASSES),
+            walls=rounded_capacity(len(self.walls), MIN_WALLS),
+            measured_walls=rounded_capacity(measured, MIN_WALLS) if measured else 0,
+            pairs=rounded_capacity(len(self.pair_constants), MIN_PAIRS),
+            batch=MIN_BATCH,
+            chunk_particles=rounded_capacity(in_chunk, MIN_CHUNK_PARTICLES),
+            wall_rows=SHARED_ROWS if each_is_a_chunk else rounded_capacity(chunk_count, MIN_CHUNKS),
+            energy_classes=len(self.collision_edges) + 1 if self.features.collision_energies else 0,
+            history_share=history_share(self.particle_capacity, segments, list_entries),
+        )
+
+    @property
+    def chunk_capacity(self) -> int:
+        """Number of chunks for all particles, at least 1."""
+        return max(-(-self.particle_capacity // self.chunk_size), 1)
+
+    @property
+    def list_capacity_per_segment(self) -> int:
+        """Initial number of neighbor-list entries per segment; lists that are too short grow during the run.
+
+        If each particle is a chunk, both particles list a pair, and all lists are one segment.
+        """
+        reach = self.skin + self.laws.range
+        neighbors = neighbors_per_particle(self.particle_capacity, reach / self.radius_min)
+        at_meshes = max(
+            (near_triangles(mesh.typical_edge, reach) for mesh in self.meshes.values()), default=0.0
+        )
+        if self.chunk_size == 1:
+            return int((2.0 * neighbors + SHARE_AT_MESHES * at_meshes) * self.particle_capacity) + 16
+        neighbors += SHARE_AT_MESHES * at_meshes
+        return int(neighbors * min(self.chunk_size, self.particle_capacity)) + 16
+
+    @property
+    def cell_capacity(self) -> int:
+        """Maximum number of cells of the cell grid: CELLS_PER_PARTICLE per particle, at least MIN_CELLS."""
+        return max(CELLS_PER_PARTICLE * self.particle_capacity, MIN_CELLS)
+
+    @property
+    def class_cell_capacity(self) -> int:
+        """Maximum number of cells in the grids of all size classes; 0 for a single class without shear or
+        ghosts."""
+        classes = len(self.size_classes)
+        if classes == 1 and not self.features.lees_edwards and not self.has_ghosts:
+            return 0
+        return 2 * self.cell_capacity + classes * BLOCK_CELLS
+
+    @cached_property
+    def sum_units(self) -> SumUnits:
+        """Units of the sums over contacts; they do not change when a run continues with another overlap
+        limit."""
+        if self.saved_sum_units is not None:
+            return self.saved_sum_units
+        return sum_units(
+            self.pair_cases,
+            self.law,
+            velocity=self.velocity_max,
+            max_overlap=self.max_overlap,
+            radius=self.radius_max,
+            time_step=self.longest_time_step,
+            size=2.0 * float(np.abs([self.domain_low, self.domain_high]).max()),
+            weight=self.largest_weight,
+        )
+
+    @cached_property
+    def liquid_unit(self) -> float:
+        """Unit [m3] of liquid volumes, a power of two, see `sum_units.liquid_unit`."""
+        return liquid_unit(self.groups)

@@ -1,4 +1,9 @@
-"""Settings."""
+"""Optional settings of a scene: their values, and their origin (given in a line, from a preset, or
+default).
+
+`granflow explain` lists them, so that no default acts unseen. They are found by a walk through the models
+of the scene.
+"""
 
 import re
 from collections.abc import Iterator

@@ -1,4 +1,9 @@
-"""Stages of a run in numeric form, the times at which they begin and end, and the damping that acts in them."""
+"""Stages of a run in numeric form: their durations and conditions, and the damping that acts in them.
+
+A stage ends after its longest duration, or earlier when a condition is met, so that its times are known
+only during the run. Checks before a run use the times of `nominal_times`, or those of `always`, during
+which every motion is possible.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -58,19 +63,23 @@ def planned_stages(scene: Scene) -> tuple[PlannedStage, ...]:
     for index, stage in enumerate(scene.schedule):
         key = "max_duration" if stage.duration is None else "duration"
         path = ("stages", index, key) if scene.stages else ("run", "duration")
-        source = ".".join(map(str, path)), scene.locate(*path)
-        until = tuple(
-            StageCondition(each.quantity, each.above, each.below, each.hold) for each in stage.until
-        )
         stages.append(
             PlannedStage(
-                stage.name, stage.longest, stage.kinetic_energy_below, *source, until, stage.min_duration
+                name=stage.name,
+                longest=stage.longest,
+                kinetic_energy_below=stage.kinetic_energy_below,
+                key=".".join(map(str, path)),
+                source=scene.locate(*path),
+                until=tuple(
+                    StageCondition(each.quantity, each.above, each.below, each.hold) for each in stage.until
+                ),
+                shortest=stage.min_duration,
             )
         )
     return tuple(stages)
 
 
-# Times of stages.
+# Times of the stages.
 
 StageTimes = Mapping[str, tuple[float, float]]
 """Start and end [s] of each stage that has begun; the end is infinite during the stage."""
@@ -87,7 +96,7 @@ def nominal_times(stages: Sequence[PlannedStage]) -> StageTimes:
     return {stage.name: span for stage, span in zip(stages, pairwise(edges), strict=True)}
 
 
-# Damping of all motion.
+# Damping of all motion, for settling.
 
 
 @dataclass(frozen=True)
@@ -107,12 +116,9 @@ class PlannedDamping:
 
 def planned_damping(damping: Damping | None) -> PlannedDamping | None:
     """The damping of the scene; None without."""
-    damping = damping
-    return (
-        None
-        if damping is None
-        else PlannedDamping(damping.cundall or 0.0, damping.drag or 0.0, damping.stages)
-    )
+    if damping is None:
+        return None
+    return PlannedDamping(damping.cundall or 0.0, damping.drag or 0.0, damping.stages)
 
 
 RESOLVED_DECAY = 0.2
@@ -122,10 +128,10 @@ RESOLVED_DECAY = 0.2
 
 def refuse_unresolved_drag(scene: Scene, time_step: float) -> None:
     """Raise SceneError if a time step [s] does not resolve the decay of the velocities."""
-    drag = (scene.damping.drag if scene.damping is not None else None) or 0.0
-    if drag * time_step > RESOLVED_DECAY:
+    damping = planned_damping(scene.damping)
+    if damping is not None and damping.drag * time_step > RESOLVED_DECAY:
         raise SceneError(
-            f"{scene.locate('damping', 'drag')}: damping.drag is {drag:g} 1/s, but the time step of "
+            f"{scene.locate('damping', 'drag')}: damping.drag is {damping.drag:g} 1/s, but the time step of "
             f"{time_step:.3g} s does not resolve the decay; give at most {RESOLVED_DECAY / time_step:.2g} "
             "1/s, or a smaller time step."
         )

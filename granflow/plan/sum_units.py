@@ -1,4 +1,20 @@
-"""Sums over contacts: what each chunk of particles adds up, and the units that make the sums exact."""
+"""Sums over contacts: the quantities that each chunk of particles sums, and the units that make them exact.
+
+A contact rounds its force, torque, energy, ... to a multiple of a unit before it adds it. Sums of integers
+are exact and do not depend on the order of their terms. The bits of a run then depend neither on the order
+of the neighbor lists nor on skin, rebuilds, chunk size or number of threads.
+
+The largest force of a contact within the overlap limit L, with R the largest radius that the smaller of two
+particles in contact can have, and the overlap d = L R, is
+
+    F = max[(4/3) E* sqrt(R) d^1.5,  k d + c v]        over all contacts that can occur, at least W
+
+with k and c the tangent stiffness during loading and the viscosity of the normal model at the planned
+velocity v, and W the weight of the heaviest sphere, which the sums contain: a large sphere among small ones
+is heavier than the largest force of a contact. With F rounded up to a power of two, the unit of a force is
+F / 2^45 = 3e-14 F: sums up to 2^7 F are exact in f64, and also exact if their terms are in f32, of which
+those above 2^-23 F are multiples of half a unit.
+"""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -11,7 +27,7 @@ from granflow.geometry.shape import sphere_volume
 from granflow.plan.groups import PlannedGroup
 from granflow.plan.time_step import PairCase
 
-# Quantities.
+# The quantities.
 
 LOSSES = (
     "plastic_dissipation",
@@ -27,7 +43,7 @@ IMPULSE_SIZE = 7
 (1)."""
 
 
-# Units.
+# The units.
 
 FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 53, 43
 """Binary digits of the largest force in units of a force, and so on: fewer, if more terms are added.
@@ -96,12 +112,13 @@ def sum_units(
     """
     force = weight
     energy = 0.0
-    for case in [case for case in pair_cases if case.pair_key] or pair_cases:
+    possible = [case for case in pair_cases if case.pair_key is not None] or pair_cases
+    for case in possible:
         overlap = max_overlap * case.largest_radius
-        arguments = (case.pair, case.radius_eff, case.mass_eff, velocity)
         hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.largest_radius) * overlap**1.5
+        stiffness = law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity)
         viscosity = law.viscosity(*case.dashpot_arguments, velocity)
-        spring = law.loading_stiffness(*arguments) * overlap + viscosity * velocity
+        spring = stiffness * overlap + viscosity * velocity
         force = max(force, hertz, spring)
         energy = max(energy, max(hertz, spring) * overlap)
     force_scale = _power_of_two(force)
@@ -121,6 +138,8 @@ def _power_of_two(value: float) -> float:
     """Smallest power of two not below a positive value."""
     return 2.0 ** ceil(log2(value))
 
+
+# The unit of liquid volumes: films and bridges exchange whole units.
 
 LIQUID_BITS = 50
 """Binary digits of the volume of all liquid in its unit: three fewer than f64 has, for the halves of odd

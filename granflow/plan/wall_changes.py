@@ -1,4 +1,8 @@
-"""Wall changes."""
+"""Walls that a program changes during a run: the plan with other walls.
+
+A wall changes by vanishing, or by other motions, which begin at the pose that the wall has reached.
+Checkpoints contain the changed walls.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,11 +11,20 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.geometry import motion
-from granflow.geometry import motion as motion_speed
 from granflow.geometry.catalog import reach_about
 from granflow.plan.joined_walls import joints_of
 from granflow.plan.plan import Plan
 from granflow.plan.walls import PlannedMotion, PlannedWall
+
+
+def wall_named(plan: Plan, name: str) -> PlannedWall:
+    """The wall with this name. Raises GranflowError."""
+    found = {wall.name: wall for wall in plan.walls}
+    if name not in found:
+        raise GranflowError(
+            f"walls: {name!r} is not a wall of the scene; its walls are {', '.join(found) or 'none'}."
+        )
+    return found[name]
 
 
 def without_wall(plan: Plan, name: str, time: float) -> Plan:
@@ -57,16 +70,21 @@ def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
             f"step is for walls up to {plan.wall_speed:.3g} m/s: give the fastest motion in the scene."
         )
     walls = tuple(wall if each.name == wall.name else each for each in plan.walls)
-    has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)
     joints = joints_of(walls, plan.radius_max, plan.periodic_box.axes)
+    has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)
     features = replace(
         plan.features,
         joined_walls=plan.features.joined_walls or any(joints),
         moving_walls=plan.features.moving_walls or bool(wall.motions),
         surface_velocity=plan.features.surface_velocity or has_belt,
     )
-    wall_speed = max(plan.wall_speed, speed)
-    return replace(plan, walls=walls, wall_joints=joints, features=features, wall_speed=wall_speed)
+    return replace(
+        plan,
+        walls=walls,
+        wall_joints=joints,
+        features=features,
+        wall_speed=max(plan.wall_speed, speed),
+    )
 
 
 def _speed(plan: Plan, wall: PlannedWall) -> float:
@@ -88,18 +106,10 @@ def _speed(plan: Plan, wall: PlannedWall) -> float:
             point = turned @ (point - np.array(motions[0].translation))
             axis = turned @ axis
         reach = reach_about(wall.shape, point, axis, float(np.linalg.norm(corners)))
-    return motion_speed.speed_bound(motions, reach)
+    return motion.speed_bound(motions, reach)
 
 
-def wall_named(plan: Plan, name: str) -> PlannedWall:
-    """The wall with this name. Raises GranflowError."""
-    found = {wall.name: wall for wall in plan.walls}
-    if name not in found:
-        raise GranflowError(
-            f"walls: {name!r} is not a wall of the scene; its walls are {', '.join(found) or 'none'}."
-        )
-    return found[name]
-
+# Changed walls in checkpoints.
 
 MOTIONS = {
     kind.__name__: kind

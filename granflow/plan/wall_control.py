@@ -1,4 +1,9 @@
-"""Force-controlled walls."""
+"""Force-controlled walls: servo walls with a target force, and free walls with a mass.
+
+The forces of the particles move these walls. A motion is stable only if it is slow enough for the contacts
+of a layer of particles on the wall; gain, lag and smallest mass follow from the stiffness and viscosity of
+such a layer and from the time step.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -95,8 +100,8 @@ def controlled_motions_of(
         for number, given in enumerate(scene.walls[wall.name].motion):
             if isinstance(given, Servo | FreeWall):
                 layer = _layer(scene, wall, given, law, pair_cases, velocity, step)
-                build = _servo if isinstance(given, Servo) else _free
-                controlled_motions.append(build(scene, index, wall, number, given, layer, step))
+                controlled = _servo if isinstance(given, Servo) else _free
+                controlled_motions.append(controlled(scene, index, wall, number, given, layer, step))
     return tuple(controlled_motions)
 
 
@@ -127,26 +132,26 @@ def _servo(
     """
     max_gain = MAX_GAIN / (layer.stiffness * step)
     default_gain = GAIN_SHARE / (layer.count * layer.stiffness * step)
-    if given.gain is not None and given.gain > max_gain:
+    gain = default_gain if given.gain is None else given.gain
+    if given.gain is not None and gain > max_gain:
         location = scene.locate("walls", wall.name, "motion", number, "gain")
         raise SceneError(
-            f"{location}: walls.{wall.name}.motion.gain is {given.gain:.3g} m/(s N), but from {max_gain:.3g} "
+            f"{location}: walls.{wall.name}.motion.gain is {gain:.3g} m/(s N), but from {max_gain:.3g} "
             f"on the wall overshoots at every step of {step:.3g} s. Without the key it is {default_gain:.2g}."
         )
     force = given.force
     if force is None:
         force = given.pressure * (area_of(wall.shape) or 0.0)
-    gain = given.gain if given.gain is not None else default_gain
     return ControlledMotion(
-        index,
-        number,
-        wall.name,
-        "servo",
-        _unit(given),
-        force,
-        gain,
-        gain * layer.count * layer.resistance,
-        given.velocity_max,
+        wall=index,
+        motion=number,
+        name=wall.name,
+        kind="servo",
+        direction=_unit(given),
+        force=force,
+        gain=gain,
+        lag=gain * layer.count * layer.resistance,
+        velocity_max=given.velocity_max,
         mass=1.0,
         damping=0.0,
         source=scene.where("walls", wall.name, "motion", number),
@@ -171,14 +176,14 @@ def _free(
             f"{min_mass:.2g} kg or more, or lower run.time_step."
         )
     direction = _unit(given)
-    force = given.force + given.mass * float(np.dot(scene.gravity, direction))
+    weight = given.mass * float(np.dot(scene.gravity, direction))
     return ControlledMotion(
-        index,
-        number,
-        wall.name,
-        "free",
-        direction,
-        force,
+        wall=index,
+        motion=number,
+        name=wall.name,
+        kind="free",
+        direction=direction,
+        force=given.force + weight,
         gain=0.0,
         lag=0.0,
         velocity_max=0.0,
@@ -201,16 +206,17 @@ def _layer(
 
     A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
     """
-    single = max(
-        law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases
-    )
-    responses = [law.present_response(*case.dashpot_arguments, velocity, step) for case in pair_cases]
-    resistance = max(viscosity + 0.5 * step * stiffness for stiffness, viscosity in responses)
     radius = min(pair_case.radius for pair_case in pair_cases)
     area = area_of(wall.shape) or section(scene.domain, _unit(given))
-    particle_count = sum(group.sphere_count for group in scene.particles.values())
+    sphere_count = sum(group.sphere_count for group in scene.particles.values())
+    in_layer = area / (2.0 * sqrt(3.0) * radius**2)
+    responses = [law.present_response(*case.dashpot_arguments, velocity, step) for case in pair_cases]
     return WallContacts(
-        max(min(particle_count, area / (2.0 * sqrt(3.0) * radius**2)), 1.0), single, resistance
+        count=max(min(sphere_count, in_layer), 1.0),
+        stiffness=max(
+            law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases
+        ),
+        resistance=max(viscosity + 0.5 * step * stiffness for stiffness, viscosity in responses),
     )
 
 
