@@ -1,9 +1,13 @@
-"""Arrays."""
+"""What a plan needs on the device: its arrays, the numbers that kernels read, and the structure of both.
+
+Allocation, checkpoints, their validation and the memory estimate use the same lists of arrays: each
+function returns the arrays of one group of the state, in the order of allocation. Numbers are parameters in
+an array instead of literals in the code, so that plans of equal structure share their machine code.
+"""
 
 from collections.abc import Hashable, Iterable, Iterator
 from dataclasses import astuple, dataclass, replace
 from math import prod
-from typing import Literal
 
 import numpy as np
 
@@ -22,8 +26,7 @@ from granflow.plan.outlets import PlannedOutlet
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import CARRY_BITS, ENERGY, IMPULSE_SIZE, LOSSES, TORQUE
 from granflow.plan.wall_control import ControlledMotion
-
-Precision = Literal["f64", "f32", "mixed"]
+from granflow.scene.blocks.run import Precision
 
 
 @dataclass(frozen=True)
@@ -96,20 +99,18 @@ def neighbor_arrays(plan: Plan, capacities: Capacities) -> list[DeviceArray]:
     count = (capacities.particles,)
     entries = (capacities.list_entries,)
     saved_entries = (capacities.saved_entries,)
+    histories = plan.history.items()
     has_history = bool(plan.history)
     return [
-        *(
-            DeviceArray(name, "i32", count, per_particle=True)
-            for name in ("list_begin", "list_walls_end", "list_end")
-        ),
+        DeviceArray("list_begin", "i32", count, per_particle=True),
+        DeviceArray("list_walls_end", "i32", count, per_particle=True),
+        DeviceArray("list_end", "i32", count, per_particle=True),
         DeviceArray("partner", "i32", entries),
-        *(DeviceArray(f"history.{name}", "real", entries, width) for name, width in plan.history.items()),
-        *(DeviceArray(f"saved.{name}", "real", saved_entries, width) for name, width in plan.history.items()),
+        *(DeviceArray(f"history.{name}", "real", entries, width) for name, width in histories),
+        *(DeviceArray(f"saved.{name}", "real", saved_entries, width) for name, width in histories),
         DeviceArray("in_contact", "i32", entries, wanted=has_history),
-        *(
-            DeviceArray(name, "i32", count, wanted=has_history, per_particle=True)
-            for name in ("list_begin_before", "list_end_before")
-        ),
+        DeviceArray("list_begin_before", "i32", count, wanted=has_history, per_particle=True),
+        DeviceArray("list_end_before", "i32", count, wanted=has_history, per_particle=True),
         DeviceArray("partner_saved", "i32", saved_entries, wanted=has_history),
     ]
 
@@ -152,9 +153,12 @@ def cell_arrays(plan: Plan) -> list[DeviceArray]:
 def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
     """Force-controlled walls; see `WallDynamicsFields`."""
     count = len(plan.controlled_motions)
-    names = ("offset", "offset_at_rebuild", "velocity", "work_on_particles", "work")
     return [
-        *(DeviceArray(name, "f64", (count,), saved=True) for name in names),
+        DeviceArray("offset", "f64", (count,), saved=True),
+        DeviceArray("offset_at_rebuild", "f64", (count,), saved=True),
+        DeviceArray("velocity", "f64", (count,), saved=True),
+        DeviceArray("work_on_particles", "f64", (count,), saved=True),
+        DeviceArray("work", "f64", (count,), saved=True),
         DeviceArray("was_active", "i32", (count,), saved=True),
         DeviceArray("active", "i32", (WALL_BATCH, count)),
         DeviceArray("wall_force", "i64", (plan.capacities.wall_rows, count), saved=True, by_chunk=True),
@@ -165,7 +169,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     """Sums of each chunk, for the energy budget, wall forces and collisions.
 
     Terms of the energy budget, wall forces, work at periodic boundaries and of external forces, numbers of
-    collisions. Each term has two components, see `engine.exact_sums`.
+    collisions. Each term has two components, see `engine.sums`.
     """
     chunks = plan.capacities.chunks
     measured = plan.capacities.measured_walls
@@ -175,46 +179,48 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
     has_wall_work = energy_budget and plan.features.moving_walls
+
+    def sums(name: str, shape: tuple[int, ...], terms: int, wanted: bool) -> DeviceArray:
+        return DeviceArray(name, "i64", shape, 2 * terms, wanted=wanted, saved=True, by_chunk=True)
+
     return [
-        DeviceArray(name, "i64", shape, 2 * terms, wanted=wanted, saved=True, by_chunk=True)
-        for name, shape, terms, wanted in (
-            ("losses", (chunks,), len(LOSSES), energy_budget),
-            ("impulses", (wall_rows, measured), IMPULSE_SIZE, measured > 0),
-            ("wall_work_ahead", (chunks,), 1, has_wall_work),
-            ("boundary_work", (chunks,), 1, has_image_work),
-            ("external_work", (chunks,), 1, has_external_work),
-            ("collisions", (wall_rows, classes), 1, classes > 0),
-        )
+        sums("losses", (chunks,), len(LOSSES), energy_budget),
+        sums("impulses", (wall_rows, measured), IMPULSE_SIZE, measured > 0),
+        sums("wall_work_ahead", (chunks,), 1, has_wall_work),
+        sums("boundary_work", (chunks,), 1, has_image_work),
+        sums("external_work", (chunks,), 1, has_external_work),
+        sums("collisions", (wall_rows, classes), 1, classes > 0),
     ]
 
 
 def mesh_arrays(plan: Plan) -> list[DeviceArray]:
-    """Triangles, edges (three per triangle), points and cell grids of all meshes; see
-    `engine.mesh_fields`."""
+    """Triangles, edges (three per triangle), points and cell grids of all meshes."""
     adjacencies = [mesh.adjacency for mesh in plan.meshes.values()]
     grids = plan.mesh_grids.values()
-    triangles, points, vertex_edges, competitors, cells, cell_triangles = (
-        (rounded_capacity(sum(lengths), MIN_TRIANGLES),)
-        for lengths in (
-            [len(each.normal) for each in adjacencies],
-            [len(each.owner) for each in adjacencies],
-            [len(each.vertex_edge) for each in adjacencies],
-            [len(each.competitor) for each in adjacencies],
-            [len(grid.start) - 1 for grid in grids],
-            [len(grid.triangle) for grid in grids],
-        )
-    )
+
+    def capacity(lengths: Iterable[int]) -> tuple[int]:
+        return (rounded_capacity(sum(lengths), MIN_TRIANGLES),)
+
+    triangles = capacity(len(each.normal) for each in adjacencies)
+    points = capacity(len(each.owner) for each in adjacencies)
+    vertex_edges = capacity(len(each.vertex_edge) for each in adjacencies)
+    competitors = capacity(len(each.competitor) for each in adjacencies)
+    cells = capacity(len(grid.start) - 1 for grid in grids)
+    cell_triangles = capacity(len(grid.triangle) for grid in grids)
     walls = (plan.capacities.walls,)
     edges = (3 * triangles[0],)
     return [
         DeviceArray("wall", "i32", triangles),
         DeviceArray("normal", "position", triangles, 3),
-        *(
-            DeviceArray(name, "position", edges, 3)
-            for name in ("vertex", "edge_direction", "inward", "inward_other")
-        ),
+        DeviceArray("vertex", "position", edges, 3),
+        DeviceArray("edge_direction", "position", edges, 3),
+        DeviceArray("inward", "position", edges, 3),
+        DeviceArray("inward_other", "position", edges, 3),
         DeviceArray("length", "position", edges),
-        *(DeviceArray(name, "i32", edges) for name in ("point", "base", "owns_tie", "role")),
+        DeviceArray("point", "i32", edges),
+        DeviceArray("base", "i32", edges),
+        DeviceArray("owns_tie", "i32", edges),
+        DeviceArray("role", "i32", edges),
         DeviceArray("owner", "i32", points),
         DeviceArray("longest", "position", points),
         DeviceArray("vertex_edge_start", "i32", (points[0] + 1,)),
@@ -230,7 +236,7 @@ def mesh_arrays(plan: Plan) -> list[DeviceArray]:
     ]
 
 
-# Parameters.
+# Parameters: numbers of a plan that kernels read at run time.
 
 
 @dataclass(frozen=True)
@@ -246,11 +252,24 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     """All parameters of a plan and of its arrays; equal features give the same names and lengths. Units as in
     the plan.
 
-    Squared limits have the precision of velocities, also those compared with positions.
+    The squared limit of displacements in a step has the precision of velocities, although it is compared with
+    positions.
     """
-    yield from (_scalar(name, "i32", value) for name, value in _counts(plan, capacities).items())
-    yield from (_scalar(name, "real", value) for name, value in _limits(plan).items())
-    yield from (_scalar(name, "position", value) for name, value in _lengths(plan).items())
+    yield _scalar("chunk_size", "i32", plan.chunk_size)
+    yield _scalar("wall_count", "i32", len(plan.walls))
+    yield _scalar("material_count", "i32", plan.material_count)
+    yield _scalar("class_count", "i32", len(plan.size_classes))
+    yield _scalar("list_capacity", "i32", capacities.list_entries_per_segment)
+    yield _scalar("saved_capacity", "i32", capacities.saved_entries_per_segment)
+    yield _scalar("cell_capacity", "i32", plan.cell_capacity)
+    yield _scalar("travel_limit_squared", "real", plan.travel_limit**2)
+    yield _scalar("max_overlap", "real", plan.max_overlap)
+    yield _scalar("longest_time_step", "real", plan.longest_time_step)
+    yield _scalar("wall_displacement_limit", "real", plan.wall_displacement_limit)
+    yield _scalar("wall_travel_limit", "real", plan.wall_travel_limit)
+    yield _scalar("reach_max", "position", plan.reach_max)
+    yield _scalar("force_range", "position", plan.laws.range)
+    yield _scalar("coordinate_limit", "position", plan.coordinate_limit)
     yield from _of_sums(plan)
     if plan.features.liquid_transfer:
         yield _scalar("liquid_unit", "f64", plan.liquid_unit)
@@ -272,39 +291,6 @@ def _vector(name: str, dtype: DeviceType, values: np.ndarray | tuple[float, ...]
     return Parameter(name, dtype, tuple(float(value) for value in values))
 
 
-def _counts(plan: Plan, capacities: Capacities) -> dict[str, int]:
-    return {
-        "chunk_size": plan.chunk_size,
-        "wall_count": len(plan.walls),
-        "material_count": plan.material_count,
-        "class_count": len(plan.size_classes),
-        "list_capacity": capacities.list_entries_per_segment,
-        "saved_capacity": capacities.saved_entries_per_segment,
-        "cell_capacity": plan.cell_capacity,
-    }
-
-
-def _limits(plan: Plan) -> dict[str, float]:
-    """Limits [m], a squared limit [m2] of displacements, the relative overlap limit and the longest time step
-    [s]."""
-    return {
-        "travel_limit_squared": plan.travel_limit**2,
-        "max_overlap": plan.max_overlap,
-        "longest_time_step": plan.longest_time_step,
-        "wall_displacement_limit": plan.wall_displacement_limit,
-        "wall_travel_limit": plan.wall_travel_limit,
-    }
-
-
-def _lengths(plan: Plan) -> dict[str, float]:
-    """Lengths [m] of the neighbor search, and the largest coordinate."""
-    return {
-        "reach_max": plan.reach_max,
-        "force_range": plan.laws.range,
-        "coordinate_limit": plan.coordinate_limit,
-    }
-
-
 def _of_sums(plan: Plan) -> Iterator[Parameter]:
     """Reciprocal units in the order of `sum_units`, and the numbers that round forces and torques to their
     units.
@@ -312,7 +298,7 @@ def _of_sums(plan: Plan) -> Iterator[Parameter]:
     For energies, the reciprocal unit of the high word.
 
     A number is rounded to multiples of a unit by adding 3/2 unit / eps, see
-    `engine.exact_sums.build_to_grid`.
+    `engine.sums.build_to_grid`.
     """
     units = np.array(astuple(plan.sum_units))
     eps = np.finfo(np.float64 if plan.precision == "f64" else np.float32).eps
@@ -342,7 +328,7 @@ def _of_motion(prefix: str, motion: ControlledMotion) -> Iterator[Parameter]:
         yield _scalar(f"{prefix}.{name}", "real", getattr(motion, name))
 
 
-# Structure.
+# Structure: what the machine code of a plan depends on. Plans of equal structure differ in parameters only.
 
 
 def structure_of(plan: Plan) -> Hashable:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from granflow.arguments import refuse_other
 from granflow.geometry.motion import TableRotation, TableTranslation
 from granflow.geometry.shape import sphere_mass
-from granflow.plan.arrays import DeviceArray, Precision, neighbor_arrays, particle_arrays
+from granflow.plan.arrays import DeviceArray, neighbor_arrays, particle_arrays
 from granflow.plan.features import Reason
 from granflow.plan.groups import PlannedGroup
 from granflow.plan.memory import MemoryEstimate, estimate_memory
@@ -19,6 +19,21 @@ from granflow.plan.run_time import duration_of
 from granflow.plan.stages import PlannedStage
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
+from granflow.scene.blocks.run import Precision
+
+# Roofline estimate of a GPU: memory traffic and operations per particle-step, counted from the arrays of a
+# plan.
+#
+#     bytes of a step = fields read and written by the integration
+#                       + fields read by the forces, force and torque written
+#                       + L (partner and contact flag) + 2 C (history)
+#                       + (all fields 4 times, 8 integers, 4 L partners, 4 C history) / steps between rebuilds
+#
+#     rate = min(bandwidth / bytes, operations per second / operations)
+#
+# with L list entries and C contacts per particle, each contact counted for both particles, as on a GPU. The
+# fields of a partner count once for each particle: particles are sorted in space, so that partners are in
+# the cache.
 
 INTEGRATION_READ = (
     "position",

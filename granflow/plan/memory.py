@@ -1,4 +1,7 @@
-"""Memory."""
+"""Memory that a run needs: estimated from the arrays of the plan and compared with the available memory.
+
+The estimate is made before any array is allocated; a test compares it with the allocated memory.
+"""
 
 from dataclasses import dataclass
 from itertools import groupby
@@ -8,7 +11,6 @@ from granflow.arguments import refuse_other, shown
 from granflow.errors import GranflowError, SceneError
 from granflow.io.machine import available_memory
 from granflow.plan.arrays import (
-    Precision,
     cell_arrays,
     mesh_arrays,
     neighbor_arrays,
@@ -17,6 +19,7 @@ from granflow.plan.arrays import (
 )
 from granflow.plan.capacities import Capacities
 from granflow.plan.plan import Plan
+from granflow.scene.blocks.run import Precision
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,8 @@ def largest_block(plan: Plan, capacities: Capacities) -> int:
     return max(sum(array.size(plan.precision) for array in block) for _, block in blocks)
 
 
+# The memory of a run on a CPU.
+
 RUNTIME = 100_000_000
 """Memory [bytes] of the compiler, independent of the scene."""
 HOST_PER_PARTICLE = 600
@@ -124,11 +129,13 @@ def memory_warning(plan: Plan) -> str | None:
         return None
     count = plan.particle_capacity
     free = f"{available / 1e9:.3g} GB"
-    statement = (
+    excess = (
         f"but only {free} are free" if needed > available else f"which is most of the {free} that are free"
     )
-    sizes = f"{count} particles need about {needed / 1e9:.3g} GB of memory, {statement}"
-    return f"{sizes}: {_remedies(plan, needed, available)}."
+    return (
+        f"{count} particles need about {needed / 1e9:.3g} GB of memory, {excess}: "
+        f"{_remedies(plan, needed, available)}."
+    )
 
 
 def _remedies(plan: Plan, needed: int, available: int) -> str:
@@ -137,15 +144,16 @@ def _remedies(plan: Plan, needed: int, available: int) -> str:
     `needed`, `available` [bytes]; the suggested number of particles fills WARNED_SHARE of the available
     memory.
     """
-    fitting_count = int(
-        WARNED_SHARE * max(available - RUNTIME, 0) / ((needed - RUNTIME) / plan.particle_capacity)
-    )
+    per_particle = (needed - RUNTIME) / plan.particle_capacity
+    fitting_count = int(WARNED_SHARE * max(available - RUNTIME, 0) / per_particle)
+    count_remedy = "free memory"
+    if fitting_count:
+        count_remedy = f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}"
     precision_remedy = ", set run.precision to mixed" if plan.precision == "f64" else ""
-    count_remedy = (
-        f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free memory"
-    )
     return f"{count_remedy}{precision_remedy}, or use a machine with more memory"
 
+
+# The range of the indices of neighbor lists.
 
 MAX_LIST_ENTRIES = 2**31 - 1
 """Neighbor-list entries have 32-bit indices."""
@@ -159,10 +167,13 @@ def refuse_too_many(plan: Plan) -> None:
     list_entries = plan.capacities.list_entries
     if list_entries > MAX_LIST_ENTRIES:
         max_count = float(f"{plan.particle_capacity * (MAX_LIST_ENTRIES / list_entries):.2g}")
-        request = (
-            f"{plan.particle_capacity} particles are requested, but about {max_count:.0f} is the maximum"
+        raise SceneError(
+            f"{_location(plan)}: {plan.particle_capacity} particles are requested, but about {max_count:.0f} "
+            "is the maximum for 32-bit neighbor-list indices. Lower the count."
         )
-        raise SceneError(f"{_location(plan)}: {request} for 32-bit neighbor-list indices. Lower the count.")
+
+
+# The memory of a GPU.
 
 
 def refuse_without_device_memory(plan: Plan, free: int | None, largest_buffer: int | None) -> None:
@@ -174,10 +185,11 @@ def refuse_without_device_memory(plan: Plan, free: int | None, largest_buffer: i
     total = estimate_memory(plan, plan.precision).total
     longest = largest_block(plan, plan.capacities)
     if free is not None and total > free:
-        raise _too_large(plan, total, free, f"{{needed}} on the GPU, but only {free / 1e9:.3g} GB are free")
+        excess = f"on the GPU, but only {free / 1e9:.3g} GB are free"
+        raise _too_large(plan, total, free, excess)
     if largest_buffer is not None and longest > largest_buffer:
-        statement = f"{{needed}} in one buffer, but this GPU allows at most {largest_buffer / 1e9:.3g} GB"
-        raise _too_large(plan, longest, largest_buffer, statement)
+        excess = f"in one buffer, but this GPU allows at most {largest_buffer / 1e9:.3g} GB"
+        raise _too_large(plan, longest, largest_buffer, excess)
 
 
 def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_buffer: int | None) -> None:
@@ -187,7 +199,9 @@ def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_
     """
     total = estimate_memory(plan, plan.precision, grown).total
     longest = largest_block(plan, grown)
-    if available is not None and total > available or largest_buffer is not None and longest > largest_buffer:
+    exceeds_memory = available is not None and total > available
+    exceeds_buffer = largest_buffer is not None and longest > largest_buffer
+    if exceeds_memory or exceeds_buffer:
         entries = f"{grown.list_entries / plan.particle_capacity:.3g} candidate pairs per particle"
         raise SceneError(
             f"{_location(plan)}: the neighbor lists of {entries} no longer fit into the memory of the GPU, "
@@ -195,14 +209,14 @@ def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_
         )
 
 
-def _too_large(plan: Plan, needed: int, available: int, statement: str) -> SceneError:
+def _too_large(plan: Plan, needed: int, available: int, excess: str) -> SceneError:
     """The error for `needed` above `available` [bytes], with the number of particles that fits."""
-    sizes = f"{plan.particle_capacity} particles need about " + statement.format(
-        needed=f"{needed / 1e9:.3g} GB"
-    )
     count = float(f"{plan.particle_capacity * WARNED_SHARE * available / needed:.2g}")
     remedy = " or set run.precision to mixed" if plan.precision == "f64" else ""
-    return SceneError(f"{_location(plan)}: {sizes}: lower the count to about {count:.0f}{remedy}.")
+    return SceneError(
+        f"{_location(plan)}: {plan.particle_capacity} particles need about {needed / 1e9:.3g} GB {excess}: "
+        f"lower the count to about {count:.0f}{remedy}."
+    )
 
 
 def _location(plan: Plan) -> str:

@@ -1,4 +1,8 @@
-"""Run time."""
+"""Run time: refuses runs with a stage shorter than a step, and runs that cannot end in a reasonable time.
+
+The run time is a lower bound from rates that no machine exceeds, so that only probable mistakes of units
+are refused. `explain` shows an estimate from typical rates.
+"""
 
 from math import ceil
 
@@ -35,12 +39,13 @@ def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
         )
     seconds = least_run_time(plan)
     if seconds > LONGEST and not allow_long:
-        count = plan.particle_capacity
         steps = duration_of(plan) / plan.longest_time_step
+        years = f"{seconds / YEAR:.3g}"
         raise SceneError(
-            f"{_steps_text(plan, steps)}. With a particle count of {count} and {_writes(plan):.3g} frames, "
-            f"rows and checkpoints, the run would take at least {_in_years(seconds)}. Check the units of "
-            "durations, intervals, sizes, densities and moduli, or allow it with --allow-long."
+            f"{_steps_text(plan, steps)}. With a particle count of {plan.particle_capacity} and "
+            f"{_writes(plan):.3g} frames, rows and checkpoints, the run would take at least {years} "
+            f"{'year' if years == '1' else 'years'}. Check the units of durations, intervals, sizes, "
+            "densities and moduli, or allow it with --allow-long."
         )
 
 
@@ -49,25 +54,25 @@ def _refuse_no_step(plan: Plan) -> None:
     step = plan.time_step
     for stage in plan.stages:
         if stage.longest < step * (1.0 - ROUNDING):
+            enough = float(f"{1.05 * step:.2g}")  # two digits, and not below the step
             raise SceneError(
                 f"{stage.source}: {stage.key} is {stage.longest:.3g} s, shorter than one time step of "
-                f"{step:.3g} s ({plan.step.limited_by}). Set it to at least {_rounded_up(step):.3g} s, or "
-                "lower run.time_step."
+                f"{step:.3g} s ({plan.step.limited_by}). Set it to at least {enough:.3g} s, or lower "
+                "run.time_step."
             )
 
 
 def least_run_time(plan: Plan) -> float:
     """Lower bound of the wall-clock time [s] of a run, from upper bounds of all rates.
 
-        t = max(N / STEPS_PER_SECOND, N P / PARTICLE_STEPS_PER_SECOND) + W / WRITES_PER_SECOND
+        t = max(N / MAX_STEPS_PER_SECOND, N P / MAX_PARTICLE_STEPS_PER_SECOND) + W / WRITES_PER_SECOND
 
     N: steps of the longest possible duration, P: particles, W: frames, rows and checkpoints.
     """
     steps = duration_of(plan) / plan.longest_time_step
-    computed = max(
-        steps / MAX_STEPS_PER_SECOND, steps * plan.particle_capacity / MAX_PARTICLE_STEPS_PER_SECOND
-    )
-    return computed + _writes(plan) / WRITES_PER_SECOND
+    of_steps = steps / MAX_STEPS_PER_SECOND
+    of_particles = steps * plan.particle_capacity / MAX_PARTICLE_STEPS_PER_SECOND
+    return max(of_steps, of_particles) + _writes(plan) / WRITES_PER_SECOND
 
 
 def duration_of(plan: Plan) -> float:
@@ -84,19 +89,9 @@ def _writes(plan: Plan) -> float:
     return sum(min(duration / interval, steps) for interval in intervals if interval is not None)
 
 
-def _rounded_up(step: float) -> float:
-    """Round up to about two digits, not below the step."""
-    return float(f"{1.05 * step:.2g}")
-
-
 def _steps_text(plan: Plan, steps: float) -> str:
     """Location and number of the steps, and the reason for their length."""
     return (
         f"{plan.sources['steps']}: {duration_of(plan):.3g} s in time steps of {plan.time_step:.3g} s "
         f"({plan.step.limited_by}) are {float(ceil(steps)):.3g} steps"
     )
-
-
-def _in_years(seconds: float) -> str:
-    number = f"{seconds / YEAR:.3g}"
-    return f"{number} year" if number == "1" else f"{number} years"

@@ -1,4 +1,9 @@
-"""Walls."""
+"""Walls of a scene in numeric form: shapes at rest, motions, presence, and largest speeds.
+
+`planned_walls` reads the meshes, joins the edges that surfaces of revolution share, and converts motions to
+SI units and unit vectors. A motion or a wall that is limited to stages gets its times when the stages
+begin.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +16,6 @@ import numpy as np
 
 from granflow.errors import SceneError
 from granflow.geometry import motion, plane, revolved
-from granflow.geometry import motion as motion_speed
 from granflow.geometry.catalog import Surface, reach_about
 from granflow.geometry.mesh import Mesh, mesh_of
 from granflow.geometry.mesh_file import read_triangles
@@ -96,8 +100,8 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
     """
     walls = scene.walls
     surfaces = dict[str, Surface](meshes_of(scene))
-    primitives = {name: wall for name, wall in walls.items() if name not in surfaces}
-    groups = [
+    others = {name: wall for name, wall in walls.items() if name not in surfaces}
+    moves_like = [
         (
             wall.motion,
             wall.stages,
@@ -105,19 +109,19 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
             wall.vanishes_at,
             name if is_force_controlled(wall) else "",
         )
-        for name, wall in primitives.items()
+        for name, wall in others.items()
     ]
-    joined = join_shared_edges([shape_of(wall) for wall in primitives.values()], groups)
-    surfaces |= dict(zip(primitives, joined, strict=True))
+    joined = join_shared_edges([shape_of(wall) for wall in others.values()], moves_like)
+    surfaces |= dict(zip(others, joined, strict=True))
     return tuple(
         PlannedWall(
-            name,
-            surfaces[name],
-            material_numbers[wall.material],
-            planned_motions(wall.motion, scene.gravity),
-            wall.stages,
-            wall.appears_at or 0.0,
-            inf if wall.vanishes_at is None else wall.vanishes_at,
+            name=name,
+            shape=surfaces[name],
+            material=material_numbers[wall.material],
+            motions=planned_motions(wall.motion, scene.gravity),
+            stages=wall.stages,
+            appears_at=wall.appears_at or 0.0,
+            vanishes_at=inf if wall.vanishes_at is None else wall.vanishes_at,
         )
         for name, wall in walls.items()
     )
@@ -160,7 +164,8 @@ def planned_motions(motions: Sequence[Any], gravity: Sequence[float]) -> tuple[P
 
 def _motion(given: Any, gravity: Sequence[float]) -> motion.Motion:
     """One motion in numeric form, with the start and end [s] of the scene."""
-    start, end = given.start or 0.0, inf if given.end is None else given.end
+    start = given.start or 0.0
+    end = inf if given.end is None else given.end
     if isinstance(given, Servo | FreeWall):
         return motion.ForceControlled(start, end)
     if isinstance(given, Translation | SurfaceVelocity):
@@ -170,14 +175,15 @@ def _motion(given: Any, gravity: Sequence[float]) -> motion.Motion:
     if isinstance(given, TableMotion):
         return _table_motion(given, start, end)
     if isinstance(given, Rotation):
-        rates = (
+        return motion.Rotation(
+            given.point,
+            _unit_vector(given.axis),
             given.angular_velocity,
             start,
             end,
             given.initial_angular_velocity or 0.0,
             given.ramp_duration or 0.0,
         )
-        return motion.Rotation(given.point, _unit_vector(given.axis), *rates)
     amplitude, omega = given.amplitude_and_angular_frequency(gravity)
     return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
 
@@ -215,7 +221,7 @@ def wall_change_times(walls: Sequence[PlannedWall]) -> tuple[float, ...]:
     return tuple(sorted(times - {0.0, inf}))
 
 
-# Speeds.
+# Largest speeds of walls, before the run.
 
 
 def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
@@ -234,7 +240,7 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
         if rotation is not None:
             max_distance = float(np.linalg.norm(np.abs(corners - rotation.point).max(axis=0)))
             reach = reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), max_distance)
-        speeds[wall.name] = motion_speed.speed_bound(motions, reach)
+        speeds[wall.name] = motion.speed_bound(motions, reach)
     return speeds
 
 
@@ -245,7 +251,7 @@ def surface_speed(scene: Scene) -> float:
     Points of a rotating wall are assumed to be at most half the diagonal of the domain from the axis.
     """
     times = always(scene.schedule)
-    extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
+    extent = _domain_size(scene.domain)
     fastest = 0.0
     for wall in scene.walls.values():
         motions = [each.at(times) for each in planned_motions(wall.motion, scene.gravity)]
@@ -257,10 +263,8 @@ def surface_speed(scene: Scene) -> float:
             )
             for stage in scene.schedule
         )
-        belt = sum(
-            motion_speed.top_speed(each) for each in motions if isinstance(each, motion.SurfaceVelocity)
-        )
-        fastest = max(fastest, motion_speed.speed_bound(motions, extent / 2) + belt + controlled_speed)
+        belt = sum(motion.top_speed(each) for each in motions if isinstance(each, motion.SurfaceVelocity))
+        fastest = max(fastest, motion.speed_bound(motions, extent / 2) + belt + controlled_speed)
     return fastest
 
 
@@ -282,7 +286,7 @@ def _force_controlled_speed(gravity: Sequence[float], given: Any, distance: floa
     return 0.0
 
 
-# Mesh walls.
+# Mesh walls: reads and places their files, and reports probable mistakes.
 
 REFUSED_SIZE_RATIO, WARNED_SIZE_RATIO = 100.0, 5.0
 """Ratios of mesh size to domain size above which a mesh is refused, or causes a warning: wrong unit of
@@ -357,16 +361,16 @@ def _mesh_once(
 def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
     """Raise FormatError for a mesh that is much larger than the domain or much smaller than the smallest
     particle."""
-    share = _size(mesh) / _domain_size(scene.domain)
+    size = _size(mesh)
     smallest = min(diameter_range(group)[0] for group in scene.particles.values())
-    if _size(mesh) < FAR_TOO_SMALL * smallest:
-        share = _size(mesh) / smallest
-        statement = (
-            f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
+    if size < FAR_TOO_SMALL * smallest:
+        raise FormatError(
+            f"is {size:.3g} m large, {size / smallest:.3g} times the smallest particle ({smallest:.3g} m): "
+            f"increase scale, which is {wall.scale:g} now"
         )
-        raise FormatError(f"{statement}: increase scale, which is {wall.scale:g} now")
+    share = size / _domain_size(scene.domain)
     if share > REFUSED_SIZE_RATIO:
-        raise FormatError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
+        raise FormatError(f"is {size:.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
 
 
 def _remedy(wall: Wall) -> str:
@@ -424,9 +428,10 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
 
 def _suspicion(scene: Scene, name: str, mesh: Mesh, smallest: float) -> str | None:
     """A sentence on a probable mistake, or None."""
-    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    low = mesh.points.min(axis=0)
+    high = mesh.points.max(axis=0)
     size = _size(mesh)
-    share = _size(mesh) / _domain_size(scene.domain)
+    share = size / _domain_size(scene.domain)
     if share > WARNED_SIZE_RATIO:
         return f"{size:.3g} m large, {share:.3g} times the domain: {_remedy(scene.walls[name])}"
     if np.any(low > scene.domain.max) or np.any(high < scene.domain.min):
