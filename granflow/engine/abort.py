@@ -27,7 +27,7 @@ from granflow.geometry.mesh_contact import reference_contact
 from granflow.geometry.motion import pose
 from granflow.plan.limits import COARSEST, remedy, share_of, spacing_at
 from granflow.plan.overlaps import (
-    ENOUGH,
+    LIMIT_MARGIN,
     BedPressure,
     ContactForces,
     TouchingPair,
@@ -238,7 +238,7 @@ def _moduli(
         first = without_modulus(touching, overlap)
     else:
         first = modulus_text(required_moduli(plan.solids, touching.materials, max(factor, 1.0)))
-    needed = float(f"{ENOUGH * max(expected, plan.max_overlap) + 0.005:.2f}")
+    needed = float(f"{LIMIT_MARGIN * max(expected, plan.max_overlap) + 0.005:.2f}")
     accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
     return first + (accept if needed <= LARGEST_OVERLAP else "")
 

@@ -1,4 +1,8 @@
-"""Explain."""
+"""Text of `granflow explain`: each decision of a plan with its reason.
+
+The text is a table with one section per subject. Each section is a function that yields rows; `explain`
+puts them together.
+"""
 
 import math
 import textwrap
@@ -146,7 +150,7 @@ def explain(plan: Plan, on_gpu: bool = False) -> str:
         "Features": [_feature_row(reason) for reason in plan.reasons],
         "Time step": _time_step_rows(plan),
         "Particles": _particle_rows(plan),
-        **({"Force-controlled walls": _wall_control_rows(plan)} if plan.controlled_motions else {}),
+        "Force-controlled walls": _wall_control_rows(plan),
         "Tables of motions": _table_rows(plan),
         "Meshes": _mesh_rows(plan),
         "Forecast": _forecast_rows(plan),
@@ -155,10 +159,7 @@ def explain(plan: Plan, on_gpu: bool = False) -> str:
         "Run": _run_rows(plan),
         "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in plan.settings],
     }
-    if plan.remarks:
-        sections["Changes to the scene as written"] = [
-            ExplainRow("", "", sentence) for sentence in plan.remarks
-        ]
+    sections["Changes to the scene as written"] = [ExplainRow("", "", each) for each in plan.remarks]
     title = f"{plan.title} ({plan.path})" if plan.path else plan.title
     tables = {head: list(_aligned(rows)) for head, rows in sections.items()}
     return "\n\n".join([title, *("\n".join([head, *lines]) for head, lines in tables.items() if lines)])
@@ -213,14 +214,14 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
     cohesion."""
     law = plan.laws.cohesion
     gravity = math.hypot(*plan.gravity)
-    forces = (
-        [(law.pull_off_force(each.pair, each.radius_eff), each) for each in plan.pair_cases] if law else []
-    )
-    numbers = [
-        (force / (sphere_mass(each.radius, each.solid.density) * gravity), force, each.name)
-        for force, each in forces
-        if force and gravity
-    ]
+    if law is None or not gravity:
+        return
+    numbers = []
+    for each in plan.pair_cases:
+        force = law.pull_off_force(each.pair, each.radius_eff)
+        if force:
+            weight = sphere_mass(each.radius, each.solid.density) * gravity
+            numbers.append((force / weight, force, each.name))
     if numbers:
         bond_number, force, name = max(numbers)
         yield ExplainRow(
@@ -285,13 +286,11 @@ def _mesh_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the notes on mesh walls; the name of a wall is shown in the first of its rows."""
     last = ""
     for note in plan.mesh_notes:
-        head, _, rest = note.sentence.partition(", ")
-        first = note.wall != last
-        yield (
-            ExplainRow(note.wall, head, rest)
-            if first
-            else ExplainRow("", "WARNING" if note.warning else "", note.sentence)
-        )
+        if note.wall != last:
+            head, _, rest = note.sentence.partition(", ")
+            yield ExplainRow(note.wall, head, rest)
+        else:
+            yield ExplainRow("", "WARNING" if note.warning else "", note.sentence)
         last = note.wall
 
 
@@ -350,12 +349,13 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     The estimate assumes the rates PARTICLE_STEPS_PER_SECOND and STEPS_PER_SECOND, whichever gives the longer
     time.
     """
-    ends_early = any(stage.has_condition for stage in plan.stages)
     longest = duration_of(plan)
     steps = ceil(longest / plan.time_step)
-    prefix, stages_at_most = (
-        ("at most ", ", if every stage reaches its maximum duration") if ends_early else ("", "")
-    )
+    prefix = ""
+    stages_at_most = ""
+    if any(stage.has_condition for stage in plan.stages):
+        prefix = "at most "
+        stages_at_most = ", if every stage reaches its maximum duration"
     stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.stages)
     yield ExplainRow("precision", plan.precision, "")
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
@@ -377,7 +377,8 @@ def _end_text(stage: PlannedStage) -> str:
 def _aligned(rows: Iterable[ExplainRow]) -> Iterator[str]:
     """Lines of a table with three columns; the last column is wrapped."""
     found = list(rows)
-    names, values = (max((len(row[column]) for row in found), default=0) for column in (0, 1))
+    names = max((len(row.name) for row in found), default=0)
+    values = max((len(row.value) for row in found), default=0)
     wrapper = textwrap.TextWrapper(WIDTH, break_long_words=False, break_on_hyphens=False)
     for row in found:
         lead = f"  {row.name:<{names}}  {row.value:<{values}}  "

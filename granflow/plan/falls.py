@@ -1,8 +1,11 @@
-"""Impact velocities on the paths of particles that fall onto walls and slide over their edges.
+"""Impact velocities of the forecasts: falls from where particles start, instead of through the whole
+domain.
 
-A particle falls from its insertion along a parabola onto the first wall. The impact ends its velocity across
-the wall; that along the wall remains and grows without friction down to the lowest edges, over which the
-particle falls further:
+The time step keeps the velocity of `max_impact_velocity`, which covers runs that lift particles. Forecasts
+of overlaps use the smaller velocity of a fall to the lowest level, and where this is still too fast, that
+on the paths over the walls. A particle falls from its insertion along a parabola onto the first wall. The
+impact ends its velocity across the wall; that along the wall remains and grows without friction down to the
+lowest edges, over which the particle falls further:
 
     v1^2 = v0^2 + 2 g h1                       impact after a fall by h1
     v2^2 = |v1 - (v1.n) n|^2 + 2 g h2          slide by the height h2 of a wall with the normal n
@@ -40,6 +43,149 @@ from granflow.scene.blocks.particles import (
 )
 from granflow.scene.blocks.walls import Plane
 
+# Velocities of the forecasts.
+
+SLOW = 0.1
+"""Given velocity over that of a fall below which a unit is probably wrong."""
+
+
+def forecast_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
+    """Largest impact velocity if each particle starts at its insertion and falls to the lowest wall.
+
+        v = max sqrt(max(v0, u)^2 + 2 |g| h) + u,      at most the planned velocity
+
+    v0: initial speed, h: drop height of a group, u: largest speed of belts, at which particles may fall from
+    them. That of the plan if the drop heights are not known, see `_drop_heights`.
+    """
+    planned = plan.impact_velocity
+    heights = _drop_heights(scene, plan)
+    if not heights:
+        return planned
+    magnitude = float(np.linalg.norm(plan.gravity))
+    belt = _belt_speed(plan.walls)
+    speeds = {name: max(speed, belt) for name, speed in initial_speeds(scene.particles).items()}
+    fastest = max(heights, key=lambda name: speeds[name] ** 2 + 2.0 * magnitude * heights[name])
+    value = sqrt(speeds[fastest] ** 2 + 2.0 * magnitude * heights[fastest])
+    initial = f" with an initial speed of {speeds[fastest]:.3g} m/s" if speeds[fastest] else ""
+    return _at_most(
+        planned, value, plan, f"a fall of particles.{fastest} by {heights[fastest]:.3g} m{initial}"
+    )
+
+
+def path_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
+    """As `forecast_velocity`, but particles fall onto the first wall below, and slide over its edges onto the
+    next.
+
+    Walls that are present during the whole run stop a fall. The velocities are those of `FallingParticles`.
+    """
+    simple = forecast_velocity(scene, plan)
+    heights = _drop_heights(scene, plan)
+    if not heights or any(scene.particles[name].thermal is not None for name in heights):
+        return simple
+    gravity = np.array(plan.gravity, float)
+    up = -gravity / np.linalg.norm(gravity)
+    low = lowest_level(scene, plan.walls, up)
+    assert low is not None
+    walls = [wall for wall in plan.walls if wall.is_permanent]
+    falling = FallingParticles(
+        facets=WallFacets(walls, np.array(scene.domain.min), np.array(scene.domain.max)),
+        gravity=gravity,
+        low=low,
+        radius=plan.radius_min,
+        belts=[_belt_speed([wall]) for wall in walls],
+        bounds=_space(scene),
+    )
+    paths = {name: falling.fastest(*_start_points(scene.particles[name], up)) for name in heights}
+    name = max(paths, key=lambda each: paths[each].value)
+    return _at_most(simple, sqrt(paths[name].value), plan, _path_words(name, paths[name]))
+
+
+def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
+    """A sentence on a given `run.velocity_max` that is far below the velocity after the fall of inserted
+    particles.
+
+    Particles of a packing fall less, and damped ones more slowly: SLOW times the velocity is the limit, and
+    damping excludes the warning.
+    """
+    given = scene.run.velocity_max
+    if given is None or scene.damping or image_speed(scene.domain) or not np.any(plan.gravity):
+        return
+    magnitude = float(np.linalg.norm(plan.gravity))
+    regions = (LatticeInsertion, PackInsertion, RainInsertion, InletInsertion)
+    heights = _heights(scene, plan, -np.array(plan.gravity) / magnitude)
+    heights = {
+        name: each for name, each in heights.items() if isinstance(scene.particles[name].insert, regions)
+    }
+    if not heights:
+        return
+    name = max(heights, key=lambda each: heights[each])
+    fall = sqrt(2.0 * magnitude * heights[name])
+    if given < SLOW * fall:
+        yield (
+            f"run.velocity_max ({scene.where('run', 'velocity_max')}) is {given:.3g} m/s, but "
+            f"particles.{name} can fall {heights[name]:.3g} m and reach {fall:.3g} m/s: time step and "
+            f"forecasts are those of slower impacts. Check the unit, or set it to {fall:.2g} m/s."
+        )
+
+
+def _at_most(limit: ImpactVelocity, value: float, plan: Plan, words: str) -> ImpactVelocity:
+    """The smaller one of an impact velocity and of `value` [m/s], against the fastest belt, estimated from
+    `words`."""
+    belt = _belt_speed(plan.walls)
+    if not 0.0 < value + belt < limit.value:
+        return limit
+    against = f" against the fastest wall ({belt:.3g} m/s)" if belt else ""
+    return ImpactVelocity(value + belt, f"estimated from {words}{against}")
+
+
+# Heights: from where particles start to the lowest level.
+
+LEVEL = 1e-6
+"""Largest deviation of the normal of a plane from the vertical for a floor: on a steeper one, particles slide
+on."""
+
+
+def _drop_heights(scene: Scene, plan: Plan) -> dict[str, float]:
+    """Height [m] of the highest particle of each group above the lowest level, by name; empty if it is not
+    known.
+
+    It is not known if `run.velocity_max` is given, without gravity, if walls or images move or belts go up,
+    which lift or accelerate particles, or if the region of a group is not known.
+    """
+    if scene.run.velocity_max is not None or image_speed(scene.domain) or not np.any(plan.gravity):
+        return {}
+    up = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
+    if any(not _is_level_belt(each, up) for wall in plan.walls for each in wall.motions):
+        return {}
+    return _heights(scene, plan, up)
+
+
+def _heights(scene: Scene, plan: Plan, up: np.ndarray) -> dict[str, float]:
+    """As `_drop_heights`; empty if the region of a group or the lowest level is not known."""
+    low = lowest_level(scene, plan.walls, up)
+    groups = {name: group for name, group in scene.particles.items() if not group.fixed}
+    tops = {name: highest_point(group, up) for name, group in groups.items()}
+    if low is None or any(top is None for top in tops.values()):
+        return {}
+    return {name: max(top - low, 0.0) for name, top in tops.items() if top is not None}
+
+
+def _is_level_belt(motion: PlannedMotion, up: np.ndarray) -> bool:
+    """Whether a motion is the surface velocity of a belt that does not go up."""
+    if not isinstance(motion.given, SurfaceVelocity):
+        return False
+    velocities = np.array([motion.given.velocity, motion.given.initial_velocity])
+    return bool(np.all(velocities @ up <= LEVEL * np.linalg.norm(velocities, axis=1)))
+
+
+def _belt_speed(walls: Iterable[PlannedWall]) -> float:
+    """Largest surface speed [m/s] of walls whose motions are those of belts."""
+    fastest = 0.0
+    for wall in walls:
+        belts = [each.given for each in wall.motions if isinstance(each.given, SurfaceVelocity)]
+        fastest = max(fastest, sum(top_speed(each) for each in belts))
+    return fastest
+
 
 def region_of(group: Group) -> RegionSampler | None:
     """The region in which particles of a group are inserted at random or on a lattice; None for given
@@ -54,11 +200,61 @@ def region_of(group: Group) -> RegionSampler | None:
     return None
 
 
+def highest_point(group: Group, up: np.ndarray) -> float | None:
+    """Largest height [m] along `up` (3,) at which particles of a group start; None if it is not known."""
+    if isinstance(group.insert, PositionsInsertion):
+        return float((np.array(group.insert.positions) @ up).max())
+    region = region_of(group)
+    if isinstance(region, BoxSampler):
+        return float(np.maximum(region.low * up, region.high * up).sum())
+    if isinstance(region, CylinderSampler):
+        along = float(region.frame[2] @ up)
+        base = float(region.start @ up) + max(along * region.length, 0.0)
+        return base + region.radius * sqrt(max(1.0 - along**2, 0.0))
+    if isinstance(region, SlabSampler):
+        local = region.frame @ up
+        return float(region.corner @ up + np.maximum(region.box.high * local, 0.0).sum())
+    return None
+
+
+def lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) -> float | None:
+    """Smallest height [m] along `up` (3,) at which particles hit a wall or another particle; None if not
+    known.
+
+    The highest permanent plane across `up`, otherwise the lowest point of the walls, or the end of the domain
+    if it is higher or there are no walls. Not known along a periodic axis, or without walls in a domain that
+    expands.
+    """
+    domain = scene.domain
+    if any(abs(up[AXES.index(axis)]) > LEVEL for axis in domain.periodic):
+        return None
+    corners = product(*zip(domain.min, domain.max, strict=True))
+    end = min(float(np.array(corner) @ up) for corner in corners)
+    floors: list[float] = []
+    lowest: list[float] = []
+    for wall in walls:
+        given = scene.walls[wall.name]
+        if not isinstance(given, Plane):
+            points = triangles(wall.shape, np.zeros(3), 0.0)[0]
+            lowest.append(float((points @ up).min()))
+            continue
+        normal = np.array(given.normal) / np.linalg.norm(given.normal)
+        if float(normal @ up) > 1.0 - LEVEL and wall.is_permanent:
+            floors.append(float(np.array(given.point) @ up))
+        else:
+            lowest.append(end)
+    if floors:
+        return max(*floors, end)
+    if domain.on_exit == "expand":
+        return min(lowest, default=None)
+    return max(min(lowest, default=end), end)
+
+
 # Facets of walls at rest, and the first wall on the path of a falling particle.
 
 PATH_SEGMENTS = 48
 """Straight segments of the parabola of a particle with a horizontal velocity."""
-EDGE = 1e-9
+EDGE_TOLERANCE = 1e-9
 """Tolerance of the barycentric coordinates of a point in a triangle: no gap between triangles with a common
 edge."""
 EDGE_SAMPLES = 32
@@ -120,7 +316,8 @@ class WallFacets:
         By Moeller and Trumbore (1997). `within`: numbers of the triangles to search.
         """
         index = self.near(np.array([start, end]), within)
-        first, second = (self.corners[index, k] - self.corners[index, 0] for k in (1, 2))
+        first = self.corners[index, 1] - self.corners[index, 0]
+        second = self.corners[index, 2] - self.corners[index, 0]
         along = end - start
         offset = start - self.corners[index, 0]
         across = np.cross(along, second)
@@ -130,7 +327,13 @@ class WallFacets:
             turned = np.cross(offset, first)
             v = scale * (turned @ along)
             share = scale * np.sum(second * turned, axis=1)
-            inside = (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1.0 + EDGE) & (share >= 0.0) & (share <= 1.0)
+            inside = (
+                (u >= -EDGE_TOLERANCE)
+                & (v >= -EDGE_TOLERANCE)
+                & (u + v <= 1.0 + EDGE_TOLERANCE)
+                & (share >= 0.0)
+                & (share <= 1.0)
+            )
         if not inside.any():
             return None
         best = int(np.flatnonzero(inside)[share[inside].argmin()])
@@ -173,9 +376,11 @@ class WallFacets:
         down = gravity / strength
         along = float(velocity @ down)
         fallen = np.sqrt(max(along**2 + 2.0 * strength * float((point - start) @ down), 0.0))
-        normal = np.cross(*(self.corners[facet, k] - self.corners[facet, 0] for k in (1, 2)))
+        origin, first, second = self.corners[facet]
+        normal = np.cross(first - origin, second - origin)
         rising = along < 0.0 and float((point - start) @ down) < 0.0
-        reached = velocity + ((-fallen if rising else fallen) - along) * down
+        reached_down = -fallen if rising else fallen
+        reached = velocity + (reached_down - along) * down
         return Hit(int(self.wall[facet]), point, reached, normal / np.linalg.norm(normal))
 
     def lowest(self, wall: int, up: np.ndarray) -> float:
@@ -209,14 +414,18 @@ class WallFacets:
         return found, outward
 
 
+# Paths over the walls.
+
 STEEP = 0.2
 """Cosine of the slope of walls on which particles do not slide: they fall further beside the wall."""
-ROUNDS = 4
+FALLS_PER_WALL = 4
 """Falls of a path per wall."""
-EPSILON = 1e-6
+HEIGHT_TOLERANCE = 1e-6
 """Relative tolerance of heights: a fall ends behind a floor at the lowest level."""
-MORE = 1.01
+REVISIT_RATIO = 1.01
 """Ratio of squared velocities from which a further visit of a wall is followed."""
+SAMPLES = 64
+"""Number of particles of a group whose paths are computed."""
 
 
 @dataclass(frozen=True)
@@ -231,6 +440,48 @@ class Path:
     value: float
     walls: tuple[str, ...] = ()
     falls: bool = False
+
+
+def _path_words(name: str, path: Path) -> str:
+    """Words for the fall of a group along a path."""
+    places = [f"walls.{each}" for each in dict.fromkeys(path.walls)]
+    if path.falls:
+        places.append("the lowest level")
+    *over, end = places or [""]
+    text = f"a fall of particles.{name}"
+    if over:
+        text += f" over {', '.join(over)}"
+    if end:
+        text += f" to {end}"
+    return text
+
+
+def _start_points(group: Group, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) [m] at which particles of a group start, in regions at the greatest height, and
+    velocities."""
+    region = region_of(group)
+    if region is None:
+        assert isinstance(group.insert, PositionsInsertion)
+        points = np.array(group.insert.positions, float)
+        velocities = np.broadcast_to(np.asarray(group.velocity, float), points.shape)
+        some = np.argsort(-(points @ up), kind="stable")[:SAMPLES]
+        return points[some], velocities[some]
+    radius = min(0.5 * outer_diameter_range(group)[0], region.radius_max)
+    points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
+    top = highest_point(group, up)
+    assert top is not None
+    points = points + np.outer(top - points @ up, up)
+    return points, np.broadcast_to(np.asarray(group.velocity, float), points.shape)
+
+
+def _space(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,) [m] of the space in which particles exist: the domain, infinite along axes without an
+    end."""
+    low = np.array(scene.domain.min)
+    high = np.array(scene.domain.max)
+    margin = 1e-9 * (high - low)
+    is_open = np.full(3, scene.domain.on_exit == "expand") | np.isin(list(AXES), list(scene.domain.periodic))
+    return np.where(is_open, -np.inf, low - margin), np.where(is_open, np.inf, high + margin)
 
 
 @dataclass(frozen=True)
@@ -275,7 +526,7 @@ class FallingParticles:
         starts = [_Start(*both, ()) for both in zip(points, velocities, strict=True)]
         best = Path(0.0)
         visited = np.full(len(self.facets.walls), -1.0)
-        for _ in range(ROUNDS * len(visited) + 1):
+        for _ in range(FALLS_PER_WALL * len(visited) + 1):
             following: list[_Start] = []
             for start in starts:
                 if self._largest(start) > best.value:
@@ -301,7 +552,9 @@ class FallingParticles:
     def _fall(self, start: _Start, visited: np.ndarray) -> tuple[Path, list[_Start]]:
         """The fastest impact of one fall and the slide after it, and the starts of further falls."""
         height = self._height(start)
-        hit = self.facets.first_hit(start.point, start.velocity, self.gravity, (1.0 + EPSILON) * height)
+        hit = self.facets.first_hit(
+            start.point, start.velocity, self.gravity, (1.0 + HEIGHT_TOLERANCE) * height
+        )
         if hit is None:
             value = float(start.velocity @ start.velocity) + 2.0 * self.strength * height
             return Path(value, start.walls, falls=True), []
@@ -321,7 +574,7 @@ class FallingParticles:
         slid = max(float(hit.point @ self.up) - end, 0.0)
         value = float(tangential @ tangential) + 2.0 * self.strength * slid
         value = max(value, self.belts[hit.wall] ** 2)
-        if value <= MORE * visited[hit.wall]:
+        if value <= REVISIT_RATIO * visited[hit.wall]:
             return value, []
         visited[hit.wall] = value
         return value, self._over_edges(hit.wall, value, walls)
@@ -336,228 +589,3 @@ class FallingParticles:
                 speeds = sorted({0.0, float(np.sqrt(value))})
                 starts += [_Start(point + self.radius * outward, speed * outward, walls) for speed in speeds]
         return starts
-
-
-# Impact velocity of the forecasts: a fall from where particles start, instead of through the whole domain.
-#
-# The time step keeps the velocity of `max_impact_velocity`, which covers runs that lift particles.
-
-PARALLEL = 1e-6
-"""Largest deviation of the normal of a plane from the vertical for a floor: on a steeper one, particles slide
-on."""
-SLOW = 0.1
-"""Given velocity over that of a fall below which a unit is probably wrong."""
-SAMPLES = 64
-"""Number of particles of a group whose paths are computed."""
-
-
-def forecast_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
-    """Largest impact velocity if each particle starts at its insertion and falls to the lowest wall.
-
-        v = max sqrt(max(v0, u)^2 + 2 |g| h) + u,      at most the planned velocity
-
-    v0: initial speed, h: drop height of a group, u: largest speed of belts, at which particles may fall from
-    them. That of the plan if the drop heights are not known, see `_drop_heights`.
-    """
-    planned = plan.impact_velocity
-    heights = _drop_heights(scene, plan)
-    if not heights:
-        return planned
-    magnitude = float(np.linalg.norm(plan.gravity))
-    belt = _belt_speed(plan.walls)
-    speeds = {name: max(speed, belt) for name, speed in initial_speeds(scene.particles).items()}
-    fastest = max(heights, key=lambda name: speeds[name] ** 2 + 2.0 * magnitude * heights[name])
-    value = sqrt(speeds[fastest] ** 2 + 2.0 * magnitude * heights[fastest])
-    initial = f" with an initial speed of {speeds[fastest]:.3g} m/s" if speeds[fastest] else ""
-    return _at_most(
-        planned, value, plan, f"a fall of particles.{fastest} by {heights[fastest]:.3g} m{initial}"
-    )
-
-
-def path_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
-    """As `forecast_velocity`, but particles fall onto the first wall below, and slide over its edges onto the
-    next.
-
-    Walls that are present during the whole run stop a fall. See `paths` for the velocities.
-    """
-    simple = forecast_velocity(scene, plan)
-    heights = _drop_heights(scene, plan)
-    if not heights or any(scene.particles[name].thermal is not None for name in heights):
-        return simple
-    gravity = np.array(plan.gravity, float)
-    up = -gravity / np.linalg.norm(gravity)
-    low = lowest_level(scene, plan.walls, up)
-    assert low is not None
-    walls = [wall for wall in plan.walls if wall.is_permanent]
-    bounds = _bounds(scene)
-    facets = WallFacets(walls, np.array(scene.domain.min), np.array(scene.domain.max))
-    falling = FallingParticles(
-        facets, gravity, low, plan.radius_min, [_belt_speed([wall]) for wall in walls], bounds
-    )
-    paths = {name: falling.fastest(*_starts(scene.particles[name], up)) for name in heights}
-    name = max(paths, key=lambda each: paths[each].value)
-    return _at_most(simple, sqrt(paths[name].value), plan, _path_words(name, paths[name]))
-
-
-def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
-    """A sentence on a given `run.velocity_max` that is far below the velocity after the fall of inserted
-    particles.
-
-    Particles of a packing fall less, and damped ones more slowly: SLOW times the velocity is the limit, and
-    damping excludes the warning.
-    """
-    given = scene.run.velocity_max
-    if given is None or scene.damping or image_speed(scene.domain) or not np.any(plan.gravity):
-        return
-    magnitude = float(np.linalg.norm(plan.gravity))
-    regions = (LatticeInsertion, PackInsertion, RainInsertion, InletInsertion)
-    heights = _heights(scene, plan, -np.array(plan.gravity) / magnitude)
-    heights = {
-        name: each for name, each in heights.items() if isinstance(scene.particles[name].insert, regions)
-    }
-    if not heights:
-        return
-    name = max(heights, key=lambda each: heights[each])
-    fall = sqrt(2.0 * magnitude * heights[name])
-    if given < SLOW * fall:
-        yield (
-            f"run.velocity_max ({scene.where('run', 'velocity_max')}) is {given:.3g} m/s, but "
-            f"particles.{name} can fall {heights[name]:.3g} m and reach {fall:.3g} m/s: time step and "
-            f"forecasts are those of slower impacts. Check the unit, or set it to {fall:.2g} m/s."
-        )
-
-
-def _drop_heights(scene: Scene, plan: Plan) -> dict[str, float]:
-    """Height [m] of the highest particle of each group above the lowest level, by name; empty if it is not
-    known.
-
-    It is not known if `run.velocity_max` is given, without gravity, if walls or images move or belts go up,
-    which lift or accelerate particles, or if the region of a group is not known.
-    """
-    if scene.run.velocity_max is not None or image_speed(scene.domain) or not np.any(plan.gravity):
-        return {}
-    up = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
-    if any(not _is_level_belt(each, up) for wall in plan.walls for each in wall.motions):
-        return {}
-    return _heights(scene, plan, up)
-
-
-def _heights(scene: Scene, plan: Plan, up: np.ndarray) -> dict[str, float]:
-    """As `_drop_heights`; empty if the region of a group or the lowest level is not known."""
-    low = lowest_level(scene, plan.walls, up)
-    groups = {name: group for name, group in scene.particles.items() if not group.fixed}
-    tops = {name: highest_point(group, up) for name, group in groups.items()}
-    if low is None or any(top is None for top in tops.values()):
-        return {}
-    return {name: max(top - low, 0.0) for name, top in tops.items() if top is not None}
-
-
-def _is_level_belt(motion: PlannedMotion, up: np.ndarray) -> bool:
-    """Whether a motion is the surface velocity of a belt that does not go up."""
-    if not isinstance(motion.given, SurfaceVelocity):
-        return False
-    velocities = np.array([motion.given.velocity, motion.given.initial_velocity])
-    return bool(np.all(velocities @ up <= PARALLEL * np.linalg.norm(velocities, axis=1)))
-
-
-def _belt_speed(walls: Iterable[PlannedWall]) -> float:
-    """Largest surface speed [m/s] of walls whose motions are those of belts."""
-    speeds = (
-        sum(top_speed(each.given) for each in wall.motions if isinstance(each.given, SurfaceVelocity))
-        for wall in walls
-    )
-    return max(speeds, default=0.0)
-
-
-def _at_most(limit: ImpactVelocity, value: float, plan: Plan, words: str) -> ImpactVelocity:
-    """The smaller one of an impact velocity and of `value` [m/s], against the fastest belt, estimated from
-    `words`."""
-    belt = _belt_speed(plan.walls)
-    if not 0.0 < value + belt < limit.value:
-        return limit
-    against = f" against the fastest wall ({belt:.3g} m/s)" if belt else ""
-    return ImpactVelocity(value + belt, f"estimated from {words}{against}")
-
-
-def _path_words(name: str, path: Path) -> str:
-    """Words for the fall of a group along a path."""
-    *over, last = (f"walls.{each}" for each in dict.fromkeys(path.walls)) if path.walls else ("",)
-    if path.falls:
-        over = [*over, last]
-        last = "the lowest level"
-    end = f" to {last}" if last else ""
-    return f"a fall of particles.{name}{' over ' if any(over) else ''}{', '.join(filter(None, over))}{end}"
-
-
-def _bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (3,) [m] of the space in which particles exist: the domain, infinite along axes without an
-    end."""
-    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
-    margin = 1e-9 * (high - low)
-    is_open = np.full(3, scene.domain.on_exit == "expand") | np.isin(list(AXES), list(scene.domain.periodic))
-    return np.where(is_open, -np.inf, low - margin), np.where(is_open, np.inf, high + margin)
-
-
-def _starts(group: Group, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) [m] at which particles of a group start, in regions at the greatest height, and
-    velocities."""
-    region = region_of(group)
-    if region is None:
-        assert isinstance(group.insert, PositionsInsertion)
-        points = np.array(group.insert.positions, float)
-        velocities = np.broadcast_to(np.asarray(group.velocity, float), points.shape)
-        some = np.argsort(-(points @ up), kind="stable")[:SAMPLES]
-        return points[some], velocities[some]
-    radius = min(0.5 * outer_diameter_range(group)[0], region.radius_max)
-    points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
-    top = highest_point(group, up)
-    assert top is not None
-    points = points + np.outer(top - points @ up, up)
-    return points, np.broadcast_to(np.asarray(group.velocity, float), points.shape)
-
-
-def highest_point(group: Group, up: np.ndarray) -> float | None:
-    """Largest height [m] along `up` (3,) at which particles of a group start; None if it is not known."""
-    if isinstance(group.insert, PositionsInsertion):
-        return float((np.array(group.insert.positions) @ up).max())
-    region = region_of(group)
-    if isinstance(region, BoxSampler):
-        return float(np.maximum(region.low * up, region.high * up).sum())
-    if isinstance(region, CylinderSampler):
-        along = float(region.frame[2] @ up)
-        base = float(region.start @ up) + max(along * region.length, 0.0)
-        return base + region.radius * sqrt(max(1.0 - along**2, 0.0))
-    if isinstance(region, SlabSampler):
-        local = region.frame @ up
-        return float(region.corner @ up + np.maximum(region.box.high * local, 0.0).sum())
-    return None
-
-
-def lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) -> float | None:
-    """Smallest height [m] along `up` (3,) at which particles hit a wall or another particle; None if not
-    known.
-
-    The highest permanent plane across `up`, otherwise the lowest point of the walls, or the end of the domain
-    if it is higher or there are no walls. Not known along a periodic axis, or without walls in a domain that
-    expands.
-    """
-    domain = scene.domain
-    if any(abs(up[AXES.index(axis)]) > PARALLEL for axis in domain.periodic):
-        return None
-    end = min(float(np.array(corner) @ up) for corner in product(*zip(domain.min, domain.max, strict=True)))
-    floors: list[float] = []
-    lowest: list[float] = []
-    for wall in walls:
-        given = scene.walls[wall.name]
-        if isinstance(given, Plane):
-            normal = np.array(given.normal) / np.linalg.norm(given.normal)
-            is_floor = float(normal @ up) > 1.0 - PARALLEL and wall.is_permanent
-            (floors if is_floor else lowest).append(float(np.array(given.point) @ up) if is_floor else end)
-        else:
-            points = triangles(wall.shape, np.zeros(3), 0.0)[0]
-            lowest.append(float((points @ up).min()))
-    if floors:
-        return max(*floors, end)
-    if domain.on_exit == "expand":
-        return min(lowest, default=None)
-    return max(min(lowest, default=end), end)

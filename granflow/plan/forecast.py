@@ -1,4 +1,10 @@
-"""Forecast."""
+"""Forecasts of a plan: the overlaps to expect, and probable mistakes that end a run or make it pointless.
+
+`forecasts_of` lists all forecasts that need no particles; `granflow explain` shows them, and `granflow
+check` and a run show their warnings. Each warning is a function that yields one sentence with the position
+of the key and a remedy. Velocities of impacts are in `falls`, overlaps in `overlaps`, checks of the initial
+particles in `initial_overlaps`.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
@@ -47,87 +53,58 @@ from granflow.scene.blocks.particles import (
 from granflow.scene.blocks.shapes import Axial, Rectangular
 from granflow.scene.blocks.walls import Servo, Translation, Vibration, Wall
 
-SAME = 1e-6
-"""Distance and difference of radii, over the radius, below which spheres are equal, or a gap below which they
-touch."""
-COMMON_OVERLAP = 0.1
-"""Overlap over the smaller radius of the position that closes a gap."""
+
+def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
+    """All forecasts that need no particles; `plan`: that of the scene, without forecasts."""
+    overlaps = list(_overlap_forecasts(scene, plan))
+    yield from overlaps
+    yield from vibration_forecasts(scene)
+    for sentence in _warnings(scene, plan, overlaps):
+        yield Forecast("", "", sentence, sentence)
 
 
-def clump_warnings(scene: Scene) -> Iterator[str]:
-    """A sentence for each clump with a sphere that occurs twice, and for each whose spheres are not
-    connected.
-
-    The forces on a sphere that occurs twice count twice, and volume and inertia once.
-    """
-    for name, group in scene.particles.items():
-        if group.clump is not None:
-            yield from _repeated(scene, name, group.clump)
-            yield from _clump_gaps(scene, name, group.clump)
-
-
-def _repeated(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
-    """A sentence on the first sphere that equals an earlier one, with the number of further ones."""
-    centers, radii, distance = _spheres(clump)
-    scale = SAME * np.minimum.outer(radii, radii)
-    equal = (distance <= scale) & (np.abs(np.subtract.outer(radii, radii)) <= scale)
-    repeated = [k for k in range(len(radii)) if equal[k, :k].any()]
-    if repeated:
-        index = repeated[0]
-        first = int(equal[index].argmax())
-        more = f" ({len(repeated) - 1} more of its spheres are repeated)" if len(repeated) > 1 else ""
-        yield (
-            f"{_key(scene, name, index)} is {_center(centers[index])} m with the radius {radii[index]:.4g} "
-            f"m, the same sphere as spheres.{first}{more}: its contacts count twice. Remove it, or give it "
-            f"another position such as {_center(centers[index] + [radii[index], 0.0, 0.0])} m."
-        )
+def _overlap_forecasts(scene: Scene, plan: Plan) -> Iterator[Forecast]:
+    """The largest overlap for each cause that occurs."""
+    pairs = list(touching_pairs(plan))
+    supported = list(supported_pairs(scene, plan))
+    hitting = [*pairs, *(pair for pair, _weight in supported)]
+    expected = forecast_velocity(scene, plan)
+    impact = impact_forecast(plan, hitting, expected.value, expected.source)
+    if impact is not None and impact.warning is not None:  # the paths over the walls take time
+        expected = path_velocity(scene, plan)
+        impact = impact_forecast(plan, hitting, expected.value, expected.source)
+    if impact is not None:
+        yield impact
+    yield from static_forecasts(plan, pairs, bed_pressures(scene, plan))
+    below = supported_forecast(plan, supported)
+    if below is not None:
+        yield below
 
 
-def _clump_gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
-    """A sentence on the narrowest gap between the spheres that are connected with the first one and the
-    others."""
-    from scipy.sparse.csgraph import connected_components  # imported here: most scenes have no clump
-
-    centers, radii, distance = _spheres(clump)
-    gap = distance - np.add.outer(radii, radii)
-    count, part = connected_components(gap <= SAME * np.minimum.outer(radii, radii))
-    if count == 1:
-        return
-    of_first = part == part[0]
-    gap[~np.outer(of_first, ~of_first)] = np.inf
-    near, far = (int(each) for each in np.unravel_index(gap.argmin(), gap.shape))
-    reach = radii[near] + radii[far] - COMMON_OVERLAP * min(radii[near], radii[far])
-    closed = centers[near] + (centers[far] - centers[near]) * (reach / distance[near, far])
-    others = ", with the spheres connected with it," if (part == part[far]).sum() > 1 else ""
-    yield (
-        f"{_key(scene, name, far)} is {_center(centers[far])} m, {gap[near, far]:.3g} m away from the "
-        f"surface of spheres.{near}, which is the nearest one of the others: the spheres of this clump form "
-        f"{count} separate bodies that move as one. Move it{others} to a position such as {_center(closed)} "
-        "m, which closes the gap, or give the bodies groups of their own."
-    )
+def _warnings(scene: Scene, plan: Plan, overlaps: Sequence[Forecast]) -> Iterator[str]:
+    """The sentences on probable mistakes; `overlaps`: those to expect."""
+    times = nominal_times(plan.stages)
+    static = max((each.overlap for each in overlaps if each.cause != "impact"), default=0.0)
+    impact = max((each.overlap for each in overlaps if each.cause == "impact"), default=0.0)
+    yield from file_warnings(scene.particles, static, impact)
+    yield from size_warnings(scene)
+    yield from clump_warnings(scene)
+    yield from wall_warnings(scene, plan.walls, times)
+    yield from coincidence_warnings(scene, plan.walls)
+    yield from region_warnings(scene, plan, times)
+    yield from servo_warnings(scene, plan, times)
+    yield from insertion_warnings(scene, plan, times)
+    yield from flow_warnings(scene, plan)
+    yield from interval_warnings(scene, times)
+    yield from unit_warnings(scene)
+    yield from velocity_warnings(scene, plan)
 
 
-def _spheres(clump: Clump) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centers (k, 3) [m], radii (k,) [m], and distances (k, k) [m] of the centers."""
-    centers = np.array([each.position for each in clump.spheres])
-    radii = np.array([s.radius for s in clump.spheres])
-    return centers, radii, np.linalg.norm(centers[:, None] - centers[None], axis=2)
-
-
-def _key(scene: Scene, name: str, index: int) -> str:
-    """Key and place of the position of a sphere."""
-    path = ("particles", name, "clump", "spheres", index, "position")
-    return f"{'.'.join(map(str, path))} ({scene.where(*path)})"
-
-
-def _center(values: np.ndarray) -> str:
-    """Coordinates in the form of the scene."""
-    return "[" + ", ".join(f"{each + 0.0:.4g}" for each in values) + "]"
-
+# Particles from files that overlap by more than loading and impacts explain.
 
 OVERLAP_TOLERANCE = 1.5
 """Overlap of a file over the forecast one above which a warning appears."""
-ROUNDING = 1e-3
+FILE_ROUNDING = 1e-3
 """Overlap over the radius that is never reported: positions in VTU files resolve 1e-4 of the smallest
 radius."""
 
@@ -145,7 +122,7 @@ def file_warnings(particles: Mapping[str, Group], static: float, impact: float) 
             continue
         found = insertion.found
         explained = max(static, impact) if found.speed_max > 0.0 else static
-        if found.overlap_max > max(OVERLAP_TOLERANCE * explained, ROUNDING):
+        if found.overlap_max > max(OVERLAP_TOLERANCE * explained, FILE_ROUNDING):
             reason = (
                 f"loading and impacts explain {explained:.3g}" if explained > 0.0 else "no force explains it"
             )
@@ -156,377 +133,7 @@ def file_warnings(particles: Mapping[str, Group], static: float, impact: float) 
             )
 
 
-DENSEST_FLOW = 0.45
-"""Solid fraction that the flow out of an inlet does not exceed.
-
-Random sequential packings reach 0.38. Free fall from a disc of 10 diameters has 0.40, from one of 1.5
-diameters 0.25.
-"""
-COUNT_TOLERANCE = 0.01
-"""Fraction of the count that may be missing without a warning: the mean mass of particles is a sample."""
-ALONG_FACE = 1e-3
-"""Component along the normal over the magnitude below which a vector is parallel to a face: decimals are
-rounded."""
-
-
-def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
-    """A sentence for each rain or inlet whose rate cannot insert all particles before the end of the run.
-
-    The run takes its longest duration. Space is not considered: a full region delays particles further.
-    """
-    end = max(end for _, end in times.values())
-    for name, group in scene.particles.items():
-        insertion = group.insert
-        if not isinstance(insertion, RainInsertion | InletInsertion):
-            continue
-        interval = _interval(plan, group, insertion)
-        inserted = 0.0 if insertion.start > end else (end - insertion.start) / interval + 1.0
-        if inserted < (1.0 - COUNT_TOLERANCE) * group.count:
-            key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
-            flow = "rate" if insertion.rate else "mass_flow"
-            yield (
-                f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s "
-                f"from {insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about "
-                f"{inserted:.3g} of them. Raise {flow} or the duration."
-            )
-
-
-def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
-    """A sentence for each inlet through which, or rain from whose region, fewer particles than required can
-    flow."""
-    for name, group in scene.particles.items():
-        insertion = group.insert
-        if not isinstance(insertion, RainInsertion | InletInsertion):
-            continue
-        interval = _interval(plan, group, insertion)
-        if isinstance(insertion, InletInsertion) and (sentence := _direction(scene, plan, name, insertion)):
-            yield sentence
-            continue
-        largest, held = _largest_flow(scene, group, insertion, interval)
-        key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
-        if isinstance(insertion, InletInsertion):
-            is_small = True
-            place = "face"
-            also = ""
-        else:
-            is_small = group.count * (1.0 - interval * largest) > held
-            place = "region"
-            also = f", which holds {held:.2g}"
-        if is_small and 1.0 / interval > largest > 0.0:
-            yield (
-                f"{key}: {1.0 / interval:.3g} particles per second are required, but at most about "
-                f"{largest:.2g} leave the {place} in a second{also}; the others are queued. Enlarge the "
-                f"{place}, raise particles.{name}.velocity, or lower the "
-                f"{'rate' if insertion.rate else 'mass_flow'}."
-            )
-        elif is_small and not largest and place == "region" and _stays(plan, group):
-            yield (
-                f"{key}: {group.count} particles are required, but the region holds at most about "
-                f"{held:.2g}, and neither gravity nor particles.{name}.velocity moves them out; the others "
-                "are queued. Enlarge the region, or lower the count."
-            )
-
-
-def _direction(scene: Scene, plan: Plan, name: str, insertion: InletInsertion) -> str:
-    """A sentence on an inlet that new particles leave backward or not at all; empty if they move into the
-    scene.
-
-    The velocity decides, and gravity if the velocity has no component along the normal. The proposed velocity
-    is the given one with the opposite component, or with the smallest one that is sufficient for the rate.
-    """
-    group = scene.particles[name]
-    velocity = np.array(group.velocity, float)
-    gravity = np.array(scene.gravity, float)
-    region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.zeros(3), 0.0)
-    normal, _, area, _ = _face(region, velocity)
-    through = _through(velocity, normal)
-    along = _through(gravity, normal)
-    if through > 0.0 or (through == 0.0 and along > 0.0):
-        return ""
-    is_still = not velocity.any()
-    if along == 0.0 and through == 0.0 and group.thermal is not None:
-        return ""
-    if is_still and along == 0.0 and (gravity.any() or not _stays(plan, group)):
-        return ""
-    needed = mean_volume(group) / (_interval(plan, group, insertion) * DENSEST_FLOW * area)
-    speed = float(f"{1.5 * needed:.1g}") if through == 0.0 else -2.0 * float(velocity @ normal)
-    if through < 0.0:
-        fault = "points against it, so that they leave backward through the face"
-    elif along < 0.0:
-        fault = "has no component along it, so that gravity moves them backward through the face"
-    else:
-        fault = "has no component along it, so that they do not leave the face along its normal"
-    given = (
-        f"particles.{name}.velocity ({scene.where('particles', name, 'velocity')}) is {_velocity(velocity)} "
-        "m/s"
-    )
-    reverse = "reverse face.disc.normal"
-    if not isinstance(insertion.face, DiscFace):
-        reverse = "exchange the two sides of face.rectangle"
-    return (
-        f"{given}, but particles enter through the face of the inlet along {_velocity(normal)}: the velocity "
-        f"{fault}. Give a velocity such as {_velocity(velocity + speed * normal)} m/s"
-        f"{f', or {reverse}' if through < 0.0 or along < 0.0 else ''}."
-    )
-
-
-def _through(vector: np.ndarray, normal: np.ndarray) -> float:
-    """Component of a vector along a normal; 0 for a vector that is parallel to the face within rounding."""
-    component = float(vector @ normal)
-    return 0.0 if abs(component) <= ALONG_FACE * float(np.linalg.norm(vector)) else component
-
-
-def _velocity(values: np.ndarray) -> str:
-    """Three numbers in the form of the scene."""
-    return "[" + ", ".join(f"{each + 0.0:.3g}" for each in np.round(values, 12)) + "]"
-
-
-def _stays(plan: Plan, group: Group) -> bool:
-    """Whether neither walls nor a granular temperature move new particles without gravity and velocity."""
-    return group.thermal is None and not any(wall.motions for wall in plan.walls)
-
-
-def _largest_flow(
-    scene: Scene, group: Group, insertion: RainInsertion | InletInsertion, interval: float
-) -> tuple[float, float]:
-    """Upper bounds of the particles per second that leave the region of an insertion, and of those in the
-    region.
-
-        rate = phi (A v_n + W h v_t) / V,     v_n^2 = v0_n^2 + 2 g_n h,     v_t^2 = v0_t^2 + 2 g_t W
-
-    A, W: area and width of a face; h: depth of the region; n, t: along the normal of the face and across it;
-    phi:
-    DENSEST_FLOW; V: mean volume of a particle, of a clump that of the sphere around it. Particles leave an
-    inlet along the normal only, the region of rain at both ends. 0 if particles neither start with a velocity
-    nor fall: walls can carry them away. `interval` [s]: mean time between particles.
-    """
-    velocity = np.array(group.velocity, float)
-    gravity = np.array(scene.gravity, float)
-    gathered = ceil(group.count / MAX_BATCHES) * interval
-    region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], velocity, gathered)
-    normal, depth, area, width = _face(region, gravity if gravity.any() else velocity)
-    ends = (velocity @ normal, gravity @ normal)
-    initial, falling = (
-        map(abs, ends) if isinstance(insertion, RainInsertion) else (max(each, 0.0) for each in ends)
-    )
-    along = sqrt(initial**2 + 2.0 * falling * depth)
-    slide = float(np.linalg.norm(gravity - (gravity @ normal) * normal))
-    across = sqrt(float(np.sum((velocity - (velocity @ normal) * normal) ** 2)) + 2.0 * slide * width)
-    volume = (
-        mean_volume(group) if group.clump is None else sphere_volume(0.5 * outer_diameter_range(group)[1])
-    )
-    flow = area * along + width * depth * across
-    held = region.volume
-    return DENSEST_FLOW * float(flow) / volume, DENSEST_FLOW * held / volume
-
-
-def _face(region: RegionSampler, direction: np.ndarray) -> tuple[np.ndarray, float, float, float]:
-    """Normal (3,), depth [m] behind it, area [m2] and width [m] of a face of a region.
-
-    Of a box with edges along the coordinate axes, the face that `direction` (3,) crosses most steeply.
-    """
-    if isinstance(region, CylinderSampler):
-        return region.frame[2], region.length, pi * region.radius**2, 2.0 * region.radius
-    if isinstance(region, SlabSampler):
-        axis = 2
-        normal = region.frame[2]
-        size = region.box.high
-    else:
-        assert isinstance(region, BoxSampler)
-        axis = int(np.argmax(np.abs(direction)))
-        size = region.high - region.low
-        normal = np.eye(3)[axis]
-    sides = np.delete(size, axis)
-    return normal, float(size[axis]), float(np.prod(sides)), float(np.hypot(*sides))
-
-
-def _interval(plan: Plan, group: Group, insertion: RainInsertion | InletInsertion) -> float:
-    """Mean time [s] between two particles."""
-    if insertion.rate:
-        return 1.0 / insertion.rate
-    assert insertion.mass_flow is not None
-    return mean_volume(group) * plan.solids[group.material].density / insertion.mass_flow
-
-
-PERIOD_TOLERANCE = 0.01
-"""Largest relative deviation of an interval from an odd multiple of half a period."""
-FRAMES_PER_PERIOD = 8
-"""Number of frames per period that a message suggests."""
-COARSE = 0.25
-"""Interval over the period above which frames do not resolve a vibration."""
-
-
-def interval_warnings(scene: Scene, times: StageTimes) -> Iterator[str]:
-    """A sentence on an output interval above the duration of the run."""
-    longest = max(end for _, end in times.values())
-    if scene.output.interval > longest:
-        yield (
-            f"output.interval ({scene.where('output', 'interval')}) is {scene.output.interval:g} s, but the "
-            f"run lasts at most {longest:g} s: only the first and the last state are written. Choose a "
-            "shorter interval."
-        )
-
-
-def vibration_forecasts(scene: Scene) -> Iterator[Forecast]:
-    """Frames per period of each vibration with less than four, and warnings on stroboscopic intervals.
-
-        interval = (n + 1/2) T within 1 %:     sin(w t + phase) has the values +- sin(phase) only
-
-    With the default phase of 0, the wall is at the same position in all frames. Multiples of the whole period
-    are often intended, because they show the slow motion of a bed.
-    """
-    for period, name in _periods(scene).items():
-        wall = f"walls.{name}.motion ({scene.where('walls', name, 'motion')})"
-        for output, interval in _intervals(scene):
-            ratio = interval / period
-            if ratio <= COARSE * (1.0 + PERIOD_TOLERANCE):
-                continue
-            odd = (
-                round(2.0 * ratio) % 2 == 1
-                and abs(2.0 * ratio / round(2.0 * ratio) - 1.0) <= PERIOD_TOLERANCE
-            )
-            warning = (
-                f"{'.'.join(output)} ({scene.where(*output)}) is {interval:.4g} s, "
-                f"{0.5 * round(2.0 * ratio):g} times the period {period:.4g} s of {wall}: the output shows "
-                "this motion at two opposite phases only, which can be the same position of the wall. Set "
-                f"the interval to {period / FRAMES_PER_PERIOD:.3g} s or less, {FRAMES_PER_PERIOD} times per "
-                f"period, or to {period:.4g} s for one fixed phase."
-            )
-            remark = f"{'.'.join(output)}, of the period {period:.4g} s of {wall}"
-            yield Forecast(
-                "vibration in the output", f"{1.0 / ratio:.3g} per period", remark, warning if odd else None
-            )
-
-
-def _periods(scene: Scene) -> dict[float, str]:
-    """Each period [s] of the vibrations, with the name of the first wall."""
-    found: dict[float, str] = {}
-    for name, wall in scene.walls.items():
-        for motion in wall.motion:
-            if isinstance(motion, Vibration):
-                amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)
-                if amplitude and rate:
-                    found.setdefault(2.0 * pi / rate, name)
-    return found
-
-
-def _intervals(scene: Scene) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Paths of the keys of the output intervals, and the intervals [s]; those that are not given are
-    `interval`."""
-    yield ("output", "interval"), scene.output.interval
-    if scene.is_given("output", "timeseries_interval"):
-        yield ("output", "timeseries_interval"), scene.output.timeseries_interval
-    for name, grid in scene.output.fields.items():
-        if grid.interval is not None:
-            yield ("output", "fields", name, "interval"), grid.interval
-
-
-LOOSEST = 0.45
-"""Smallest solid fraction of a bed of clumps or of cohesive particles at rest."""
-LOOSE = 0.55
-"""Solid fraction of a random loose packing of spheres, without the last layer."""
-SAMPLES_ALONG = 400
-"""Points along the path of a servo at which its distance from other walls is computed."""
-PARALLEL = 1e-6
-"""Largest deviation of the direction of a servo from that of gravity, as the cosine of their angle."""
-MARGIN = 1.2
-"""Recommended over required velocity."""
-
-
-def servo_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
-    """A sentence for the first servo of each wall, if its travel is shorter than its distance from the bed.
-
-        v t < L - V / (phi A) - d,     v = min(v_max, gain F)
-
-    v: velocity of a servo without contacts; t: time of its motion; L: distance along its direction to the
-    next wall or the end of the domain; V: volume of all particles, which fill at most the height V / (phi A)
-    above that wall with a loose solid fraction phi over the area A of the servo; d: largest diameter, of
-    particles on the surface of the bed. A bed beyond the edges of the servo is lower: the distance is a lower
-    bound. Servos across gravity can touch the side of a bed, and other motions before a servo move its wall:
-    neither has a forecast.
-    """
-    for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
-        motions = [each for each in plan.controlled_motions if each.name == name]
-        given = [each for each in scene.walls[name].motion if isinstance(each, Servo)]
-        area = area_of(plan.walls[motions[0].wall].shape)
-        if area is None or len(given) < len(scene.walls[name].motion):
-            continue
-        first = min(motions, key=lambda each: _span(given[each.motion], times)[0])
-        if not _is_along(plan.gravity, first):
-            continue
-        distance = _distance(scene, plan, first, area)
-        duration = _span(given[first.motion], times)[1]
-        velocity, limit = first.approach(first.force)
-        if velocity * duration < distance:
-            yield (
-                f"walls.{name}.motion ({first.source}): the servo moves at most {velocity * duration:.3g} m "
-                f"({velocity:.3g} m/s, {limit}, for {duration:.3g} s), but the bed is about {distance:.3g} m "
-                f"away: it does not reach {first.force:.3g} N. {_remedy(first, distance, duration)}"
-            )
-
-
-def _distance(scene: Scene, plan: Plan, motion: ControlledMotion, area: float) -> float:
-    """Distance [m] of a servo with an area [m2] from the bed."""
-    is_loose = plan.laws.cohesion is not None or any(
-        group.clump is not None for group in scene.particles.values()
-    )
-    height = solid_volume(scene.particles) / ((LOOSEST if is_loose else LOOSE) * area)
-    layer = max(outer_diameter_range(group)[1] for group in scene.particles.values())
-    return _free_path(plan.domain, plan.walls, motion) - height - layer
-
-
-def _is_along(gravity: Sequence[float], motion: ControlledMotion) -> bool:
-    """Whether a servo moves along gravity, or there is none."""
-    magnitude = float(np.linalg.norm(gravity))
-    return abs(float(np.dot(gravity, motion.direction))) >= (1.0 - PARALLEL) * magnitude
-
-
-def _remedy(motion: ControlledMotion, distance: float, duration: float) -> str:
-    """Instruction with which the servo moves by `distance` [m] in `duration` [s], by what limits the
-    velocity."""
-    needed = MARGIN * distance / duration
-    free = motion.gain * abs(motion.force)
-    parts = [f"set velocity_max to {needed:.2g} m/s or more"] if needed > motion.velocity_max else []
-    if needed > free:
-        target = abs(motion.force) * needed / free
-        parts.append(f"raise gain or the target (to {target:.2g} N at this gain)")
-    time = f"give it {MARGIN * distance / min(free, motion.velocity_max):.2g} s"
-    text = f"{' and '.join(parts)}, {time}, or start it closer to the bed"
-    if free < motion.velocity_max:
-        text += "; or approach by a translation, in a stage that ends at a force on the wall"
-    return f"{text[0].upper()}{text[1:]}."
-
-
-def _span(given: Servo, times: StageTimes) -> tuple[float, float]:
-    """Start [s] of a servo, and the time [s] in which it is active."""
-    end = max(end for _, end in times.values())
-    if given.stages is not None:
-        start = times[given.stages[0]][0]
-        return start, times[given.stages[-1]][1] - start
-    start = given.start or 0.0
-    return start, max(min(given.end if given.end is not None else inf, end) - start, 0.0)
-
-
-def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledMotion) -> float:
-    """Distance [m] from the center of a servo wall along its direction to the next wall or the end of the
-    domain."""
-    direction = np.array(motion.direction)
-    low, high = np.array(domain.min), np.array(domain.max)
-    center = triangles(walls[motion.wall].shape, 0.5 * (low + high), 0.0)[0].mean(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        exits = np.where(direction > 0.0, (high - center) / direction, (low - center) / direction)
-    length = float(np.min(exits[np.abs(direction) > 0.0], initial=np.inf))
-    if not np.isfinite(length) or length <= 0.0:
-        return 0.0
-    steps = np.linspace(0.0, length, SAMPLES_ALONG)
-    points = center + steps[:, None] * direction
-    spacing = length / (SAMPLES_ALONG - 1)
-    for index, wall in enumerate(walls):
-        if index != motion.wall:
-            near = np.flatnonzero(np.abs(distance_from(wall.shape, points, spacing)) <= spacing)
-            length = min(length, float(steps[near[0]])) if len(near) else length
-    return length
-
+# Walls and diameters that are far larger than the domain or an inlet: probably a wrong unit.
 
 LARGE_DIAMETER = 10.0
 """Diameter over the longest side of the domain above which a unit is probably wrong; large spheres serve as
@@ -563,19 +170,19 @@ def _oversizes(scene: Scene) -> Iterator[tuple[tuple[str, ...], str]]:
     for name, group in scene.particles.items():
         diameter = outer_diameter_range(group)[1]
         path = ("particles", name, "diameter")
-        width = _width(group.insert) if isinstance(group.insert, InletInsertion) else inf
+        width = _face_width(group.insert) if isinstance(group.insert, InletInsertion) else inf
         if diameter > width:
             face = f"larger than the face of the inlet, which is {width:.3g} m wide"
-            yield path, f"is {diameter:.3g} m, {face}. {_likely(diameter, width)}"
+            yield path, f"is {diameter:.3g} m, {face}. {_likely_unit(diameter, width)}"
         elif diameter > LARGE_DIAMETER * side and scene.domain.on_exit != "expand":
             yield (
                 path,
-                f"is {diameter:.3g} m, {diameter / side:.0f} times {domain}. {_likely(diameter, side)}",
+                f"is {diameter:.3g} m, {diameter / side:.0f} times {domain}. {_likely_unit(diameter, side)}",
             )
     for name, wall in scene.walls.items():
         if large := oversized(scene, name, wall):
             key, length = large
-            rest = f"is {length:.3g} m, {length / side:.0f} times {domain}. {_likely(length, side)}"
+            rest = f"is {length:.3g} m, {length / side:.0f} times {domain}. {_likely_unit(length, side)}"
             yield ("walls", name, key), rest
 
 
@@ -600,21 +207,157 @@ def _longest_side(scene: Scene) -> float:
     return max(high - low for low, high in zip(scene.domain.min, scene.domain.max, strict=True))
 
 
-def _width(insertion: InletInsertion) -> float:
+def _face_width(insertion: InletInsertion) -> float:
     """Diameter of the largest sphere that fits through the face of an inlet [m]."""
     face = insertion.face
-    return (
-        2.0 * face.disc.radius
-        if isinstance(face, DiscFace)
-        else min(hypot(*each) for each in face.rectangle.sides)
-    )
+    if isinstance(face, DiscFace):
+        return 2.0 * face.disc.radius
+    return min(hypot(*each) for each in face.rectangle.sides)
 
 
-def _likely(length: float, limit: float) -> str:
+def _likely_unit(length: float, limit: float) -> str:
     """Instruction for a length [m] above a limit [m]: the same number in mm, if that is below the limit."""
     if MILLI * length > limit:
         return "Check the units of both."
     return f"Check the unit: {length:.3g} mm is {MILLI * length:.3g} m."
+
+
+# Clumps with a sphere that occurs twice, or with a gap between their spheres.
+
+SAME_SPHERE = 1e-6
+"""Distance and difference of radii, over the radius, below which spheres are equal, or a gap below which they
+touch."""
+COMMON_OVERLAP = 0.1
+"""Overlap over the smaller radius of the position that closes a gap."""
+
+
+def clump_warnings(scene: Scene) -> Iterator[str]:
+    """A sentence for each clump with a sphere that occurs twice, and for each whose spheres are not
+    connected.
+
+    The forces on a sphere that occurs twice count twice, and volume and inertia once.
+    """
+    for name, group in scene.particles.items():
+        if group.clump is not None:
+            yield from _repeated_spheres(scene, name, group.clump)
+            yield from _clump_gaps(scene, name, group.clump)
+
+
+def _repeated_spheres(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
+    """A sentence on the first sphere that equals an earlier one, with the number of further ones."""
+    centers, radii, distance = _clump_spheres(clump)
+    scale = SAME_SPHERE * np.minimum.outer(radii, radii)
+    equal = (distance <= scale) & (np.abs(np.subtract.outer(radii, radii)) <= scale)
+    repeated = [k for k in range(len(radii)) if equal[k, :k].any()]
+    if repeated:
+        index = repeated[0]
+        first = int(equal[index].argmax())
+        beside = centers[index] + [radii[index], 0.0, 0.0]
+        more = f" ({len(repeated) - 1} more of its spheres are repeated)" if len(repeated) > 1 else ""
+        yield (
+            f"{_sphere_key(scene, name, index)} is {_position_text(centers[index])} m with the radius "
+            f"{radii[index]:.4g} m, the same sphere as spheres.{first}{more}: its contacts count twice. "
+            f"Remove it, or give it another position such as {_position_text(beside)} m."
+        )
+
+
+def _clump_gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
+    """A sentence on the narrowest gap between the spheres that are connected with the first one and the
+    others."""
+    from scipy.sparse.csgraph import connected_components  # imported here: most scenes have no clump
+
+    centers, radii, distance = _clump_spheres(clump)
+    gap = distance - np.add.outer(radii, radii)
+    count, part = connected_components(gap <= SAME_SPHERE * np.minimum.outer(radii, radii))
+    if count == 1:
+        return
+    of_first = part == part[0]
+    gap[~np.outer(of_first, ~of_first)] = np.inf
+    near, far = divmod(int(gap.argmin()), len(radii))
+    reach = radii[near] + radii[far] - COMMON_OVERLAP * min(radii[near], radii[far])
+    closed = centers[near] + (centers[far] - centers[near]) * (reach / distance[near, far])
+    others = ", with the spheres connected with it," if (part == part[far]).sum() > 1 else ""
+    yield (
+        f"{_sphere_key(scene, name, far)} is {_position_text(centers[far])} m, {gap[near, far]:.3g} m away "
+        f"from the surface of spheres.{near}, which is the nearest one of the others: the spheres of this "
+        f"clump form {count} separate bodies that move as one. Move it{others} to a position such as "
+        f"{_position_text(closed)} m, which closes the gap, or give the bodies groups of their own."
+    )
+
+
+def _clump_spheres(clump: Clump) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centers (k, 3) [m], radii (k,) [m], and distances (k, k) [m] of the centers."""
+    centers = np.array([each.position for each in clump.spheres])
+    radii = np.array([each.radius for each in clump.spheres])
+    return centers, radii, np.linalg.norm(centers[:, None] - centers[None], axis=2)
+
+
+def _sphere_key(scene: Scene, name: str, index: int) -> str:
+    """Key and place of the position of a sphere."""
+    path = ("particles", name, "clump", "spheres", index, "position")
+    return f"{'.'.join(map(str, path))} ({scene.where(*path)})"
+
+
+def _position_text(values: np.ndarray) -> str:
+    """Coordinates in the form of the scene."""
+    return "[" + ", ".join(f"{each + 0.0:.4g}" for each in values) + "]"
+
+
+# Walls that are far outside the domain, walls that leave it, and coincident walls.
+
+POINTS_PER_AXIS = 13
+"""Points along each axis of the domain at which the distance from a wall is computed."""
+SAME_CORNER = 1e-6
+"""Distance of corners over the size of a wall below which they are the same."""
+TIMES_OF_RUN = 40
+"""Times of the run at which the position of a moving wall is computed."""
+
+
+def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes) -> Iterator[str]:
+    """A sentence for each wall that no particle can touch, or that leaves the domain without an end of its
+    motion.
+
+    Domains that expand have no outside. Meshes outside the domain have notes of their own, and walls that are
+    much larger than the domain are reported by `size_warnings`.
+    """
+    if scene.domain.on_exit == "expand":
+        return
+    for wall in walls:
+        if oversized(scene, wall.name, scene.walls[wall.name]):
+            continue
+        endless = _is_endless(scene, wall)
+        if isinstance(wall.shape, Mesh) and not endless:
+            continue
+        if _wall_gaps(scene, wall, times, 1)[0] <= 0.0 and not endless:
+            continue
+        gap = _wall_gaps(scene, wall, times, TIMES_OF_RUN if wall.motions else 1)
+        if (gap > 0.0).all():
+            yield _outside_text(scene, wall, float(gap.min()))
+        elif gap[-1] > 0.0 and endless:
+            yield _leaving_text(scene, wall, times, gap)
+
+
+def _wall_gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -> np.ndarray:
+    """Lower bound of the gap [m] between the wall and the nearest particle in the domain, at `count` times of
+    the run.
+
+    The centers of particles are anywhere in the domain. Of points at a spacing h, one is within h sqrt(3)/2
+    of the nearest center. The first time is that at which the wall appears, the last one the end of the run.
+    """
+    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
+    axes = [np.linspace(*span, POINTS_PER_AXIS) for span in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1)))
+    reach += 0.5 * max(outer_diameter_range(group)[1] for group in scene.particles.values())
+    end = max(stage_end for _, stage_end in times.values())
+    poses = pose(
+        [each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count)
+    )
+    gaps = []
+    for offset, rotation in zip(poses.offset, poses.rotation, strict=True):
+        local = (points - poses.pivot - offset) @ rotation + poses.pivot
+        gaps.append(float(np.abs(distance_from(wall.shape, local, reach)).min()) - reach)
+    return np.array(gaps)
 
 
 def present_from(wall: PlannedWall, times: StageTimes) -> float:
@@ -622,6 +365,461 @@ def present_from(wall: PlannedWall, times: StageTimes) -> float:
     started = [times[name][0] for name in wall.stages or times if name in times]
     return max(wall.appears_at, min(started, default=np.inf))
 
+
+def _outside_text(scene: Scene, wall: PlannedWall, gap: float) -> str:
+    low, high = scene.domain.min, scene.domain.max
+    size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
+    return (
+        f"walls.{wall.name} ({scene.where('walls', wall.name)}) is at least {gap:.3g} m outside the domain "
+        f"of {size} m: no particle can be in contact with it. Check the units of its lengths, or enlarge the "
+        "domain."
+    )
+
+
+def _is_endless(scene: Scene, wall: PlannedWall) -> bool:
+    """Whether a wall is present and translates until the run ends, without limits of its time."""
+    moves = [each for each in scene.walls[wall.name].motion if isinstance(each, Translation)]
+    return wall.is_permanent and any(each.end is None and each.stages is None for each in moves)
+
+
+def _leaving_text(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray) -> str:
+    """Sentence on a wall that leaves the domain; `gap` (k,) [m] at times of the run."""
+    end = max(stage_end for _, stage_end in times.values())
+    last = int(np.flatnonzero(gap <= 0.0)[-1])
+    left = np.linspace(present_from(wall, times), end, len(gap))[min(last + 1, len(gap) - 1)]
+    return (
+        f"walls.{wall.name} ({scene.where('walls', wall.name, 'motion')}) leaves the domain: after "
+        f"{left:.3g} s of {end:.3g} s no particle can be in contact with it. If this is intended, give its "
+        "motion an end or the wall vanishes_at."
+    )
+
+
+def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
+    """A sentence for each wall with the surface of another one that moves and is present like it.
+
+    Particles are in contact with the first one only, see `engine.walls`.
+    """
+    for first, second in combinations(walls, 2):
+        is_alike = all(
+            getattr(first, name) == getattr(second, name)
+            for name in ("motions", "stages", "appears_at", "vanishes_at")
+        )
+        if is_alike and _are_equal(first.shape, second.shape):
+            yield (
+                f"walls.{second.name} ({scene.where('walls', second.name)}) has the same surface as "
+                f"walls.{first.name}: particles are in contact with walls.{first.name} only, and its "
+                "material counts. Remove one of the two."
+            )
+
+
+def _are_equal(one: Surface, other: Surface) -> bool:
+    """Whether two surfaces have the same corners, or are the same half space, within rounding."""
+    if not isinstance(one, Mesh) and not isinstance(other, Mesh):
+        if one.kind is not other.kind:
+            return False
+        if one.kind is HALF_SPACE:
+            normal = one.parameters[3:6]
+            distance = (other.parameters[0:3] - one.parameters[0:3]) @ normal
+            size = np.abs([one.parameters[0:3], other.parameters[0:3]]).max()
+            is_parallel = np.linalg.norm(normal - other.parameters[3:6]) <= SAME_CORNER
+            return bool(is_parallel and abs(distance) <= SAME_CORNER * size)
+    points = triangles(one, np.zeros(3), 1.0)[0]
+    other_points = triangles(other, np.zeros(3), 1.0)[0]
+    if points.shape != other_points.shape:
+        return False
+    tolerance = SAME_CORNER * np.ptp(points, axis=0).max()
+    rounded = np.round(points / tolerance)
+    other_rounded = np.round(other_points / tolerance)
+    return np.array_equal(rounded[np.lexsort(rounded.T)], other_rounded[np.lexsort(other_rounded.T)])
+
+
+# Servo walls that cannot reach the bed, and so their force, in the time of their motion.
+
+LOOSEST = 0.45
+"""Smallest solid fraction of a bed of clumps or of cohesive particles at rest."""
+LOOSE = 0.55
+"""Solid fraction of a random loose packing of spheres, without the last layer."""
+SAMPLES_ALONG = 400
+"""Points along the path of a servo at which its distance from other walls is computed."""
+ALONG_GRAVITY = 1e-6
+"""Largest deviation of the direction of a servo from that of gravity, as the cosine of their angle."""
+VELOCITY_MARGIN = 1.2
+"""Recommended over required velocity."""
+
+
+def servo_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
+    """A sentence for the first servo of each wall, if its travel is shorter than its distance from the bed.
+
+        v t < L - V / (phi A) - d,     v = min(v_max, gain F)
+
+    v: velocity of a servo without contacts; t: time of its motion; L: distance along its direction to the
+    next wall or the end of the domain; V: volume of all particles, which fill at most the height V / (phi A)
+    above that wall with a loose solid fraction phi over the area A of the servo; d: largest diameter, of
+    particles on the surface of the bed. A bed beyond the edges of the servo is lower: the distance is a lower
+    bound. Servos across gravity can touch the side of a bed, and other motions before a servo move its wall:
+    neither has a forecast.
+    """
+    for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
+        motions = [each for each in plan.controlled_motions if each.name == name]
+        given = [each for each in scene.walls[name].motion if isinstance(each, Servo)]
+        area = area_of(plan.walls[motions[0].wall].shape)
+        if area is None or len(given) < len(scene.walls[name].motion):
+            continue
+        first = min(motions, key=lambda each: _servo_span(given[each.motion], times)[0])
+        if not _is_along(plan.gravity, first):
+            continue
+        distance = _distance_from_bed(scene, plan, first, area)
+        duration = _servo_span(given[first.motion], times)[1]
+        velocity, limit = first.approach(first.force)
+        if velocity * duration < distance:
+            yield (
+                f"walls.{name}.motion ({first.source}): the servo moves at most {velocity * duration:.3g} m "
+                f"({velocity:.3g} m/s, {limit}, for {duration:.3g} s), but the bed is about {distance:.3g} m "
+                f"away: it does not reach {first.force:.3g} N. {_servo_remedy(first, distance, duration)}"
+            )
+
+
+def _is_along(gravity: Sequence[float], motion: ControlledMotion) -> bool:
+    """Whether a servo moves along gravity, or there is none."""
+    magnitude = float(np.linalg.norm(gravity))
+    return abs(float(np.dot(gravity, motion.direction))) >= (1.0 - ALONG_GRAVITY) * magnitude
+
+
+def _servo_span(given: Servo, times: StageTimes) -> tuple[float, float]:
+    """Start [s] of a servo, and the time [s] in which it is active."""
+    end = max(end for _, end in times.values())
+    if given.stages is not None:
+        start = times[given.stages[0]][0]
+        return start, times[given.stages[-1]][1] - start
+    start = given.start or 0.0
+    return start, max(min(given.end if given.end is not None else inf, end) - start, 0.0)
+
+
+def _distance_from_bed(scene: Scene, plan: Plan, motion: ControlledMotion, area: float) -> float:
+    """Distance [m] of a servo with an area [m2] from the bed."""
+    is_loose = plan.laws.cohesion is not None or any(
+        group.clump is not None for group in scene.particles.values()
+    )
+    height = solid_volume(scene.particles) / ((LOOSEST if is_loose else LOOSE) * area)
+    layer = max(outer_diameter_range(group)[1] for group in scene.particles.values())
+    return _free_path(plan.domain, plan.walls, motion) - height - layer
+
+
+def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledMotion) -> float:
+    """Distance [m] from the center of a servo wall along its direction to the next wall or the end of the
+    domain."""
+    direction = np.array(motion.direction)
+    low, high = np.array(domain.min), np.array(domain.max)
+    center = triangles(walls[motion.wall].shape, 0.5 * (low + high), 0.0)[0].mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        exits = np.where(direction > 0.0, (high - center) / direction, (low - center) / direction)
+    length = float(np.min(exits[np.abs(direction) > 0.0], initial=np.inf))
+    if not np.isfinite(length) or length <= 0.0:
+        return 0.0
+    steps = np.linspace(0.0, length, SAMPLES_ALONG)
+    points = center + steps[:, None] * direction
+    spacing = length / (SAMPLES_ALONG - 1)
+    for index, wall in enumerate(walls):
+        if index != motion.wall:
+            near = np.flatnonzero(np.abs(distance_from(wall.shape, points, spacing)) <= spacing)
+            length = min(length, float(steps[near[0]])) if len(near) else length
+    return length
+
+
+def _servo_remedy(motion: ControlledMotion, distance: float, duration: float) -> str:
+    """Instruction with which the servo moves by `distance` [m] in `duration` [s], by what limits the
+    velocity."""
+    needed = VELOCITY_MARGIN * distance / duration
+    free = motion.gain * abs(motion.force)
+    parts = []
+    if needed > motion.velocity_max:
+        parts.append(f"set velocity_max to {needed:.2g} m/s or more")
+    if needed > free:
+        target = abs(motion.force) * needed / free
+        parts.append(f"raise gain or the target (to {target:.2g} N at this gain)")
+    time = f"give it {VELOCITY_MARGIN * distance / min(free, motion.velocity_max):.2g} s"
+    text = f"{' and '.join(parts)}, {time}, or start it closer to the bed"
+    if free < motion.velocity_max:
+        text += "; or approach by a translation, in a stage that ends at a force on the wall"
+    return f"{text[0].upper()}{text[1:]}."
+
+
+# Insertions: runs that are too short, rates too high for a face or region, inlets turned backward.
+
+DENSEST_FLOW = 0.45
+"""Solid fraction that the flow out of an inlet does not exceed.
+
+Random sequential packings reach 0.38. Free fall from a disc of 10 diameters has 0.40, from one of 1.5
+diameters 0.25.
+"""
+COUNT_TOLERANCE = 0.01
+"""Fraction of the count that may be missing without a warning: the mean mass of particles is a sample."""
+ALONG_FACE = 1e-3
+"""Component along the normal over the magnitude below which a vector is parallel to a face: decimals are
+rounded."""
+
+
+def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
+    """A sentence for each rain or inlet whose rate cannot insert all particles before the end of the run.
+
+    The run takes its longest duration. Space is not considered: a full region delays particles further.
+    """
+    end = max(end for _, end in times.values())
+    for name, group in scene.particles.items():
+        insertion = group.insert
+        if not isinstance(insertion, RainInsertion | InletInsertion):
+            continue
+        interval = _insertion_interval(plan, group, insertion)
+        inserted = 0.0
+        if insertion.start <= end:
+            inserted = (end - insertion.start) / interval + 1.0
+        if inserted < (1.0 - COUNT_TOLERANCE) * group.count:
+            key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
+            flow = "rate" if insertion.rate else "mass_flow"
+            yield (
+                f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s "
+                f"from {insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about "
+                f"{inserted:.3g} of them. Raise {flow} or the duration."
+            )
+
+
+def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
+    """A sentence for each inlet through which, or rain from whose region, fewer particles than required can
+    flow."""
+    for name, group in scene.particles.items():
+        insertion = group.insert
+        if not isinstance(insertion, RainInsertion | InletInsertion):
+            continue
+        interval = _insertion_interval(plan, group, insertion)
+        if isinstance(insertion, InletInsertion) and (
+            sentence := _wrong_direction(scene, plan, name, insertion)
+        ):
+            yield sentence
+            continue
+        largest, held = _largest_flow(scene, group, insertion, interval)
+        key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
+        if isinstance(insertion, InletInsertion):
+            is_small = True
+            place = "face"
+            also = ""
+        else:
+            is_small = group.count * (1.0 - interval * largest) > held
+            place = "region"
+            also = f", which holds {held:.2g}"
+        if is_small and 1.0 / interval > largest > 0.0:
+            yield (
+                f"{key}: {1.0 / interval:.3g} particles per second are required, but at most about "
+                f"{largest:.2g} leave the {place} in a second{also}; the others are queued. Enlarge the "
+                f"{place}, raise particles.{name}.velocity, or lower the "
+                f"{'rate' if insertion.rate else 'mass_flow'}."
+            )
+        elif is_small and not largest and place == "region" and _nothing_moves(plan, group):
+            yield (
+                f"{key}: {group.count} particles are required, but the region holds at most about "
+                f"{held:.2g}, and neither gravity nor particles.{name}.velocity moves them out; the others "
+                "are queued. Enlarge the region, or lower the count."
+            )
+
+
+def _insertion_interval(plan: Plan, group: Group, insertion: RainInsertion | InletInsertion) -> float:
+    """Mean time [s] between two particles."""
+    if insertion.rate:
+        return 1.0 / insertion.rate
+    assert insertion.mass_flow is not None
+    return mean_volume(group) * plan.solids[group.material].density / insertion.mass_flow
+
+
+def _nothing_moves(plan: Plan, group: Group) -> bool:
+    """Whether neither walls nor a granular temperature move new particles without gravity and velocity."""
+    return group.thermal is None and not any(wall.motions for wall in plan.walls)
+
+
+def _largest_flow(
+    scene: Scene, group: Group, insertion: RainInsertion | InletInsertion, interval: float
+) -> tuple[float, float]:
+    """Upper bounds of the particles per second that leave the region of an insertion, and of those in the
+    region.
+
+        rate = phi (A v_n + W h v_t) / V,     v_n^2 = v0_n^2 + 2 g_n h,     v_t^2 = v0_t^2 + 2 g_t W
+
+    A, W: area and width of a face; h: depth of the region; n, t: along the normal of the face and across it;
+    phi: DENSEST_FLOW; V: mean volume of a particle, of a clump that of the sphere around it. Particles leave
+    an inlet along the normal only, the region of rain at both ends. 0 if particles neither start with a
+    velocity nor fall: walls can carry them away. `interval` [s]: mean time between particles.
+    """
+    velocity = np.array(group.velocity, float)
+    gravity = np.array(scene.gravity, float)
+    gathered = ceil(group.count / MAX_BATCHES) * interval
+    region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], velocity, gathered)
+    normal, depth, area, width = _face_of(region, gravity if gravity.any() else velocity)
+    initial = float(velocity @ normal)
+    falling = float(gravity @ normal)
+    if isinstance(insertion, RainInsertion):
+        initial = abs(initial)
+        falling = abs(falling)
+    else:
+        initial = max(initial, 0.0)
+        falling = max(falling, 0.0)
+    along = sqrt(initial**2 + 2.0 * falling * depth)
+    slide = float(np.linalg.norm(gravity - (gravity @ normal) * normal))
+    across = sqrt(float(np.sum((velocity - (velocity @ normal) * normal) ** 2)) + 2.0 * slide * width)
+    volume = mean_volume(group)
+    if group.clump is not None:
+        volume = sphere_volume(0.5 * outer_diameter_range(group)[1])
+    flow = area * along + width * depth * across
+    return DENSEST_FLOW * float(flow) / volume, DENSEST_FLOW * region.volume / volume
+
+
+def _face_of(region: RegionSampler, direction: np.ndarray) -> tuple[np.ndarray, float, float, float]:
+    """Normal (3,), depth [m] behind it, area [m2] and width [m] of a face of a region.
+
+    Of a box with edges along the coordinate axes, the face that `direction` (3,) crosses most steeply.
+    """
+    if isinstance(region, CylinderSampler):
+        return region.frame[2], region.length, pi * region.radius**2, 2.0 * region.radius
+    if isinstance(region, SlabSampler):
+        axis = 2
+        normal = region.frame[2]
+        size = region.box.high
+    else:
+        assert isinstance(region, BoxSampler)
+        axis = int(np.argmax(np.abs(direction)))
+        size = region.high - region.low
+        normal = np.eye(3)[axis]
+    sides = np.delete(size, axis)
+    return normal, float(size[axis]), float(np.prod(sides)), float(np.hypot(*sides))
+
+
+def _wrong_direction(scene: Scene, plan: Plan, name: str, insertion: InletInsertion) -> str:
+    """A sentence on an inlet that new particles leave backward or not at all; empty if they move into the
+    scene.
+
+    The velocity decides, and gravity if the velocity has no component along the normal. The proposed velocity
+    is the given one with the opposite component, or with the smallest one that is sufficient for the rate.
+    """
+    group = scene.particles[name]
+    velocity = np.array(group.velocity, float)
+    gravity = np.array(scene.gravity, float)
+    region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.zeros(3), 0.0)
+    normal, _, area, _ = _face_of(region, velocity)
+    through = _through(velocity, normal)
+    along = _through(gravity, normal)
+    if through > 0.0 or (through == 0.0 and along > 0.0):
+        return ""
+    is_still = not velocity.any()
+    if along == 0.0 and through == 0.0 and group.thermal is not None:
+        return ""
+    if is_still and along == 0.0 and (gravity.any() or not _nothing_moves(plan, group)):
+        return ""
+    needed = mean_volume(group) / (_insertion_interval(plan, group, insertion) * DENSEST_FLOW * area)
+    speed = float(f"{1.5 * needed:.1g}") if through == 0.0 else -2.0 * float(velocity @ normal)
+    if through < 0.0:
+        fault = "points against it, so that they leave backward through the face"
+    elif along < 0.0:
+        fault = "has no component along it, so that gravity moves them backward through the face"
+    else:
+        fault = "has no component along it, so that they do not leave the face along its normal"
+    remedy = ""
+    if through < 0.0 or along < 0.0:
+        is_disc = isinstance(insertion.face, DiscFace)
+        turn = "reverse face.disc.normal" if is_disc else "exchange the two sides of face.rectangle"
+        remedy = f", or {turn}"
+    key = f"particles.{name}.velocity ({scene.where('particles', name, 'velocity')})"
+    return (
+        f"{key} is {_velocity_text(velocity)} m/s, but particles enter through the face of the inlet along "
+        f"{_velocity_text(normal)}: the velocity {fault}. Give a velocity such as "
+        f"{_velocity_text(velocity + speed * normal)} m/s{remedy}."
+    )
+
+
+def _through(vector: np.ndarray, normal: np.ndarray) -> float:
+    """Component of a vector along a normal; 0 for a vector that is parallel to the face within rounding."""
+    component = float(vector @ normal)
+    return 0.0 if abs(component) <= ALONG_FACE * float(np.linalg.norm(vector)) else component
+
+
+def _velocity_text(values: np.ndarray) -> str:
+    """Three numbers in the form of the scene."""
+    return "[" + ", ".join(f"{each + 0.0:.3g}" for each in np.round(values, 12)) + "]"
+
+
+# Output intervals that are longer than the run, or that show a vibration at two phases only.
+
+PERIOD_TOLERANCE = 0.01
+"""Largest relative deviation of an interval from an odd multiple of half a period."""
+FRAMES_PER_PERIOD = 8
+"""Number of frames per period that a message suggests."""
+COARSE = 0.25
+"""Interval over the period above which frames do not resolve a vibration."""
+
+
+def interval_warnings(scene: Scene, times: StageTimes) -> Iterator[str]:
+    """A sentence on an output interval above the duration of the run."""
+    longest = max(end for _, end in times.values())
+    if scene.output.interval > longest:
+        yield (
+            f"output.interval ({scene.where('output', 'interval')}) is {scene.output.interval:g} s, but the "
+            f"run lasts at most {longest:g} s: only the first and the last state are written. Choose a "
+            "shorter interval."
+        )
+
+
+def vibration_forecasts(scene: Scene) -> Iterator[Forecast]:
+    """Frames per period of each vibration with less than four, and warnings on stroboscopic intervals.
+
+        interval = (n + 1/2) T within 1 %:     sin(w t + phase) has the values +- sin(phase) only
+
+    With the default phase of 0, the wall is at the same position in all frames. Multiples of the whole period
+    are often intended, because they show the slow motion of a bed.
+    """
+    for period, name in _vibration_periods(scene).items():
+        wall = f"walls.{name}.motion ({scene.where('walls', name, 'motion')})"
+        for output, interval in _output_intervals(scene):
+            ratio = interval / period
+            if ratio <= COARSE * (1.0 + PERIOD_TOLERANCE):
+                continue
+            half_periods = round(2.0 * ratio)
+            is_odd = half_periods % 2 == 1 and abs(2.0 * ratio / half_periods - 1.0) <= PERIOD_TOLERANCE
+            warning = (
+                f"{'.'.join(output)} ({scene.where(*output)}) is {interval:.4g} s, "
+                f"{0.5 * half_periods:g} times the period {period:.4g} s of {wall}: the output shows "
+                "this motion at two opposite phases only, which can be the same position of the wall. Set "
+                f"the interval to {period / FRAMES_PER_PERIOD:.3g} s or less, {FRAMES_PER_PERIOD} times per "
+                f"period, or to {period:.4g} s for one fixed phase."
+            )
+            remark = f"{'.'.join(output)}, of the period {period:.4g} s of {wall}"
+            yield Forecast(
+                "vibration in the output",
+                f"{1.0 / ratio:.3g} per period",
+                remark,
+                warning if is_odd else None,
+            )
+
+
+def _vibration_periods(scene: Scene) -> dict[float, str]:
+    """Each period [s] of the vibrations, with the name of the first wall."""
+    found: dict[float, str] = {}
+    for name, wall in scene.walls.items():
+        for motion in wall.motion:
+            if isinstance(motion, Vibration):
+                amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)
+                if amplitude and rate:
+                    found.setdefault(2.0 * pi / rate, name)
+    return found
+
+
+def _output_intervals(scene: Scene) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Paths of the keys of the output intervals, and the intervals [s]; those that are not given are
+    `interval`."""
+    yield ("output", "interval"), scene.output.interval
+    if scene.is_given("output", "timeseries_interval"):
+        yield ("output", "timeseries_interval"), scene.output.timeseries_interval
+    for name, grid in scene.output.fields.items():
+        if grid.interval is not None:
+            yield ("output", "fields", name, "interval"), grid.interval
+
+
+# Values that are possible, but probably have a wrong unit.
 
 LIGHTEST = 20.0
 """Density [kg/m3] of light foams. There is no upper limit: scaled densities are common."""
@@ -650,11 +848,12 @@ def unit_warnings(scene: Scene) -> Iterator[str]:
             )
     yield from _speed_warnings(scene)
     for index, each in enumerate(scene.expect):
-        bounds = [*(each.between or ()), *filter(None, (each.below, each.above, each.equals))]
-        if unit_of(each.quantity) == "rad" and max(map(abs, bounds), default=0.0) > pi:
+        bounds = [*(each.between or ()), each.below, each.above, each.equals]
+        largest = max((abs(bound) for bound in bounds if bound is not None), default=0.0)
+        if unit_of(each.quantity) == "rad" and largest > pi:
             yield (
                 f"expect[{index}] ({scene.where('expect', str(index))}): {each.quantity} is in rad, and the "
-                f"bound is {max(map(abs, bounds)):.3g} rad. Write degrees with the unit, such as 25 deg."
+                f"bound is {largest:.3g} rad. Write degrees with the unit, such as 25 deg."
             )
 
 
@@ -699,156 +898,3 @@ def _speed_warnings(scene: Scene) -> Iterator[str]:
             f"walls.{name}.motion ({scene.where('walls', name, 'motion')}): walls move at up to {speed:.3g} "
             "m/s. Angular velocities are in rad/s: write 30 rpm or 180 deg/s with the unit."
         )
-
-
-POINTS_PER_AXIS = 13
-"""Points along each axis of the domain at which the distance from a wall is computed."""
-SAME_CORNER = 1e-6
-"""Distance of corners over the size of a wall below which they are the same."""
-TIMES = 40
-"""Times of the run at which the position of a moving wall is computed."""
-
-
-def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes) -> Iterator[str]:
-    """A sentence for each wall that no particle can touch, or that leaves the domain without an end of its
-    motion.
-
-    Domains that expand have no outside. Meshes outside the domain have notes of their own, and walls that are
-    much larger than the domain are reported by `size_warnings`.
-    """
-    if scene.domain.on_exit == "expand":
-        return
-    for wall in walls:
-        if oversized(scene, wall.name, scene.walls[wall.name]):
-            continue
-        endless = _is_endless(scene, wall)
-        if isinstance(wall.shape, Mesh) and not endless:
-            continue
-        if _wall_gaps(scene, wall, times, 1)[0] <= 0.0 and not endless:
-            continue
-        gap = _wall_gaps(scene, wall, times, TIMES if wall.motions else 1)
-        if (gap > 0.0).all():
-            yield _outside(scene, wall, float(gap.min()))
-        elif gap[-1] > 0.0 and endless:
-            yield _leaves(scene, wall, times, gap)
-
-
-def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
-    """A sentence for each wall with the surface of another one that moves and is present like it.
-
-    Particles are in contact with the first one only, see `engine.wall_contact`.
-    """
-    for first, second in combinations(walls, 2):
-        times = [(each.motions, each.stages, each.appears_at, each.vanishes_at) for each in (first, second)]
-        if times[0] == times[1] and _are_equal(first.shape, second.shape):
-            yield (
-                f"walls.{second.name} ({scene.where('walls', second.name)}) has the same surface as "
-                f"walls.{first.name}: particles are in contact with walls.{first.name} only, and its "
-                "material counts. Remove one of the two."
-            )
-
-
-def _are_equal(one: Surface, other: Surface) -> bool:
-    """Whether two surfaces have the same corners, or are the same half space, within rounding."""
-    if not isinstance(one, Mesh) and not isinstance(other, Mesh):
-        if one.kind is not other.kind:
-            return False
-        if one.kind is HALF_SPACE:
-            normal = one.parameters[3:6]
-            distance = (other.parameters[0:3] - one.parameters[0:3]) @ one.parameters[3:6]
-            size = np.abs([one.parameters[0:3], other.parameters[0:3]]).max()
-            is_parallel = np.linalg.norm(normal - other.parameters[3:6]) <= SAME_CORNER
-            return bool(is_parallel and abs(distance) <= SAME_CORNER * size)
-    points, other_points = (triangles(each, np.zeros(3), 1.0)[0] for each in (one, other))
-    if points.shape != other_points.shape:
-        return False
-    size = np.ptp(points, axis=0).max()
-    points, other_points = (np.round(each / (SAME_CORNER * size)) for each in (points, other_points))
-    return np.array_equal(*(each[np.lexsort(each.T)] for each in (points, other_points)))
-
-
-def _wall_gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -> np.ndarray:
-    """Lower bound of the gap [m] between the wall and the nearest particle in the domain, at `count` times of
-    the run.
-
-    The centers of particles are anywhere in the domain. Of points at a spacing h, one is within h sqrt(3)/2
-    of the nearest center. The first time is that at which the wall appears, the last one the end of the run.
-    """
-    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
-    axes = [np.linspace(*span, POINTS_PER_AXIS) for span in zip(low, high, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1)))
-    reach += 0.5 * max(outer_diameter_range(group)[1] for group in scene.particles.values())
-    end = max(stage_end for _, stage_end in times.values())
-    poses = pose(
-        [each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count)
-    )
-    gaps = []
-    for offset, rotation in zip(poses.offset, poses.rotation, strict=True):
-        local = (points - poses.pivot - offset) @ rotation + poses.pivot
-        gaps.append(float(np.abs(distance_from(wall.shape, local, reach)).min()) - reach)
-    return np.array(gaps)
-
-
-def _outside(scene: Scene, wall: PlannedWall, gap: float) -> str:
-    low, high = scene.domain.min, scene.domain.max
-    size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
-    return (
-        f"walls.{wall.name} ({scene.where('walls', wall.name)}) is at least {gap:.3g} m outside the domain "
-        f"of {size} m: no particle can be in contact with it. Check the units of its lengths, or enlarge the "
-        "domain."
-    )
-
-
-def _is_endless(scene: Scene, wall: PlannedWall) -> bool:
-    """Whether a wall is present and translates until the run ends, without limits of its time."""
-    moves = [each for each in scene.walls[wall.name].motion if isinstance(each, Translation)]
-    return wall.is_permanent and any(each.end is None and each.stages is None for each in moves)
-
-
-def _leaves(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray) -> str:
-    """Sentence on a wall that leaves the domain; `gap` (k,) [m] at times of the run."""
-    end = max(stage_end for _, stage_end in times.values())
-    last = int(np.flatnonzero(gap <= 0.0)[-1])
-    left = np.linspace(present_from(wall, times), end, len(gap))[min(last + 1, len(gap) - 1)]
-    return (
-        f"walls.{wall.name} ({scene.where('walls', wall.name, 'motion')}) leaves the domain: after "
-        f"{left:.3g} s of {end:.3g} s no particle can be in contact with it. If this is intended, give its "
-        "motion an end or the wall vanishes_at."
-    )
-
-
-def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
-    """Forecasts of overlaps, walls, regions and servos; `plan`: that of the scene, without forecasts."""
-    pairs = list(touching_pairs(plan))
-    times = nominal_times(plan.stages)
-    supported = list(supported_pairs(scene, plan))
-    hitting = [*pairs, *(pair for pair, _weight in supported)]
-    expected = forecast_velocity(scene, plan)
-    impact = impact_forecast(plan, hitting, expected.value, expected.source)
-    if impact is not None and impact.warning is not None:  # the paths over the walls take time
-        expected = path_velocity(scene, plan)
-        impact = impact_forecast(plan, hitting, expected.value, expected.source)
-    if impact is not None:
-        yield impact
-    static = list(static_forecasts(plan, pairs, bed_pressures(scene, plan)))
-    below = supported_forecast(plan, supported)
-    static += [] if below is None else [below]
-    yield from static
-    yield from vibration_forecasts(scene)
-    explained = max((each.overlap for each in static), default=0.0)
-    for sentence in (
-        *file_warnings(scene.particles, explained, 0.0 if impact is None else impact.overlap),
-        *size_warnings(scene),
-        *clump_warnings(scene),
-        *wall_warnings(scene, plan.walls, times),
-        *coincidence_warnings(scene, plan.walls),
-        *region_warnings(scene, plan, times),
-        *servo_warnings(scene, plan, times),
-        *insertion_warnings(scene, plan, times),
-        *flow_warnings(scene, plan),
-        *interval_warnings(scene, times),
-        *unit_warnings(scene),
-        *velocity_warnings(scene, plan),
-    ):
-        yield Forecast("", "", sentence, sentence)

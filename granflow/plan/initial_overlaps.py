@@ -1,4 +1,9 @@
-"""Initial overlaps."""
+"""Overlaps where particles start: of particles with each other, and of particles and insertion regions with
+walls.
+
+A run with such an overlap would stop in its first step. Initial particles are checked when they are known;
+regions of insertion are sampled before.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -17,36 +22,7 @@ from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.particles import FileInsertion, Group, PositionsInsertion
 
-
-def spheres_by_particle(
-    group: Group, points: np.ndarray, radius: np.ndarray, orientation: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Centers (n, k, 3) [m] and radii (n, k) [m] of the k spheres of each particle at `points` (n, 3) [m].
-
-    `radius` (n,) [m]: of spheres. `orientation` (n, 4): of clumps; None for those of new clumps.
-    """
-    if group.clump is None:
-        return points[:, None], radius[:, None]
-    shape = group.clump.shape
-    if orientation is None:
-        orientation = orientations(group.clump, len(points), lambda: np.random.default_rng(1))
-    return shape.spheres(points, orientation), np.broadcast_to(shape.radius, (len(points), len(shape)))
-
-
-def spheres_of(scene: Scene, particles: ParticleData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centers (m, 3) [m] and radii (m,) [m] of the spheres of all particles, and the index (m,) of their
-    particle."""
-    centers = [np.empty((0, 3))]
-    radii = [np.empty(0)]
-    owners: list[np.ndarray] = [np.empty(0, dtype=np.int64)]
-    for number, group in enumerate(scene.particles.values()):
-        own = np.flatnonzero(particles.group == number)
-        turns = None if particles.orientation is None else particles.orientation[own]
-        center, radius = spheres_by_particle(group, particles.position[own], particles.radius[own], turns)
-        centers.append(center.reshape(-1, 3))
-        radii.append(radius.reshape(-1))
-        owners.append(np.repeat(own, radius.shape[1]))
-    return np.concatenate(centers), np.concatenate(radii), np.concatenate(owners)
+# Initial particles that overlap each other by more than the limit, with which a run would stop at its start.
 
 
 def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
@@ -111,6 +87,8 @@ def _name(scene: Scene, particles: ParticleData, index: int, shift: np.ndarray) 
     image = "the periodic image of " if np.any(shift) else ""
     return f"{image}particles {list(scene.particles)[group]}[{number}] at {place}"
 
+
+# Insertion regions that walls cut, and initial particles inside walls.
 
 SAMPLES = 2000
 """Number of random positions at which a region is compared with the walls."""
@@ -185,12 +163,46 @@ def _overlaps(
         yield wall, overlap.reshape(bodies[1].shape).max(axis=1)
 
 
+def is_present(wall: PlannedWall, time: float, times: StageTimes) -> bool:
+    """Whether a wall is present at `time` [s]."""
+    stage = next((name for name, (start, end) in times.items() if start <= time < end), None)
+    return stage is not None and wall.is_present(stage, time)
+
+
 def _started(times: StageTimes, time: float) -> Mapping[str, tuple[float, float]]:
     """The stages that have begun at `time` [s]."""
     return {name: span for name, span in times.items() if span[0] <= time}
 
 
-def is_present(wall: PlannedWall, time: float, times: StageTimes) -> bool:
-    """Whether a wall is present at `time` [s]."""
-    stage = next((name for name, (start, end) in times.items() if start <= time < end), None)
-    return stage is not None and wall.is_present(stage, time)
+# The spheres of particles: of a clump all of its spheres, of other particles the particle itself.
+
+
+def spheres_of(scene: Scene, particles: ParticleData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centers (m, 3) [m] and radii (m,) [m] of the spheres of all particles, and the index (m,) of their
+    particle."""
+    centers = [np.empty((0, 3))]
+    radii = [np.empty(0)]
+    owners: list[np.ndarray] = [np.empty(0, dtype=np.int64)]
+    for number, group in enumerate(scene.particles.values()):
+        own = np.flatnonzero(particles.group == number)
+        turns = None if particles.orientation is None else particles.orientation[own]
+        center, radius = spheres_by_particle(group, particles.position[own], particles.radius[own], turns)
+        centers.append(center.reshape(-1, 3))
+        radii.append(radius.reshape(-1))
+        owners.append(np.repeat(own, radius.shape[1]))
+    return np.concatenate(centers), np.concatenate(radii), np.concatenate(owners)
+
+
+def spheres_by_particle(
+    group: Group, points: np.ndarray, radius: np.ndarray, orientation: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Centers (n, k, 3) [m] and radii (n, k) [m] of the k spheres of each particle at `points` (n, 3) [m].
+
+    `radius` (n,) [m]: of spheres. `orientation` (n, 4): of clumps; None for those of new clumps.
+    """
+    if group.clump is None:
+        return points[:, None], radius[:, None]
+    shape = group.clump.shape
+    if orientation is None:
+        orientation = orientations(group.clump, len(points), lambda: np.random.default_rng(1))
+    return shape.spheres(points, orientation), np.broadcast_to(shape.radius, (len(points), len(shape)))

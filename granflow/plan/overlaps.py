@@ -1,10 +1,16 @@
-"""Forecasts of the largest overlaps: in impacts, and at rest under the weight, walls and cohesion."""
+"""Largest overlaps of a run: in impacts, and at rest under the weight, walls and cohesion.
+
+A forecast finds the pair of bodies with the largest overlap for one cause: an impact at the forecast
+velocity, a static load, or the attraction alone. The overlap of a pair follows from the reference
+implementation of its contact model. If it is above the limit, the forecast is a warning with the Young's
+moduli that keep it below. The advice of an aborted run uses the same functions.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from math import log, pi
+from math import isnan, log, pi
 from types import SimpleNamespace
 from typing import Literal
 
@@ -32,8 +38,7 @@ from granflow.scene.blocks.particles import (
 )
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
-# Largest overlap of one contact in an impact and under a static load, by the reference implementation of
-# its model.
+# One contact: its largest overlap in an impact and under a static load.
 
 STEPS_OF_LOADING = 200
 """Steps of the integration of an impact in its loading time; the error of the overlap is below 0.1 %."""
@@ -181,20 +186,23 @@ def static_overlap(laws: ContactLaws, pair: TouchingPair, load: float) -> float:
     The contact has no history: it is loaded for the first time. NaN if a model has no reference
     implementation.
     """
-
     forces = ContactForces(laws, pair, 1.0)
 
     def excess(overlap: float) -> float:
         forces.reset()
         return forces.total(overlap, 0.0) - load
 
-    low, high = 0.0, MAX_OVERLAP_SHARE * pair.radius
+    low = 0.0
+    high = MAX_OVERLAP_SHARE * pair.radius
     try:
         if excess(high) < 0.0:
             return MAX_OVERLAP_SHARE
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
-            low, high = (low, middle) if excess(middle) > 0.0 else (middle, high)
+            if excess(middle) > 0.0:
+                high = middle
+            else:
+                low = middle
     except NotImplementedError:
         return float("nan")
     return high / pair.radius
@@ -208,101 +216,123 @@ def attraction_share(laws: ContactLaws, pair: TouchingPair, overlap: float) -> f
     return float(-attraction / normal) if normal > 0.0 else np.inf
 
 
-# The remedies of overlaps that are too large: Young's moduli that keep them below the limit, derived from
-# the law.
+# The pairs of bodies of a plan that can be in contact.
 
-LARGEST_FACTOR = 1e12
-"""Largest factor on the moduli that is searched; no modulus helps a model whose stiffness is given as a
-number."""
-HARDEST = 1.2e12
-"""Young's modulus [Pa] of diamond: if more is required, a unit is probably wrong."""
-MARGIN = 1.1
-"""Recommended over required modulus: of rounding, and of several contacts at a time."""
-STEPS = 60
-"""Bisections of the factor."""
-Overlap = Callable[[TouchingPair], float]
-"""Function from a pair to its largest relative overlap."""
+SUPPORTED_RATIO = 3.0
+"""Smallest ratio of radii at which a particle hits small ones as a bed: particles of similar size move each
+other."""
+SHALLOW = 0.5
+"""Largest depth of a bed that supports its particles, over the radius of the large particle.
+
+In runs with a bed of 2.3 mm (1 mm particles of 10 MPa, 0.3 m/s), a particle of 5 mm overlaps by 0.06 of the
+small radius, 0.3 times the value for a supported bed; those of 10 and 20 mm by 0.16 and 0.46, 0.4 and 0.8
+times this value.
+"""
+LAYER_FRACTION = 0.8
+"""Share of an area that a layer of spheres covers."""
 
 
-def modulus_factor(pair: TouchingPair, overlap: Overlap, limit: float) -> float | None:
-    """Smallest factor on the effective modulus at which the overlap is at most `limit`; None if no factor
-    suffices.
+def touching_pairs(plan: Plan) -> Iterator[TouchingPair]:
+    """All pairs of groups, and of groups and wall materials, with the sizes of the largest relative overlaps.
 
-    For Hertz contacts it is (d/limit)^(5/2) for an impact, and (d/limit)^(3/2) for a static load, because
-    d ~ E^(-2/5) at a given energy and d ~ E^(-2/3) at a given force. Solved by bisection for any contact
-    model.
+    Two groups: smallest and largest sizes in all combinations, because the overlap refers to the smaller
+    particle, and a small one that hits a large one overlaps most. Walls have an infinite radius and mass, as
+    have fixed particles concerning their mass.
     """
-    low, high = 1.0, LARGEST_FACTOR
-    if overlap(pair.stiffer(high)) > limit:
-        return None
-    for _ in range(STEPS):
-        if high < 1.001 * low:
-            break
-        middle = (low * high) ** 0.5
-        low, high = (middle, high) if overlap(pair.stiffer(middle)) > limit else (low, middle)
-    return high
+    walls = dict.fromkeys(plan.materials[wall.material] for wall in plan.walls)
+    for index, group in enumerate(plan.groups):
+        for other in plan.groups[index:]:
+            if _collide(plan, group, other):
+                for sizes in dict.fromkeys(product(group.diameters, other.diameters)):
+                    yield _of_particles(plan, group, other, sizes)
+        for wall in walls if not group.fixed else ():
+            yield _of_wall(plan, group, wall)
 
 
-def without_modulus(pair: TouchingPair, overlap: Overlap) -> str:
-    """Instruction for an overlap that no modulus reduces enough: the stiffness is a number, or a unit is
-    wrong."""
-    if overlap(pair.stiffer(LARGEST_FACTOR)) > 0.99 * overlap(pair):
-        return "raise the stiffness of contact.normal"
-    return (
-        "check the units of densities, sizes, velocities and forces, because no Young's modulus is high "
-        "enough"
+def supported_pairs(scene: Scene, plan: Plan) -> Iterator[tuple[TouchingPair, float]]:
+    """Pairs of a particle and of much smaller ones in a shallow bed below it, and the weight [N] on one of
+    these.
+
+    A bed is shallow if it is not deeper than SHALLOW times the radius R of the large particle; small ones,
+    radius r, in a deeper bed give way. The floor supports those in a shallow bed. At the overlap limit d the
+    large particle, mass M, touches those within the radius a of its contact area,
+
+        N = phi a^2 / r^2,   a^2 = 2 R d,     at least 1
+
+    each of which carries M |g| / N. An impact compresses 2 N contacts, those with the large particle and
+    those below: for each the effective mass is M / (2 N). Without gravity there is no bed.
+    """
+    magnitude = float(np.linalg.norm(plan.gravity))
+    for large, small in product(plan.groups, plan.groups):
+        if large.fixed or small.fixed or not magnitude or not _collide(plan, large, small):
+            continue
+        radius = 0.5 * max(large.diameters)
+        radius_small = 0.5 * min(small.diameters)
+        count = max(2.0 * LAYER_FRACTION * radius * plan.max_overlap / radius_small, 1.0)
+        if radius < SUPPORTED_RATIO * radius_small or small.count <= count:
+            continue
+        if _depth(scene, plan, radius) > SHALLOW * radius:
+            continue
+        pair = _of_particles(plan, large, small, (2.0 * radius, 2.0 * radius_small))
+        mass = _mass(plan, large, radius)
+        name = f"particles of {large.name} on the smallest of {small.name}"
+        supported = replace(pair, name=name, mass_eff=max(mass / (2.0 * count), pair.mass_eff))
+        yield supported, magnitude * mass / count
+
+
+def _depth(scene: Scene, plan: Plan, radius: float) -> float:
+    """Depth [m] of a bed at rest of all mobile particles of groups without a radius of at least `radius`
+    [m]."""
+    names = [each.name for each in plan.groups if not each.fixed and 0.5 * max(each.diameters) < radius]
+    volume = solid_volume({name: scene.particles[name] for name in names})
+    return volume / (SOLID_FRACTION * weight_pressure(scene, plan.solids)[1])
+
+
+def _collide(plan: Plan, group: PlannedGroup, other: PlannedGroup) -> bool:
+    """Whether particles of two groups can be in contact."""
+    alone = group is other and group.count < 2
+    materials = (group.material, other.material)
+    return not alone and not (group.fixed and other.fixed) and materials in plan.pair_materials
+
+
+def _of_particles(
+    plan: Plan, group: PlannedGroup, other: PlannedGroup, sizes: tuple[float, float]
+) -> TouchingPair:
+    """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
+    radii = np.array(sizes) / 2.0
+    materials = (group.material, other.material)
+    inverse_mass = 0.0
+    for each, radius in zip((group, other), radii, strict=True):
+        if not each.fixed:
+            inverse_mass += 1.0 / _mass(plan, each, radius)
+    names = group.name if group is other else f"{group.name} and {other.name}"
+    return TouchingPair(
+        name=f"particles of {names}",
+        materials=materials,
+        pair=plan.pair_materials[materials],
+        radius=float(radii.min()),
+        radius_eff=float(1.0 / (1.0 / radii).sum()),
+        mass_eff=float(1.0 / inverse_mass),
     )
 
 
-def required_moduli(
-    solids: Mapping[str, Solid], materials: tuple[str, str], factor: float
-) -> dict[str, float]:
-    """Young's moduli [Pa] by material that raise the effective modulus of two materials by `factor`.
-
-        1/E = (1 - nu1^2)/E1 + (1 - nu2^2)/E2
-
-    Only the softer material changes if it stays softer than the other one; otherwise both get the same
-    modulus. Rounded up to two digits, with MARGIN.
-    """
-    names = sorted(dict.fromkeys(materials), key=lambda name: solids[name].young_modulus)
-    soft = solids[names[0]]
-    hard = solids[names[-1]]
-    of_soft, of_hard = (1.0 - each.poisson_ratio**2 for each in (soft, hard))
-    target = (of_soft / soft.young_modulus + of_hard / hard.young_modulus) / (MARGIN * factor)
-    both = (of_soft + of_hard) / target
-    if both >= hard.young_modulus:
-        return {name: rounded_up(both) for name in names}
-    return {names[0]: rounded_up(of_soft / (target - of_hard / hard.young_modulus))}
+def _of_wall(plan: Plan, group: PlannedGroup, wall: str) -> TouchingPair:
+    """A particle at a wall of the material `wall`; the relative overlap does not depend on its size
+    (Hertz)."""
+    radius = 0.5 * group.diameters[0]
+    materials = (group.material, wall)
+    name = f"particles of {group.name} and walls of {wall}"
+    mass = _mass(plan, group, radius)
+    return TouchingPair(name, materials, plan.pair_materials[materials], radius, radius, mass)
 
 
-def rounded_up(value: float) -> float:
-    """A value rounded up to two digits."""
-    text = f"{value:.1e}"
-    return float(text) if float(text) >= value else float(f"{value * 1.05:.1e}")
+def _mass(plan: Plan, group: PlannedGroup, radius: float) -> float:
+    """Mass [kg] of a sphere of a group with a radius [m], or of the clump to which it belongs."""
+    density = plan.solids[group.material].density
+    return sphere_mass(radius, density) if group.clump is None else group.clump.volume * density
 
 
-def modulus_text(moduli: Mapping[str, float]) -> str:
-    """Instruction that sets Young's moduli [Pa]: `set materials.rubber.young_modulus to 2.6e+07 Pa`."""
-    if (highest := max(moduli.values(), default=0.0)) > HARDEST:
-        words = pressure_words(highest)
-        return (
-            f"check the units of lengths, velocities, densities and forces: a modulus of {words} would be "
-            "required"
-        )
-    parts = [f"materials.{name}.young_modulus to {pressure_words(value)}" for name, value in moduli.items()]
-    return f"set {' and '.join(parts)}"
-
-
-def pressure_words(value: float) -> str:
-    """A pressure or modulus [Pa] in GPa, MPa, kPa or Pa."""
-    for unit, size in (("GPa", 1e9), ("MPa", 1e6), ("kPa", 1e3)):
-        if value >= size:
-            return f"{value / size:.3g} {unit}"
-    return f"{value:.3g} Pa"
-
-
-# Static pressures of a scene, of the weight of the bed and of force-controlled walls, and their contact
-# forces.
+# Static pressures of the weight of the bed and of force-controlled walls, and their contact forces.
 
 SOLID_FRACTION = 0.6
 """Solid fraction of a settled bed of spheres."""
@@ -313,7 +343,7 @@ FORCE_DECAY = 1.5
 
 (D. M. Mueth, H. M. Jaeger & S. R. Nagel, Phys. Rev. E 57 (1998) 3164: beta = 1.5 +- 0.1.)
 """
-SAMPLE = 1000
+SAMPLED_DIAMETERS = 1000
 """Number of diameters of which the mean mass of a group is computed; lists have one diameter per particle."""
 PressureKind = Literal["weight", "wall"]
 
@@ -367,10 +397,9 @@ def weight_pressure(scene: Scene, solids: Mapping[str, Solid]) -> tuple[float, f
         p = |g| sum M_i / A_i,       at most 0.64 rho |g| H
 
     A lattice or a packing has the section A of its region, given positions that of their bounding box; other
-    particles can fill the domain. With H, the height of
-    the domain, and the density of the random close packing, the pressure is not above that of a full domain.
-    The walls carry a part of the weight (Janssen 1895), which is not considered: the pressure is an upper
-    bound for a bed that keeps its section.
+    particles can fill the domain. With H, the height of the domain, and the density of the random close
+    packing, the pressure is not above that of a full domain. The walls carry a part of the weight (Janssen
+    1895), which is not considered: the pressure is an upper bound for a bed that keeps its section.
     """
     gravity = np.array(scene.gravity)
     size = np.subtract(scene.domain.max, scene.domain.min)
@@ -389,24 +418,6 @@ def weight_pressure(scene: Scene, solids: Mapping[str, Solid]) -> tuple[float, f
     return min(total, 0.64 * densest * float(np.abs(gravity) @ size)), largest_section
 
 
-def mean_volume(group: Group) -> float:
-    """Mean volume [m3] of the particles of a group, from a sample of at most SAMPLE diameters; that of a
-    clump."""
-    if group.clump is not None:
-        return group.clump.shape.volume
-    if isinstance(group.insert, FileInsertion):
-        diameters = np.array(diameter_range(group))
-    else:
-        count = group.count if isinstance(group.sizes, tuple) else min(group.count, SAMPLE)
-        diameters = draw_diameters(group.sizes, count, np.random.default_rng(0))
-    return float(np.mean(sphere_volume(0.5 * diameters)))
-
-
-def solid_volume(particles: Mapping[str, Group]) -> float:
-    """Volume [m3] of all particles."""
-    return sum(group.count * mean_volume(group) for group in particles.values())
-
-
 def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
     """Section [m2] of the region of a group across the unit vector `down`; that of the domain for other
     insertions."""
@@ -421,13 +432,128 @@ def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
         return float(np.abs(down) @ [y * z, z * x, x * y])
     assert isinstance(region, CylinderSampler)
     along = abs(float(region.frame[2] @ down))
+    across = float(np.sqrt(1.0 - min(along, 1.0) ** 2))
+    return along * pi * region.radius**2 + across * 2.0 * region.radius * region.length
+
+
+def mean_volume(group: Group) -> float:
+    """Mean volume [m3] of the particles of a group, of clumps or of a sample of at most SAMPLED_DIAMETERS
+    spheres."""
+    if group.clump is not None:
+        return group.clump.shape.volume
+    if isinstance(group.insert, FileInsertion):
+        diameters = np.array(diameter_range(group))
+    else:
+        count = group.count if isinstance(group.sizes, tuple) else min(group.count, SAMPLED_DIAMETERS)
+        diameters = draw_diameters(group.sizes, count, np.random.default_rng(0))
+    return float(np.mean(sphere_volume(0.5 * diameters)))
+
+
+def solid_volume(particles: Mapping[str, Group]) -> float:
+    """Volume [m3] of all particles."""
+    return sum(group.count * mean_volume(group) for group in particles.values())
+
+
+# Remedies of overlaps that are too large: Young's moduli that keep them below the limit.
+
+LARGEST_FACTOR = 1e12
+"""Largest factor on the moduli that is searched; no modulus helps a model whose stiffness is given as a
+number."""
+HARDEST = 1.2e12
+"""Young's modulus [Pa] of diamond: if more is required, a unit is probably wrong."""
+MODULUS_MARGIN = 1.1
+"""Recommended over required modulus: of rounding, and of several contacts at a time."""
+FACTOR_BISECTIONS = 60
+"""Bisections of the factor."""
+Overlap = Callable[[TouchingPair], float]
+"""Function from a pair to its largest relative overlap."""
+
+
+def modulus_factor(pair: TouchingPair, overlap: Overlap, limit: float) -> float | None:
+    """Smallest factor on the effective modulus at which the overlap is at most `limit`; None if no factor
+    suffices.
+
+    For Hertz contacts it is (d/limit)^(5/2) for an impact, and (d/limit)^(3/2) for a static load, because
+    d ~ E^(-2/5) at a given energy and d ~ E^(-2/3) at a given force. Solved by bisection for any contact
+    model.
+    """
+    low = 1.0
+    high = LARGEST_FACTOR
+    if overlap(pair.stiffer(high)) > limit:
+        return None
+    for _ in range(FACTOR_BISECTIONS):
+        if high < 1.001 * low:
+            break
+        middle = (low * high) ** 0.5
+        if overlap(pair.stiffer(middle)) > limit:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def without_modulus(pair: TouchingPair, overlap: Overlap) -> str:
+    """Instruction for an overlap that no modulus reduces enough: the stiffness is a number, or a unit is
+    wrong."""
+    if overlap(pair.stiffer(LARGEST_FACTOR)) > 0.99 * overlap(pair):
+        return "raise the stiffness of contact.normal"
     return (
-        along * pi * region.radius**2
-        + float(np.sqrt(1.0 - min(along, 1.0) ** 2)) * 2.0 * region.radius * region.length
+        "check the units of densities, sizes, velocities and forces, because no Young's modulus is high "
+        "enough"
     )
 
 
-ENOUGH = 1.05
+def required_moduli(
+    solids: Mapping[str, Solid], materials: tuple[str, str], factor: float
+) -> dict[str, float]:
+    """Young's moduli [Pa] by material that raise the effective modulus of two materials by `factor`.
+
+        1/E = (1 - nu1^2)/E1 + (1 - nu2^2)/E2
+
+    Only the softer material changes if it stays softer than the other one; otherwise both get the same
+    modulus. Rounded up to two digits, with MODULUS_MARGIN.
+    """
+    names = sorted(dict.fromkeys(materials), key=lambda name: solids[name].young_modulus)
+    soft = solids[names[0]]
+    hard = solids[names[-1]]
+    of_soft = 1.0 - soft.poisson_ratio**2
+    of_hard = 1.0 - hard.poisson_ratio**2
+    target = (of_soft / soft.young_modulus + of_hard / hard.young_modulus) / (MODULUS_MARGIN * factor)
+    both = (of_soft + of_hard) / target
+    if both >= hard.young_modulus:
+        return {name: rounded_up(both) for name in names}
+    return {names[0]: rounded_up(of_soft / (target - of_hard / hard.young_modulus))}
+
+
+def rounded_up(value: float) -> float:
+    """A value rounded up to two digits."""
+    text = f"{value:.1e}"
+    return float(text) if float(text) >= value else float(f"{value * 1.05:.1e}")
+
+
+def modulus_text(moduli: Mapping[str, float]) -> str:
+    """Instruction that sets Young's moduli [Pa]: `set materials.rubber.young_modulus to 2.6e+07 Pa`."""
+    highest = max(moduli.values(), default=0.0)
+    if highest > HARDEST:
+        return (
+            "check the units of lengths, velocities, densities and forces: a modulus of "
+            f"{pressure_words(highest)} would be required"
+        )
+    parts = [f"materials.{name}.young_modulus to {pressure_words(value)}" for name, value in moduli.items()]
+    return f"set {' and '.join(parts)}"
+
+
+def pressure_words(value: float) -> str:
+    """A pressure or modulus [Pa] in GPa, MPa, kPa or Pa."""
+    for unit, size in (("GPa", 1e9), ("MPa", 1e6), ("kPa", 1e3)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value:.3g} Pa"
+
+
+# The forecasts.
+
+LIMIT_MARGIN = 1.05
 """Recommended over forecast overlap limit."""
 
 
@@ -454,10 +580,12 @@ def impact_forecast(
     if largest.overlap > limit:
         warning = (
             f"{largest.pair.name}: an impact at {velocity:.3g} m/s, {source}, overlaps by "
-            f"{_share(largest.overlap)}, {_above(plan)} {_remedy(largest)}, or set run.velocity_max lower if "
-            "all impacts are slower."
+            f"{_share_text(largest.overlap)}, {_above_limit(plan)} {_remedy(largest)}, or set "
+            "run.velocity_max lower if all impacts are slower."
         )
-    return Forecast("overlap of impacts", _share(largest.overlap), remark, warning, "impact", largest.overlap)
+    return Forecast(
+        "overlap of impacts", _share_text(largest.overlap), remark, warning, "impact", largest.overlap
+    )
 
 
 def static_forecasts(
@@ -479,7 +607,7 @@ def static_forecasts(
         if largest.overlap > plan.max_overlap and (cohesive is None or cohesive.warning is None):
             warning = (
                 f"{largest.pair.name}: under {load.cause} contacts overlap by {_up_to(largest.overlap)}, "
-                f"{_above(plan)} {_remedy(largest)}."
+                f"{_above_limit(plan)} {_remedy(largest)}."
             )
         name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
         remark = f"{largest.pair.name} under {load.cause}"
@@ -502,7 +630,7 @@ def supported_forecast(plan: Plan, pairs: Iterable[tuple[TouchingPair, float]]) 
     if largest.overlap > plan.max_overlap:
         warning = (
             f"{largest.pair.name}: under the weight of one particle the contacts below it overlap by "
-            f"{_up_to(largest.overlap)}, {_above(plan)} {_remedy(largest)}."
+            f"{_up_to(largest.overlap)}, {_above_limit(plan)} {_remedy(largest)}."
         )
     remark = f"{largest.pair.name}, at rest"
     force = weights[largest.pair.name]
@@ -522,12 +650,13 @@ def cohesion_forecast(plan: Plan, pairs: Iterable[TouchingPair]) -> Forecast | N
         assert plan.laws.cohesion is not None
         keys = " or ".join(plan.laws.cohesion.constant_names)
         warning = (
-            f"{largest.pair.name}: the cohesion alone draws particles together by {_share(largest.overlap)}, "
-            f"{_above(plan)} Lower {keys}, or {_remedy(largest, capital=False)}."
+            f"{largest.pair.name}: the cohesion alone draws particles together by "
+            f"{_share_text(largest.overlap)}, {_above_limit(plan)} Lower {keys}, or "
+            f"{_remedy(largest, capital=False)}."
         )
     remark = f"{largest.pair.name}, without load"
     return Forecast(
-        "overlap by cohesion", _share(largest.overlap), remark, warning, "cohesion", largest.overlap
+        "overlap by cohesion", _share_text(largest.overlap), remark, warning, "cohesion", largest.overlap
     )
 
 
@@ -540,7 +669,7 @@ def _largest(plan: Plan, pairs: Iterable[TouchingPair], overlap: Overlap) -> _La
     """The pair with the largest overlap, and the instruction that reduces all to the limit; None without
     pairs."""
     found = [(overlap(pair), pair) for pair in pairs]
-    found = [each for each in found if each[0] == each[0]]  # NaN: a model without reference implementation
+    found = [each for each in found if not isnan(each[0])]  # NaN: a model without reference implementation
     if not found:
         return None
     limit = plan.max_overlap
@@ -556,137 +685,24 @@ def _largest(plan: Plan, pairs: Iterable[TouchingPair], overlap: Overlap) -> _La
     return _Largest(worst[1], worst[0], modulus_text(moduli))
 
 
-def _above(plan: Plan) -> str:
+def _above_limit(plan: Plan) -> str:
     """End of a sentence on an overlap above the limit."""
-    place = plan.sources.get("numerics.max_overlap")
-    return (
-        f"and the run stops above numerics.max_overlap {plan.max_overlap:g}{f' ({place})' if place else ''}."
-    )
+    source = plan.sources.get("numerics.max_overlap")
+    place = f" ({source})" if source else ""
+    return f"and the run stops above numerics.max_overlap {plan.max_overlap:g}{place}."
 
 
 def _remedy(largest: _Largest, capital: bool = True) -> str:
     """The remedies: moduli, or a higher limit if it is allowed."""
-    needed = float(f"{ENOUGH * largest.overlap + 0.005:.2f}")
+    needed = float(f"{LIMIT_MARGIN * largest.overlap + 0.005:.2f}")
     accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
     text = largest.instruction + (accept if needed <= LARGEST_OVERLAP else "")
     return text[0].upper() + text[1:] if capital else text
 
 
 def _up_to(overlap: float) -> str:
-    return f"up to {_share(overlap)}" if overlap < 1.0 else _share(overlap)
+    return f"up to {_share_text(overlap)}" if overlap < 1.0 else _share_text(overlap)
 
 
-def _share(overlap: float) -> str:
+def _share_text(overlap: float) -> str:
     return f"{overlap:.3g} of the radius" if overlap < 1.0 else "more than the radius"
-
-
-# The pairs of bodies of a plan that can be in contact, for the forecasts of overlaps.
-
-SUPPORTED_RATIO = 3.0
-"""Smallest ratio of radii at which a particle hits small ones as a bed: particles of similar size move each
-other."""
-SHALLOW = 0.5
-"""Largest depth of a bed that supports its particles, over the radius of the large particle.
-
-In runs with a bed of 2.3 mm (1 mm particles of 10 MPa, 0.3 m/s), a particle of 5 mm overlaps by 0.06 of the
-small radius, 0.3 times the value for a supported bed; those of 10 and 20 mm by 0.16 and 0.46, 0.4 and 0.8
-times this value.
-"""
-LAYER_FRACTION = 0.8
-"""Share of an area that a layer of spheres covers."""
-
-
-def touching_pairs(plan: Plan) -> Iterator[TouchingPair]:
-    """All pairs of groups, and of groups and wall materials, with the sizes of the largest relative overlaps.
-
-    Two groups: smallest and largest sizes in all combinations, because the overlap refers to the smaller
-    particle, and a small one that hits a large one overlaps most. Walls have an infinite radius and mass, as
-    have fixed particles concerning their mass.
-    """
-    walls = dict.fromkeys(plan.materials[wall.material] for wall in plan.walls)
-    for index, group in enumerate(plan.groups):
-        for other in plan.groups[index:]:
-            if _collide(plan, group, other):
-                for sizes in dict.fromkeys(product(group.diameters, other.diameters)):
-                    yield _of_particles(plan, group, other, sizes)
-        for wall in walls if not group.fixed else ():
-            yield _of_wall(plan, group, wall)
-
-
-def supported_pairs(scene: Scene, plan: Plan) -> Iterator[tuple[TouchingPair, float]]:
-    """Pairs of a particle and of much smaller ones in a shallow bed below it, and the weight [N] on one of
-    these.
-
-    A bed is shallow if it is not deeper than SHALLOW times the radius R of the large particle; small ones,
-    radius r, in a deeper bed give way. The floor supports those in a shallow bed. At the overlap limit d the
-    large particle, mass M, touches those within the radius a of its contact area,
-
-        N = phi a^2 / r^2,   a^2 = 2 R d,     at least 1
-
-    each of which carries M |g| / N. An impact compresses 2 N contacts, those with the large particle and
-    those below:
-    for each the effective mass is M / (2 N). Without gravity there is no bed.
-    """
-    magnitude = float(np.linalg.norm(plan.gravity))
-    for large, small in product(plan.groups, plan.groups):
-        if large.fixed or small.fixed or not magnitude or not _collide(plan, large, small):
-            continue
-        radius = 0.5 * max(large.diameters)
-        radius_small = 0.5 * min(small.diameters)
-        count = max(2.0 * LAYER_FRACTION * radius * plan.max_overlap / radius_small, 1.0)
-        if radius < SUPPORTED_RATIO * radius_small or small.count <= count:
-            continue
-        if _depth(scene, plan, radius) > SHALLOW * radius:
-            continue
-        pair = _of_particles(plan, large, small, (2.0 * radius, 2.0 * radius_small))
-        mass = _mass(plan, large, radius)
-        name = f"particles of {large.name} on the smallest of {small.name}"
-        supported = replace(pair, name=name, mass_eff=max(mass / (2.0 * count), pair.mass_eff))
-        yield supported, magnitude * mass / count
-
-
-def _depth(scene: Scene, plan: Plan, radius: float) -> float:
-    """Depth [m] of a bed at rest of all mobile particles of groups without a radius of at least `radius`
-    [m]."""
-    names = [each.name for each in plan.groups if not each.fixed and 0.5 * max(each.diameters) < radius]
-    volume = solid_volume({name: scene.particles[name] for name in names})
-    return volume / (SOLID_FRACTION * weight_pressure(scene, plan.solids)[1])
-
-
-def _collide(plan: Plan, group: PlannedGroup, other: PlannedGroup) -> bool:
-    """Whether particles of two groups can be in contact."""
-    alone = group is other and group.count < 2
-    materials = (group.material, other.material)
-    return not alone and not (group.fixed and other.fixed) and materials in plan.pair_materials
-
-
-def _of_particles(
-    plan: Plan, group: PlannedGroup, other: PlannedGroup, sizes: tuple[float, float]
-) -> TouchingPair:
-    """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
-    radii = np.array(sizes) / 2.0
-    materials = (group.material, other.material)
-    masses = [_mass(plan, each, radius) for each, radius in zip((group, other), radii, strict=True)]
-    inverse = sum(
-        0.0 if each.fixed else 1.0 / mass for each, mass in zip((group, other), masses, strict=True)
-    )
-    radius_eff = float(1.0 / (1.0 / radii).sum())
-    name = f"particles of {group.name if group is other else f'{group.name} and {other.name}'}"
-    pair = plan.pair_materials[materials]
-    return TouchingPair(name, materials, pair, float(radii.min()), radius_eff, float(1.0 / inverse))
-
-
-def _of_wall(plan: Plan, group: PlannedGroup, wall: str) -> TouchingPair:
-    """A particle at a wall of the material `wall`; the relative overlap does not depend on its size
-    (Hertz)."""
-    radius = 0.5 * group.diameters[0]
-    materials = (group.material, wall)
-    name = f"particles of {group.name} and walls of {wall}"
-    mass = _mass(plan, group, radius)
-    return TouchingPair(name, materials, plan.pair_materials[materials], radius, radius, mass)
-
-
-def _mass(plan: Plan, group: PlannedGroup, radius: float) -> float:
-    """Mass [kg] of a sphere of a group with a radius [m], or of the clump to which it belongs."""
-    density = plan.solids[group.material].density
-    return sphere_mass(radius, density) if group.clump is None else group.clump.volume * density
