@@ -16,8 +16,8 @@ from granflow.engine.totals import EXIT_FACES
 from granflow.errors import FunctionError, GranflowError, RunError, StopRun
 from granflow.observers.observer import TOTALS
 from granflow.plan.plan import Plan
-from granflow.runs.interrupts import stop_of
 from granflow.plan.stages import PlannedStage
+from granflow.runs.interrupts import stop_of
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import REST_CHECKS, LastGoodState, RunState
