@@ -1,4 +1,9 @@
-"""Clump."""
+"""Shape of a clump, a rigid body of spheres that may overlap: volume, center of mass and moments of
+inertia. numpy only.
+
+Regions in which spheres overlap count once: the moments are integrals over the union of the spheres, which
+the second part of this file computes.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -76,7 +81,12 @@ def clump_shape(position: tuple[tuple[float, float, float], ...], radius: tuple[
     moments, axes = _principal(np.trace(second) * np.eye(3) - second)
     center = origin + scale * center
     return ClumpShape(
-        scale**3 * volume, center, scale**5 * moments, of_matrix(axes), (centers - center) @ axes, radii
+        volume=scale**3 * volume,
+        center=center,
+        moments=scale**5 * moments,
+        principal_axes=of_matrix(axes),
+        offset=(centers - center) @ axes,
+        radius=radii,
     )
 
 
@@ -102,7 +112,15 @@ def _right_handed(axes: np.ndarray) -> np.ndarray:
     return np.asarray(axes * sign)
 
 
-# Integrals.
+# Volume integrals over a union of spheres.
+#
+# By the divergence theorem, each integral is one over the parts of the spheres that no other sphere contains,
+# with the outward normal n and s = x . n dA:
+#
+#     volume = 1/3 sum s,      integral of x = 1/4 sum x s,      integral of x x = 1/5 sum x x s
+#
+# On each circle of latitude these parts are arcs, whose ends are known exactly. Gauss quadrature adds up the
+# arcs, and the latitudes between those at which arcs appear or vanish.
 
 LATITUDES = 64
 """Number of circles of latitude between two at which arcs appear or vanish: relative error 1e-13 unless three

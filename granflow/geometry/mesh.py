@@ -1,4 +1,10 @@
-"""Mesh."""
+"""Triangle mesh of a wall at rest: built from the triangles of a file, with a cell grid for the search.
+numpy only.
+
+`mesh_of` merges points, removes triangles without area and duplicates, and splits triangles until neighbors
+share complete edges, so that the adjacency of `mesh_contact` holds. `grid_over` lists for each cell the
+triangles that a particle centered there can touch.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -78,7 +84,7 @@ def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
 
 
-# From file.
+# A mesh from the triangles of a file.
 
 WELD_TOLERANCE = 1e-6
 """Points closer than this fraction of the mesh size are merged: ten times the rounding error of float32
@@ -162,7 +168,7 @@ def first_occurrences(rows: np.ndarray) -> np.ndarray:
     return np.sort(order[new])
 
 
-# Hanging points.
+# Hanging points: vertices of other triangles on the edge of a triangle, at which it is split.
 
 MAX_PAIRS = 2 * 10**8
 """Maximum number of (open edge, point) pairs; a mesh with more is not split, because its parts do not
@@ -187,9 +193,8 @@ def split_at_hanging_points(
         triangle, side, on_edge = hanging_points(points, corners, tolerance)
         if not len(triangle):
             return corners, count
-        is_first_side = (
-            side == side[np.searchsorted(triangle, triangle)]
-        )  # other sides follow in the next iteration
+        # Other sides of the same triangle follow in the next iteration.
+        is_first_side = side == side[np.searchsorted(triangle, triangle)]
         triangle = triangle[is_first_side]
         side = side[is_first_side]
         on_edge = on_edge[is_first_side]
@@ -209,7 +214,8 @@ def hanging_points(
     """
     _, _, open_edges = classify_edges(corners)
     open_edges = np.sort(open_edges)
-    start, end = corners.reshape(-1)[open_edges], np.roll(corners, -1, axis=1).reshape(-1)[open_edges]
+    start = corners.reshape(-1)[open_edges]
+    end = np.roll(corners, -1, axis=1).reshape(-1)[open_edges]
     candidate_points = np.unique(start)
     found: list[np.ndarray] = [np.empty((2, 0), dtype=np.int64)]
     if len(open_edges) * len(candidate_points) <= MAX_PAIRS:
@@ -254,15 +260,17 @@ def split_triangles(
         is_this = triangle == each
         start, end, opposite = np.roll(corners[each], -int(side[is_this][0]))
         on_side = on_edge[is_this]
-        on_side = on_side[
-            np.argsort((points[on_side] - points[start]) @ (points[end] - points[start]), kind="stable")
-        ]
-        ends = np.array([start, *on_side, end])
+        along = (points[on_side] - points[start]) @ (points[end] - points[start])
+        ends = np.array([start, *on_side[np.argsort(along, kind="stable")], end])
         found += [[a, b, opposite] for a, b in zip(ends[:-1], ends[1:], strict=True)]
     return np.array(found)
 
 
-# Grid.
+# Cell grid of one mesh at rest.
+#
+# A triangle is listed in all cells within its reach, so that a particle reads a single cell and finds each
+# triangle once. The cost per particle depends on the number of triangles near it, not on the total number
+# of triangles.
 
 CELLS_PER_TRIANGLE, MIN_CELLS = 8.0, 4096
 """Maximum number of cells of a grid."""
@@ -299,7 +307,8 @@ def grid_over(vertex: np.ndarray, reach: float) -> MeshGrid:
     reach:   largest distance [m] of a center from a triangle that a cell must list
     """
     reach = reach * REACH_FACTOR
-    low, high = vertex.min(axis=(0, 1)) - reach, vertex.max(axis=(0, 1)) + reach
+    low = vertex.min(axis=(0, 1)) - reach
+    high = vertex.max(axis=(0, 1)) + reach
     side = side_of(vertex, reach, low, high)
     shape = np.maximum(np.ceil((high - low) / side), 1).astype(np.int64)
     cell, triangle = overlaps(vertex, reach, low, side, shape)
@@ -358,9 +367,11 @@ def overlaps(
     last = np.clip(np.floor((vertex.max(axis=1) + reach - low) / side).astype(np.int64), 0, shape - 1)
     spans = last - first + 1
     triangle, rank = expanded(np.zeros(len(vertex), np.int64), np.prod(spans, axis=1))
-    span_x, span_y = spans[triangle, 0], spans[triangle, 1]
-    x, y, z = rank % span_x, rank // span_x % span_y, rank // (span_x * span_y)
-    x, y, z = x + first[triangle, 0], y + first[triangle, 1], z + first[triangle, 2]
+    span_x = spans[triangle, 0]
+    span_y = spans[triangle, 1]
+    x = first[triangle, 0] + rank % span_x
+    y = first[triangle, 1] + rank // span_x % span_y
+    z = first[triangle, 2] + rank // (span_x * span_y)
     return (z * shape[1] + y) * shape[0] + x, triangle
 
 
@@ -381,11 +392,9 @@ def within_reach(
     is_near = np.ones(len(cell), bool)
     for begin in range(0, len(cell), CHUNK_PAIRS):
         part = slice(begin, begin + CHUNK_PAIRS)
-        x, y, z = (
-            cell[part] % shape[0],
-            cell[part] // shape[0] % shape[1],
-            cell[part] // (shape[0] * shape[1]),
-        )
+        x = cell[part] % shape[0]
+        y = cell[part] // shape[0] % shape[1]
+        z = cell[part] // (shape[0] * shape[1])
         center = low + side * (np.stack([x, y, z], axis=1) + 0.5)
         is_near[part] = (
             triangle_distances(vertex[triangle[part]], center) <= reach + 0.5 * np.sqrt(3.0) * side

@@ -1,4 +1,25 @@
-"""Mesh contact."""
+"""Contact of a sphere with a triangle mesh: which triangle owns it, from the adjacency of the triangles.
+numpy only.
+
+A contact exists at each local minimum of the distance between particle center and mesh. Exactly one
+triangle owns it, and each triangle decides independently. Let `s` be the distance of the center from the
+line of an edge, measured in the plane of the triangle and positive over its face:
+
+    face      s > 0 at all three edges
+    edge      s <= 0 for both triangles of the edge: the triangle with the lower index owns the contact; an
+              open edge belongs to its only triangle
+    vertex    no edge at the vertex is nearer to the center: the triangle with the lowest index owns the
+              contact
+
+Two coplanar triangles have exactly opposite `s` at their common edge, so that one of them owns the contact
+for every position of the center, including positions above the edge. A non-manifold edge (more than two
+triangles) can be in contact only if the widest angle between two neighboring triangles exceeds 180 degrees;
+these two share it.
+
+If the mesh is slightly concave toward the particle, it approximates a curved wall with a single contact: of
+triangles with a common point whose planes enclose at most SMOOTH_ANGLE, only the nearest owns a contact
+(competing triangles). Sharper concave edges are treated as corners and give a contact with each side.
+"""
 
 from dataclasses import dataclass
 
@@ -24,8 +45,8 @@ class MeshAdjacency:
     """Arrays over triangles (t, ...), over their edges and corners (t, 3, ...), and over points (n, ...).
 
     Edge k of a triangle runs from corner k to the next corner. Lengths are in m, real arrays float64. The
-    kernels read the same arrays (`engine/state.py`); `contact.py` is the reference implementation that uses
-    them.
+    arrays are computed once; the kernels read the same ones (`engine/state.py`) as the reference
+    implementation.
     """
 
     vertex: np.ndarray
@@ -240,7 +261,7 @@ def neighbors_of(corners: np.ndarray, point_count: int) -> tuple[np.ndarray, np.
     return pairs // len(corners), pairs % len(corners)
 
 
-# Reference.
+# Distance and contact of a point with a triangle: reference implementation of `engine/walls.py`.
 
 ROUNDING = 16.0
 """Tolerance, in units in the last place of the lengths at a vertex, for a center above the vertex."""

@@ -39,11 +39,9 @@ class PeriodicBox:
 
     def at(self, time: float) -> "PeriodicBox":
         """The periodic box at a time [s]."""
-        return (
-            self
-            if self.image_motion is None
-            else replace(self, offset=float(self.offsets(np.array([time]))[0]))
-        )
+        if self.image_motion is None:
+            return self
+        return replace(self, offset=float(self.offsets(np.array([time]))[0]))
 
     def offsets(self, times: np.ndarray) -> np.ndarray:
         """Displacements (n,) [m] of the image above at times (n,) [s], in [-width/2, width/2].

@@ -1,6 +1,7 @@
 """Flat walls: half space (one-sided) and rectangle (two-sided).
 
-Where rectangles touch each other or other walls, `engine.wall_contact` finds the one that has a contact.
+Where rectangles touch each other or other walls, `engine.pair.build_wall_contact` finds the one that has a
+contact.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Unit quaternions (w, x, y, z) of rotations, as arrays (n, 4). numpy only."""
+"""Unit quaternions (w, x, y, z) of rotations, the orientations of clumps, as arrays (n, 4). numpy only."""
 
 import numpy as np
 
@@ -42,7 +42,9 @@ def of_matrix(rotation: np.ndarray) -> np.ndarray:
     skew = np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )
-    products[0, 0], products[0, 1:], products[1:, 0] = 1.0 + trace, skew, skew
+    products[0, 0] = 1.0 + trace
+    products[0, 1:] = skew
+    products[1:, 0] = skew
     products[1:, 1:] = rotation + rotation.T + (1.0 - trace) * np.eye(3)
     row = products[int(np.argmax(np.diag(products)))]
     return np.asarray(row / np.linalg.norm(row) * (1.0 if row[0] >= 0.0 else -1.0))

@@ -1,7 +1,7 @@
 """Surfaces of revolution: a straight segment in the (r, z) half plane revolved about an axis.
 
 Cylinder, cone frustum and disc (with or without a round hole) are surfaces of this kind. The surface is thin
-and two-sided. Each end of the segment is a circular edge; `shared_edges.join_shared_edges` assigns shared
+and two-sided. Each end of the segment is a circular edge; `join_shared_edges` assigns shared
 edges to owners.
 
 The parameters are those of REVOLVED: origin, axis, radius at the start, length and direction (r, z) of the
@@ -177,9 +177,7 @@ def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
     on_axis = np.linalg.norm(radial, axis=1) <= 1e-12 * np.linalg.norm(offsets, axis=1)
     radial[on_axis] = np.cross(np.eye(3)[1 if abs(axis[2]) > 0.5 else 2], axis)
     radial /= np.linalg.norm(radial, axis=1)[:, None]
-    radial -= np.outer(
-        radial @ axis, axis
-    )  # second projection: near the axis the first result is mostly rounding error
+    radial -= np.outer(radial @ axis, axis)
     return radial / np.linalg.norm(radial, axis=1)[:, None]
 
 
@@ -222,11 +220,9 @@ def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) 
     centers = np.array([origin + end[1] * axis_of_shape for end in profile(parameters)])
     from_surface = distance_from_axis(centers, point, axis).max()
     size = radius + parameters[7]
-    return (
-        0.0
-        if is_parallel(axis_of_shape, axis) and from_surface <= 1e-9 * size
-        else float(from_surface + radius)
-    )
+    if is_parallel(axis_of_shape, axis) and from_surface <= 1e-9 * size:
+        return 0.0
+    return float(from_surface + radius)
 
 
 def revolved_area(parameters: np.ndarray) -> float:

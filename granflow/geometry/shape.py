@@ -1,4 +1,8 @@
-"""Wall shapes: one record per kind of shape, one record per shape."""
+"""Wall shapes: one record per kind of shape, one record per shape; vectors, and the volume of spheres.
+
+A kind contains the device functions, the reference implementation and the triangles of its shapes;
+`catalog` lists the kinds.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,8 +17,8 @@ PARAMETER_COUNT = 16
 RIGHT_ANGLE_COSINE = 1e-6
 """Largest absolute cosine of an angle that is accepted as 90 deg."""
 FAR_AWAY = 1e9
-"""Distance [m] returned if a surface does not own the contact (see `shared_edges`): larger than any radius
-plus skin, and small enough for its square to be finite in float32."""
+"""Distance [m] returned if a surface does not own the contact (see `revolved.join_shared_edges`): larger than
+any radius plus skin, and small enough for its square to be finite in float32."""
 
 
 @dataclass(frozen=True)

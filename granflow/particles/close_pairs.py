@@ -1,4 +1,8 @@
-"""Close pairs."""
+"""Search for close pairs of spheres with a cell list. numpy only.
+
+The cells are cubes with an edge of the largest contact distance plus the reach, so that partners are in the
+27 cells around a sphere. Packings, insertions and checks of given positions use the search.
+"""
 
 from collections.abc import Iterator
 from itertools import product

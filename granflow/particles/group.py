@@ -1,4 +1,9 @@
-"""Group."""
+"""A group of particles of a scene, and the arrays of its new particles.
+
+`SceneGroup` is a group with what its particles need of other parts of the scene, and with its random number
+generators. `particles_of` gives particles at given centers the motion, material and orientation of their
+group.
+"""
 
 import zlib
 from collections.abc import Callable, Sequence

@@ -1,4 +1,8 @@
-"""Packing."""
+"""Packing of spheres in a region: on a lattice, or at random without overlap.
+
+Both avoid existing spheres. The results depend on the random number generator only, not on the number of
+threads.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,5 @@
-"""Regions."""
+"""Insertion regions: sampling of sphere centers so that the spheres lie entirely in a box, a cylinder or a
+slab."""
 
 from typing import Protocol
 

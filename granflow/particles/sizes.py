@@ -1,4 +1,7 @@
-"""Sizes."""
+"""Sampling of diameters from the size distributions of the scene.
+
+Numbers of particles, not masses, follow the distribution, except for classes with fractions by mass.
+"""
 
 import math
 from collections.abc import Callable

@@ -1,7 +1,7 @@
-"""Walls whose surfaces touch, so that one contact of a particle can be found on several of them; found before
-the run.
+"""Walls whose surfaces touch, so that one contact of a particle can be found on several of them.
 
-The kernels look for contacts that are found twice only at these walls, see `engine.wall_kinematics`.
+They are found before the run, from motions, planes and bounding boxes. The kernels look for contacts that are
+found twice only at these walls, see `engine.pair.build_wall_contact`.
 """
 
 from collections.abc import Sequence
@@ -40,9 +40,10 @@ def joints_of(
     of the walls found do not touch. Walls that move differently are assumed to touch at some time.
     """
     tolerance = PLACE_TOLERANCE * radius_max
-    joints = [
-        ITSELF if isinstance(w.shape, Mesh) and _has_touching_parts(w.shape, tolerance) else 0 for w in walls
-    ]
+    joints = [0] * len(walls)
+    for index, wall in enumerate(walls):
+        if isinstance(wall.shape, Mesh) and _has_touching_parts(wall.shape, tolerance):
+            joints[index] = ITSELF
     for a, b in combinations(range(len(walls)), 2):
         if _may_touch(walls[a], walls[b], tolerance, periodic_axes):
             joints[a] |= OTHERS
@@ -61,7 +62,8 @@ def _may_touch(one: PlannedWall, other: PlannedWall, tolerance: float, periodic_
     if planes:
         bounded = other if planes[0] is one else one
         return _can_end_on(bounded.shape, planes[0].shape, tolerance)
-    box, other_box = (_bounds(_points_of(each.shape)) for each in (one, other))
+    box = _bounds(_points_of(one.shape))
+    other_box = _bounds(_points_of(other.shape))
     return _overlap(box, other_box, tolerance, periodic_axes)
 
 
@@ -78,8 +80,9 @@ def _motions_of_surface(wall: PlannedWall) -> tuple[object, ...]:
     if any(isinstance(each.given, ForceControlled) for each in moving):
         return (wall.name,)
     turning = [each.given for each in moving if isinstance(each.given, Rotation | TableRotation)]
-    reaches = (reach_about(wall.shape, np.array(each.point), np.array(each.axis), np.inf) for each in turning)
-    return () if len(turning) == len(moving) and all(reach == 0.0 for reach in reaches) else moving
+    reaches = [reach_about(wall.shape, np.array(each.point), np.array(each.axis), np.inf) for each in turning]
+    only_turns_in_place = len(turning) == len(moving) and all(reach == 0.0 for reach in reaches)
+    return () if only_turns_in_place else moving
 
 
 def _can_coincide(one: PlannedWall, other: PlannedWall, tolerance: float, moves_alike: bool) -> bool:

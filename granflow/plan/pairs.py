@@ -1,5 +1,8 @@
-"""Pairs of materials and possible contacts of a scene: contact laws, pair constants, and the cases of the
-time step."""
+"""Pairs of materials and possible contacts of a scene.
+
+The pairs of materials give the constants of the contact laws, the pairs of groups and walls the cases from
+which the time step is chosen.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -119,13 +122,11 @@ def pair_materials(
     scene: Scene, models: Mapping[str, ContactModel], solids: Mapping[str, Solid]
 ) -> dict[tuple[str, str], PairMaterial]:
     """Mixed constants of each two materials that can come into contact, by their names in either order."""
-    both = [
-        (first, second)
-        for first in solids
-        for second in solids
-        if scene.pair_key(first, second) in scene.pairs
-    ]
-    return {(a, b): _pair_material(scene, models, scene.pair(a, b), solids[a], solids[b]) for a, b in both}
+    found = {}
+    for a, b in product(solids, solids):
+        if scene.pair_key(a, b) in scene.pairs:
+            found[a, b] = _pair_material(scene, models, scene.pair(a, b), solids[a], solids[b])
+    return found
 
 
 def _pair_material(
@@ -230,13 +231,15 @@ def _pair_case(
 ) -> PairCase:
     """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall
     (None)."""
-    smallest, largest = (0.5 * diameter for diameter in group.diameters)
+    smallest = 0.5 * group.diameters[0]
+    largest = 0.5 * group.diameters[1]
     material_solid = solids[group.material]
     mass = sphere_mass(smallest, material_solid.density)
     ratio = max(_mass_ratio(group), _mass_ratio(other))
     if other is None:
         return PairCase(name, pair, smallest, mass, smallest, largest, material_solid, mass_ratio=ratio)
-    other_smallest, other_largest = (0.5 * diameter for diameter in other.diameters)
+    other_smallest = 0.5 * other.diameters[0]
+    other_largest = 0.5 * other.diameters[1]
     largest = min(largest, other_largest)
     if other.fixed:
         radius_eff = smallest * other_largest / (smallest + other_largest)

@@ -1,4 +1,9 @@
-"""The time step."""
+"""The time step: computed from the stiffest phase of all possible contacts, or given and checked.
+
+`PairCase` is one possible contact; `choose_time_step` is the rule. Durations of contacts and stiffnesses
+come from the normal contact model. An adaptive time step is the same rule, applied to the current maximum
+impact velocity.
+"""
 
 import math
 from bisect import bisect_left
@@ -138,7 +143,16 @@ def choose_time_step(
             f"is {value:.3g} s, above the stability limit {stable:.3g} s ({stable_name} at {velocity:.3g} "
             f"m/s). Lower it to {chosen:.2g} s or remove it."
         )
-    step = TimeStep(value, limited_by, stable, stable_name, 0.0, given is not None, (), resolved / fraction)
+    step = TimeStep(
+        value=value,
+        limited_by=limited_by,
+        stable_below=stable,
+        stable_limit=stable_name,
+        least_restitution=0.0,
+        is_given=given is not None,
+        warnings=(),
+        shortest_phase=resolved / fraction,
+    )
     least, warnings = _restitution_reached(step, pair_cases, law, velocity)
     return replace(step, least_restitution=least, warnings=warnings)
 
