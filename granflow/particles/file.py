@@ -1,5 +1,8 @@
-"""Motions of walls from CSV files: the rows of a file become the columns of the motion in the resolved
-scene."""
+"""Particles from files: tables of particles, the rows of each group, and its particles.
+
+A table is text with named columns in the formats of common programs, or a VTU frame. Numbers are converted
+to SI by the units in the header. Several groups can share a file with a column of materials.
+"""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,16 +14,13 @@ import numpy as np
 
 from granflow.errors import FileError, SceneError
 from granflow.io.files import FormatError, read_regular_text, resolved
-from granflow.io.tables import Table, is_number, read_table, table_in
+from granflow.io.tables import Table, is_number, table_in
 from granflow.io.vtu import read_vtu
 from granflow.particles.group import ParticleData, SceneGroup, particles_of
 from granflow.scene.blocks.particles import FileInsertion
-from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.blocks.walls import MOST_ROWS, TABLE_COLUMNS, TableMotion
-from granflow.scene.suggest import nearest
 from granflow.units import UnitError, to_si
 
-# Particle tables: text with named columns in common formats, or a VTU frame.
+# Tables of particles: text with named columns in common formats, or a VTU frame.
 
 LARGEST_FILE = 2**30
 """Largest file size [B]: about ten million particles."""
@@ -127,15 +127,19 @@ def _read(path: Path, changed: int, size: int) -> ParticleTable:
             f"{path}: particles are not read from the files of several ranks; save them as one .vtu file, "
             "for example in ParaView, or continue from the run with start_from."
         )
-    table, problems = (_frame(path), []) if path.suffix.lower() == ".vtu" else _text(path)
+    problems: list[RowProblem] = []
+    if path.suffix.lower() == ".vtu":
+        table = _frame(path)
+    else:
+        table, problems = _text(path)
     reported = {line for line, _ in problems}
     problems = [*problems, *(each for each in _value_problems(table) if each[0] not in reported)]
     if problems:
         shown = [f"{path}:{line}: {sentence}" for line, sentence in problems[:MOST_SHOWN]]
         more = len(problems) - MOST_SHOWN
-        raise SceneError(
-            [*shown, *([f"{path}: {more} more rows have problems, which are not shown."] * (more > 0))]
-        )
+        if more > 0:
+            shown.append(f"{path}: {more} more rows have problems, which are not shown.")
+        raise SceneError(shown)
     if not len(table):
         raise SceneError(f"{path}: the file contains no particles.")
     return table
@@ -182,13 +186,18 @@ def _frame(path: Path) -> ParticleTable:
                 f"but {components} are expected."
             )
     radius = np.asarray(data[known[0]], float).reshape(count) * (0.5 if known[0] == "diameter" else 1.0)
-    velocity, angular_velocity = (
-        np.asarray(data[name], float).reshape(count, 3) if name in data else None
-        for name in ("velocity", "angular_velocity")
-    )
-    material = np.asarray(data["material"]).astype(str) if "material" in data else None
+
+    def vectors(name: str) -> np.ndarray | None:
+        return np.asarray(data[name], float).reshape(count, 3) if name in data else None
+
     return ParticleTable(
-        path, np.asarray(mesh.points, float), radius, velocity, angular_velocity, material, np.arange(count)
+        path=path,
+        position=np.asarray(mesh.points, float),
+        radius=radius,
+        velocity=vectors("velocity"),
+        angular_velocity=vectors("angular_velocity"),
+        material=np.asarray(data["material"]).astype(str) if "material" in data else None,
+        line=np.arange(count),
     )
 
 
@@ -220,11 +229,16 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
         values = [_numbers(table, index, problems) for index in indices]
         numbers[quantity] = np.stack(values, axis=1) * factors
     radius = numbers["radius"] if "radius" in numbers else 0.5 * numbers["diameter"]
-    motion = numbers.get("velocity"), numbers.get("angular_velocity")
-    line = np.array([line for line, _ in table.rows], dtype=np.int64)
-    return ParticleTable(path, numbers["position"], radius.reshape(-1), *motion, material, line), sorted(
-        problems
+    particles = ParticleTable(
+        path=path,
+        position=numbers["position"],
+        radius=radius.reshape(-1),
+        velocity=numbers.get("velocity"),
+        angular_velocity=numbers.get("angular_velocity"),
+        material=material,
+        line=np.array([line for line, _ in table.rows], dtype=np.int64),
     )
+    return particles, sorted(problems)
 
 
 def _refuse_incomplete(path: Path, table: Table) -> None:
@@ -248,7 +262,8 @@ def _contradictions(path: Path, table: Table) -> Iterator[RowProblem]:
         for columns in components
         for other in columns[1:]
     ]
-    (radius,), (diameter,) = matches["radius"], matches["diameter"]
+    radius = matches["radius"][0]
+    diameter = matches["diameter"][0]
     if radius and diameter:
         pairs.append(("diameter", radius[0], diameter[0], 2.0))
     for quantity, first, other, factor in pairs:
@@ -433,99 +448,3 @@ def particles_from_file(group: SceneGroup) -> ParticleData:
 def _material_names(group: SceneGroup) -> list[str]:
     """Names of the material of a group in a file: its name, or its number in the scene, from 0."""
     return [group.spec.material, str(group.material_number)]
-
-
-NAMES = {
-    "time": "times",
-    "displacement": "displacements",
-    "velocity": "velocities",
-    "angle": "angles",
-    "angular_velocity": "angular_velocities",
-}
-"""Names of the columns of a file, and the keys of the motion."""
-DIMENSIONS = {"times": "time"} | TABLE_COLUMNS
-"""Dimension of each key."""
-
-
-def with_motion_files(scene: SceneInput, read: bool) -> SceneInput:
-    """The scene with the columns of all motions from files.
-
-    `read`: read existing files again even if the scene has their columns. Raises SceneError with the problems
-    of all files.
-    """
-    walls = dict(scene.walls)
-    problems = list[str]()
-    for name, wall in scene.walls.items():
-        motions = list(wall.motion)
-        for index, motion in enumerate(motions):
-            if isinstance(motion, TableMotion) and motion.file is not None:
-                known = motion.times is not None and not (read and (scene.folder / motion.file).exists())
-                location = scene.locate("walls", name, "motion", index, "file")
-                key = f"walls.{name}.motion.file"
-                try:
-                    motions[index] = motion if known else _with_columns(scene.folder, motion)
-                except FileError as error:
-                    problems += error.problems
-                except (FormatError, OSError) as error:
-                    reason = error.strerror if isinstance(error, OSError) else str(error)
-                    problems.append(f"{location}: {key} is {motion.file}, which cannot be used: {reason}.")
-        walls[name] = wall.model_copy(update={"motion": tuple(motions)})
-    if problems:
-        raise SceneError(problems)
-    return scene.model_copy(update={"walls": walls})
-
-
-def _with_columns(folder: Path, motion: TableMotion) -> TableMotion:
-    """The motion with the columns of its file.
-
-    Raises OSError or FormatError if the file cannot be read, and FileError for an invalid table.
-    """
-    path = resolved(folder / str(motion.file))
-    if not path.exists():
-        raise FormatError("there is no such file; its path is relative to the folder of the scene")
-    table = read_table(path)
-    source = folder / str(motion.file)
-    if table is None or not table.rows:
-        raise FileError(
-            [f"{source}: the table has no rows; give a header such as time [s], displacement [m]."]
-        )
-    columns = _columns(source, table)
-    if len(table.rows) > MOST_ROWS:
-        raise FileError([f"{source}: the table has {len(table.rows)} rows, and the limit is {MOST_ROWS}."])
-    return motion.model_copy(update=dict.fromkeys(TABLE_COLUMNS) | columns)
-
-
-def _columns(path: Path, table: Table) -> dict[str, tuple[float, ...]]:
-    """Columns of the motion by key [SI]. Raises FileError for the header or the first invalid row."""
-    indices: dict[str, tuple[int, float]] = {}
-    for index, heading in enumerate(table.names):
-        key = NAMES.get(UNIT.sub("", heading).strip().lower())
-        if key is not None:
-            indices[key] = index, unit_factor(path, table, index, DIMENSIONS[key])
-    given = [name for name in TABLE_COLUMNS if name in indices]
-    if "times" not in indices or len(given) != 1:
-        unknown = next((name for name in table.names if nearest(name, NAMES) and name not in NAMES), None)
-        hint = f" Did you mean {nearest(unknown, NAMES)} instead of {unknown}?" if unknown else ""
-        raise FileError(
-            [
-                f"{path}:{table.heading_line}: the columns are {', '.join(table.names)}, but time and "
-                f"exactly one of {', '.join(list(NAMES)[1:])} are expected, with units such as time [s], "
-                f"displacement [mm].{hint}"
-            ]
-        )
-    short = next((line for line, cells in table.rows if len(cells) != len(table.names)), None)
-    if short is not None:
-        raise FileError([f"{path}:{short}: the row must have {len(table.names)} values, as the header."])
-    columns = {key: table.numbers(index) * factor for key, (index, factor) in indices.items()}
-    invalid = ~np.all([np.isfinite(values) for values in columns.values()], axis=0)
-    if invalid.any():
-        raise FileError(
-            [f"{path}:{table.rows[int(invalid.argmax())][0]}: a finite number is expected in each column."]
-        )
-    late = np.diff(columns["times"]) <= 0.0
-    if late.any() or columns["times"][0] < 0.0:
-        line = table.rows[int(late.argmax()) + 1 if late.any() else 0][0]
-        raise FileError([f"{path}:{line}: times must ascend from row to row, from 0 or later on."])
-    if len(table.rows) < 2:
-        raise FileError([f"{path}: the table must have at least two rows."])
-    return {key: tuple(values.tolist()) for key, values in columns.items()}

@@ -1,6 +1,8 @@
-"""Insertion of particles during the run: a number or mass per second, at random free positions in a region.
+"""Particles of a scene: the initial ones, and those that inserters add during the run.
 
-Inserters run on the host: `next_time` is the time of the next batch, `insert_due` returns its particles.
+The same scene and seed give bit-identical particles on one machine for any number of threads: each group
+has a separate random number generator (`SceneGroup.random`). Inserters add a number or a mass of particles
+per second, at random free positions in a region.
 """
 
 import math
@@ -28,6 +30,74 @@ from granflow.scene.blocks.particles import (
     RainInsertion,
 )
 from granflow.scene.blocks.scene import SceneInput
+
+# Initial particles.
+
+INSERTION_ORDER = ("positions", "file", "lattice", "pack")
+"""Groups with given positions first, random packings last, so that each kind can avoid the particles before
+it."""
+
+
+def initial_particles(scene: SceneInput, earlier: Mapping[str, ParticleData] | None = None) -> ParticleData:
+    """All particles at t = 0, group by group in the order of the scene.
+
+    Groups in `earlier` keep their particles from an earlier run; the other groups avoid them. Particles do
+    not overlap, except where given positions or files overlap. Groups with rain, inlet or python have no
+    particles yet.
+
+    Raises SceneError with one message for each group that does not fit.
+    """
+    inserted: dict[str, ParticleData] = dict(earlier or {})
+    remaining = {name: group for name, group in groups_of(scene).items() if name not in inserted}
+    problems: list[str] = []
+    for kind in INSERTION_ORDER:
+        for name, group in remaining.items():
+            if group.spec.insert.kind == kind:
+                try:
+                    inserted[name] = insert_group(group, all_spheres(inserted, scene.domain.periodic_box()))
+                except RegionFullError as error:
+                    problems.append(shortfall(group, error))
+    if problems:
+        raise SceneError(problems)
+    return ParticleData.joined([inserted[name] for name in scene.particles if name in inserted])
+
+
+def all_spheres(inserted: dict[str, ParticleData], periodic_box: PeriodicBox) -> Spheres:
+    """Spheres of all groups inserted so far, with the periodic images of those that cross a periodic face.
+
+    `inserted`: particles by group, in any order.
+    """
+    together = ParticleData.joined(list(inserted.values()))
+    return Spheres(*periodic_box.with_images(together.position, together.radius))
+
+
+def insert_group(group: SceneGroup, existing: Spheres) -> ParticleData:
+    """Initial particles of one group, without overlap with `existing`.
+
+    Radii are drawn before positions, with the random number generator of the group. Given positions and files
+    are not checked for overlap.
+
+    Raises RegionFullError if a lattice or packing does not fit, and SceneError for an invalid file.
+    """
+    spec = group.spec
+    insertion = group.spec.insert
+    if isinstance(insertion, FileInsertion):
+        return particles_from_file(group)
+    random = group.random()
+    radius = draw_diameters(spec.sizes, spec.count, random) / 2
+    if isinstance(insertion, PositionsInsertion):
+        position = np.array(insertion.positions, dtype=np.float64).reshape(-1, 3)
+    elif isinstance(insertion, LatticeInsertion):
+        position = fill_lattice(sampler_of(insertion.region), radius, insertion.jitter, existing, random)
+    else:
+        assert isinstance(insertion, PackInsertion)
+        position = pack_at_random(sampler_of(insertion.region), radius, existing, random)
+    return particles_of(group, position, radius)
+
+
+# Insertion during the run: inserters run on the host.
+#
+# `next_time` is the time of the next batch, `insert_due` returns its particles.
 
 MAX_BATCHES = 500
 """Largest number of batches of one group: each batch interrupts the device."""
@@ -193,6 +263,24 @@ class Inserter:
             positions[k] = proposed[0]
 
 
+def inserters(scene: SceneInput) -> tuple[Inserter, ...]:
+    """Inserters of all groups with rain or inlet, in the order of the scene.
+
+    Raises SceneError with one message for each group that does not fit into its region.
+    """
+    inserters = []
+    problems = []
+    for group in groups_of(scene).values():
+        if isinstance(group.spec.insert, RainInsertion | InletInsertion):
+            try:
+                inserters.append(Inserter(group))
+            except RegionFullError as error:
+                problems.append(shortfall(group, error))
+    if problems:
+        raise SceneError(problems)
+    return tuple(inserters)
+
+
 def batch_size(radius: np.ndarray, volume: float) -> int:
     """Number of particles per batch, at least 1.
 
@@ -234,89 +322,3 @@ def insertion_region(
     normal = np.cross(first, second) / np.linalg.norm(np.cross(first, second))
     depth = 2.0 * radius + max(float(velocity @ normal), 0.0) * gathered
     return SlabSampler(np.array(rectangle.corner), first, second, depth)
-
-
-def inserters(scene: SceneInput) -> tuple[Inserter, ...]:
-    """Inserters of all groups with rain or inlet, in the order of the scene.
-
-    Raises SceneError with one message for each group that does not fit into its region.
-    """
-    inserters = []
-    problems = []
-    for group in groups_of(scene).values():
-        if isinstance(group.spec.insert, RainInsertion | InletInsertion):
-            try:
-                inserters.append(Inserter(group))
-            except RegionFullError as error:
-                problems.append(shortfall(group, error))
-    if problems:
-        raise SceneError(problems)
-    return tuple(inserters)
-
-
-# Particles of a scene: initial particles, and inserters for later ones.
-#
-# The same scene and seed give bit-identical particles on one machine for any number of threads: each group
-# has a separate random number generator (`SceneGroup.random`).
-
-__all__ = ["ParticleData", "Inserter", "initial_particles", "inserters"]
-INSERTION_ORDER = ("positions", "file", "lattice", "pack")
-"""Groups with given positions first, random packings last, so that each kind can avoid the particles before
-it."""
-
-
-def initial_particles(scene: SceneInput, earlier: Mapping[str, ParticleData] | None = None) -> ParticleData:
-    """All particles at t = 0, group by group in the order of the scene.
-
-    Groups in `earlier` keep their particles from an earlier run; the other groups avoid them. Particles do
-    not overlap, except where given positions or files overlap. Groups with rain, inlet or python have no
-    particles yet.
-
-    Raises SceneError with one message for each group that does not fit.
-    """
-    inserted: dict[str, ParticleData] = dict(earlier or {})
-    remaining = {name: group for name, group in groups_of(scene).items() if name not in inserted}
-    problems: list[str] = []
-    for kind in INSERTION_ORDER:
-        for name, group in remaining.items():
-            if group.spec.insert.kind == kind:
-                try:
-                    inserted[name] = insert_group(group, all_spheres(inserted, scene.domain.periodic_box()))
-                except RegionFullError as error:
-                    problems.append(shortfall(group, error))
-    if problems:
-        raise SceneError(problems)
-    return ParticleData.joined([inserted[name] for name in scene.particles if name in inserted])
-
-
-def all_spheres(inserted: dict[str, ParticleData], periodic_box: PeriodicBox) -> Spheres:
-    """Spheres of all groups inserted so far, with the periodic images of those that cross a periodic face.
-
-    `inserted`: particles by group, in any order.
-    """
-    together = ParticleData.joined(list(inserted.values()))
-    return Spheres(*periodic_box.with_images(together.position, together.radius))
-
-
-def insert_group(group: SceneGroup, existing: Spheres) -> ParticleData:
-    """Initial particles of one group, without overlap with `existing`.
-
-    Radii are drawn before positions, with the random number generator of the group. Given positions and files
-    are not checked for overlap.
-
-    Raises RegionFullError if a lattice or packing does not fit, and SceneError for an invalid file.
-    """
-    spec = group.spec
-    insertion = group.spec.insert
-    if isinstance(insertion, FileInsertion):
-        return particles_from_file(group)
-    random = group.random()
-    radius = draw_diameters(spec.sizes, spec.count, random) / 2
-    if isinstance(insertion, PositionsInsertion):
-        position = np.array(insertion.positions, dtype=np.float64).reshape(-1, 3)
-    elif isinstance(insertion, LatticeInsertion):
-        position = fill_lattice(sampler_of(insertion.region), radius, insertion.jitter, existing, random)
-    else:
-        assert isinstance(insertion, PackInsertion)
-        position = pack_at_random(sampler_of(insertion.region), radius, existing, random)
-    return particles_of(group, position, radius)

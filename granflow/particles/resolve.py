@@ -1,25 +1,30 @@
 """Resolved scenes: defaults that depend on several parts or on files become plain numbers after reading.
 
-Resolves counts from masses and end times, summaries of particle files, tables of motions, and `scale`.
-Resolving is idempotent. The resolved scene is used for the run and saved with it.
+Resolves counts from masses and end times, summaries of particle files, motions of walls from CSV files, and
+`scale`. Resolving is idempotent. The resolved scene is used for the run and saved with it.
 """
 
 from collections.abc import Iterator
 from math import pi
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 from pydantic.fields import FieldInfo
 
-from granflow.errors import SceneError
+from granflow.errors import FileError, SceneError
+from granflow.io.files import FormatError, resolved
+from granflow.io.tables import Table, read_table
 from granflow.particles.close_pairs import near_pairs
-from granflow.particles.file import ParticleTable, rows_of, unassigned_rows, with_motion_files
+from granflow.particles.file import UNIT, ParticleTable, rows_of, unassigned_rows, unit_factor
 from granflow.particles.group import SceneGroup, groups_of
 from granflow.particles.sizes import count_for_volume
 from granflow.scene.blocks.particles import FileInsertion, FileSummary, Group, InletInsertion, RainInsertion
 from granflow.scene.blocks.quantities import LARGEST_COUNT, Number
 from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.blocks.walls import MOST_ROWS, TABLE_COLUMNS, TableMotion
 from granflow.scene.model import Model
+from granflow.scene.suggest import nearest
 
 ROUNDING_SHARE = 1e-9
 """Tolerance for rounding at the end of an insertion, as a fraction of one particle."""
@@ -43,7 +48,8 @@ def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
             groups[name] = _resolved_group(group, read)
         except SceneError as error:
             problems += error.problems
-    problems += [] if problems or not read else unassigned_rows(given.values())
+    if read and not problems:
+        problems += unassigned_rows(given.values())
     if problems:
         raise SceneError(problems)
     resolved_scene = scene.model_copy(update={"particles": groups})
@@ -181,21 +187,20 @@ def _count_of_mass(group: SceneGroup, mass: float) -> int:
 def _with_rows(group: SceneGroup, insertion: FileInsertion) -> Group:
     """A group from a file with the summary of the file. Raises SceneError for an inconsistent group."""
     rows = rows_of(group)
-    problems = [*_inconsistencies(group, rows)]
+    problems = list(_inconsistencies(group, rows))
     if problems:
         raise SceneError(problems)
     overlap, overlap_rows = _overlap(group, rows)
-    speed, angular_velocity = (
-        0.0 if vectors is None else float(np.linalg.norm(vectors, axis=1).max())
-        for vectors in (rows.velocity, rows.angular_velocity)
-    )
-    diameters = 2.0 * float(rows.radius.min()), 2.0 * float(rows.radius.max())
+
+    def largest(vectors: np.ndarray | None) -> float:
+        return 0.0 if vectors is None else float(np.linalg.norm(vectors, axis=1).max())
+
     summary = FileSummary(
         count=len(rows),
-        diameter_min=diameters[0],
-        diameter_max=diameters[1],
-        speed_max=speed,
-        angular_velocity_max=angular_velocity,
+        diameter_min=2.0 * float(rows.radius.min()),
+        diameter_max=2.0 * float(rows.radius.max()),
+        speed_max=largest(rows.velocity),
+        angular_velocity_max=largest(rows.angular_velocity),
         overlap_max=overlap,
         overlap_rows=overlap_rows,
     )
@@ -242,3 +247,103 @@ def _overlap(group: SceneGroup, rows: ParticleTable) -> tuple[float, str]:
     worst = int(relative_overlap.argmax())
     kind = "points" if rows.path.suffix.lower() == ".vtu" else "lines"
     return float(relative_overlap[worst]), f"{kind} {rows.line[first[worst]]} and {rows.line[second[worst]]}"
+
+
+# Motions of walls from CSV files: the rows of a file become the columns of the motion.
+
+MOTION_KEYS = {
+    "time": "times",
+    "displacement": "displacements",
+    "velocity": "velocities",
+    "angle": "angles",
+    "angular_velocity": "angular_velocities",
+}
+"""Names of the columns of a file, and the keys of the motion."""
+MOTION_DIMENSIONS = {"times": "time"} | TABLE_COLUMNS
+"""Dimension of each key."""
+
+
+def with_motion_files(scene: SceneInput, read: bool) -> SceneInput:
+    """The scene with the columns of all motions from files.
+
+    `read`: read existing files again even if the scene has their columns. Raises SceneError with the problems
+    of all files.
+    """
+    walls = dict(scene.walls)
+    problems = list[str]()
+    for name, wall in scene.walls.items():
+        motions = list(wall.motion)
+        for index, motion in enumerate(motions):
+            if isinstance(motion, TableMotion) and motion.file is not None:
+                known = motion.times is not None and not (read and (scene.folder / motion.file).exists())
+                location = scene.locate("walls", name, "motion", index, "file")
+                key = f"walls.{name}.motion.file"
+                try:
+                    motions[index] = motion if known else _with_columns(scene.folder, motion)
+                except FileError as error:
+                    problems += error.problems
+                except (FormatError, OSError) as error:
+                    reason = error.strerror if isinstance(error, OSError) else str(error)
+                    problems.append(f"{location}: {key} is {motion.file}, which cannot be used: {reason}.")
+        walls[name] = wall.model_copy(update={"motion": tuple(motions)})
+    if problems:
+        raise SceneError(problems)
+    return scene.model_copy(update={"walls": walls})
+
+
+def _with_columns(folder: Path, motion: TableMotion) -> TableMotion:
+    """The motion with the columns of its file.
+
+    Raises OSError or FormatError if the file cannot be read, and FileError for an invalid table.
+    """
+    path = resolved(folder / str(motion.file))
+    if not path.exists():
+        raise FormatError("there is no such file; its path is relative to the folder of the scene")
+    table = read_table(path)
+    source = folder / str(motion.file)
+    if table is None or not table.rows:
+        raise FileError(
+            [f"{source}: the table has no rows; give a header such as time [s], displacement [m]."]
+        )
+    columns = _motion_columns(source, table)
+    if len(table.rows) > MOST_ROWS:
+        raise FileError([f"{source}: the table has {len(table.rows)} rows, and the limit is {MOST_ROWS}."])
+    return motion.model_copy(update=dict.fromkeys(TABLE_COLUMNS) | columns)
+
+
+def _motion_columns(path: Path, table: Table) -> dict[str, tuple[float, ...]]:
+    """Columns of the motion by key [SI]. Raises FileError for the header or the first invalid row."""
+    indices: dict[str, tuple[int, float]] = {}
+    for index, heading in enumerate(table.names):
+        key = MOTION_KEYS.get(UNIT.sub("", heading).strip().lower())
+        if key is not None:
+            indices[key] = index, unit_factor(path, table, index, MOTION_DIMENSIONS[key])
+    given = [name for name in TABLE_COLUMNS if name in indices]
+    if "times" not in indices or len(given) != 1:
+        unknown = next(
+            (name for name in table.names if nearest(name, MOTION_KEYS) and name not in MOTION_KEYS), None
+        )
+        hint = f" Did you mean {nearest(unknown, MOTION_KEYS)} instead of {unknown}?" if unknown else ""
+        raise FileError(
+            [
+                f"{path}:{table.heading_line}: the columns are {', '.join(table.names)}, but time and "
+                f"exactly one of {', '.join(list(MOTION_KEYS)[1:])} are expected, with units such as time "
+                f"[s], displacement [mm].{hint}"
+            ]
+        )
+    short = next((line for line, cells in table.rows if len(cells) != len(table.names)), None)
+    if short is not None:
+        raise FileError([f"{path}:{short}: the row must have {len(table.names)} values, as the header."])
+    columns = {key: table.numbers(index) * factor for key, (index, factor) in indices.items()}
+    invalid = ~np.all([np.isfinite(values) for values in columns.values()], axis=0)
+    if invalid.any():
+        raise FileError(
+            [f"{path}:{table.rows[int(invalid.argmax())][0]}: a finite number is expected in each column."]
+        )
+    late = np.diff(columns["times"]) <= 0.0
+    if late.any() or columns["times"][0] < 0.0:
+        line = table.rows[int(late.argmax()) + 1 if late.any() else 0][0]
+        raise FileError([f"{path}:{line}: times must ascend from row to row, from 0 or later on."])
+    if len(table.rows) < 2:
+        raise FileError([f"{path}: the table must have at least two rows."])
+    return {key: tuple(values.tolist()) for key, values in columns.items()}
