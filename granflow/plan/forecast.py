@@ -252,12 +252,12 @@ def _repeated_spheres(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
     if repeated:
         index = repeated[0]
         first = int(equal[index].argmax())
-        beside = centers[index] + [radii[index], 0.0, 0.0]
+        shifted = centers[index] + [radii[index], 0.0, 0.0]
         more = f" ({len(repeated) - 1} more of its spheres are repeated)" if len(repeated) > 1 else ""
         yield (
             f"{_sphere_key(scene, name, index)} is {_position_text(centers[index])} m with the radius "
             f"{radii[index]:.4g} m, the same sphere as spheres.{first}{more}: its contacts count twice. "
-            f"Remove it, or give it another position such as {_position_text(beside)} m."
+            f"Remove it, or give it another position such as {_position_text(shifted)} m."
         )
 
 
@@ -397,7 +397,7 @@ def _leaving_text(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.nd
 def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
     """A sentence for each wall with the surface of another one that moves and is present like it.
 
-    Particles are in contact with the first one only, see `engine.walls`.
+    Particles are in contact with the first one only, see `engine.pair.build_wall_contact`.
     """
     for first, second in combinations(walls, 2):
         is_alike = all(
