@@ -40,7 +40,7 @@ from granflow.engine.sums import SHARES, add_energy, build_list_shares, build_to
 from granflow.engine.wall_dynamics import build_add_impulse, build_add_wall_force
 from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.kernel_language import ti
-from granflow.plan.capacities import DAMPING, ENERGY, FORCE, FRICTION, LOSSES, ROLLING, WALL_WORK
+from granflow.plan.sum_units import DAMPING, ENERGY, FORCE, FRICTION, LOSSES, ROLLING, WALL_WORK
 
 
 def build_contact(state: State, with_wall: bool) -> Any:

@@ -27,7 +27,6 @@ from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_contact, build_wall_of
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
-from granflow.plan.sum_units import ENERGY, FORCE
 
 # Kinematics
 

@@ -336,7 +336,7 @@ class WallGeometry:
 
 # Meshes: nearby triangles, and the triangle that owns a contact
 #
-# `geometry/mesh.py` defines the owner of a contact and has the numpy reference implementation. All
+# `geometry/mesh_contact.py` defines the owner of a contact and has the numpy reference implementation. All
 # coordinates are in the frame of the mesh at rest; triangles are numbered consecutively over all meshes.
 
 

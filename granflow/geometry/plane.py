@@ -1,6 +1,6 @@
 """Flat walls: half space (one-sided) and rectangle (two-sided).
 
-Where rectangles touch each other or other walls, `engine.pair.build_wall_contact` finds the one that has a
+Where rectangles touch each other or other walls, `engine.walls.build_wall_contact` finds the one that has a
 contact.
 """
 

@@ -397,7 +397,7 @@ def _leaving_text(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.nd
 def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
     """A sentence for each wall with the surface of another one that moves and is present like it.
 
-    Particles are in contact with the first one only, see `engine.pair.build_wall_contact`.
+    Particles are in contact with the first one only, see `engine.walls.build_wall_contact`.
     """
     for first, second in combinations(walls, 2):
         is_alike = all(

@@ -1,7 +1,7 @@
 """Walls whose surfaces touch, so that one contact of a particle can be found on several of them.
 
 They are found before the run, from motions, planes and bounding boxes. The kernels look for contacts that are
-found twice only at these walls, see `engine.pair.build_wall_contact`.
+found twice only at these walls, see `engine.walls.build_wall_contact`.
 """
 
 from collections.abc import Sequence
