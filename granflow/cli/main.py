@@ -35,7 +35,6 @@ from granflow.cli.studies import (
     add_restitution,
     add_stability,
     add_sweep,
-    add_validate,
 )
 from granflow.errors import GranflowError
 from granflow.visible_text import visible
@@ -124,7 +123,6 @@ def build_parser() -> argparse.ArgumentParser:
     add_analyze(verbs)
     add_beverloo(verbs)
     add_paper(verbs)
-    add_validate(verbs)
     add_accuracy(verbs)
     add_compare(verbs)
     add_stability(verbs)

@@ -1,4 +1,4 @@
-"""Verbs that study contact models: collide, restitution, fit, paper, validate.
+"""Verbs that study contact models: collide, restitution, fit, paper.
 
 Equation numbers are those of Y. H. Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011).
 """
@@ -427,27 +427,6 @@ def paper(options: argparse.Namespace) -> int:
     return 0
 
 
-def validate(options: argparse.Namespace) -> int:
-    """`granflow validate`: compare published numbers and closed forms with simulations, on one page.
-
-    Writes the page as HTML and Markdown, and its data as JSON. Returns 1 if a deviation exceeds the allowed
-    one where the reference applies.
-    """
-    from granflow.studies.validation.report import write_validation
-
-    out = options.out or Path("out/validation")
-    cases = write_validation(out, options.quick, say_progress, options.peers)
-    failed = [each for each in cases if each.status == "fail"]
-    for each in (each for each in cases if each.status != "pass"):
-        say(
-            f"{each.status}: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} "
-            f"{each.unit}"
-        )
-    passed = sum(each.status == "pass" for each in cases)
-    say(f"{passed} of {len(cases)} cases pass. Open {out / 'validation.html'} in a browser.")
-    return 1 if failed else 0
-
-
 def add_collide(verbs: Any) -> None:
     """Add `granflow collide` and its arguments.
 
@@ -530,21 +509,6 @@ def add_paper(verbs: Any) -> None:
     """Add `granflow paper` and its arguments."""
     summary = "reproduce the figures and tables of Zhou (2011) and compare all contact models, on one page"
     add_out(add_verb(verbs, paper, summary), "out/paper")
-
-
-def add_validate(verbs: Any) -> None:
-    """Add `granflow validate` and its arguments."""
-    summary = "compare published numbers and closed forms with simulations, on one page"
-    parser = add_verb(verbs, validate, summary)
-    few = (
-        "only the cases of few particles and the cheap ones of many: 5 minutes instead of up to 35, on two "
-        "cores"
-    )
-    extent = parser.add_mutually_exclusive_group()
-    extent.add_argument("--quick", action="store_true", help=few)
-    both = "run LIGGGHTS (liggghts) and LAMMPS (lmp), as far as installed, for about 25 minutes more"
-    extent.add_argument("--peers", action="store_true", help=both)
-    add_out(parser, "out/validation")
 
 
 # `granflow sweep`: runs a scene for many parameter values.

@@ -1,14 +1,13 @@
 """Contacts of the restitution 0: impacts without rebound, static loads, and the completely inelastic bouncing
 ball.
 
-The flights of the ball on a vibrating plate follow the map of `granflow.studies.validation.vibrated`.
+The flights of the ball on a vibrating plate follow the map of `validation.vibrated`.
 """
 
 import numpy as np
 import pytest
 from scene_builders import build_scene, column, particle_group, plane, run_and_sample, run_to_end, times
-
-from granflow.studies.validation.vibrated import GRAVITY, RADIUS, SOLID, flights_of_map, flights_of_run
+from validation.vibrated import GRAVITY, RADIUS, SOLID, flights_of_map, flights_of_run
 
 BOX = {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "error"}
 

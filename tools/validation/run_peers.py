@@ -1,18 +1,18 @@
-"""Runs LIGGGHTS and LAMMPS on the cases of `granflow validate` and stores their figures.
+"""Runs LIGGGHTS and LAMMPS on the cases of the validation and stores their figures.
 
     python tools/validation/run_peers.py [CASE ...] [--out out/peers]
 
-Writes figures, version and date of each case to granflow/studies/validation/peers/figures.json. Needs the
+Writes figures, version and date of each case to tools/validation/peers/figures.json. Needs the
 programs `liggghts` and `lmp` (Debian packages liggghts and lammps). With names of cases, such as "flat silo
 with a slot", only those are run, and the figures of the other cases remain.
 """
 
 import argparse
+import sys
 from pathlib import Path
 
-from granflow.studies.validation.peers import compare, programs
-
-STORED = Path(compare.__file__).with_name("figures.json")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from validation.peers import compare, programs  # noqa: E402
 
 
 def main() -> None:
@@ -36,7 +36,7 @@ def main() -> None:
     }
     found = compare.run_peers(options.out, print, chosen)
     kept = compare.stored_figures()
-    compare.write_figures(STORED, {code: kept[code] | content for code, content in found.items()})
+    compare.write_figures(compare.FIGURES, {code: kept[code] | content for code, content in found.items()})
 
 
 if __name__ == "__main__":

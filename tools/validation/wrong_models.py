@@ -1,10 +1,10 @@
 """Wrong models: inserts one error at a time into a copy of the source, and runs the validation cases that
 must fail.
 
-python tools/validation/wrong_models.py            all models of WRONG_MODELS; writes
-docs/validation_results.json python tools/validation/wrong_models.py NAME ...   only the given ones; the rows
-of others stay python tools/validation/wrong_models.py --check    only checks that the text of each error
-occurs once in its file
+    python tools/validation/wrong_models.py            all of WRONG_MODELS; writes docs/validation_results.json
+    python tools/validation/wrong_models.py NAME ...   only the given ones; the rows of others stay
+    python tools/validation/wrong_models.py --check    only checks that the text of each error occurs once in
+                                                       its file
 
 The page of the documentation shows the result as a table.
 """
@@ -25,7 +25,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 from mutate import copy_to, write_later  # noqa: E402
 
-STORED, PAGE = ROOT / "docs" / "validation_results.json", ROOT / "docs" / "pages" / "validation.md"
+from validation.run import PAGE, RESULTS, write_stored  # noqa: E402
+
 LONGEST = 900.0
 """Time limit [s] of the cases of one wrong model."""
 RUN = """
@@ -34,7 +35,7 @@ from importlib import import_module
 cases = []
 for each in sys.argv[1:]:
     module, name = each.split(":")
-    cases += getattr(import_module("granflow.studies.validation." + module), name)()
+    cases += getattr(import_module("validation." + module), name)()
 print("CASES" + json.dumps([each.as_dict() for each in cases]))
 """
 """Program that runs the families of its arguments."""
@@ -260,7 +261,8 @@ def changed(copy: Path, model: WrongModel) -> Iterator[None]:
 
 def failing_cases(copy: Path, families: Sequence[str], kernels: Path) -> tuple[int, list[dict[str, Any]]]:
     """Number of cases of the families, and those that fail. Raises SystemExit if they do not run."""
-    environment = os.environ | {"PYTHONPATH": str(copy), "GRANFLOW_CACHE": str(kernels)}
+    path = os.pathsep.join(str(folder) for folder in (copy, copy / "tools"))
+    environment = os.environ | {"PYTHONPATH": path, "GRANFLOW_CACHE": str(kernels)}
     command = [sys.executable, "-c", RUN, *families]
     done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=LONGEST)
     lines = [line for line in done.stdout.splitlines() if line.startswith("CASES")]
@@ -331,13 +333,10 @@ def main() -> int:
 def write_page(rows: Sequence[dict[str, Any]]) -> None:
     """Replaces rows of the table of wrong models in the stored results and in the page of the
     documentation."""
-    from granflow.studies.validation.report import rendered
-
-    stored = json.loads(STORED.read_text(encoding="utf-8"))
+    stored = json.loads(RESULTS.read_text(encoding="utf-8"))
     by_name = {row["name"]: row for row in (*stored.get("wrong_models", []), *rows)}
     stored["wrong_models"] = [by_name[each.name] for each in WRONG_MODELS if each.name in by_name]
-    STORED.write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    PAGE.write_text(rendered("validation.md.jinja", stored), encoding="utf-8")
+    write_stored(PAGE, RESULTS, stored)
 
 
 if __name__ == "__main__":

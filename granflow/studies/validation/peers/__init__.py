@@ -1,2 +1,0 @@
-"""Comparison with LIGGGHTS and LAMMPS from the same initial states; their inputs are in
-tools/validation/inputs."""

@@ -1,0 +1,1 @@
+"""Invalid inputs and faults: the table of the documentation and the cases behind it."""

@@ -1,0 +1,179 @@
+"""Validation cases of many particles: their evaluation against constructed records, and small runs."""
+
+import numpy as np
+import pytest
+from validation import cooling, rheology, silo, vibrated
+
+from granflow.snapshot import Snapshot
+
+
+def constant(e):
+    """A restitution that does not depend on the velocity."""
+    return lambda speed: np.full_like(speed, e)
+
+
+def statuses(cases):
+    """Statuses of the cases, in their order."""
+    return [each.status for each in cases]
+
+
+def test_integrated_cooling_of_constant_restitution_is_haffs_law():
+    """theta = theta_0 (1 + (1 - e^2) w t / 6)^-2."""
+    dilute = cooling.Gas(600, 1e-3, 0.02**3)
+    time, theta = cooling.cooling_curve(dilute, constant(0.8), 0.5, 0.06)
+    rate = 0.36 * dilute.collision_rate(0.5) / 6.0
+    np.testing.assert_allclose(theta, 0.5 * (1.0 + rate * time) ** -2.0, rtol=1e-6)
+    assert cooling.haff_slope(dilute, 0.8, 0.5) == pytest.approx(rate, rel=0.003)
+    assert cooling.exponent(time, theta) == pytest.approx(0.5, abs=1e-6)
+
+
+def test_restitution_of_viscoelastic_spheres_follows_the_series():
+    """e = 1 - 1.15344 g + 0.79826 g^2 with g ~ v^(1/5) (Ramirez et al. 1999); the remainder is below g^(5/2)
+    / 2."""
+    restitution = cooling.viscoelastic_restitution(0.97, 1.0)
+    g = (1.15344 - np.sqrt(1.15344**2 - 4.0 * 0.79826 * 0.03)) / (2.0 * 0.79826)
+    speed = np.array([0.01, 0.1, 3.0])
+    scaled = g * speed**0.2
+    series = 1.0 - 1.15344 * scaled + 0.79826 * scaled**2
+    np.testing.assert_allclose(restitution(speed), series, rtol=0.0, atol=3e-4)
+    assert restitution(np.array([1.0]))[0] == pytest.approx(0.97, abs=1e-6)
+
+
+def test_extrapolation_to_rigid_spheres_finds_the_limit():
+    softness = np.array([1.0, 0.4, 0.16])
+    points = np.stack([softness, 1.0 - 0.1 * softness, np.full(3, 0.01)], axis=1)
+    found = cooling.rigid_case(points)
+    assert (found.value, found.status) == (pytest.approx(1.0, abs=1e-12), "pass")
+    points[:, 1] -= 0.05
+    assert cooling.rigid_case(points).status == "fail"
+
+
+def test_six_directions_dissipate_less_than_a_maxwell_gas():
+    velocity = np.random.default_rng(1).standard_normal((2, 10**6, 3)) / np.sqrt(3.0)
+    maxwell = np.mean(np.linalg.norm(velocity[0] - velocity[1], axis=1) ** 3)
+    directions = np.concatenate([np.eye(3), -np.eye(3)])
+    pairs = np.linalg.norm(directions[:, None] - directions, axis=2) ** 3
+    assert cooling.six_directions() == pytest.approx(pairs.mean() / maxwell, rel=0.005)
+
+
+def test_oblique_impacts_of_soft_particles_dissipate_less(taichi_f64):
+    """The correction and the duration are proportional to E^(-2/5), apart from terms of the order of the
+    correction."""
+    soft, stiff = (cooling.softness(modulus, "zhou", 0.15, constant(0.8)) for modulus in (5e7, 5e9))
+    assert 0.96 < soft.oblique < stiff.oblique < 1.0
+    assert (1.0 - soft.oblique) / (1.0 - stiff.oblique) == pytest.approx(100**0.4, rel=0.2)
+    assert soft.duration / stiff.duration == pytest.approx(100**0.4, rel=0.03)
+
+
+def test_small_gas_follows_haffs_law(taichi_f64):
+    assert statuses(cooling.haff_cases((5e6,), 300, (1,))) == ["pass"]
+
+
+def test_evaluation_of_the_flights_of_a_vibrated_particle():
+    flights = vibrated.flights_of_map(3.8)
+    assert statuses(vibrated.flight_cases(3.8, flights, 400)) == ["pass", "pass"]
+    single = np.full(len(flights), flights.mean())
+    assert statuses(vibrated.flight_cases(3.8, single, 400)) == ["fail", "fail"]
+    assert statuses(vibrated.flight_cases(3.8, flights[:0], 400)) == ["fail", "fail"]
+    assert statuses(vibrated.flight_cases(0.9, flights[:0], 400)) == ["pass"]
+    assert statuses(vibrated.flight_cases(0.9, flights, 400)) == ["fail"]
+
+
+def column_record(share_of_janssen, levels=4000):
+    """A snapshot of a column of particles whose wall carries the given share of what Janssen's law
+    predicts."""
+    height = 6.0 * silo.SILO_RADIUS
+    friction = silo.FRICTION
+    ratio = 0.7
+    area = np.pi * silo.SILO_RADIUS**2
+    z = (np.arange(levels) + 0.5) * height / levels
+    mass = np.full(levels, 1500.0 * area * height / levels)
+    length = silo.SILO_RADIUS / (2.0 * friction * ratio)
+    vertical = 1500.0 * silo.GRAVITY * length * -np.expm1(-(height - z) / length)
+    normal = (
+        ratio * vertical * 2.0 * np.pi * silo.SILO_RADIUS * height / levels * share_of_janssen(z / height)
+    )
+    weight = silo.GRAVITY * mass.sum()
+    force = np.zeros((levels + 1, 3))
+    force[:, 2] = [weight - friction * normal.sum(), *(friction * normal)]
+    contacts = {
+        "wall": np.array([0, *[1] * levels]), "force": force, "normal_force": np.array([weight, *normal]),
+        "position_j": np.stack([np.zeros(levels + 1), np.zeros(levels + 1), [0.0, *z]], axis=1),
+    }  # fmt: skip
+    position = np.stack([np.zeros(levels), np.zeros(levels), z], axis=1)
+    return Snapshot(1.0, 1, "lift", {"position": position, "mass": mass}, contacts, {}, {})
+
+
+def test_evaluation_of_a_silo_recovers_janssens_law():
+    balance, share = silo.evaluate_silo([column_record(np.ones_like)] * 10)
+    assert balance.value == pytest.approx(1.0, abs=1e-12)
+    assert (share.value, share.status) == (pytest.approx(share.reference, abs=0.01), "pass")
+
+
+def test_evaluation_of_a_silo_rejects_a_wall_that_carries_too_little():
+    """The wall of the lower third carries nothing."""
+    record = column_record(lambda height: np.where(height < 1.0 / 3.0, 0.0, 1.0))
+    assert statuses(silo.evaluate_silo([record] * 10)) == ["pass", "fail"]
+
+
+def test_small_silo_carries_its_weight(taichi_f64):
+    balance, _ = silo.janssen_cases(150)
+    assert balance.status == "pass"
+
+
+def test_evaluation_of_the_discharge_recovers_beverloos_law():
+    cases = silo.discharge_cases(flows_of=lambda radius, _: [silo.beverloo_flow(2.0 * radius)] * 3)
+    assert statuses(cases) == ["pass"] * 8
+    assert [each.value for each in cases[-2:]] == pytest.approx([1.4, 2.5], rel=1e-6)
+
+
+def test_a_wrong_flow_fails_in_a_wide_silo_and_misses_in_narrow_ones():
+    cases = silo.discharge_cases(flows_of=lambda radius, _: [2.0 * silo.beverloo_flow(2.0 * radius)] * 3)
+    assert statuses(cases) == ["miss"] * 5 + ["fail"] + ["pass"] * 2
+
+
+def test_the_scatter_of_the_fillings_is_part_of_the_allowed_deviation():
+    """Flows of 0.94, 1 and 1.06 of the law have a standard deviation of 0.06; C and k have 10 % each."""
+    law = silo.beverloo_flow(0.028)
+    case = silo.discharge_case(0.028, 0.148, [0.94 * law, law, 1.06 * law])
+    share = 2.5 * silo.K * silo.DIAMETER / (0.028 - silo.K * silo.DIAMETER)
+    assert case.value == pytest.approx(law)
+    assert case.allowed == pytest.approx(3.0 * 0.06 / 3.0**0.5 + 0.1 * (1.0 + share**2) ** 0.5)
+
+
+@pytest.mark.parametrize(("orifice", "width", "expected"), [(0.028, 0.148, True), (0.028, 0.147, False),
+                                                            (0.019, 0.2, False), (0.1, 0.24, False)])  # fmt: skip
+def test_range_of_beverloos_law(orifice, width, expected):
+    """Orifice of 5 diameters of 4 mm; silo of 2.5 orifices, and of the orifice plus 30 diameters."""
+    assert silo.in_range(orifice, width) is expected
+
+
+def sheared_fields(inertial_number, friction, solid_fraction):
+    """Fields of a layer of 60 mm with the same inertial number at all heights."""
+    height = np.linspace(0.5e-3, 59.5e-3, 60)
+    normal = 1400.0 * 9.0 * (60e-3 - height)
+    rate = inertial_number * np.sqrt(normal / rheology.DENSITY) / rheology.DIAMETER
+    velocity = np.zeros((60, 3))
+    velocity[:, 0] = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(height))])
+    stress = np.zeros((60, 3, 3))
+    stress[:, 2, 2], stress[:, 0, 2] = -normal, friction * normal
+    position = np.stack([0.0 * height, 0.0 * height, height], axis=1)
+    return {
+        "position": position, "velocity": velocity, "solid_fraction": np.full(60, solid_fraction),
+        "contact_stress": 0.9 * stress.reshape(60, 9), "kinetic_stress": 0.1 * stress.reshape(60, 9),
+    }  # fmt: skip
+
+
+def test_evaluation_of_a_sheared_layer():
+    found = rheology.layer_shear(sheared_fields(0.2, 0.45, 0.58))
+    assert (found.inertial_number, found.friction) == (pytest.approx(0.2, rel=1e-3), pytest.approx(0.45))
+    law = rheology.Shear(0.2, rheology.friction_at(0.2), 0.58)
+    assert statuses(rheology.shear_cases("layer", law)) == ["pass", "pass"]
+    assert statuses(rheology.shear_cases("layer", rheology.Shear(0.2, 0.6, 0.5))) == ["fail", "fail"]
+    assert statuses(rheology.shear_cases("layer", rheology.Shear(0.5, 0.9, 0.4))) == ["miss", "miss"]
+
+
+def test_reduced_shear_cell_gives_the_fields_of_its_cases(taichi_f64):
+    cases = rheology.cell_cases(("stages.0.duration=0.02 s", "stages.1.duration=0.01 s"))
+    assert np.isfinite([each.value for each in cases]).all()
+    assert 0.45 < cases[1].value < 0.55

@@ -1,0 +1,109 @@
+"""Cases of single models: their theory against published figures, and wrong models that they detect."""
+
+import math
+
+import numpy as np
+import pytest
+from validation import at_rest, collisions, rheology, rolling_models
+from validation import theory_of_collisions as theory
+from validation.theory_of_collisions import Pair, Partner
+
+from granflow.contact import theory as theory_of_granflow
+from granflow.plan import pairs as pair_cases
+
+GLASS = {"young_modulus": 48e9, "poisson_ratio": 0.20, "density": 2800.0}
+SPHERES = Pair(Partner(GLASS, 0.01), Partner(GLASS, 0.01))
+
+
+def statuses(cases):
+    """Statuses by case."""
+    return {each.name: each.status for each in cases}
+
+
+@pytest.mark.parametrize(
+    ("e", "residual", "unloading", "tangent"),
+    [(0.2, 0.968000, 0.2513, 20.8), (0.5, 0.799550, 0.6293, 3.34), (0.7, 0.601106, 0.8906, 1.74),
+     (0.9, 0.290089, 1.2067, 1.14), (1.0, 0.0, 1.4716, 1.0)],
+)  # fmt: skip
+def test_integrated_collision_has_the_figures_of_the_paper(e, residual, unloading, tangent):
+    """Zhou 2011: residual overlap over the maximum one, eta2 of Eq. 15, tangents; eta1 = 1.471637592 (Eq.
+    14)."""
+    found = theory.zhou_collision(SPHERES, e, 20.0)
+    unit = SPHERES.largest_overlap(20.0) / 20.0
+    assert found.velocity == pytest.approx(20.0 * e, rel=1e-8)
+    assert found.loading / unit == pytest.approx(1.471637592, abs=1e-8)
+    assert found.unloading / unit == pytest.approx(unloading, abs=6e-5)
+    assert 1.0 - theory.zhou_recovery(e) == pytest.approx(residual, abs=6e-7)
+    assert theory.zhou_tangent(e) == pytest.approx(tangent, rel=5e-3)
+
+
+def test_integrated_elastic_collision_has_the_figures_of_chung_and_ooi():
+    found = theory.zhou_collision(SPHERES, 1.0, 20.0)
+    assert (found.overlap, found.force, found.duration) == pytest.approx(
+        (274.11e-6, 10.697e3, 40.34e-6), rel=6e-4
+    )
+
+
+def test_limit_velocities_and_restitutions_of_both_steels():
+    """The paper's yield strengths give 340 and 882 m/s; 316 has e = 0.88 at 1 m/s."""
+    assert theory.zhou_limit_velocity(0.310e9, 8030.0) == pytest.approx(340.3, abs=0.1)
+    assert theory.zhou_limit_velocity(2.03e9, 7830.0) == pytest.approx(881.9, abs=0.1)
+    assert theory.zhou_restitution(3.0432, 0.540, 340.3, 1.0) == pytest.approx(0.877, abs=1e-3)
+
+
+def test_restitution_over_velocity_and_stated_closed_forms_pass(taichi_f64):
+    cases = collisions.steel_cases() + collisions.stated_cases()
+    assert set(statuses(cases).values()) == {"pass"} and len(cases) == 26
+
+
+def test_limit_velocity_without_its_factor_fails(taichi_f64, monkeypatch):
+    """Eq. 11 with the factor 1 instead of 3."""
+    exact = pair_cases.limit_velocity
+    monkeypatch.setattr(pair_cases, "limit_velocity", lambda *solids: exact(*solids) / math.sqrt(3.0))
+    found = statuses(collisions.steel_cases())
+    assert {status for name, status in found.items() if "limit velocity" in name} == {"fail"}
+
+
+@pytest.mark.parametrize(("name", "factor"), [("unloading_duration", 0.7), ("equivalent_spring", 1.25)])
+def test_wrong_closed_forms_fail(taichi_f64, monkeypatch, name, factor):
+    """Eq. 16 times 0.7, and Eq. 19 times 1.25."""
+    exact = getattr(theory_of_granflow, name)
+    monkeypatch.setattr(theory_of_granflow, name, lambda *given: factor * exact(*given))
+    assert "fail" in statuses(collisions.stated_cases()).values()
+
+
+def test_stiffness_of_a_row_passes(taichi_f64, monkeypatch):
+    """At e = 0.3 the tangent of unloading is 9.3 times that of Hertz."""
+    assert theory.zhou_tangent(0.3) == pytest.approx(9.26, abs=0.01)
+    monkeypatch.setattr(at_rest, "BED_RESTITUTIONS", (0.3,))
+    assert set(statuses(at_rest.bed_cases()).values()) == {"pass"}
+
+
+def test_prony_finds_both_of_two_damped_oscillations():
+    time = 0.01 * np.arange(200)
+    values = np.exp(-0.3 * time) * np.cos(5.0 * time) + 0.5 * np.exp(-2.0 * time) * np.sin(31.0 * time)
+    slow, fast = rolling_models.modes_of(values, 0.01, 2)
+    assert slow == pytest.approx(-0.3 + 5.0j, rel=1e-6) and fast == pytest.approx(-2.0 + 31.0j, rel=1e-6)
+
+
+def test_accelerating_layer_has_less_friction_than_a_steady_one():
+    """A uniform layer that accelerates by a: shear over normal stress is tan 25 deg - a / (g cos 25 deg)."""
+    height = np.linspace(-0.004, 0.12, 62)
+    share = np.where(height < 0.05, 0.6, 0.0)
+    balance = math.tan(math.radians(25.0)) - 0.2 / (9.81 * math.cos(math.radians(25.0)))
+
+    def frame(number):
+        """Frame of a time."""
+        velocity = np.zeros((62, 3))
+        velocity[:, 0] = 1.0 + 0.2 * rheology.FRAME_INTERVAL * number
+        stress = np.zeros((62, 9))
+        stress[:, 2] = 1000.0 * balance
+        stress[:, 8] = -1000.0
+        position = np.zeros((62, 3))
+        position[:, 2] = height
+        return {"position": position, "velocity": velocity, "solid_fraction": share, "contact_stress": stress,
+                "kinetic_stress": np.zeros((62, 9))}  # fmt: skip
+
+    expected, found, error = rheology.layer_balance([frame(n) for n in range(26)])
+    assert expected == pytest.approx(balance, rel=1e-12) and found == pytest.approx(balance, rel=1e-12)
+    assert error < 1e-12

@@ -1,0 +1,368 @@
+"""Comparison with LIGGGHTS and LAMMPS: initial states, stored figures, inputs, runs of the programs and
+evaluation."""
+
+import json
+import math
+import re
+import stat
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from validation import run as validation
+from validation.peers import (
+    bed,
+    case,
+    compare,
+    drum,
+    impact,
+    orifice,
+    programs,
+    shaken,
+    silo,
+)
+from validation.peers.state import DENSITY, GRAVITY, LARGEST, Particles
+
+from granflow.contact.theory import damping_ratio_for
+from granflow.errors import GranflowError
+
+CASES = tuple(compare.CASES.values())
+CODES = tuple(programs.PROGRAMS)
+
+
+def codes_of(each):
+    """Codes that have an input for a case."""
+    return [code for code in CODES if programs.simulates(code, each)]
+
+
+def by_name(each):
+    """Name of a case, for pytest."""
+    return each.name
+
+
+@pytest.mark.parametrize("each", CASES, ids=by_name)
+def test_particles_of_the_initial_states_do_not_overlap_and_lie_in_the_box(each):
+    for repeat in (0, 1):
+        state = each.initial_state(repeat)
+        low, high = np.array(each.box)
+        assert np.all((state.position > low) & (state.position < high))
+        pairs = cKDTree(state.position).query_pairs(state.diameter.max(), output_type="ndarray").T
+        distance = np.linalg.norm(state.position[pairs[0]] - state.position[pairs[1]], axis=1)
+        assert np.all(distance > 0.5 * state.diameter[pairs].sum(axis=0))
+
+
+@pytest.mark.parametrize("each", CASES, ids=by_name)
+def test_repeats_start_from_different_states(each):
+    first, again, other = (each.initial_state(repeat).velocity for repeat in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("each", CASES, ids=by_name)
+def test_scenes_accept_their_initial_states_with_the_time_step_of_the_inputs(each):
+    scene = each.scene(each.initial_state(0))
+    assert scene.run.time_step == each.time_step
+    for code in codes_of(each):
+        text = programs.input_path(code, each).read_text(encoding="utf-8")
+        assert float(re.search(r"^timestep (\S+)$", text, re.MULTILINE)[1]) == each.time_step
+        assert re.search(rf"gravity {GRAVITY} vector 0 (0|-1) (-1|0)$", text, re.MULTILINE)
+        steps = sum(int(count) for count in re.findall(r"^run (\d+)$", text, re.MULTILINE))
+        assert steps * each.time_step == pytest.approx(each.times[-1])
+        dumped = int(re.search(r"^dump frames all custom (\d+)", text, re.MULTILINE)[1]) * each.time_step
+        ratio = np.asarray(each.times) / dumped
+        np.testing.assert_allclose(ratio, np.round(ratio), atol=1e-6)
+
+
+@pytest.mark.parametrize("each", [each for each in CASES if each.equal_law], ids=by_name)
+def test_inputs_have_the_material_of_the_cases(each):
+    texts = {code: programs.input_path(code, each).read_text(encoding="utf-8") for code in codes_of(each)}
+    liggghts = texts["LIGGGHTS"]
+    assert f"youngsModulus peratomtype {case.YOUNG_MODULUS:g}".replace("e+0", "e") in liggghts
+    assert f"poissonsRatio peratomtype {case.POISSON_RATIO}" in liggghts
+    assert f"coefficientFriction peratomtypepair 1 {case.FRICTION}" in liggghts
+    assert all("limitForce on" in line for line in liggghts.splitlines() if "hertz tangential" in line)
+    if "LAMMPS" in texts:
+        law = r"hertz/material (\S+) \$\{e\} (\S+) tangential mindlin NULL (\S+) (\S+) .*limit_damping"
+        assert [float(number) for number in re.search(law, texts["LAMMPS"]).groups()] == [
+            case.YOUNG_MODULUS, case.POISSON_RATIO, case.LAW["tangential"]["damping"], case.FRICTION
+        ]  # fmt: skip
+
+
+def test_each_case_has_an_input_and_only_the_round_orifice_lacks_one_of_lammps():
+    lacking = {(code, each.name) for each in CASES for code in CODES if code not in codes_of(each)}
+    assert lacking == {("LAMMPS", "flat silo with a round orifice")}
+
+
+def test_entered_restitutions_give_the_viscous_force_of_granflow():
+    """The values are those of the table in the guide for other codes."""
+    entered = case.entered_restitutions(0.8)
+    assert entered["LAMMPS"] == pytest.approx(0.7176, abs=5e-5)
+    log = math.log(entered["LIGGGHTS"])
+    assert -log / math.hypot(log, math.pi) == pytest.approx(damping_ratio_for(0.8))
+
+
+def test_stored_figures_belong_to_the_compared_numbers():
+    stored = compare.stored_figures()
+    assert list(stored) == list(CODES)
+    for code, content in stored.items():
+        assert set(content) == {each.name for each in CASES if code in codes_of(each)}
+        for name, run in content.items():
+            samples = list(run["figures"].values())
+            assert len({len(each) for each in samples}) == 1
+            assert len(samples[0]) > 1 or not compare.CASES[name].equal_law
+            assert re.search(r"\d", run["version"]) and re.fullmatch(r"\d{4}-\d\d-\d\d", run["date"])
+
+
+def flying(times, count=100, velocity=(0.0, 0.0, 0.0), position=(0.0, 0.0, 0.05)):
+    """Equal particles that move together."""
+    ones = np.ones((count, 1))
+    return {
+        round(float(time), 6): Particles(
+            ones * (np.array(position) + np.array(velocity) * time),
+            ones * np.array(velocity),
+            np.full(count, 4e-3),
+        )
+        for time in times
+    }
+
+
+def test_figures_of_the_shaken_box():
+    """A bed that moves with the box takes no power on average; one whose acceleration follows its velocity
+    does."""
+    times = shaken.times()
+    vibration = 2.0 * math.pi * shaken.FREQUENCY
+    frames = flying(times)
+    swing = 0.1
+
+    def moving(time, state):
+        return replace(state, velocity=state.velocity + [0, 0, swing * math.sin(vibration * time)])
+
+    found = shaken.figures({time: moving(time, state) for time, state in frames.items()})
+    mass = 100 * DENSITY * math.pi / 6.0 * 4e-3**3
+    power = 0.5 * mass * swing * vibration * shaken.AMPLITUDE * vibration
+    np.testing.assert_allclose(found["power of the walls [W]"], power, rtol=2.5e-3)
+    np.testing.assert_allclose(found["granular temperature [m2/s2]"], 0.0, atol=1e-20)
+    assert len(found["power of the walls [W]"]) == (shaken.PERIODS - shaken.TRANSIENT) // shaken.INTERVAL
+    in_phase = {
+        t: replace(s, velocity=s.velocity + [0, 0, swing * math.cos(vibration * t)])
+        for t, s in frames.items()
+    }
+    np.testing.assert_allclose(shaken.figures(in_phase)["power of the walls [W]"], 0.0, atol=1e-3 * power)
+
+
+def test_granular_temperature_is_the_variance_per_component():
+    velocity = np.random.default_rng(1).standard_normal((1000, 3))
+    frames = {
+        time: Particles(np.zeros((1000, 3)), velocity + [0, 0, 5.0], np.full(1000, 4e-3))
+        for time in np.round(shaken.times(), 6)
+    }
+    found = shaken.figures(frames)["granular temperature [m2/s2]"]
+    np.testing.assert_allclose(found, velocity.var(axis=0).mean(), rtol=1e-9)
+
+
+def test_figures_of_the_silo():
+    frames = flying((silo.OPENING, *silo.FLOW_TIMES))
+    first, last = silo.FLOW_TIMES
+    below = replace(
+        frames[last], position=frames[last].position - [0, 0, 1.0] * (np.arange(100) < 40)[:, None]
+    )
+    found = silo.SILO.figures({**frames, last: below})
+    mass = DENSITY * math.pi / 6.0 * 4e-3**3
+    assert found["mass flow rate [kg/s]"] == pytest.approx(40 * mass / (last - first))
+    assert found["height of the center of mass at the opening [m]"] == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(("particles", "flow"), [(360, "pass"), (432, "fail")])
+def test_the_quick_discharge_fails_if_a_fifth_more_particles_flow_out(monkeypatch, particles, flow):
+    """The stored flow of LIGGGHTS, 0.0753 kg/s, is that of 360 particles of 4 mm in 0.4 s."""
+    first, last = silo.FLOW_TIMES
+    frames = flying((silo.OPENING, first, last), count=silo.COUNT, position=(0.0, 0.0, 0.07))
+    below = (np.arange(silo.COUNT) < particles)[:, None]
+    frames[last] = replace(frames[last], position=frames[last].position - [0, 0, 1.0] * below)
+    monkeypatch.setattr(compare, "our_frames", lambda each, repeat: frames)
+    statuses = {each.name: each.status for each in validation.QUICK["discharge of a silo"]()}
+    assert statuses["LIGGGHTS: mass flow rate"] == flow
+
+
+def test_figures_of_the_impact():
+    """The sphere is 10 mm deep at its lowest point in a bed of 60 mm whose center of mass is at half its
+    height."""
+    times = np.round(impact.IMPACT.times, 6)
+    lowest = 0.05 + 0.5 * impact.DIAMETER
+    frames = {
+        time: Particles(
+            np.array([[0, 0, 0.02], [0, 0, 0.04], [0, 0, lowest + 100.0 * (time - 0.3) ** 2]]), np.zeros((3, 3)),
+            np.array([4e-3, 4e-3, impact.DIAMETER]),
+        )
+        for time in times
+    }  # fmt: skip
+    found = impact.figures(frames)
+    assert found["height of the bed before the impact [m]"] == pytest.approx(0.06)
+    assert found["largest depth of penetration [m]"] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_figures_of_the_drum(side):
+    """The angle does not depend on the sense of rotation."""
+    angle = math.radians(30.0)
+    distance = 0.02
+    position = (side * distance * math.sin(angle), -distance * math.cos(angle), 0.01)
+    found = drum.figures(flying(drum.DRUMS[0].times, position=position))
+    assert list(found.values()) == pytest.approx([30.0, distance])
+
+
+def test_evaluation_compares_with_each_code():
+    """Three runs of each code with a standard deviation of 0.01: t of Student is 6.62 for four degrees of
+    freedom."""
+    stored = {
+        name: {
+            "column": {
+                "version": name,
+                "date": "2026-01-01",
+                "figures": {"height [m]": [value - 0.01, value, value + 0.01]},
+            }
+        }
+        for name, value in (("one", 1.0), ("two", 1.2))
+    }
+    cases = compare.compared(bed.COLUMN, {"height [m]": [0.99, 1.0, 1.01]}, stored)
+    assert [(each.name, each.unit, each.status) for each in cases] == [
+        ("one: height", "m", "pass"), ("two: height", "m", "fail")
+    ]  # fmt: skip
+    assert cases[0].allowed == pytest.approx(0.02 + 6.62 * 0.01 * np.sqrt(2.0 / 3.0), rel=1e-3)
+
+
+def test_allowed_difference_covers_the_stated_share_of_equal_distributions():
+    """Of 20000 pairs of samples from one distribution, 0.27 % differ by more; 54 +- 7 expected."""
+    random = np.random.default_rng(7)
+    beyond = 0
+    for _ in range(20000):
+        ours = random.standard_normal(4)
+        theirs = random.standard_normal(6)
+        beyond += abs(ours.mean() - theirs.mean()) > compare.allowed_difference(ours, theirs)[0]
+    assert 25 < beyond < 85
+
+
+def test_cases_with_equal_laws_are_allowed_scatter_alone():
+    stored = {
+        "one": {
+            silo.SILO.name: {"version": "1", "date": "2026-01-01", "figures": {"flow [kg/s]": [1.0, 1.0]}}
+        }
+    }
+    same, other = (
+        compare.compared(silo.SILO, {"flow [kg/s]": values}, stored) for values in ([1.0, 1.0], [1.01, 1.01])
+    )
+    assert (same[0].allowed, same[0].status, other[0].status) == (0.0, "pass", "fail")
+
+
+FRAME = (
+    "ITEM: TIMESTEP\n{}\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS ff ff ff\n0 1\n0 1\n0 1\nITEM: ATOMS id "
+    "x ...\n"
+)
+ROWS = "2 4 5 6 0 0 0 0.2\n1 1 2 3 7 8 9 0.1\n"
+
+
+def test_frames_of_a_dump_are_ordered_by_id(tmp_path):
+    (tmp_path / "frames.txt").write_text(FRAME.format(0) + ROWS + FRAME.format(10000) + ROWS)
+    frames = programs.read_frames(tmp_path / "frames.txt", 1e-5)
+    assert list(frames) == [0.0, 0.1]
+    np.testing.assert_array_equal(frames[0.1].position, [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(frames[0.1].velocity[0], [7, 8, 9])
+    np.testing.assert_array_equal(frames[0.1].diameter, [0.1, 0.2])
+
+
+def test_hopper_of_triangles_lies_on_cone_and_tube(tmp_path):
+    programs.write_stl(tmp_path / "hopper.stl", bed.hopper_triangles()["hopper.stl"])
+    text = (tmp_path / "hopper.stl").read_text()
+    vertex = np.array(
+        [line.split()[1:] for line in text.splitlines() if line.startswith("vertex")], dtype=float
+    )
+    slope = (bed.TUBE - bed.ORIFICE) / bed.CONE_HEIGHT
+    expected = np.minimum(bed.TUBE, bed.ORIFICE + slope * vertex[:, 2])
+    np.testing.assert_allclose(np.hypot(vertex[:, 0], vertex[:, 1]), expected, atol=1e-9)
+
+
+def test_triangles_of_box_and_floor_cover_their_faces():
+    def area(triangles):
+        return 0.5 * np.linalg.norm(
+            np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+        )
+
+    box = area(np.asarray(shaken.triangles()["box.stl"], dtype=float))
+    assert box.sum() == pytest.approx(shaken.SIDE**2 + 4.0 * shaken.SIDE * shaken.TOP)
+    floor = area(np.asarray(silo.triangles()["floor.stl"], dtype=float))
+    assert floor.sum() == pytest.approx(2.0 * silo.REACH * (2.0 * silo.REACH - silo.SLOT))
+    polygon = 0.5 * orifice.SEGMENTS * math.sin(2.0 * math.pi / orifice.SEGMENTS)
+    ring = area(orifice.triangles()["floor.stl"])
+    assert ring.sum() == pytest.approx(polygon * (orifice.FLOOR_RADIUS**2 - orifice.ORIFICE_RADIUS**2))
+
+
+def stand_in(folder, program, script):
+    """An executable of that name which runs a script of the shell."""
+    path = folder / program
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(path.stat().st_mode | stat.S_IEXEC)
+
+
+SMALL = replace(
+    silo.SILO, times=(0.0,), repeats=2,
+    figures=lambda frames: {"sum of x [m]": float(frames[0.0].position[:, 0].sum())},
+)  # fmt: skip
+"""A case whose figure is known from the dump of the stand-in."""
+
+
+def test_validate_with_peers_runs_the_installed_code_and_shows_the_stored_figures_of_the_other(
+    tmp_path, monkeypatch
+):
+    dump = (FRAME.format(0) + ROWS).replace("\n", "\\n")
+    run = f'echo "$@" > called; printf "{dump}" > frames.txt'
+    script = f'if [ "$1" = -h ]; then echo "LIGGGHTS-PUBLIC 9.9.9"; else {run}; fi'
+    stand_in(tmp_path, "liggghts", script)
+    monkeypatch.setenv(
+        "PATH", f"{tmp_path}:/bin:/usr/bin" if not (programs.shutil.which("lmp")) else str(tmp_path)
+    )
+    monkeypatch.setattr(
+        programs.shutil, "which", lambda name: str(tmp_path / name) if name == "liggghts" else None
+    )
+    monkeypatch.setattr(compare, "CASES", {SMALL.name: SMALL})
+    found = compare.run_peers(tmp_path / "out", cases={SMALL.name: SMALL})
+    run = found["LIGGGHTS"][SMALL.name]
+    assert run["version"] == "LIGGGHTS-PUBLIC 9.9.9" and run["figures"] == {"sum of x [m]": [5.0, 5.0]}
+    assert json.loads((tmp_path / "out" / "figures.json").read_text()) == found
+    folder = tmp_path / "out" / "liggghts" / "flat_silo_with_a_slot" / "1"
+    assert f"-var e {SMALL.restitution['LIGGGHTS']:.10g}" in (folder / "called").read_text()
+    assert (folder / "run.data").exists() and (folder / "floor.stl").exists()
+
+
+def test_program_that_fails_is_named(tmp_path, monkeypatch):
+    stand_in(tmp_path, "liggghts", "echo broken; exit 3")
+    monkeypatch.setattr(programs, "PROGRAMS", {"LIGGGHTS": str(tmp_path / "liggghts")})
+    with pytest.raises(GranflowError, match=r"LIGGGHTS fails in .* with exit code 3: see .*output.txt"):
+        programs.run("LIGGGHTS", SMALL, 0, tmp_path / "run")
+
+
+def test_validation_refuses_peers_if_none_is_installed(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(programs.shutil, "which", lambda name: None)
+    with pytest.raises(SystemExit, match="2"):
+        validation.main(["--peers", "--out", str(tmp_path)])
+    assert "neither is installed. Without --peers, stored figures are shown." in capsys.readouterr().err
+
+
+def test_cases_contain_figures_of_peers_that_ran(tmp_path, monkeypatch):
+    """Runs of the programs replace stored figures, which remain for the others."""
+    run = {SMALL.name: {"version": "of today", "date": "2030-01-01", "figures": {"sum of x [m]": [1.0, 2.0]}}}
+    stored = {code: {SMALL.name: {**run[SMALL.name], "version": "stored"}} for code in CODES}
+    monkeypatch.setattr(validation, "FAMILIES", {})
+    monkeypatch.setattr(validation, "CASES", {SMALL.name: SMALL})
+    monkeypatch.setattr(compare, "CASES", {SMALL.name: SMALL})
+    monkeypatch.setattr(compare, "stored_figures", lambda: stored)
+    monkeypatch.setattr(
+        compare, "our_frames", lambda each, repeat: flying((0.0,), count=2 + repeat, position=(0.5, 0, 0))
+    )
+    monkeypatch.setattr(validation, "run_peers", lambda folder, report: {"LAMMPS": run})
+    cases = validation.simulated_cases(False, True, tmp_path)
+    assert [(each.name, each.source.split(",")[0]) for each in cases] == [
+        ("LIGGGHTS: sum of x", "stored"), ("LAMMPS: sum of x", "of today")
+    ]  # fmt: skip
+    assert [each.value for each in cases] == [1.25, 1.25]
+    assert LARGEST > 4e-3

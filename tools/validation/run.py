@@ -1,0 +1,242 @@
+"""Validation: compares published numbers, closed forms and other codes with simulations, on one page.
+
+    python tools/validation/run.py             all cases, about 35 minutes on two cores; writes the page of the
+                                               documentation, docs/pages/validation.md, and its data,
+                                               docs/validation_results.json
+    python tools/validation/run.py --quick     cases of few particles and the cheap ones of many, 5 minutes;
+                                               writes both files to out/validation
+    python tools/validation/run.py --peers     all cases; runs LIGGGHTS (liggghts) and LAMMPS (lmp), as far as
+                                               installed, for about 25 minutes more
+
+Each case has a reference, an allowed deviation with its reason, and a status (`case.py`). Without --peers, the
+figures of LIGGGHTS and LAMMPS are those that `run_peers.py` stored. Exit code 1: a deviation exceeds the
+allowed one where the reference applies.
+"""
+# ruff: noqa: E402 (the modules of this folder are imported after its path is known)
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from granflow import GranflowError, __version__
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+
+from validation.adhesion import adhesion_cases
+from validation.at_rest import bed_cases, column_cases, reloading_cases, resting_cases
+from validation.attraction import attraction_cases
+from validation.case import ValidationCase
+from validation.collisions import elastic_cases, restitution_cases, stated_cases, steel_cases
+from validation.cooling import MODULI, QUICK_COUNT, haff_cases, viscoelastic_gas_cases
+from validation.motion import motion_cases
+from validation.normal_models import normal_model_cases
+from validation.oblique import oblique_cases
+from validation.peers.compare import CASES, Stored, peer_cases, run_peers
+from validation.peers.silo import SILO
+from validation.rheology import cell_cases, layer_cases
+from validation.rolling_models import rolling_model_cases, twisting_cases
+from validation.silo import QUICK_COUNT as QUICK_SILO
+from validation.silo import discharge_cases, janssen_cases
+from validation.sticking import sticking_cases
+from validation.vibrated import vibrated_cases
+
+Family = Callable[[], list[ValidationCase]]
+TWO_BODY: Mapping[str, Family] = {
+    "elastic collisions": elastic_cases,
+    "collisions of Zhou's model": restitution_cases,
+    "stated closed forms": stated_cases,
+    "restitution over velocity": steel_cases,
+    "other normal models": normal_model_cases,
+    "oblique impacts": oblique_cases,
+    "impacts that stick": sticking_cases,
+    "adhesion and viscoelasticity": adhesion_cases,
+    "attractions": attraction_cases,
+    "rolling models": rolling_model_cases,
+    "twisting models": twisting_cases,
+    "particles on planes": motion_cases,
+    "reloading": reloading_cases,
+    "damping at rest": resting_cases,
+    "compressed row": bed_cases,
+    "static column": column_cases,
+    "vibrated particle": vibrated_cases,
+}
+"""Functions that simulate cases of few particles, by the name in progress messages."""
+QUICK_REPEATS = 2
+"""Runs of a silo that --quick compares with stored figures of LIGGGHTS and LAMMPS."""
+QUICK: Mapping[str, Family] = {
+    **TWO_BODY,
+    "cooling gas": partial(haff_cases, MODULI[1:2], QUICK_COUNT),
+    "narrow silo": partial(janssen_cases, QUICK_SILO),
+    "discharge of a silo": partial(peer_cases, SILO.name, None, QUICK_REPEATS),
+    "sheared box": cell_cases,
+}
+"""Cases of --quick."""
+FAMILIES: Mapping[str, Family] = {
+    **TWO_BODY,
+    "cooling gas": haff_cases,
+    "cooling gas of viscoelastic spheres": viscoelastic_gas_cases,
+    "narrow silo": janssen_cases,
+    "discharge of a silo": discharge_cases,
+    "layer on a slope": layer_cases,
+    "sheared box": cell_cases,
+}
+"""All cases but those of LIGGGHTS and LAMMPS."""
+PAGE = ROOT / "docs" / "pages" / "validation.md"
+RESULTS = ROOT / "docs" / "validation_results.json"
+"""Page of the documentation, and the data from which it is rendered."""
+TEMPLATE = Path(__file__).with_name("page.md.jinja")
+HEADS = ("case", "reference", "granflow", "deviation", "allowed", "status", "note")
+"""Columns of the tables."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the cases that the command line selects, writes page and data, and prints the deviations."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    extent = parser.add_mutually_exclusive_group()
+    extent.add_argument("--quick", action="store_true", help="only cheap cases")
+    extent.add_argument("--peers", action="store_true", help="run LIGGGHTS and LAMMPS")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="directory of validation.md and validation_results.json"
+    )
+    options = parser.parse_args(arguments)
+    out = options.out or (ROOT / "out" / "validation" if options.quick else None)
+    page, results = (out / PAGE.name, out / RESULTS.name) if out else (PAGE, RESULTS)
+    try:
+        cases = simulated_cases(
+            options.quick, options.peers, page.parent / "peers" if out else Path("out/peers")
+        )
+    except GranflowError as error:
+        parser.error(str(error))
+    write(page, results, cases, options.quick)
+    for each in cases:
+        if each.status != "pass":
+            print(
+                f"{each.status}: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} "
+                f"{each.unit}"
+            )
+    statuses = [each.status for each in cases]
+    print(f"{statuses.count('pass')} of {len(cases)} cases pass. Written: {page}, {results}")
+    return 1 if "fail" in statuses else 0
+
+
+def simulated_cases(quick: bool, with_peers: bool, folder: Path) -> list[ValidationCase]:
+    """Cases of QUICK, or all; prints the name of each family when it starts.
+
+    with_peers:  run the installed ones of LIGGGHTS and LAMMPS in `folder` instead of reading their stored
+                 figures
+
+    Raises GranflowError if no other code can be run.
+    """
+    if quick:
+        families = QUICK
+    else:
+        peers = run_peers(folder, print) if with_peers else {}
+        families = {**FAMILIES, **peer_families(peers)}
+    cases = []
+    for name, family in families.items():
+        print(name, flush=True)
+        cases += family()
+    return cases
+
+
+def peer_families(peers: Stored) -> dict[str, Family]:
+    """Families of the cases of LIGGGHTS and LAMMPS; stored figures are read for codes that `peers` lacks."""
+    return {f"{name} of LIGGGHTS and LAMMPS": partial(peer_cases, name, peers) for name in CASES}
+
+
+def write(page: Path, results: Path, cases: Sequence[ValidationCase], quick: bool) -> None:
+    """Writes the data of the cases, and the page rendered from them.
+
+    The complete page keeps the table of wrong models, which `wrong_models.py` writes.
+    """
+    stored = {
+        "version": __version__,
+        "date": date.today().isoformat(),
+        "quick": quick,
+        "cases": [each.as_dict() for each in cases],
+    }
+    if not quick:
+        stored["wrong_models"] = json.loads(RESULTS.read_text(encoding="utf-8"))["wrong_models"]
+    write_stored(page, results, stored)
+
+
+def write_stored(page: Path, results: Path, stored: Mapping[str, Any]) -> None:
+    """Writes the data as JSON, and the page."""
+    for path, text in (
+        (results, json.dumps(stored, indent=1, ensure_ascii=False) + "\n"),
+        (page, rendered(stored)),
+    ):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+def rendered(stored: Mapping[str, Any]) -> str:
+    """Text of the page from the data; statuses are computed again."""
+    cases = [ValidationCase.from_dict(each) for each in stored["cases"]]
+    kinds = dict.fromkeys(each.kind for each in cases)
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATE.parent),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(TEMPLATE.name).render(
+        sections={kind: section_of([each for each in cases if each.kind == kind]) for kind in kinds},
+        failed=[each.name for each in cases if each.status == "fail"],
+        missed=[each.name for each in cases if each.status == "miss"],
+        quick=stored["quick"],
+        count=len(cases),
+        wrong_models=stored.get("wrong_models", []),
+        version=stored["version"],
+        date=stored["date"],
+    )
+
+
+@dataclass(frozen=True)
+class Section:
+    """Section of the page: the cells of a table of cases, and numbered notes with source, reason of the
+    allowed deviation, remark."""
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    notes: Sequence[str]
+
+
+def section_of(cases: Sequence[ValidationCase]) -> Section:
+    """Table with a row for each case; cases of equal source, derivation and remark refer to the same note."""
+    notes = list(dict.fromkeys(_note(each) for each in cases))
+    rows = [
+        (
+            each.name if each.unit == "1" else f"{each.name} [{each.unit}]",
+            f"{each.reference:.6g}",
+            f"{each.value:.6g}",
+            f"{100.0 * each.deviation:+.2g} %",
+            f"{100.0 * each.allowed:.2g} %",
+            each.status,
+            str(notes.index(_note(each)) + 1),
+        )
+        for each in cases
+    ]
+    return Section(HEADS, rows, notes)
+
+
+def _note(case: ValidationCase) -> str:
+    """Source, reason of the allowed deviation, and remark of a case."""
+    parts = (f"Reference: {case.source}", f"Allowed deviation: {case.derivation}", case.remark)
+    return ". ".join(each.rstrip(".") for each in parts if each) + "."
+
+
+if __name__ == "__main__":
+    sys.exit(main())
