@@ -1,19 +1,24 @@
-"""Performance benchmark of granflow: comparison with other DEM codes, and time per phase.
+"""Performance benchmark of granflow: comparison with other DEM codes, time per phase, cost of features.
 
     python tools/bench.py                                  granflow only
     python tools/bench.py --peers liggghts,lammps,yade     granflow and other codes on the same cases, in turn
     python tools/bench.py --phases                         time per phase and the limits of this machine
+    python tools/bench.py --features SCENE                 time and memory of a step of a scene, with and without
+                                                           each of its features; table in Markdown
+    python tools/bench.py --roofline SCENE                 memory traffic of a particle-step, and the largest rate
+                                                           that the data sheets of GPUs permit; nothing runs
     python tools/bench.py --ranks --peers liggghts,lammps  as the first, also granflow on MPI ranks
     python tools/bench.py --page                           write tools/benchmark/README.md, and the table of
                                                            docs/pages/guides/parallel.md, from the newest
                                                            results
 
-Each measurement runs in a separate process. Nothing is installed: for a missing code, the package is
+Each measurement of beds runs in a separate process. Nothing is installed: for a missing code, the package is
 reported.
 """
 
 import argparse
 import json
+import os
 import sys
 import tempfile
 from collections.abc import Callable
@@ -21,10 +26,13 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from benchmark import ours, page, phases, ranks_page, rounds, tables
+from benchmark import features, ours, page, phases, ranks_page, roofline, rounds, tables
 from benchmark.cases import SIZES
 from benchmark.codes import PEERS, missing
 from benchmark.machine import machine
+
+import granflow as gf
+from granflow.engine.backend import CACHE_VARIABLE
 
 RESULTS = Path(__file__).resolve().parent / "benchmark" / "results"
 LAWS = ("hertz", "zhou", "linear")
@@ -50,6 +58,12 @@ def main() -> None:
     if options.page is not None:
         print(f"Written: {page.write(RESULTS, options.page)}, {ranks_page.write(RESULTS)}")
         return
+    if options.features is not None:
+        measure_features(options)
+        return
+    if options.roofline is not None:
+        print(roofline.text(gf.plan_for(gf.load_scene(options.roofline), on_gpu=True)))
+        return
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.work or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
@@ -73,6 +87,19 @@ def measure_phases(options: argparse.Namespace, folder: Path) -> None:
     out.write_text(json.dumps(result, indent=1) + "\n")
     print(phases.text(result))
     print(f"Written: {out}")
+
+
+def measure_features(options: argparse.Namespace) -> None:
+    """Measures the cost of each feature of a scene, with an empty kernel cache: all variants are compiled."""
+    scene = gf.load_scene(options.features)
+    with tempfile.TemporaryDirectory() as kernels:
+        os.environ[CACHE_VARIABLE] = kernels  # read when Taichi starts
+        found = features.feature_costs(scene, options.arch, options.threads[0], options.until, print)
+        text = features.text(found, scene.title)
+        print(f"\n{text}")
+        if options.out is not None:
+            options.out.write_text(text + "\n", encoding="utf-8")
+        sys.stdout.flush()
 
 
 def available_peers(options: argparse.Namespace) -> list[str]:
@@ -120,6 +147,10 @@ def arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--peers", type=peer_names, default=[], help="codes to compare with: any of liggghts,lammps,yade")
     add("--phases", action="store_true", help="measure the time of each phase of granflow")
+    add("--features", metavar="SCENE", type=Path, help="measure the cost of each feature of a scene")
+    add("--until", metavar="T", type=float, help="of --features: time of the measurement [s] (a third)")
+    add("--arch", default="cpu", help="of --features: compute device or backend (cpu)")
+    add("--roofline", metavar="SCENE", type=Path, help="print the largest rates of GPUs from data sheets")
     add(
         "--page",
         nargs="?",
@@ -135,7 +166,7 @@ def arguments() -> argparse.Namespace:
     add("--sizes", type=int, nargs="*", help=f"particles in a bed ({' '.join(map(str, SIZES))})")
     add("--no-hopper", dest="hopper", action="store_false", help="skip the hopper")
     add("--laws", nargs="+", choices=LAWS, help="contact models of granflow (all); peers use Hertz-Mindlin")
-    add("--threads", type=int, nargs="+", help="threads or MPI ranks (1 2)")
+    add("--threads", type=int, nargs="+", help="threads or MPI ranks (1 2; --features: all)")
     add("--ranks", action="store_true", help="also granflow on MPI ranks, one in place of each thread")
     add("--rounds", type=int, help="rounds (3)")
     add("--precision", choices=("f64", "f32", "mixed"), default="f64", help="precision of granflow (f64)")
@@ -154,10 +185,19 @@ def arguments() -> argparse.Namespace:
         "--out",
         type=Path,
         metavar="FILE",
-        help="file of the results (tools/benchmark/results/DATE-CPU.json, DATE-CPU-mixed.json)",
+        help="file of the results (tools/benchmark/results/DATE-CPU.json, DATE-CPU-mixed.json); of "
+        "--features, the table in Markdown",
     )
     options = parser.parse_args()
-    defaults = {"sizes": list(SIZES), "laws": list(LAWS), "threads": [1, 2], "rounds": 3, "scale": 1.0}
+    defaults: dict[str, Any] = {
+        "sizes": list(SIZES),
+        "laws": list(LAWS),
+        "threads": [1, 2],
+        "rounds": 3,
+        "scale": 1.0,
+    }
+    if options.features is not None:
+        defaults["threads"] = [None]
     for key, value in (defaults | (QUICK if options.quick else {})).items():
         if getattr(options, key) is None:
             setattr(options, key, value)

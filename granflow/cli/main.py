@@ -26,7 +26,6 @@ from granflow.cli.run import (
 from granflow.cli.show import add_analyze, add_plot, add_render, add_report
 from granflow.cli.studies import (
     add_accuracy,
-    add_beverloo,
     add_calibrate,
     add_collide,
     add_compare,
@@ -121,7 +120,6 @@ def build_parser() -> argparse.ArgumentParser:
     add_restitution(verbs)
     add_fit(verbs)
     add_analyze(verbs)
-    add_beverloo(verbs)
     add_paper(verbs)
     add_accuracy(verbs)
     add_compare(verbs)

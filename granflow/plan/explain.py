@@ -7,14 +7,12 @@ puts them together.
 import math
 import textwrap
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from math import ceil
 from typing import NamedTuple
 
 from granflow.arguments import refuse_other
 from granflow.geometry.motion import TableRotation, TableTranslation
 from granflow.geometry.shape import sphere_mass
-from granflow.plan.arrays import DeviceArray, neighbor_arrays, particle_arrays
 from granflow.plan.features import Reason
 from granflow.plan.groups import PlannedGroup
 from granflow.plan.memory import MemoryEstimate, estimate_memory
@@ -23,98 +21,6 @@ from granflow.plan.run_time import duration_of
 from granflow.plan.stages import PlannedStage
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
-from granflow.scene.blocks.run import Precision
-
-# Roofline estimate of a GPU: memory traffic and operations per particle-step, counted from the arrays of a
-# plan.
-#
-#     bytes of a step = fields read and written by the integration
-#                       + fields read by the forces, force and torque written
-#                       + L (partner and contact flag) + 2 C (history)
-#                       + (all fields 4 times, 8 integers, 4 L partners, 4 C history) / steps between rebuilds
-#
-#     rate = min(bandwidth / bytes, operations per second / operations)
-#
-# with L list entries and C contacts per particle, each contact counted for both particles, as on a GPU. The
-# fields of a partner count once for each particle: particles are sorted in space, so that partners are in
-# the cache.
-
-INTEGRATION_READ = (
-    "position",
-    "velocity",
-    "angular_velocity",
-    "mass",
-    "radius",
-    "force",
-    "torque",
-    "position_at_rebuild",
-    "reach",
-)
-INTEGRATION_WRITTEN = ("position", "velocity", "velocity_synchronized", "angular_velocity")
-FORCES_READ = (
-    "position",
-    "velocity",
-    "velocity_synchronized",
-    "angular_velocity",
-    "radius",
-    "mass",
-    "material",
-)
-FORCES_WRITTEN = ("force", "torque")
-CONTACTS, LIST_ENTRIES, STEPS_PER_REBUILD = 6.0, 9.0, 50.0
-"""Contacts and list entries per particle and steps between rebuilds, as in a settled bed that is agitated."""
-INTEGER, LIST_RANGE, SORT_INTEGERS = 4, 3, 8
-"""Bytes of an integer; integers per particle of its list range, and of the sort."""
-INTEGRATION_OPERATIONS, ENTRY_OPERATIONS, CONTACT_OPERATIONS = 75.0, 10.0, 388.0
-"""Per particle, list entry and frictional contact (zhou): sums and products, and 20 for each root or
-quotient."""
-
-
-@dataclass(frozen=True)
-class Gpu:
-    """A GPU as in its data sheet: memory bandwidth [bytes/s], sums and products [1/s] in f32 and f64."""
-
-    name: str
-    bandwidth: float
-    f32: float
-    f64: float
-
-
-GPUS = (
-    Gpu("H100 SXM", 3.35e12, 67e12, 34e12),
-    Gpu("A100 80 GB", 2.04e12, 19.5e12, 9.7e12),
-    Gpu("RTX 4090", 1.008e12, 82.6e12, 1.29e12),
-    Gpu("RTX A4000", 4.48e11, 19.2e12, 0.6e12),
-)
-
-
-def bytes_per_particle_step(plan: Plan, precision: Precision) -> float:
-    """Smallest memory traffic [bytes] of one particle in one step."""
-    size = {array.name: _entry_size(array, precision) for array in particle_arrays(plan)}
-    history = sum(
-        _entry_size(array, precision)
-        for array in neighbor_arrays(plan, plan.capacities)
-        if array.name.startswith("history.")
-    )
-    names = (*INTEGRATION_READ, *INTEGRATION_WRITTEN, *FORCES_READ, *FORCES_WRITTEN)
-    particle_step = sum(size.get(name, 0) for name in names) + LIST_RANGE * INTEGER
-    particle_rebuild = 4 * sum(size.values()) + SORT_INTEGERS * INTEGER
-    list_step = LIST_ENTRIES * 2 * INTEGER + CONTACTS * 2 * history
-    list_rebuild = LIST_ENTRIES * 4 * INTEGER + CONTACTS * 4 * (INTEGER + history)
-    return particle_step + list_step + (particle_rebuild + list_rebuild) / STEPS_PER_REBUILD
-
-
-def particle_steps_per_second(plan: Plan, precision: Precision, gpu: Gpu) -> float:
-    """Largest rate that memory bandwidth and arithmetic allow."""
-    operations = INTEGRATION_OPERATIONS + LIST_ENTRIES * ENTRY_OPERATIONS + CONTACTS * CONTACT_OPERATIONS
-    arithmetic = (gpu.f64 if precision == "f64" else gpu.f32) / operations
-    return min(gpu.bandwidth / bytes_per_particle_step(plan, precision), arithmetic)
-
-
-def _entry_size(array: DeviceArray, precision: Precision) -> int:
-    """Bytes per entry of an array; 0 for an array that the plan does not need."""
-    return array.size(precision) // array.shape[0]
-
 
 WIDTH = 100
 """Width of the text in columns."""
@@ -134,9 +40,8 @@ class ExplainRow(NamedTuple):
     remark: str = ""
 
 
-def explain(plan: Plan, on_gpu: bool = False) -> str:
-    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time; with `on_gpu`,
-    GPU rates.
+def explain(plan: Plan) -> str:
+    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time.
 
     Text of at most about WIDTH columns, one section per subject; quantities have units. Empty sections are
     omitted.
@@ -155,7 +60,6 @@ def explain(plan: Plan, on_gpu: bool = False) -> str:
         "Meshes": _mesh_rows(plan),
         "Forecast": _forecast_rows(plan),
         "Memory": _memory_rows(plan, memory),
-        **({"GPU": _gpu_rows(plan)} if on_gpu else {}),
         "Run": _run_rows(plan),
         "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in plan.settings],
     }
@@ -324,16 +228,6 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     yield ExplainRow(
         "total", size(memory.total), f"{size(memory.total / plan.particle_capacity)} per particle"
     )
-
-
-def _gpu_rows(plan: Plan) -> Iterator[ExplainRow]:
-    """Rows of the memory traffic per particle-step, and of the largest rate of each GPU."""
-    traffic = f"smallest memory traffic per particle-step with {CONTACTS:g} contacts per particle"
-    yield ExplainRow("traffic", size(bytes_per_particle_step(plan, plan.precision)), traffic)
-    for gpu in GPUS:
-        rate = 1e-6 * particle_steps_per_second(plan, plan.precision, gpu)
-        limit = f"largest rate at {gpu.bandwidth / 1e9:.0f} GB/s, not measured"
-        yield ExplainRow(gpu.name, f"{rate:.0f} million particle-steps per second", limit)
 
 
 def _history_text(plan: Plan) -> str:

@@ -273,7 +273,7 @@ def test_the_command_line_refuses_a_group_of_a_program(tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     program_scene().save("scene.yaml")
     assert main(["check", "scene.yaml"]) == 0 and "a Python program adds" in capsys.readouterr().err
-    for command in (["run"], ["accuracy"], ["compare"], ["explain", "--measure"]):
+    for command in (["run"], ["accuracy"], ["compare"]):
         assert main([*command, "scene.yaml"]) == 2
         error = capsys.readouterr().err
         assert re.match(r"scene\.yaml:\d+:\d+: particles\.balls\.insert\.kind is python: ", error), error

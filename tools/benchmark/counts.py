@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any
 
-from granflow.plan.explain import FORCES_READ, FORCES_WRITTEN, INTEGRATION_READ, INTEGRATION_WRITTEN
+from benchmark.roofline import FORCES_READ, FORCES_WRITTEN, INTEGRATION_READ, INTEGRATION_WRITTEN
 
 INTEGER = 4
 ROW_INTEGERS, SORT_INTEGERS = 3, 8

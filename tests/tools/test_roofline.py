@@ -1,10 +1,10 @@
 """Roofline estimate of a GPU: memory traffic counted by hand, and the smaller of two limits."""
 
 import pytest
+from benchmark.roofline import GPUS, bytes_per_particle_step, particle_steps_per_second, text
 from scene_builders import build_scene, particle_group
 
 from granflow.plan.build import plan_for
-from granflow.plan.explain import GPUS, bytes_per_particle_step, explain, particle_steps_per_second
 from granflow.plan.memory import estimate_memory
 
 
@@ -51,6 +51,8 @@ def test_rate_is_limited_by_memory_or_arithmetic():
     )
 
 
-def test_explain_prints_the_rates_for_a_gpu_only():
-    plan = gas_plan()
-    assert all(gpu.name in explain(plan, on_gpu=True) and gpu.name not in explain(plan) for gpu in GPUS)
+def test_text_has_the_rate_of_each_gpu():
+    lines = text(gas_plan()).splitlines()
+    assert len(lines) == 1 + len(GPUS) and all(
+        line.startswith(gpu.name) for line, gpu in zip(lines[1:], GPUS, strict=True)
+    )

@@ -1,17 +1,17 @@
 """Feature costs: features, start state and memory of every variant."""
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmark import features
+from benchmark.features import variants_of
 from subprocess_runner import in_subprocess
 
-from granflow.cli.main import main
+from granflow.errors import SceneError
 from granflow.load import load
 from granflow.plan.build import plan_for
 from granflow.plan.memory import estimate_memory
-from granflow.studies.feature_cost import variants_of
 
 TEXT = """\
 title: Beads on a floor
@@ -146,24 +146,23 @@ def test_particle_size_is_no_feature(tmp_path):
 
 def measured(directory):
     """Result of a short run of the study, and the initial particle positions of every variant."""
-    from granflow.studies import feature_cost as measure
-    from granflow.studies.feature_cost import cost_rows, write_feature_costs
-
     path = Path(directory) / "beads.yaml"
     path.write_text(TEXT)
     positions = []
-    restore = measure.restore
+    restore = features.restore
 
     def restore_and_sample(simulation, *others):
         restore(simulation, *others)
         positions.append(simulation.snapshot().particles["position"].tolist())
 
-    measure.restore = restore_and_sample
+    features.restore = restore_and_sample
     scene = load(path)
-    found = measure.feature_costs(scene, until=0.02, rounds=2, only=("baseline", "without walls"))
-    write_feature_costs(Path(directory) / "out", found, scene.title)
-    written = {each.name: each.read_text() for each in (Path(directory) / "out").iterdir()}
-    return {"rows": cost_rows(found), "positions": positions, "written": written}
+    found = features.feature_costs(scene, until=0.02, rounds=2, only=("baseline", "without walls"))
+    return {
+        "rows": features.cost_rows(found),
+        "positions": positions,
+        "text": features.text(found, scene.title),
+    }
 
 
 def test_every_timing_starts_from_the_same_particles(tmp_path):
@@ -175,21 +174,11 @@ def test_every_timing_starts_from_the_same_particles(tmp_path):
     assert len(fallen) == 60 and fallen[:, 2].min() < 0.004, "some particles reach the floor within 20 ms"
     for positions in found["positions"]:
         np.testing.assert_array_equal(positions, fallen)
-    table = found["written"]["feature_cost.md"]
     for row in found["rows"]:
-        assert " | ".join(row) in table
-    assert len(found["written"]["feature_cost.csv"].splitlines()) == 1 + len(found["rows"])
+        assert " | ".join(row) in found["text"]
 
 
-def test_until_requires_measure(tmp_path, capsys):
-    path = tmp_path / "beads.yaml"
-    path.write_text(TEXT)
-    assert main(["explain", str(path), "--until", "1s"]) == 2
-    assert "requires --measure" in capsys.readouterr().err
-
-
-def test_clumps_are_refused_before_the_run(capsys):
-    scene = Path(__file__).parents[2] / "scenes" / "clumps.yaml"
-    assert main(["explain", str(scene), "--measure"]) == 2
-    error = capsys.readouterr().err
-    assert re.match(r".*clumps\.yaml:\d+:\d+: explain --measure cannot time clumps", error), error
+def test_clumps_are_refused_before_the_run():
+    scene = load(Path(__file__).parents[2] / "scenes" / "clumps.yaml")
+    with pytest.raises(SceneError, match=r"clumps\.yaml:\d+:\d+: .* cannot be measured with clumps"):
+        features.feature_costs(scene)

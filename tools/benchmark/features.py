@@ -1,11 +1,12 @@
-"""Timing of all variants of a scene from the same particles, in one process, in alternating rounds.
+"""Cost of each feature of a scene: time, memory and compile time of a step with and without it.
 
-Alternation cancels slow changes of the clock rate and of the load on the machine.
+The scene runs to a given time. From its particles at that time, variants with one feature switched on or off
+run short sequences of steps in alternating rounds, in one process; alternation cancels slow changes of the
+clock rate and of the load on the machine. `text` is the table in Markdown.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
@@ -21,10 +22,8 @@ from granflow import (
     estimate_memory,
     plan_for,
 )
-from granflow.io.files import write_text
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.materials import MaterialPair
-from granflow.studies.tables import attribute_columns, write_columns
 
 # Variants of a scene, each with one feature switched on or off.
 #
@@ -262,8 +261,8 @@ def feature_costs(
     for name, group in scene.particles.items():
         if group.clump:
             raise SceneError(
-                f"{scene.locate('particles', name, 'clump')}: explain --measure cannot time clumps, because "
-                "each variant starts from single particles; give a scene without clumps."
+                f"{scene.locate('particles', name, 'clump')}: the cost of features cannot be measured "
+                "with clumps, because each variant starts from single particles; give a scene without clumps."
             )
     end = SHARE_BEFORE * scene.longest_duration if until is None else until
     report(f"Running to {end:.3g} s")
@@ -361,7 +360,7 @@ def _nanoseconds(simulation: Simulation, variant: FeatureVariant, start: StartSt
     return 1e9 * seconds / (STEPS * max(simulation.snapshot().totals["particle_count"], 1.0))
 
 
-# Table of feature costs: for the terminal, as CSV and as Markdown.
+# Table of feature costs in Markdown.
 
 HEADS = ("", "step ns", "time", "bytes", "compile s", "contacts")
 """Column headings of `cost_rows`."""
@@ -402,28 +401,13 @@ def remarks(found: Sequence[FeatureCost]) -> list[str]:
     ]
 
 
-def write_feature_costs(out: Path, found: Sequence[FeatureCost], title: str) -> None:
-    """Write feature_cost.csv and feature_cost.md into `out`, which is created if necessary; `title`: of the
-    scene."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_columns(out / "feature_cost.csv", _columns(found))
+def text(found: Sequence[FeatureCost], title: str) -> str:
+    """Table and remarks in Markdown; `title`: of the scene."""
     lines = [f"## {title}", "", _line(HEADS), _line(["---", *["---:"] * (len(HEADS) - 1)])]
     lines += [*(_line(row) for row in cost_rows(found)), "", *(f"- {each}" for each in remarks(found))]
-    write_text(out / "feature_cost.md", "\n".join(lines) + "\n")
+    return "\n".join(lines)
 
 
 def _line(cells: Sequence[str]) -> str:
     """One line of a Markdown table."""
     return f"| {' | '.join(cells)} |"
-
-
-def _columns(found: Sequence[FeatureCost]) -> dict[str, np.ndarray]:
-    """Columns of feature_cost.csv: one row per variant."""
-    ratios = np.array([each.ratio for each in found])
-    return {
-        "variant": np.array([each.name for each in found]),
-        **dict(zip(("ratio_low", "ratio_median", "ratio_high"), ratios.T, strict=True)),
-        **attribute_columns(
-            found, ("nanoseconds", "bytes_per_particle", "compile_seconds", "contacts_per_particle")
-        ),
-    }
