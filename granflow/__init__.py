@@ -1,95 +1,104 @@
 """granflow: discrete element simulation of granular flow, from a YAML scene to ParaView.
 
-Names are imported at first use: reading a scene does not start Taichi.
+Names are imported at first use: reading a scene does not start Taichi. `_LOCATIONS` says where each public
+name is defined; type checkers, which do not run `__getattr__`, read the imports in the first block instead.
+A test compares the two.
 """
 
-import ast
-import inspect
 import os
-import sys
-from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from granflow.engine.engine import start
-    from granflow.errors import FunctionError, GranflowError, OutputError, RunError, SceneError, StopRun
-    from granflow.live.forces import ParticleForce
-    from granflow.load import Scene
-    from granflow.load import load as load_scene
-    from granflow.observers.analysis import analyze_snapshots
-    from granflow.observers.meters import steady_flow
-    from granflow.observers.observer import on_interval
-    from granflow.particles.group import ParticleData
-    from granflow.plan.build import plan_for
-    from granflow.plan.explain import explain
-    from granflow.plan.memory import estimate_memory
-    from granflow.plan.plan import Plan
-    from granflow.runs.read_run import Run, read_run
-    from granflow.runs.result import Result
-    from granflow.scene.blocks.contact import Contact
-    from granflow.scene.blocks.domain import BoxOutlet, DiscOutlet, Domain, HalfSpaceOutlet, LeesEdwards
-    from granflow.scene.blocks.materials import Material, MaterialPair, RestitutionFit
-    from granflow.scene.blocks.output import (
-        CenterOfMassMetric,
-        Checkpoints,
-        CollisionEnergies,
-        ContentMetric,
-        CoordinationMetric,
-        Expectation,
-        FabricMetric,
-        FieldGrid,
-        FlowMeter,
-        LaceyMetric,
-        Output,
-        ReposeMetric,
-        SegregationMetric,
-        SlidingMetric,
-    )
-    from granflow.scene.blocks.particles import (
-        BoxRegion,
-        ClassSizes,
-        Clump,
-        ClumpSphere,
-        CylinderRegion,
-        DiscFace,
-        FileInsertion,
-        Group,
-        InletInsertion,
-        LatticeInsertion,
-        LogNormalSizes,
-        NormalSizes,
-        PackInsertion,
-        PositionsInsertion,
-        PythonInsertion,
-        RainInsertion,
-        RectangleFace,
-        SizeClass,
-        UniformSizes,
-    )
-    from granflow.scene.blocks.run import Damping, Numerics, RunSettings, Stage, StageCondition
-    from granflow.scene.blocks.shapes import Box, RotationStep
-    from granflow.scene.blocks.walls import (
-        BoxWall,
-        Cone,
-        Cylinder,
-        Disc,
-        FreeWall,
-        MeshWall,
-        Plane,
-        Rectangle,
-        Rotation,
-        Servo,
-        SurfaceVelocity,
-        TableMotion,
-        Translation,
-        Vibration,
-    )
-    from granflow.scene.registration import register_contact_model
-    from granflow.simulation import Simulation
-    from granflow.snapshot import Snapshot
-    from granflow.studies.calibration.calibrate import calibrate
-    from granflow.studies.sweep.sweep import sweep
+    from granflow.engine.engine import start as start
+    from granflow.errors import FunctionError as FunctionError
+    from granflow.errors import GranflowError as GranflowError
+    from granflow.errors import OutputError as OutputError
+    from granflow.errors import RunError as RunError
+    from granflow.errors import SceneError as SceneError
+    from granflow.errors import StopRun as StopRun
+    from granflow.live.forces import ParticleForce as ParticleForce
+    from granflow.load import Scene as Scene
+    from granflow.load import load_scene as load_scene
+    from granflow.observers.analysis import analyze_snapshots as analyze_snapshots
+    from granflow.observers.flow_meters import steady_flow as steady_flow
+    from granflow.observers.observer import on_interval as on_interval
+    from granflow.particles.group import ParticleData as ParticleData
+    from granflow.plan.arrays import estimate_memory as estimate_memory
+    from granflow.plan.build import plan_for as plan_for
+    from granflow.plan.explain import explain as explain
+    from granflow.plan.plan import Plan as Plan
+    from granflow.runs.read_run import Run as Run
+    from granflow.runs.read_run import read_run as read_run
+    from granflow.runs.result import Result as Result
+    from granflow.scene.blocks.contact import Contact as Contact
+    from granflow.scene.blocks.domain import BoxOutlet as BoxOutlet
+    from granflow.scene.blocks.domain import DiscOutlet as DiscOutlet
+    from granflow.scene.blocks.domain import Domain as Domain
+    from granflow.scene.blocks.domain import HalfSpaceOutlet as HalfSpaceOutlet
+    from granflow.scene.blocks.domain import LeesEdwards as LeesEdwards
+    from granflow.scene.blocks.materials import Material as Material
+    from granflow.scene.blocks.materials import MaterialPair as MaterialPair
+    from granflow.scene.blocks.materials import RestitutionFit as RestitutionFit
+    from granflow.scene.blocks.output import CenterOfMassMetric as CenterOfMassMetric
+    from granflow.scene.blocks.output import Checkpoints as Checkpoints
+    from granflow.scene.blocks.output import CollisionEnergies as CollisionEnergies
+    from granflow.scene.blocks.output import ContentMetric as ContentMetric
+    from granflow.scene.blocks.output import CoordinationMetric as CoordinationMetric
+    from granflow.scene.blocks.output import Expectation as Expectation
+    from granflow.scene.blocks.output import FabricMetric as FabricMetric
+    from granflow.scene.blocks.output import FieldGrid as FieldGrid
+    from granflow.scene.blocks.output import FlowMeter as FlowMeter
+    from granflow.scene.blocks.output import LaceyMetric as LaceyMetric
+    from granflow.scene.blocks.output import Output as Output
+    from granflow.scene.blocks.output import ReposeMetric as ReposeMetric
+    from granflow.scene.blocks.output import SegregationMetric as SegregationMetric
+    from granflow.scene.blocks.output import SlidingMetric as SlidingMetric
+    from granflow.scene.blocks.particles import BoxRegion as BoxRegion
+    from granflow.scene.blocks.particles import ClassSizes as ClassSizes
+    from granflow.scene.blocks.particles import Clump as Clump
+    from granflow.scene.blocks.particles import ClumpSphere as ClumpSphere
+    from granflow.scene.blocks.particles import CylinderRegion as CylinderRegion
+    from granflow.scene.blocks.particles import DiscFace as DiscFace
+    from granflow.scene.blocks.particles import FileInsertion as FileInsertion
+    from granflow.scene.blocks.particles import Group as Group
+    from granflow.scene.blocks.particles import InletInsertion as InletInsertion
+    from granflow.scene.blocks.particles import LatticeInsertion as LatticeInsertion
+    from granflow.scene.blocks.particles import LogNormalSizes as LogNormalSizes
+    from granflow.scene.blocks.particles import NormalSizes as NormalSizes
+    from granflow.scene.blocks.particles import PackInsertion as PackInsertion
+    from granflow.scene.blocks.particles import PositionsInsertion as PositionsInsertion
+    from granflow.scene.blocks.particles import PythonInsertion as PythonInsertion
+    from granflow.scene.blocks.particles import RainInsertion as RainInsertion
+    from granflow.scene.blocks.particles import RectangleFace as RectangleFace
+    from granflow.scene.blocks.particles import SizeClass as SizeClass
+    from granflow.scene.blocks.particles import UniformSizes as UniformSizes
+    from granflow.scene.blocks.run import Damping as Damping
+    from granflow.scene.blocks.run import Numerics as Numerics
+    from granflow.scene.blocks.run import RunSettings as RunSettings
+    from granflow.scene.blocks.run import Stage as Stage
+    from granflow.scene.blocks.run import StageCondition as StageCondition
+    from granflow.scene.blocks.shapes import Box as Box
+    from granflow.scene.blocks.shapes import RotationStep as RotationStep
+    from granflow.scene.blocks.walls import BoxWall as BoxWall
+    from granflow.scene.blocks.walls import Cone as Cone
+    from granflow.scene.blocks.walls import Cylinder as Cylinder
+    from granflow.scene.blocks.walls import Disc as Disc
+    from granflow.scene.blocks.walls import FreeWall as FreeWall
+    from granflow.scene.blocks.walls import MeshWall as MeshWall
+    from granflow.scene.blocks.walls import Plane as Plane
+    from granflow.scene.blocks.walls import Rectangle as Rectangle
+    from granflow.scene.blocks.walls import Rotation as Rotation
+    from granflow.scene.blocks.walls import Servo as Servo
+    from granflow.scene.blocks.walls import SurfaceVelocity as SurfaceVelocity
+    from granflow.scene.blocks.walls import TableMotion as TableMotion
+    from granflow.scene.blocks.walls import Translation as Translation
+    from granflow.scene.blocks.walls import Vibration as Vibration
+    from granflow.scene.registration import register_contact_model as register_contact_model
+    from granflow.simulation import Simulation as Simulation
+    from granflow.snapshot import Snapshot as Snapshot
+    from granflow.studies.calibration.calibrate import calibrate as calibrate
+    from granflow.studies.sweep.sweep import sweep as sweep
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
@@ -97,125 +106,113 @@ os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "0")
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 # Without HOME, as under some job schedulers, Taichi ends the process.
 os.environ.setdefault("HOME", os.path.expanduser("~"))
-# For each decorated function of a module, Taichi asks `inspect` for the module that executes the import,
-# which is not found: without this entry, `inspect` searches all modules every time, 0.3 s per start.
-inspect.modulesbyfile.setdefault("<frozen importlib._bootstrap>", "_frozen_importlib")
 
-__all__ = [
-    "Box",
-    "BoxOutlet",
-    "BoxRegion",
-    "BoxWall",
-    "CenterOfMassMetric",
-    "Checkpoints",
-    "ClassSizes",
-    "Clump",
-    "ClumpSphere",
-    "CollisionEnergies",
-    "Cone",
-    "Contact",
-    "ContentMetric",
-    "CoordinationMetric",
-    "Cylinder",
-    "CylinderRegion",
-    "Damping",
-    "Disc",
-    "DiscFace",
-    "DiscOutlet",
-    "Domain",
-    "Expectation",
-    "FabricMetric",
-    "FieldGrid",
-    "FileInsertion",
-    "FlowMeter",
-    "FreeWall",
-    "FunctionError",
-    "GranflowError",
-    "Group",
-    "HalfSpaceOutlet",
-    "InletInsertion",
-    "LaceyMetric",
-    "LatticeInsertion",
-    "LeesEdwards",
-    "LogNormalSizes",
-    "Material",
-    "MaterialPair",
-    "MeshWall",
-    "NormalSizes",
-    "Numerics",
-    "Output",
-    "OutputError",
-    "PackInsertion",
-    "ParticleData",
-    "ParticleForce",
-    "Plan",
-    "Plane",
-    "PositionsInsertion",
-    "PythonInsertion",
-    "RainInsertion",
-    "Rectangle",
-    "RectangleFace",
-    "ReposeMetric",
-    "RestitutionFit",
-    "Result",
-    "Rotation",
-    "RotationStep",
-    "Run",
-    "RunError",
-    "RunSettings",
-    "Scene",
-    "SceneError",
-    "SegregationMetric",
-    "Servo",
-    "Simulation",
-    "SizeClass",
-    "SlidingMetric",
-    "Snapshot",
-    "Stage",
-    "StageCondition",
-    "StopRun",
-    "SurfaceVelocity",
-    "TableMotion",
-    "Translation",
-    "UniformSizes",
-    "Vibration",
-    "analyze_snapshots",
-    "calibrate",
-    "estimate_memory",
-    "explain",
-    "load_scene",
-    "on_interval",
-    "plan_for",
-    "read_run",
-    "register_contact_model",
-    "start",
-    "steady_flow",
-    "sweep",
-]
+_LOCATIONS = {
+    "Box": "granflow.scene.blocks.shapes.Box",
+    "BoxOutlet": "granflow.scene.blocks.domain.BoxOutlet",
+    "BoxRegion": "granflow.scene.blocks.particles.BoxRegion",
+    "BoxWall": "granflow.scene.blocks.walls.BoxWall",
+    "CenterOfMassMetric": "granflow.scene.blocks.output.CenterOfMassMetric",
+    "Checkpoints": "granflow.scene.blocks.output.Checkpoints",
+    "ClassSizes": "granflow.scene.blocks.particles.ClassSizes",
+    "Clump": "granflow.scene.blocks.particles.Clump",
+    "ClumpSphere": "granflow.scene.blocks.particles.ClumpSphere",
+    "CollisionEnergies": "granflow.scene.blocks.output.CollisionEnergies",
+    "Cone": "granflow.scene.blocks.walls.Cone",
+    "Contact": "granflow.scene.blocks.contact.Contact",
+    "ContentMetric": "granflow.scene.blocks.output.ContentMetric",
+    "CoordinationMetric": "granflow.scene.blocks.output.CoordinationMetric",
+    "Cylinder": "granflow.scene.blocks.walls.Cylinder",
+    "CylinderRegion": "granflow.scene.blocks.particles.CylinderRegion",
+    "Damping": "granflow.scene.blocks.run.Damping",
+    "Disc": "granflow.scene.blocks.walls.Disc",
+    "DiscFace": "granflow.scene.blocks.particles.DiscFace",
+    "DiscOutlet": "granflow.scene.blocks.domain.DiscOutlet",
+    "Domain": "granflow.scene.blocks.domain.Domain",
+    "Expectation": "granflow.scene.blocks.output.Expectation",
+    "FabricMetric": "granflow.scene.blocks.output.FabricMetric",
+    "FieldGrid": "granflow.scene.blocks.output.FieldGrid",
+    "FileInsertion": "granflow.scene.blocks.particles.FileInsertion",
+    "FlowMeter": "granflow.scene.blocks.output.FlowMeter",
+    "FreeWall": "granflow.scene.blocks.walls.FreeWall",
+    "FunctionError": "granflow.errors.FunctionError",
+    "GranflowError": "granflow.errors.GranflowError",
+    "Group": "granflow.scene.blocks.particles.Group",
+    "HalfSpaceOutlet": "granflow.scene.blocks.domain.HalfSpaceOutlet",
+    "InletInsertion": "granflow.scene.blocks.particles.InletInsertion",
+    "LaceyMetric": "granflow.scene.blocks.output.LaceyMetric",
+    "LatticeInsertion": "granflow.scene.blocks.particles.LatticeInsertion",
+    "LeesEdwards": "granflow.scene.blocks.domain.LeesEdwards",
+    "LogNormalSizes": "granflow.scene.blocks.particles.LogNormalSizes",
+    "Material": "granflow.scene.blocks.materials.Material",
+    "MaterialPair": "granflow.scene.blocks.materials.MaterialPair",
+    "MeshWall": "granflow.scene.blocks.walls.MeshWall",
+    "NormalSizes": "granflow.scene.blocks.particles.NormalSizes",
+    "Numerics": "granflow.scene.blocks.run.Numerics",
+    "Output": "granflow.scene.blocks.output.Output",
+    "OutputError": "granflow.errors.OutputError",
+    "PackInsertion": "granflow.scene.blocks.particles.PackInsertion",
+    "ParticleData": "granflow.particles.group.ParticleData",
+    "ParticleForce": "granflow.live.forces.ParticleForce",
+    "Plan": "granflow.plan.plan.Plan",
+    "Plane": "granflow.scene.blocks.walls.Plane",
+    "PositionsInsertion": "granflow.scene.blocks.particles.PositionsInsertion",
+    "PythonInsertion": "granflow.scene.blocks.particles.PythonInsertion",
+    "RainInsertion": "granflow.scene.blocks.particles.RainInsertion",
+    "Rectangle": "granflow.scene.blocks.walls.Rectangle",
+    "RectangleFace": "granflow.scene.blocks.particles.RectangleFace",
+    "ReposeMetric": "granflow.scene.blocks.output.ReposeMetric",
+    "RestitutionFit": "granflow.scene.blocks.materials.RestitutionFit",
+    "Result": "granflow.runs.result.Result",
+    "Rotation": "granflow.scene.blocks.walls.Rotation",
+    "RotationStep": "granflow.scene.blocks.shapes.RotationStep",
+    "Run": "granflow.runs.read_run.Run",
+    "RunError": "granflow.errors.RunError",
+    "RunSettings": "granflow.scene.blocks.run.RunSettings",
+    "Scene": "granflow.load.Scene",
+    "SceneError": "granflow.errors.SceneError",
+    "SegregationMetric": "granflow.scene.blocks.output.SegregationMetric",
+    "Servo": "granflow.scene.blocks.walls.Servo",
+    "Simulation": "granflow.simulation.Simulation",
+    "SizeClass": "granflow.scene.blocks.particles.SizeClass",
+    "SlidingMetric": "granflow.scene.blocks.output.SlidingMetric",
+    "Snapshot": "granflow.snapshot.Snapshot",
+    "Stage": "granflow.scene.blocks.run.Stage",
+    "StageCondition": "granflow.scene.blocks.run.StageCondition",
+    "StopRun": "granflow.errors.StopRun",
+    "SurfaceVelocity": "granflow.scene.blocks.walls.SurfaceVelocity",
+    "TableMotion": "granflow.scene.blocks.walls.TableMotion",
+    "Translation": "granflow.scene.blocks.walls.Translation",
+    "UniformSizes": "granflow.scene.blocks.particles.UniformSizes",
+    "Vibration": "granflow.scene.blocks.walls.Vibration",
+    "analyze_snapshots": "granflow.observers.analysis.analyze_snapshots",
+    "calibrate": "granflow.studies.calibration.calibrate.calibrate",
+    "estimate_memory": "granflow.plan.arrays.estimate_memory",
+    "explain": "granflow.plan.explain.explain",
+    "load_scene": "granflow.load.load_scene",
+    "on_interval": "granflow.observers.observer.on_interval",
+    "plan_for": "granflow.plan.build.plan_for",
+    "read_run": "granflow.runs.read_run.read_run",
+    "register_contact_model": "granflow.scene.registration.register_contact_model",
+    "start": "granflow.engine.engine.start",
+    "steady_flow": "granflow.observers.flow_meters.steady_flow",
+    "sweep": "granflow.studies.sweep.sweep.sweep",
+}
+"""Module and attribute of each public name."""
 
-
-@cache
-def _locations() -> dict[str, tuple[str, str]]:
-    """Module and attribute of each public name: the imports of this module that only type checkers
-    execute."""
-    source = inspect.getsource(sys.modules[__name__])
-    (block,) = (node for node in ast.parse(source).body if isinstance(node, ast.If))
-    imports = (node for node in block.body if isinstance(node, ast.ImportFrom))
-    return {
-        each.asname or each.name: (str(node.module), each.name) for node in imports for each in node.names
-    }
+__all__ = list(_LOCATIONS)
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use. Raises AttributeError for other names."""
     if name == "__version__":
         return import_module("importlib.metadata").version("granflow")
-    if name not in __all__:
+    if name not in _LOCATIONS:
         raise AttributeError(f"module 'granflow' has no attribute '{name}'")
-    module, attribute = _locations()[name]
+    module, _, attribute = _LOCATIONS[name].rpartition(".")
     return getattr(import_module(module), attribute)
 
 
 def __dir__() -> list[str]:
     """The public names."""
-    return sorted(["__version__", *__all__])
+    return sorted(["__version__", *_LOCATIONS])

@@ -4,8 +4,10 @@ import sys
 
 
 def main() -> int:
-    """Run the command line and return its exit code; Ctrl-C during the imports ends it without a
-    traceback."""
+    """Run the command line and return its exit code.
+
+    Ctrl-C during the imports ends it without a traceback.
+    """
     try:
         from granflow.cli.main import main as run
     except KeyboardInterrupt:

@@ -239,7 +239,7 @@ def refuse_other_object(scene: object) -> None:
 # Readers
 
 
-def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
+def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """Read the scene in a YAML file and resolve it.
 
     `path`: UTF-8 file of at most 4 MiB. The path in `start_from` is relative to the folder of the file. Each

@@ -189,12 +189,12 @@ def test_module_names_are_specific():
 def test_package_inits_only_re_export(name):
     def is_re_export(node):
         if isinstance(node, ast.Assign):
-            return all(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets)
+            return all(isinstance(t, ast.Name) and t.id in {"__all__", "_LOCATIONS"} for t in node.targets)
         if isinstance(node, ast.FunctionDef):
-            return node.name in {"__getattr__", "__dir__", "_locations"}
+            return node.name in {"__getattr__", "__dir__"}
         if isinstance(node, ast.If):
             return ast.unparse(node.test) == "TYPE_CHECKING"
-        if ast.unparse(node).startswith(("os.environ.setdefault(", "inspect.modulesbyfile.setdefault(")):
+        if ast.unparse(node).startswith("os.environ.setdefault("):
             return name == "granflow"
         is_docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
         return is_docstring or isinstance(node, (ast.Import, ast.ImportFrom))

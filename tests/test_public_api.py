@@ -12,7 +12,7 @@ def test_package_shows_public_names_only():
 
 def test_each_public_name_can_be_imported():
     for name in granflow.__all__:
-        assert getattr(granflow, name).__name__ == {"load_scene": "load"}.get(name, name)
+        assert getattr(granflow, name).__name__ == name
 
 
 def test_reading_a_scene_does_not_import_taichi():

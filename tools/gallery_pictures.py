@@ -16,8 +16,8 @@ from imageio_ffmpeg import get_ffmpeg_exe
 from PIL import Image
 
 from granflow.cli.main import build_parser
-from granflow.studies.render.frames import frames_of
-from granflow.studies.render.render import PictureStyle, pictures, write_film
+from granflow.studies.frames import frames_of
+from granflow.studies.render import PictureStyle, pictures, write_film
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pages" / "gallery"
 SIZE = "640x480"

@@ -25,7 +25,7 @@ from granflow import read_run
 from granflow.cli.run import scene_paths
 from granflow.fields import unit_of
 from granflow.io.log import sessions
-from granflow.load import Scene, load
+from granflow.load import Scene, load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, SCENES = ROOT / "docs" / "pages" / "scenes.md", ROOT / "scenes"
@@ -88,7 +88,7 @@ def expected_and_run(name: str, numbers: Mapping[str, float]) -> Iterator[tuple[
 
     `numbers`: recorded results by quantity.
     """
-    for each in load(SCENES / f"{name}.yaml").expect:
+    for each in load_scene(SCENES / f"{name}.yaml").expect:
         number = numbers.get(each.quantity)
         value = "" if number is None else f"{number:.5g}"
         yield each.quantity, unit_of(each.quantity), expected(each), value
@@ -139,7 +139,7 @@ def record(folder: Path) -> None:
 def shipped(scene: Scene) -> tuple[str, Scene]:
     """Name and content of the shipped scene with this title and these expectations."""
     for name in names():
-        other = load(SCENES / f"{name}.yaml")
+        other = load_scene(SCENES / f"{name}.yaml")
         if (other.title, other.expect) == (scene.title, scene.expect):
             return name, other
     raise ValueError(

@@ -50,11 +50,11 @@ WARM_STARTS = 3
 def child(scene: str, out: str) -> None:
     """Runs a scene to its first step and prints the times at the ends of the stages [s since 1970]."""
     times = [time.time()]
-    from granflow.load import load
+    from granflow.load import load_scene
     from granflow.simulation import Simulation
 
     times.append(time.time())
-    loaded_scene = load(scene)
+    loaded_scene = load_scene(scene)
     times.append(time.time())
     simulation = Simulation(loaded_scene, out=out)
     times.append(time.time())

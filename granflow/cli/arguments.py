@@ -1,31 +1,32 @@
-"""Arguments shared by several verbs, and converters of their values."""
+"""What the verbs of the command line share: arguments, converters of their values, and printing.
+
+A function `add_...` adds an argument to the parser of a verb; a converter is the `type` of an argument and
+raises ArgumentTypeError for a text that it refuses. Results go to stdout, errors and warnings to stderr.
+`say` is the only function of the command line that calls `print`.
+"""
 
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from granflow.errors import FileError, GranflowError
-from granflow.runs.interrupts import Terminated
+from granflow.errors import GranflowError
 from granflow.visible_text import visible, visible_line
 
 if TYPE_CHECKING:
     from granflow.load import Scene
-    from granflow.runs.result import Result
 
-ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan")
-"""Values of --arch; gpu selects the first available GPU backend."""
-PRECISIONS = ("f64", "f32", "mixed")
-"""Values of --precision: f64, f32, or mixed (positions in f64, all else in f32)."""
+# Verbs and their arguments
 
 
 def add_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argparse.ArgumentParser:
     """Add a verb and return its parser.
 
-    `verbs`: subparsers of argparse; `verb`: function (options) -> exit code, which names the verb; `summary`:
-    help text in lowercase without a period.
+    verbs:    subparsers of argparse
+    verb:     function (options) -> exit code, whose name is that of the verb
+    summary:  help text in lowercase without a period
     """
     parser = verbs.add_parser(verb.__name__, help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.set_defaults(verb=verb)
@@ -40,36 +41,24 @@ def add_scene_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argpar
     return parser
 
 
-def check_output_file(path: Path | None, types: Sequence[str], directory: Path) -> None:
-    """Refuse an output file that is of another type, a directory, or an input file of the run in a directory.
+def load(options: argparse.Namespace) -> "Scene":
+    """Read the scene with the overrides of the command line, --precision included.
 
-    path:       value of --out, None if it is not given
-    types:      possible ends of its name, such as .png
-    directory:  of the run, which need not be one
-    Raises:     GranflowError
+    --precision has priority over --set. Raises SceneError with all problems of the scene.
     """
-    if path is None:
-        return
-    if path.is_dir():
-        raise GranflowError(
-            f"--out {path} is a directory; give a file, such as {path / f'picture{types[0]}'}."
-        )
-    if path.suffix not in types:
-        raise GranflowError(
-            f"--out {path} is not of a supported type; the name must end in {' or '.join(types)}."
-        )
-    if not path.exists():
-        return
-    from granflow.runs.read_run import SCENE, Run
-    from granflow.runs.run_directory import input_files
+    from granflow.load import load_scene
 
-    run = Run(directory)
-    inputs = [] if not (directory / SCENE).exists() or run.scene_problem else [*input_files(run.scene)]
-    for key, name in inputs:
-        if name.exists() and path.samefile(name):
-            raise GranflowError(
-                f"--out {path} is {key} of the run, which must not be replaced; give another file."
-            )
+    overrides = list(options.overrides)
+    if getattr(options, "precision", None):
+        overrides.append(f"run.precision={options.precision}")
+    return load_scene(options.scene, overrides)
+
+
+def load_runnable(options: argparse.Namespace) -> "Scene":
+    """Read a scene as `load` does, and raise SceneError also for a group whose particles a program adds."""
+    scene = load(options)
+    scene.refuse_program()
+    return scene
 
 
 def add_overrides(parser: argparse.ArgumentParser, text: str) -> None:
@@ -86,8 +75,15 @@ def add_overrides(parser: argparse.ArgumentParser, text: str) -> None:
 
 def add_out(parser: argparse.ArgumentParser, default: str, content: str = "") -> None:
     """Add --out, a directory; `default`: text on the default; `content`: what the directory contains."""
-    text = f"output directory{content and f' for {content}'} (default: {default})"
+    purpose = f" for {content}" if content else ""
+    text = f"output directory{purpose} (default: {default})"
     parser.add_argument("--out", metavar="DIR", type=Path, help=text)
+
+
+ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan")
+"""Values of --arch; gpu selects the first available GPU backend."""
+PRECISIONS = ("f64", "f32", "mixed")
+"""Values of --precision: f64, f32, or mixed (positions in f64, all else in f32)."""
 
 
 def add_machine(
@@ -105,18 +101,7 @@ def add_machine(
     )
 
 
-def add_allow_long(parser: argparse.ArgumentParser) -> None:
-    """Add --allow-long."""
-    parser.add_argument(
-        "--allow-long", action="store_true", help="accept a run estimated to take more than a year"
-    )
-
-
-def add_mpi(parser: argparse.ArgumentParser) -> None:
-    """Add --mpi."""
-    parser.add_argument(
-        "--mpi", action="store_true", help="distribute the particles over the ranks of mpirun; needs mpi4py"
-    )
+# Converters of values
 
 
 def quantity(dimension: str) -> Callable[[str], float]:
@@ -148,69 +133,27 @@ def simulated_time(text: str) -> float:
     return value
 
 
-def thread_count(text: str) -> int:
-    """Convert --threads for argparse: a whole number, at least 1. Raises ArgumentTypeError."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(
-            f"{text} is not a number of threads; give a whole number of at least 1"
-        )
-    return int(text)
-
-
 def count(text: str) -> int:
-    """Convert a number of jobs or trials for argparse: a whole number, at least 1. Raises
-    ArgumentTypeError."""
+    """Convert a number of jobs or trials for argparse: a whole number, at least 1."""
+    return _whole_number(text, "a valid number")
+
+
+def thread_count(text: str) -> int:
+    """Convert --threads for argparse: a whole number, at least 1."""
+    return _whole_number(text, "a number of threads")
+
+
+def _whole_number(text: str, noun: str) -> int:
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a valid number; give a whole number of at least 1")
+        raise argparse.ArgumentTypeError(f"{text} is not {noun}; give a whole number of at least 1")
     return int(text)
 
 
-def load(options: argparse.Namespace) -> "Scene":
-    """Read the scene with the overrides of the command line, --precision included.
-
-    --precision has priority over --set. Raises SceneError with all problems of the scene.
-    """
-    from granflow.load import load as load_scene
-
-    precision = getattr(options, "precision", None)
-    return load_scene(
-        options.scene, [*options.overrides, *([f"run.precision={precision}"] if precision else [])]
-    )
-
-
-def load_runnable(options: argparse.Namespace) -> "Scene":
-    """Read the scene of a run, as `load`. Raises SceneError also for a group whose particles a program
-    adds."""
-    scene = load(options)
-    scene.refuse_program()
-    return scene
-
-
-# Output of the verbs: messages on stderr, exit codes, tables.
-#
-# Results go to stdout, errors and warnings to stderr.
-
-COLLIDE_UNITS = {
-    "duration": "s",
-    "overlap_max": "m",
-    "overlap_residual": "m",
-    "force_max": "N",
-    "spring_equation19": "N/m",
-    "time_step": "s",
-    "velocity": "m/s",
-}
-"""Units of the numbers of `granflow collide`; all others are dimensionless."""
-WIDE = 160
-"""Width of a table that is written to a file [characters]: wide enough for complete numbers."""
-EXIT_INTERRUPTED = 130
-"""128 + SIGINT: the exit code after Ctrl-C."""
-EXIT_TERMINATED = 143
-"""128 + SIGTERM: the exit code after a termination request."""
+# Printing
 
 
 def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool = False) -> None:
-    """Print text; control characters in titles, names and file headers become visible. The only `print` of
-    the CLI.
+    """Print text; control characters in titles, names and file headers become visible.
 
     `file`: stdout by default; `flush`: write at once.
     """
@@ -220,20 +163,6 @@ def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool 
 def say_progress(message: str) -> None:
     """Print a progress message at once, also if stdout is a file."""
     say(f"{message} ...", flush=True)
-
-
-def print_refusal(error: GranflowError) -> int:
-    """Print an error without a traceback and return its exit code.
-
-    The problems of a file are printed one per line, followed by their number.
-    """
-    problems = error.problems if isinstance(error, FileError) else ()
-    if not problems:
-        return print_error(str(error), error.exit_code)
-    for problem in problems:
-        say(visible_line(problem), file=sys.stderr)
-    say(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} found.", file=sys.stderr)
-    return error.exit_code
 
 
 def print_error(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
@@ -248,17 +177,6 @@ def warn(sentences: Iterable[str]) -> None:
         say(visible_line(f"granflow: warning: {sentence}"), file=sys.stderr)
 
 
-def say_checked(path: Path, warnings: Sequence[str], remark: str = "") -> int:
-    """Print that the scene at `path` has no errors and how many warnings, then the warnings; return the exit
-    code 0."""
-    count = (
-        f"no errors, {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else "no problems found"
-    )
-    say(f"{path}: {count}{remark}.", flush=True)
-    warn(warnings)
-    return 0
-
-
 def warned(sentences: Iterable[str]) -> list[str]:
     """Print warnings as `warn` does, and return them."""
     found = list(sentences)
@@ -266,62 +184,8 @@ def warned(sentences: Iterable[str]) -> list[str]:
     return found
 
 
-def exit_code_of(stop: KeyboardInterrupt) -> int:
-    """Return the exit code that shells report for a process ended by that signal: 128 plus the signal
-    number."""
-    return EXIT_TERMINATED if isinstance(stop, Terminated) else EXIT_INTERRUPTED
-
-
-def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
-    """Write the files of a study; without matplotlib, write only those that do not need it, with a message.
-
-    `write`: function (directory, *numbers), which may raise GranflowError after it has written the other
-    files.
-    """
-    try:
-        write(out, *numbers)
-    except GranflowError as error:
-        say(error)
-    say(f"Written to {out}")
-
-
-def show_result(title: str, result: "Result", out: Path) -> None:
-    """Print the table of results, the expectations, and the files to open.
-
-    `out`: output directory of the run. Expectations that are not satisfied begin with NOT AS EXPECTED.
-    """
-    from rich.console import Console
-
-    from granflow.runs.result import closing_table
-
-    Console().print(closing_table(result, visible(title)))
-    for sentence, met in result.expectations:
-        say(sentence if met else f"NOT AS EXPECTED: {sentence}")
-    series = sorted(str(path) for path in out.glob("*.pvd"))
-    if series:
-        say(f"For ParaView: {', '.join(series)}")
-    say(f"Numbers: {out / 'timeseries.csv'}, {out / 'result.json'}")
-
-
-def show_comparison(numbers: Mapping[str, Any]) -> None:
-    """Print the simulated numbers of a collision beside the requested or closed-form ones.
-
-    `numbers`: as from `granflow.studies.collide.collide`; units are those of COLLIDE_UNITS.
-    """
-    references = ("_asked", "_theory")
-    rows = []
-    for name in (name for name in numbers if not name.endswith(references)):
-        reference = [as_text(numbers[name + end]) for end in references if name + end in numbers]
-        unit = COLLIDE_UNITS.get(name, "")
-        rows.append(
-            (
-                name.replace("_", " ").replace("equation19", "of Eq. 19"),
-                as_text(numbers[name]),
-                *(reference or [""]),
-                unit,
-            )
-        )
-    show_table("head-on collision", ("", "simulated", "requested or closed form", "unit"), rows)
+WIDE = 160
+"""Width of a table that is written to a file [characters]: wide enough for complete numbers."""
 
 
 def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -341,8 +205,3 @@ def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) 
     for row in rows:
         table.add_row(*(Text(visible(cell)) for cell in row))
     Console(width=None if sys.stdout.isatty() else WIDE).print(table)
-
-
-def as_text(value: Any) -> str:
-    """Return a number with seven digits, and the text of any other value."""
-    return f"{value:.7g}" if isinstance(value, float) else str(value)

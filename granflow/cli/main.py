@@ -1,16 +1,19 @@
-"""The command line: dispatches the verbs and returns exit codes.
+"""The command line: the parser of all verbs, and `main`, which runs one and returns the exit code.
 
-Each verb imports its modules inside its function: `--help` starts at once and `schema` never loads Taichi.
+A verb is a function (options) -> exit code in `run`, `show` or `studies`; a function `add_VERB` beside it
+adds its arguments to the parser. A verb imports what it needs inside its function, so that `--help` starts at
+once and `schema` never loads Taichi.
 """
 
 import argparse
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import exit_code_of, print_error, print_refusal, say
-from granflow.cli.process import refuse_low_memory_limit, standard_streams, stop_signals
+from granflow.cli.arguments import print_error, say
+from granflow.cli.process import exit_code_of, refuse_low_memory_limit, standard_streams, stop_signals
 from granflow.cli.run import (
     add_cache,
     add_check,
@@ -35,8 +38,8 @@ from granflow.cli.studies import (
     add_stability,
     add_sweep,
 )
-from granflow.errors import GranflowError
-from granflow.visible_text import visible
+from granflow.errors import FileError, GranflowError
+from granflow.visible_text import visible, visible_line
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,18 +48,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 completed; 1 completed, but an expectation of the scene is not satisfied; 2 input error (scene, command
     line, files); 3 aborted, with a diagnosis; 4 stopped because files could not be written; 130 interrupted
     (Ctrl-C); 143 terminated (SIGTERM); 141 the reader of stdout closed the pipe, as `head` does. After a
-    closed pipe, `run` and `resume` continue.
+    closed pipe, `run` and `resume` continue, because lost progress lines must not end a simulation.
     """
     try:
         with standard_streams() as output:
             options = build_parser().parse_args(arguments)
             output.needed = options.verb not in (run, resume)
-            return _verb(options)
+            return _run_verb(options)
     except OSError as error:
         return _print_file_error(error)
 
 
-def _verb(options: argparse.Namespace) -> int:
+def _run_verb(options: argparse.Namespace) -> int:
     """Run the verb with signal handling and return its exit code.
 
     GranflowError, errors of files and interrupts are printed without a traceback; all other exceptions
@@ -67,7 +70,7 @@ def _verb(options: argparse.Namespace) -> int:
         with stop_signals():
             return options.verb(options)
     except GranflowError as error:
-        return print_refusal(error)
+        return _print_refusal(error)
     except MemoryError:
         return print_error(
             "not enough memory: use fewer particles, or raise the memory limit of the process."
@@ -80,9 +83,22 @@ def _verb(options: argparse.Namespace) -> int:
         return print_error("interrupted.", exit_code_of(stop))
 
 
+def _print_refusal(error: GranflowError) -> int:
+    """Print an error without a traceback and return its exit code.
+
+    The problems of a file are printed one per line, followed by their number.
+    """
+    problems = error.problems if isinstance(error, FileError) else ()
+    if not problems:
+        return print_error(str(error), error.exit_code)
+    for problem in problems:
+        say(visible_line(problem), file=sys.stderr)
+    say(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} found.", file=sys.stderr)
+    return error.exit_code
+
+
 def _print_file_error(error: OSError) -> int:
-    """Print an error of the operating system that concerns a file, and return exit code 2; raise it again
-    otherwise."""
+    """Print an error of the operating system and return exit code 2; raise it again if it names no file."""
     if error.filename is None:
         raise error
     return print_error(f"{error.filename}: {_reason_of(error)}.")
@@ -90,12 +106,11 @@ def _print_file_error(error: OSError) -> int:
 
 def _reason_of(error: OSError) -> str:
     """Return why a path cannot be used."""
-    path = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else Path()
-    if path.is_symlink() and not path.exists():
-        return (
-            f"this is a link to {os.readlink(path)}, which does not exist; give another path, or remove the "
-            "link"
-        )
+    if isinstance(error.filename, str | bytes):
+        path = Path(os.fsdecode(error.filename))
+        if path.is_symlink() and not path.exists():
+            target = os.readlink(path)
+            return f"this is a link to {target}, which does not exist; give another path, or remove the link"
     if isinstance(error, FileExistsError):
         return "this is a file, but a directory is needed; give another path"
     return error.strerror or str(error)
@@ -134,7 +149,10 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose messages show control characters of quoted text as visible escapes."""
+    """An argument parser whose messages show control characters of quoted text as visible escapes.
+
+    The subparsers of the verbs are of this class too.
+    """
 
     def _print_message(self, message: str, file: Any = None) -> None:
         super()._print_message(visible(message), file)

@@ -1,9 +1,10 @@
-"""SIGINT (Ctrl-C) and SIGTERM: handlers that take effect within a second, in every verb and at any time.
+"""The process of the command line: stop signals, standard streams, the memory limit and a quick start.
 
-Before a run has begun, the handler raises an exception at once. During a run it requests a stop: the run
-completes the launch in progress (LAUNCH_SECONDS, or one step if that is longer), writes a checkpoint and
-ends. While C++ code compiles a kernel no Python handler runs, so the default action of the operating system
-ends the process instead.
+`main` runs each verb within `standard_streams` and `stop_signals`. A stop signal, SIGINT (Ctrl-C) or SIGTERM,
+takes effect within a second at any time. While a verb works, the handler raises an exception at once. During
+a run it requests a stop: the run completes the launch in progress (LAUNCH_SECONDS of the stepper, or one step
+if that is longer), writes a checkpoint and ends. While C++ code compiles a kernel no Python handler runs, so
+the default action of the operating system ends the process instead.
 """
 
 import errno
@@ -15,64 +16,18 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from threading import Timer
 from typing import Any, TextIO
 
-from granflow.cli.arguments import EXIT_INTERRUPTED, EXIT_TERMINATED, say
+from granflow.cli.arguments import say
 from granflow.errors import GranflowError
-from granflow.runs.interrupts import stop_of
+from granflow.runs.interrupts import Terminated, stop_of
 
-# The memory limit of the process (`ulimit -v`), below which libraries do not end.
+# Stop signals
 
-LEAST = 512 * 2**20
-"""Smallest limit [bytes]. OpenBLAS, which numpy calls, repeats a failed allocation forever; a run needs 2
-GB."""
-
-
-def refuse_low_memory_limit() -> None:
-    """Raise GranflowError if the address space of this process is limited to less than LEAST."""
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < LEAST:
-        raise GranflowError(
-            f"the memory limit of the process (ulimit -v) is {limit // 2**20} MiB, but granflow needs at "
-            f"least {LEAST // 2**20} MiB to start, and a run at least 2 GB: raise or remove the limit."
-        )
-
-
-# A short start: without work of Python that a start does not need.
-
-PAUSE = 5.0
-"""Time [s] without garbage collection after a start: the first collections examine all objects of the
-start."""
-
-
-@contextmanager
-def quick_start() -> Iterator[None]:
-    """In the block, no garbage collection, and no search for pydantic plugins in all installed packages.
-
-    Nearly all objects of a start remain in use, so that some 400 collections, a tenth of its time, find
-    little. The collection begins PAUSE after the block.
-    """
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            timer = Timer(PAUSE, gc.enable)
-            timer.daemon = True
-            timer.start()
-
-
-GRACE = 0.7
-"""Time from a signal to the exit without a checkpoint, or to the message that a stop is in progress [s]."""
 STOPS = (signal.SIGINT, signal.SIGTERM)
 """Signals that stop a verb."""
+GRACE = 0.7
+"""Time from a signal to the exit without a checkpoint, or to the message that a stop is in progress [s]."""
 DEFERRED = (
     "granflow: stopping: the step or file in progress is completed and a checkpoint written; "
     "a second signal ends the run at once."
@@ -82,6 +37,15 @@ AT_ONCE = "granflow: ended at once, without a checkpoint of the current time."
 """Message if a run ends without a checkpoint."""
 ENDED = "granflow: ended at once."
 """Message if a verb ends that is not in a run."""
+EXIT_INTERRUPTED = 130
+"""128 + SIGINT: the exit code after Ctrl-C."""
+EXIT_TERMINATED = 143
+"""128 + SIGTERM: the exit code after a termination request."""
+
+
+def exit_code_of(stop: KeyboardInterrupt) -> int:
+    """Return the exit code that shells report for a process ended by a signal: 128 plus its number."""
+    return EXIT_TERMINATED if isinstance(stop, Terminated) else EXIT_INTERRUPTED
 
 
 class StopSignals:
@@ -190,11 +154,22 @@ def stop_signals() -> Iterator[None]:
         _current = None
 
 
-def pass_stops_to(stop: Callable[[int], None]) -> None:
-    """On a rank that is not the root, call `stop` with the number of each stop signal: the root ends the
-    run."""
+@contextmanager
+def deferred_to(request: Callable[[KeyboardInterrupt], None], message: str = DEFERRED) -> Iterator[None]:
+    """In the block, the first stop signal calls `request` with the exception to raise later.
+
+    The second one raises that exception. `message`: printed if the stop takes longer than GRACE. Without
+    `stop_signals` around it, the block has no effect.
+    """
     if _current is not None:
-        _current.pass_to(stop)
+        _current.request = request
+        _current.message = message
+    try:
+        yield
+    finally:
+        if _current is not None:
+            _current.request = None
+            _current.message = DEFERRED
 
 
 @contextmanager
@@ -211,26 +186,13 @@ def deferred_to_event(message: str = DEFERRED) -> Iterator[tuple[threading.Event
         yield stop, signals
 
 
-@contextmanager
-def deferred_to(request: Callable[[KeyboardInterrupt], None], message: str = DEFERRED) -> Iterator[None]:
-    """In the block, the first stop signal calls `request` with the exception to raise later; the second one
-    raises.
-
-    `message`: printed if the stop takes longer than GRACE. Without `stop_signals` around it, the block has no
-    effect.
-    """
+def pass_stops_to(stop: Callable[[int], None]) -> None:
+    """Call `stop` with the number of each stop signal; for ranks other than the root, which ends the run."""
     if _current is not None:
-        _current.request = request
-        _current.message = message
-    try:
-        yield
-    finally:
-        if _current is not None:
-            _current.request = None
-            _current.message = DEFERRED
+        _current.pass_to(stop)
 
 
-# stdout and stderr whose reader may close the pipe: `granflow explain SCENE | head`.
+# Standard streams whose reader may close the pipe, as in `granflow explain SCENE | head`
 
 EXIT_PIPE = 141
 """128 + SIGPIPE: the code that shells report for a command whose reader closed the pipe."""
@@ -260,32 +222,6 @@ class Output:
         raise error
 
 
-class _Stream(io.FileIO):
-    """A standard stream that drops all output after a failed write.
-
-    It writes to the file descriptor of `stream` and does not close it.
-    """
-
-    def __init__(self, stream: TextIO, output: Output) -> None:
-        super().__init__(stream.fileno(), "w", closefd=False)
-        self._shown_name = stream.name
-        self._output = output
-        self._lost = False
-
-    def write(self, data: Any, /) -> int:
-        """Write `data` to the stream, or drop it after a failed write; return the number of bytes.
-
-        Raises the exceptions of `Output.failed` at the first failure.
-        """
-        if not self._lost:
-            try:
-                return super().write(data)
-            except OSError as error:
-                self._lost = True
-                self._output.failed(error, self._shown_name)
-        return memoryview(data).nbytes
-
-
 @contextmanager
 def standard_streams() -> Iterator[Output]:
     """Handle failed writes to stdout and stderr by `Output.failed`; the block may set `needed`.
@@ -312,8 +248,7 @@ def standard_streams() -> Iterator[Output]:
 
 
 def _is_process_stream(name: str) -> bool:
-    """Return whether a stream is that of the process: not of a notebook or test, nor the console of
-    Windows."""
+    """Return whether a stream is that of the process, not of a notebook, a test or the Windows console."""
     stream = getattr(sys, name)
     console = sys.platform == "win32" and stream is not None and stream.isatty()
     return stream is not None and stream is getattr(sys, f"__{name}__") and not console
@@ -332,6 +267,32 @@ def _wrapped(stream: TextIO, output: Output) -> io.TextIOWrapper:
     )
 
 
+class _Stream(io.FileIO):
+    """A standard stream that drops all output after a failed write.
+
+    It writes to the file descriptor of `stream` and does not close it.
+    """
+
+    def __init__(self, stream: TextIO, output: Output) -> None:
+        super().__init__(stream.fileno(), "w", closefd=False)
+        self._shown_name = stream.name
+        self._output = output
+        self._lost = False
+
+    def write(self, data: Any, /) -> int:
+        """Write `data` to the stream, or drop it after a failed write; return the number of bytes.
+
+        Raises the exceptions of `Output.failed` at the first failure.
+        """
+        if not self._lost:
+            try:
+                return super().write(data)
+            except OSError as error:
+                self._lost = True
+                self._output.failed(error, self._shown_name)
+        return memoryview(data).nbytes
+
+
 def _replace(name: str, stream: TextIO) -> None:
     """Set both names of a stream: if they differ, Taichi assumes a notebook."""
     setattr(sys, name, stream)
@@ -342,3 +303,48 @@ def _flush(names: list[str]) -> None:
     """Flush the streams with these names."""
     for name in names:
         getattr(sys, name).flush()
+
+
+# The memory limit and the start
+
+LEAST = 512 * 2**20
+"""Smallest limit [bytes]. OpenBLAS, which numpy calls, repeats a failed allocation forever; a run needs 2
+GB."""
+
+
+def refuse_low_memory_limit() -> None:
+    """Raise GranflowError if the address space of this process is limited to less than LEAST."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST:
+        raise GranflowError(
+            f"the memory limit of the process (ulimit -v) is {limit // 2**20} MiB, but granflow needs at "
+            f"least {LEAST // 2**20} MiB to start, and a run at least 2 GB: raise or remove the limit."
+        )
+
+
+PAUSE = 5.0
+"""Time [s] without garbage collection after a start: the first collections examine all objects of the
+start."""
+
+
+@contextmanager
+def quick_start() -> Iterator[None]:
+    """In the block, no garbage collection, and no search for pydantic plugins in all installed packages.
+
+    Nearly all objects of a start remain in use, so that some 400 collections, a tenth of its time, find
+    little. The collection begins PAUSE after the block.
+    """
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            timer = threading.Timer(PAUSE, gc.enable)
+            timer.daemon = True
+            timer.start()

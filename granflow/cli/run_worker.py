@@ -50,8 +50,10 @@ def _read(requests: FileIO, lines: "Queue[bytes]") -> None:
 
 
 def _command(messages: str, arguments: list[str]) -> int:
-    """Carry out a command with its messages in a file and return its exit code; an exception ends the
-    process."""
+    """Carry out a command with its messages in a file and return its exit code.
+
+    An exception ends the process.
+    """
     from granflow.cli.main import main as run
 
     with open(messages, "wb", buffering=0) as file:

@@ -1,13 +1,13 @@
-"""`granflow analyze`: computes metrics and fields of a completed run.
+"""The verbs that show a run from the files in its directory: analyze, plot, render, report.
 
-The frames of the run are read; nothing is simulated. The run must have written particles, and contacts for
-some quantities.
+Nothing is simulated. `analyze` requires particle frames, and contact frames for some quantities; `plot` reads
+time series; `render` requires the extra `plot`.
 """
 
 import argparse
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from math import isfinite
@@ -19,21 +19,21 @@ from granflow.cli.arguments import (
     add_out,
     add_overrides,
     add_verb,
-    check_output_file,
-    exit_code_of,
     print_error,
     say,
     show_table,
 )
-from granflow.cli.process import deferred_to_event
+from granflow.cli.process import deferred_to_event, exit_code_of
 from granflow.errors import GranflowError
 from granflow.visible_text import in_degrees
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from granflow.studies.render.frames import Frame
-    from granflow.studies.render.render import PictureStyle
+    from granflow.studies.frames import Frame
+    from granflow.studies.render import PictureStyle
+
+# analyze: metrics and fields of a completed run
 
 MAX_ROWS = 20
 """Largest number of rows printed; the file contains all rows."""
@@ -45,8 +45,7 @@ def analyze(options: argparse.Namespace) -> int:
     Writes `metrics.csv` and VTU files, and prints at most MAX_ROWS rows, the last one included. Raises
     GranflowError if the directory is not that of a run, or if --out is that directory.
     """
-    from granflow.load import load
-    from granflow.studies.analyze import analyze as analyze_run
+    from granflow import analyze_snapshots, load_scene, read_run
 
     scene_path = options.directory / "scene_as_run.yaml"
     if not scene_path.is_file():
@@ -59,11 +58,15 @@ def analyze(options: argparse.Namespace) -> int:
             f"--out {out} is the directory of the run, whose fields would be overwritten: give another "
             "directory."
         )
-    rows = analyze_run(options.directory, load(scene_path, options.overrides), out)
+    scene = load_scene(scene_path, options.overrides)
+    run = read_run(options.directory)
+    snapshots = map(run.snapshot, range(len(run.frames)))
+    rows = analyze_snapshots(scene, snapshots, out, str(options.directory))
     if rows and len(rows[0]) > len(("time", "stage")):
         step = -(-len(rows) // MAX_ROWS)
         cells = [[_cell(name, value) for name, value in row.items()] for row in rows]
-        show_table(f"{options.directory}, {len(rows)} frames", list(rows[0]), cells[::-1][::step][::-1])
+        printed = cells[::-1][::step][::-1]  # counted from the end, so that the last row is one of them
+        show_table(f"{options.directory}, {len(rows)} frames", list(rows[0]), printed)
     say(f"Written to {out}")
     return 0
 
@@ -72,11 +75,9 @@ def _cell(name: str, value: float | str) -> str:
     """Text of a value of the column `name`; of an angle with degrees."""
     from granflow.fields import unit_of
 
-    return (
-        value
-        if isinstance(value, str)
-        else f"{value:.4g}" + in_degrees(value, unit_of(name.partition(" [")[0]))
-    )
+    if isinstance(value, str):
+        return value
+    return f"{value:.4g}" + in_degrees(value, unit_of(name.partition(" [")[0]))
 
 
 def add_analyze(verbs: Any) -> None:
@@ -90,7 +91,7 @@ def add_analyze(verbs: Any) -> None:
     )
 
 
-# `granflow plot`: columns of time series over time or over each other, of one or more runs.
+# plot: columns of time series over time or over each other, of one or more runs
 
 TYPES = (".png", ".svg", ".pdf", ".html")
 """Possible ends of the name of --out."""
@@ -110,11 +111,11 @@ def plot(options: argparse.Namespace) -> int:
         columns = [("time", "s"), *((each.name, each.unit) for each in series.columns)]
         show_table(f"Columns of {path}; choose with --y, and --x", ("column", "unit"), columns)
         return 0
-    titles = {"x_title": options.x_label, "y_title": options.y_label}
-    given = {name: text for name, text in titles.items() if text is not None}
-    panels = [
-        replace(panel, **given) for panel in panels_of(options.sources, options.x, options.y, options.stages)
-    ]
+    panels = panels_of(options.sources, options.x, options.y, options.stages)
+    if options.x_label is not None:
+        panels = [replace(panel, x_title=options.x_label) for panel in panels]
+    if options.y_label is not None:
+        panels = [replace(panel, y_title=options.y_label) for panel in panels]
     out = options.out or default_path(options.sources[0], options.x, options.y)
     write_plot(out, panels, options.log, f"Time series of {', '.join(map(str, options.sources))}")
     say(f"Written to {out}")
@@ -167,22 +168,19 @@ def add_plot(verbs: Any) -> None:
     )
 
 
-# `granflow render`: images and films of a run.
-#
-# The frames of the run are read; nothing is simulated. Requires the extra `plot`.
+# render: images and films of a run
 
 FITS = ("all", "particles", "domain")
 """Values of --fit."""
-SMALLEST, LARGEST, MOST_PIXELS = 200, 10_000, 50_000_000
-"""Smallest and largest width and height of an image [pixels], and most pixels: 2.4 GB of memory, half a
-minute."""
-ZOOMS, RATES = (0.01, 1000.0), (0.01, 1000.0)
-"""Smallest and largest magnification, and frames per second of an animation."""
-PROGRESS_INTERVAL, FIRST_REPORT = 5.0, 3
-"""Shortest time [s] between two reports of the progress of an animation, and the frame after the first of
-them."""
-STOPPING = "granflow: stopping: the frame in progress is completed; a second signal ends the command at once."
-"""Message if an animation needs longer to stop."""
+SMALLEST = 200
+LARGEST = 10_000
+"""Smallest and largest width and height of an image [pixels]."""
+MOST_PIXELS = 50_000_000
+"""Largest number of pixels of an image: 2.4 GB of memory, half a minute."""
+ZOOMS = (0.01, 1000.0)
+"""Smallest and largest magnification."""
+RATES = (0.01, 1000.0)
+"""Smallest and largest number of frames per second of an animation."""
 
 
 def render(options: argparse.Namespace) -> int:
@@ -191,8 +189,8 @@ def render(options: argparse.Namespace) -> int:
     Prints the paths. Raises GranflowError if the directory contains no frames, or for one output file with
     several images.
     """
-    from granflow.studies.render.frames import frames_of, selected_frames
-    from granflow.studies.render.render import PictureStyle, write_pictures
+    from granflow.studies.frames import frames_of, selected_frames
+    from granflow.studies.render import PictureStyle, write_pictures
 
     check_output_file(options.out, (".mp4",) if options.film else (".png",), options.directory)
     frames = frames_of(options.directory)
@@ -212,7 +210,7 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
 
     The duration is the number of frames over --fps [1/s].
     """
-    from granflow.studies.render.render import (
+    from granflow.studies.render import (
         missing_for_film,
         name_of,
         pictures,
@@ -226,9 +224,8 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
         paths = write_pictures(options.directory, frames, style)
         say(f"{len(paths)} images from {paths[0]} to {paths[-1]}")
         return print_error(f"An animation requires {missing}, which is not installed: pip install {missing}")
-    path = (
-        options.out or options.directory / "pictures" / f"{name_of(style).replace('picture', 'film', 1)}.mp4"
-    )
+    film_name = name_of(style).replace("picture", "film", 1)
+    path = options.out or options.directory / "pictures" / f"{film_name}.mp4"
     path.parent.mkdir(parents=True, exist_ok=True)
     with deferred_to_event(STOPPING) as (stop, signals):
         drawn = with_progress(pictures(options.directory, frames, style, options.fps), len(frames), stop)
@@ -253,7 +250,8 @@ def with_progress(pictures: "Iterator[np.ndarray]", count: int, stop: Event) -> 
 
     `count`: of all pictures. Raises Stopped if `stop` is set.
     """
-    began = told = time.monotonic()
+    began = time.monotonic()
+    told = began
     for number, picture in enumerate(pictures, 1):
         if stop.is_set():
             raise Stopped(f"stopped after {number - 1} of {count} frames")
@@ -267,18 +265,88 @@ def with_progress(pictures: "Iterator[np.ndarray]", count: int, stop: Event) -> 
             say(f"{number} of {count} frames, about {remaining:.0f} s remaining", flush=True)
 
 
-def pixel_size(text: str) -> tuple[int, int]:
-    """Convert --size, such as 1600x1200, for argparse: width and height [pixels], rounded down to even
-    numbers.
+PROGRESS_INTERVAL = 5.0
+"""Shortest time [s] between two reports of the progress of an animation."""
+FIRST_REPORT = 3
+"""Number of the frame after which the progress is reported for the first time."""
+STOPPING = "granflow: stopping: the frame in progress is completed; a second signal ends the command at once."
+"""Message if an animation needs longer to stop."""
 
-    Video codecs require even numbers. Raises ArgumentTypeError below SMALLEST, and above LARGEST or
-    MOST_PIXELS.
+
+def add_render(verbs: Any) -> None:
+    """Add `granflow render` and its arguments.
+
+    Lengths, times and ranges are in SI units or have a unit.
+    """
+    parser = add_verb(verbs, render, "write images (PNG) of frames of a run, or an animation of all frames")
+    add = parser.add_argument
+    add("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
+    add("--frame", default="last", metavar="F", help=FRAME)
+    add("--film", action="store_true", help="write an animation (MP4) of all frames instead")
+    add(
+        "--fps",
+        type=partial(number_from, RATES),
+        default=25.0,
+        metavar="N",
+        help="frames per second of the animation (default: 25)",
+    )
+    add("--color", default="velocity", metavar="NAME", help=COLOR)
+    add(
+        "--range",
+        type=number_pair,
+        metavar="LOW,HIGH",
+        dest="limits",
+        help="limits of the color scale in SI units (default: from the frames)",
+    )
+    add(
+        "--chains",
+        action="store_true",
+        help="draw contacts as tubes whose thickness and color show the normal force",
+    )
+    add("--view", default="iso", metavar="V", help=VIEW)
+    add(
+        "--zoom",
+        type=partial(number_from, ZOOMS),
+        default=1.0,
+        metavar="X",
+        help="magnification, 0.01 to 1000 (default: 1)",
+    )
+    add(
+        "--fit",
+        choices=FITS,
+        default="all",
+        help="visible part: particles and walls (all), particles, or domain (default: all)",
+    )
+    add("--cut", action="store_true", help="omit the front half")
+    add(
+        "--size",
+        type=pixel_size,
+        metavar="WxH",
+        help=f"width and height in pixels, from {SMALLEST} to {LARGEST} (default: 1200 high, a film 900; "
+        "width from the view)",
+    )
+    add("--out", metavar="FILE", type=Path, help="output file (default: in DIR/pictures)")
+
+
+FRAME = (
+    "last, first, a number, a time such as 0.4s, several of these separated by commas, or all (default: last)"
+)
+COLOR = "particle array, such as velocity, velocity.z, force, radius, coordination_number (default: velocity)"
+VIEW = "iso, front, side, top, or the direction to the viewer, such as --view=1,-2,0.8 (default: iso)"
+"""Help texts of --frame, --color and --view."""
+
+
+def pixel_size(text: str) -> tuple[int, int]:
+    """Convert --size, such as 1600x1200, for argparse: width and height [pixels].
+
+    They are rounded down to even numbers, which video codecs require. Raises ArgumentTypeError below
+    SMALLEST, and above LARGEST or MOST_PIXELS.
     """
     words = re.fullmatch(r"([0-9]{1,9})x([0-9]{1,9})", text)
-    width, height = (int(word) for word in words.groups()) if words else (0, 0)
-    if not (
-        SMALLEST <= min(width, height) and max(width, height) <= LARGEST and width * height <= MOST_PIXELS
-    ):
+    width = int(words[1]) if words else 0
+    height = int(words[2]) if words else 0
+    is_valid = SMALLEST <= min(width, height) and max(width, height) <= LARGEST
+    if not is_valid or width * height > MOST_PIXELS:
         raise argparse.ArgumentTypeError(
             f"{text[:40]} is not a valid size; give width and height in pixels, from {SMALLEST} to "
             f"{LARGEST}, and at most {MOST_PIXELS // 10**6} million pixels in total, such as 1600x1200"
@@ -312,57 +380,7 @@ def number_from(limits: tuple[float, float], text: str) -> float:
     return number
 
 
-FRAME = (
-    "last, first, a number, a time such as 0.4s, several of these separated by commas, or all (default: last)"
-)
-COLOR = "particle array, such as velocity, velocity.z, force, radius, coordination_number (default: velocity)"
-VIEW = "iso, front, side, top, or the direction to the viewer, such as --view=1,-2,0.8 (default: iso)"
-"""Help texts of --frame, --color and --view."""
-
-
-def add_render(verbs: Any) -> None:
-    """Add `granflow render` and its arguments.
-
-    Lengths, times and ranges are in SI units or have a unit.
-    """
-    parser = add_verb(verbs, render, "write images (PNG) of frames of a run, or an animation of all frames")
-    add = parser.add_argument
-    add("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
-    add("--frame", default="last", metavar="F", help=FRAME)
-    add("--film", action="store_true", help="write an animation (MP4) of all frames instead")
-    add(
-        "--fps",
-        type=partial(number_from, RATES),
-        default=25.0,
-        metavar="N",
-        help="frames per second of the animation (default: 25)",
-    )
-    add("--color", default="velocity", metavar="NAME", help=COLOR)
-    limits = "limits of the color scale in SI units (default: from the frames)"
-    add("--range", type=number_pair, metavar="LOW,HIGH", dest="limits", help=limits)
-    add(
-        "--chains",
-        action="store_true",
-        help="draw contacts as tubes whose thickness and color show the normal force",
-    )
-    add("--view", default="iso", metavar="V", help=VIEW)
-    add(
-        "--zoom",
-        type=partial(number_from, ZOOMS),
-        default=1.0,
-        metavar="X",
-        help="magnification, 0.01 to 1000 (default: 1)",
-    )
-    visible = "visible part: particles and walls (all), particles, or domain (default: all)"
-    add("--fit", choices=FITS, default="all", help=visible)
-    add("--cut", action="store_true", help="omit the front half")
-    limits = f"from {SMALLEST} to {LARGEST}"
-    size = f"width and height in pixels, {limits} (default: 1200 high, a film 900; width from the view)"
-    add("--size", type=pixel_size, metavar="WxH", help=size)
-    add("--out", metavar="FILE", type=Path, help="output file (default: in DIR/pictures)")
-
-
-# `granflow report`: one HTML page about one run, complete or in progress, from the files in its directory.
+# report: one HTML page about one run, complete or in progress
 
 
 def report(options: argparse.Namespace) -> int:
@@ -370,7 +388,7 @@ def report(options: argparse.Namespace) -> int:
 
     The page requires no network. Raises GranflowError if the directory is not that of a run.
     """
-    from granflow.studies.report.report import write_report
+    from granflow.studies.report import write_report
 
     check_output_file(options.out, (".html",), options.directory)
     path = write_report(options.directory, options.out, not options.no_pictures, say)
@@ -389,3 +407,39 @@ def add_report(verbs: Any) -> None:
     )
     parser.add_argument("--out", metavar="FILE", type=Path, help="output file (default: DIR/report.html)")
     parser.add_argument("--no-pictures", action="store_true", help="omit images")
+
+
+# The output file of plot, render and report
+
+
+def check_output_file(path: Path | None, types: Sequence[str], directory: Path) -> None:
+    """Refuse an output file that is of another type, a directory, or an input file of the run in a directory.
+
+    path:       value of --out, None if it is not given
+    types:      possible ends of its name, such as .png
+    directory:  of the run, which need not be one
+    Raises:     GranflowError
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise GranflowError(
+            f"--out {path} is a directory; give a file, such as {path / f'picture{types[0]}'}."
+        )
+    if path.suffix not in types:
+        raise GranflowError(
+            f"--out {path} is not of a supported type; the name must end in {' or '.join(types)}."
+        )
+    if not path.exists():
+        return
+    from granflow.runs.read_run import SCENE, Run
+    from granflow.runs.run_directory import input_files
+
+    run = Run(directory)
+    if not (directory / SCENE).exists() or run.scene_problem:
+        return
+    for key, name in input_files(run.scene):
+        if name.exists() and path.samefile(name):
+            raise GranflowError(
+                f"--out {path} is {key} of the run, which must not be replaced; give another file."
+            )

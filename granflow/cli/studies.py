@@ -1,10 +1,13 @@
-"""Verbs that study contact models: collide, restitution, fit, paper.
+"""The verbs that carry out studies: one collision or many runs, and what follows from them.
 
-Equation numbers are those of Y. H. Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011).
+Each verb calls a function of `granflow.studies`, prints a table and writes files to a directory. Long studies
+(accuracy of a scene, compare, sweep, calibrate) keep the runs that have ended: after a stop signal, the same
+command continues. Equation numbers are those of Y. H. Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011).
 """
 
 import argparse
 import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,20 +19,17 @@ from granflow.cli.arguments import (
     add_scene_verb,
     add_verb,
     count,
-    exit_code_of,
     load,
     load_runnable,
     print_error,
     quantity,
     say,
     say_progress,
-    show_comparison,
     show_table,
     simulated_time,
     thread_count,
-    write_study,
 )
-from granflow.cli.process import deferred_to_event
+from granflow.cli.process import deferred_to_event, exit_code_of
 from granflow.cli.run import prepare_output
 from granflow.errors import GranflowError
 
@@ -38,10 +38,307 @@ if TYPE_CHECKING:
     from granflow.studies.run_pool import Progress, Workers
 
 
-# `granflow accuracy`: error against run time.
-#
-# Without a scene, collisions of two spheres are compared with exact solutions; with a scene, runs with
-# several time steps and seeds are compared with the finest time step.
+def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
+    """Write the files of a study; without matplotlib, write only those that do not need it, with a message.
+
+    `write`: function (directory, *numbers), which may raise GranflowError after it has written the other
+    files.
+    """
+    try:
+        write(out, *numbers)
+    except GranflowError as error:
+        say(error)
+    say(f"Written to {out}")
+
+
+# collide
+
+
+def collide(options: argparse.Namespace) -> int:
+    """`granflow collide`: simulate one head-on collision and compare it with closed-form results.
+
+    Prints a table, or JSON in SI units. Raises GranflowError for an unknown material, contact model or
+    option.
+    """
+    from granflow.studies.collide import collide as collide_once
+
+    names = ("law", "material", "diameter", "velocity", "diameter2", "material2", "wall", "restitution")
+    numerics = ("settings", "steps_per_contact", "precision", "arch")
+    numbers = collide_once(**{name: getattr(options, name) for name in (*names, *numerics)})
+    if options.json:
+        say(json.dumps(numbers, indent=2))
+    else:
+        show_comparison(numbers)
+    return 0
+
+
+def add_collide(verbs: Any) -> None:
+    """Add `granflow collide` and its arguments.
+
+    Quantities are in SI units or have a unit, such as 25.4mm; --diameter2 and --wall exclude each other.
+    """
+    parser = add_verb(
+        verbs, collide, "simulate one head-on collision and compare it with closed-form results"
+    )
+    add = parser.add_argument
+    length = quantity("length")
+    velocity = quantity("velocity")
+    add("--law", default="zhou", help="normal contact model (default: zhou)")
+    add(
+        "--set",
+        dest="settings",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="option of the contact model, such as --law thornton --set yield_ratio=2.8; repeatable",
+    )
+    add("--material", required=True, metavar="PRESET", help="material, such as stainless_316")
+    add("--diameter", required=True, type=length, help="diameter of the sphere, such as 25.4mm")
+    add("--velocity", required=True, type=velocity, help="impact velocity, such as 0.5 (m/s)")
+    add(
+        "--material2",
+        metavar="PRESET",
+        help="material of the other sphere or of the wall (default: the same)",
+    )
+    partner = parser.add_mutually_exclusive_group()
+    partner.add_argument("--diameter2", type=length, help="diameter of the other sphere (default: the same)")
+    partner.add_argument("--wall", action="store_true", help="collide with a wall instead of a sphere")
+    add(
+        "--restitution",
+        type=quantity("number"),
+        help="requested restitution, 0 to 1 (default: from the material)",
+    )
+    add(
+        "--steps-per-contact",
+        metavar="N",
+        type=float,
+        help="time steps per expected contact duration (default: from the automatic time step)",
+    )
+    add("--json", action="store_true", help="print JSON in SI units")
+    add_machine(parser, "f64")
+
+
+COLLIDE_UNITS = {
+    "duration": "s",
+    "overlap_max": "m",
+    "overlap_residual": "m",
+    "force_max": "N",
+    "spring_equation19": "N/m",
+    "time_step": "s",
+    "velocity": "m/s",
+}
+"""Units of the numbers of `granflow collide`; all others are dimensionless."""
+
+
+def show_comparison(numbers: Mapping[str, Any]) -> None:
+    """Print the simulated numbers of a collision beside the requested or closed-form ones.
+
+    `numbers`: as from `granflow.studies.collide.collide`; units are those of COLLIDE_UNITS.
+    """
+    references = ("_asked", "_theory")
+    rows = []
+    for name in (name for name in numbers if not name.endswith(references)):
+        reference = [as_text(numbers[name + end]) for end in references if name + end in numbers]
+        unit = COLLIDE_UNITS.get(name, "")
+        rows.append(
+            (
+                name.replace("_", " ").replace("equation19", "of Eq. 19"),
+                as_text(numbers[name]),
+                *(reference or [""]),
+                unit,
+            )
+        )
+    show_table("head-on collision", ("", "simulated", "requested or closed form", "unit"), rows)
+
+
+def as_text(value: Any) -> str:
+    """Return a number with seven digits, and the text of any other value."""
+    return f"{value:.7g}" if isinstance(value, float) else str(value)
+
+
+# restitution
+
+
+def restitution(options: argparse.Namespace) -> int:
+    """`granflow restitution`: requested and simulated restitution of each pair of materials at the time step.
+
+    The impact velocities [m/s] are below the maximum expected one. Writes CSV and PNG files.
+    """
+    from granflow.studies.restitution import measure, restitution_rows, write_restitution
+
+    scene = load(options)
+    found, step = measure(scene, options.arch)
+    heads = ("pair of materials", "velocity m/s", "requested", "simulated", "difference %")
+    show_table(scene.title, heads, restitution_rows(found))
+    say(f"Time step {step:.4g} s, precision {scene.run.precision}; * marks a difference of more than 1 %.")
+    write_study(options.out or Path("out") / scene.path.stem, write_restitution, found, scene.title)
+    return 0
+
+
+def add_restitution(verbs: Any) -> None:
+    """Add `granflow restitution` and its arguments."""
+    summary = (
+        "print requested and simulated restitution for each pair of materials at the time step of the scene"
+    )
+    parser = add_scene_verb(verbs, restitution, summary)
+    add_out(parser, "out/SCENE", "CSV and PNG")
+    add_machine(parser)
+
+
+# fit
+
+
+def fit(options: argparse.Namespace) -> int:
+    """`granflow fit`: fit sigma and psi of Eq. 12 (Zhou 2011) to measured impact velocities and restitutions.
+
+    The limit velocity [m/s] is given, from the material (Eq. 11), or fitted. Raises GranflowError if the
+    result would overwrite the data, or if the data are invalid.
+    """
+    from granflow.studies.fit import fit as fitted
+    from granflow.studies.fit import fit_rows, limit_from_materials, read_measurements, write_fit
+
+    out = options.out or Path("out") / options.data.stem
+    if options.data.resolve() == (out / "fit.csv").resolve():
+        raise GranflowError(f"{options.data} would be overwritten by the result fit.csv: give another --out.")
+    data = read_measurements(options.data)
+    limit = (
+        limit_from_materials(options.material, options.material2)
+        if options.material
+        else options.limit_velocity
+    )
+    found = fitted(data, limit)
+    title = f"Zhou (2011), Eq. 12, fitted to {len(data)} rows of {options.data}"
+    show_table(title, ("", "value", "error", "unit"), fit_rows(found))
+    say(f"For a pair in a scene:\n  {found.snippet()}")
+    write_study(out, write_fit, data, found)
+    return 0
+
+
+def add_fit(verbs: Any) -> None:
+    """Add `granflow fit` and its arguments.
+
+    Exactly one of --material, --limit-velocity and --fit-limit determines the limit velocity.
+    """
+    parser = add_verb(
+        verbs, fit, "fit sigma and psi of the restitution curve (Zhou 2011, Eq. 12) to measurements"
+    )
+    columns = "table with the columns velocity [m/s] and restitution, optionally deviation or weight"
+    parser.add_argument("data", metavar="DATA.csv", type=Path, help=columns)
+    known = parser.add_mutually_exclusive_group(required=True)
+    add = known.add_argument
+    add(
+        "--material", metavar="PRESET", help="compute the limit velocity of this material (Zhou 2011, Eq. 11)"
+    )
+    add("--limit-velocity", type=quantity("velocity"), help="limit velocity, such as 340 m/s")
+    add("--fit-limit", action="store_true", help="also fit the limit velocity")
+    second = "with --material: material of the second body (default: the same)"
+    parser.add_argument("--material2", metavar="PRESET", help=second)
+    add_out(parser, "out/DATA", "CSV and PNG")
+
+
+# beverloo
+
+
+def beverloo(options: argparse.Namespace) -> int:
+    """`granflow beverloo`: fit C and k of Beverloo's law; from four orifices also with a free exponent.
+
+        W = C rho sqrt(g) d^2.5 (D/d - k)^n
+
+    W: mass flow rate [kg/s], rho: bulk density [kg/m3], D: orifice, d: particle diameter [m]; n = 5/2 or
+    free. (W. A. Beverloo et al., Chem. Eng. Sci. 15 (1961) 260.)
+    """
+    from granflow.studies.beverloo import beverloo_rows, fit_beverloo, read_discharges
+
+    data = read_discharges(options.paths)
+    given = (data, options.diameter, options.bulk_density, options.gravity)
+    fits = [fit_beverloo(*given)]
+    heads = ["exponent 5/2"]
+    if len(set(data.orifice)) > len(("C", "k", "exponent")):
+        fits.append(fit_beverloo(*given, exponent=None))
+        heads.append("exponent free")
+    say("W = C rho sqrt(g) d^2.5 (D/d - k)^n")
+    show_table(f"{len(data.orifice)} flows", ("", *heads), beverloo_rows(fits))
+    return 0
+
+
+def add_beverloo(verbs: Any) -> None:
+    """Add `granflow beverloo` and its arguments."""
+    summary = "fit Beverloo's law to the flow rates of several runs, or of a table, with standard errors"
+    parser = add_verb(verbs, beverloo, summary)
+    add = parser.add_argument
+    sources = (
+        "runs whose flow meter has the radius of the orifice, or tables with the columns orifice and "
+        "mass_flow"
+    )
+    add("paths", metavar="OUT|FILE.csv", type=Path, nargs="+", help=sources)
+    add("--diameter", required=True, type=quantity("length"), help="particle diameter, such as 5mm")
+    density = "bulk density of the bed, such as '1500 kg/m3'"
+    add("--bulk-density", required=True, type=quantity("density"), help=density)
+    acceleration = "gravitational acceleration (default: 9.81 m/s2)"
+    add("--gravity", type=quantity("acceleration"), default=9.81, help=acceleration)
+
+
+# paper
+
+
+def paper(options: argparse.Namespace) -> int:
+    """`granflow paper`: reproduce the figures and tables of Zhou (2011) and compare all contact models.
+
+    Writes one page with its figures (PNG) and their data (CSV).
+    """
+    from granflow.studies.paper.report import write_paper
+
+    page = write_paper(options.out or Path("out/paper"), say_progress)
+    say(f"Open {page} in a browser; the same directory contains the figures as PNG and CSV.")
+    return 0
+
+
+def add_paper(verbs: Any) -> None:
+    """Add `granflow paper` and its arguments."""
+    summary = "reproduce the figures and tables of Zhou (2011) and compare all contact models, on one page"
+    add_out(add_verb(verbs, paper, summary), "out/paper")
+
+
+# validate
+
+
+def validate(options: argparse.Namespace) -> int:
+    """`granflow validate`: compare published numbers and closed forms with simulations, on one page.
+
+    Writes the page as HTML and Markdown, and its data as JSON. Returns 1 if a deviation exceeds the allowed
+    one where the reference applies.
+    """
+    from granflow.studies.validation.report import write_validation
+
+    out = options.out or Path("out/validation")
+    cases = write_validation(out, options.quick, say_progress, options.peers)
+    failed = [each for each in cases if each.status == "fail"]
+    for each in (each for each in cases if each.status != "pass"):
+        say(
+            f"{each.status}: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} "
+            f"{each.unit}"
+        )
+    passed = sum(each.status == "pass" for each in cases)
+    say(f"{passed} of {len(cases)} cases pass. Open {out / 'validation.html'} in a browser.")
+    return 1 if failed else 0
+
+
+def add_validate(verbs: Any) -> None:
+    """Add `granflow validate` and its arguments."""
+    summary = "compare published numbers and closed forms with simulations, on one page"
+    parser = add_verb(verbs, validate, summary)
+    few = (
+        "only the cases of few particles and the cheap ones of many: 5 minutes instead of up to 35, on two "
+        "cores"
+    )
+    extent = parser.add_mutually_exclusive_group()
+    extent.add_argument("--quick", action="store_true", help=few)
+    both = "run LIGGGHTS (liggghts) and LAMMPS (lmp), as far as installed, for about 25 minutes more"
+    extent.add_argument("--peers", action="store_true", help=both)
+    add_out(parser, "out/validation")
+
+
+# accuracy
 
 
 def accuracy(options: argparse.Namespace) -> int:
@@ -139,65 +436,7 @@ def add_accuracy(verbs: Any) -> None:
     add_overrides(parser, "override a value of the scene")
 
 
-# `granflow calibrate`: determines parameters of scenes from measured targets.
-
-
-def calibrate(options: argparse.Namespace) -> int:
-    """`granflow calibrate`: carry out the trials that have not ended, and write best values, scenes and a
-    page.
-
-    Returns 0 if the best trial meets all targets within their tolerances, 1 otherwise, and 130 or 143 after a
-    stop signal; the same command then continues the calibration.
-    """
-    from granflow.studies.calibration.calibrate import read_calibration, run_calibration
-
-    study = read_calibration(options.file)
-    out = options.out or Path("out") / study.name
-    with deferred_to_event() as (stop, signals):
-        result = run_calibration(
-            study, out, options.jobs, options.threads, stop, lambda line: say(line, flush=True)
-        )
-    if signals and isinstance(signals[0], KeyboardInterrupt):
-        return print_error(
-            "stopped; repeat the command to continue the calibration.", exit_code_of(signals[0])
-        )
-    if result is None:
-        return print_error("no trial was completed, so there are no best values; see trials.csv.", 1)
-    show_calibration(result)
-    say(f"Written to {out / 'best.csv'}; open {out / 'calibration.html'} in a browser.")
-    return 0 if result.is_met else 1
-
-
-def show_calibration(result: "CalibrationResult") -> None:
-    """Print best values and targets, parameters that cannot be identified, noise, and conflicts of
-    targets."""
-    rows = [(each.name, *each.shown) for each in result.parameters]
-    show_table(
-        f"Best values, loss {result.loss:.4g}",
-        ("", "best trial", "optimum of the fit", "standard deviation"),
-        rows,
-    )
-    targets = [(each.name, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
-    show_table("Targets", ("", "measured", "simulated", "deviation / tolerance"), targets)
-    for sentence in result.remarks:
-        say(sentence)
-
-
-def add_calibrate(verbs: Any) -> None:
-    """Add `granflow calibrate` and its arguments."""
-    summary = "determine parameters of scenes from measured targets; repeat the command to continue"
-    parser = add_verb(verbs, calibrate, summary)
-    parser.add_argument("file", metavar="CALIBRATION.yaml", type=Path, help="calibration file")
-    add_out(parser, "out/CALIBRATION")
-    jobs = "simultaneous trials (default: cores / threads)"
-    parser.add_argument("--jobs", metavar="N", type=count, help=jobs)
-    threads = "CPU threads of each run (default: 1)"
-    parser.add_argument("--threads", metavar="T", type=thread_count, default=1, help=threads)
-
-
-# `granflow compare`: one scene with several normal contact models, side by side.
-#
-# All runs have the same seed and initial state; each contact model has its automatic time step.
+# compare
 
 
 def compare(options: argparse.Namespace) -> int:
@@ -245,17 +484,6 @@ def compare(options: argparse.Namespace) -> int:
     return 0
 
 
-LAWS = (
-    "contact models, separated by commas (default: zhou,linear,hertz); linear is run twice: with a spring "
-    "stiffness computed from the impact velocity of each contact, and from --reference-velocity"
-)
-REFERENCE_VELOCITY = (
-    "impact velocity for which constant parameters are computed, such as the spring stiffness of the second "
-    "linear run (default: a tenth of the largest expected impact velocity)"
-)
-"""Help texts of --laws and --reference-velocity."""
-
-
 def add_compare(verbs: Any) -> None:
     """Add `granflow compare` and its arguments."""
     summary = "run the same scene with several contact models and compare the results on one page"
@@ -274,9 +502,17 @@ def add_compare(verbs: Any) -> None:
     add_machine(parser)
 
 
-# `granflow stability`: stiff and extreme cases, each with an assessment.
-#
-# A case is accurate, stable with a reported error, refused with a message, or a defect.
+LAWS = (
+    "contact models, separated by commas (default: zhou,linear,hertz); linear is run twice: with a spring "
+    "stiffness computed from the impact velocity of each contact, and from --reference-velocity"
+)
+REFERENCE_VELOCITY = (
+    "impact velocity for which constant parameters are computed, such as the spring stiffness of the second "
+    "linear run (default: a tenth of the largest expected impact velocity)"
+)
+"""Help texts of --laws and --reference-velocity."""
+
+# stability
 
 
 def stability(options: argparse.Namespace) -> int:
@@ -311,166 +547,7 @@ def add_stability(verbs: Any) -> None:
     )
 
 
-def collide(options: argparse.Namespace) -> int:
-    """`granflow collide`: simulate one head-on collision and compare it with closed-form results.
-
-    Prints a table, or JSON in SI units. Raises GranflowError for an unknown material, contact model or
-    option.
-    """
-    from granflow.studies.collide import collide as collide_once
-
-    names = ("law", "material", "diameter", "velocity", "diameter2", "material2", "wall", "restitution")
-    numerics = ("settings", "steps_per_contact", "precision", "arch")
-    numbers = collide_once(**{name: getattr(options, name) for name in (*names, *numerics)})
-    if options.json:
-        say(json.dumps(numbers, indent=2))
-    else:
-        show_comparison(numbers)
-    return 0
-
-
-def restitution(options: argparse.Namespace) -> int:
-    """`granflow restitution`: requested and simulated restitution of each pair of materials at the time step.
-
-    The impact velocities [m/s] are below the maximum expected one. Writes CSV and PNG files.
-    """
-    from granflow.studies.restitution import measure, restitution_rows, write_restitution
-
-    scene = load(options)
-    found, step = measure(scene, options.arch)
-    heads = ("pair of materials", "velocity m/s", "requested", "simulated", "difference %")
-    show_table(scene.title, heads, restitution_rows(found))
-    say(f"Time step {step:.4g} s, precision {scene.run.precision}; * marks a difference of more than 1 %.")
-    write_study(options.out or Path("out") / scene.path.stem, write_restitution, found, scene.title)
-    return 0
-
-
-def fit(options: argparse.Namespace) -> int:
-    """`granflow fit`: fit sigma and psi of Eq. 12 (Zhou 2011) to measured impact velocities and restitutions.
-
-    The limit velocity [m/s] is given, from the material (Eq. 11), or fitted. Raises GranflowError if the
-    result would overwrite the data, or if the data are invalid.
-    """
-    from granflow.studies.fit import fit as fitted
-    from granflow.studies.fit import fit_rows, limit_from_materials, read_measurements, write_fit
-
-    out = options.out or Path("out") / options.data.stem
-    if options.data.resolve() == (out / "fit.csv").resolve():
-        raise GranflowError(f"{options.data} would be overwritten by the result fit.csv: give another --out.")
-    data = read_measurements(options.data)
-    limit = (
-        limit_from_materials(options.material, options.material2)
-        if options.material
-        else options.limit_velocity
-    )
-    found = fitted(data, limit)
-    title = f"Zhou (2011), Eq. 12, fitted to {len(data)} rows of {options.data}"
-    show_table(title, ("", "value", "error", "unit"), fit_rows(found))
-    say(f"For a pair in a scene:\n  {found.snippet()}")
-    write_study(out, write_fit, data, found)
-    return 0
-
-
-def paper(options: argparse.Namespace) -> int:
-    """`granflow paper`: reproduce the figures and tables of Zhou (2011) and compare all contact models.
-
-    Writes one page with its figures (PNG) and their data (CSV).
-    """
-    from granflow.studies.paper.report import write_paper
-
-    page = write_paper(options.out or Path("out/paper"), say_progress)
-    say(f"Open {page} in a browser; the same directory contains the figures as PNG and CSV.")
-    return 0
-
-
-def add_collide(verbs: Any) -> None:
-    """Add `granflow collide` and its arguments.
-
-    Quantities are in SI units or have a unit, such as 25.4mm; --diameter2 and --wall exclude each other.
-    """
-    parser = add_verb(
-        verbs, collide, "simulate one head-on collision and compare it with closed-form results"
-    )
-    add = parser.add_argument
-    length = quantity("length")
-    velocity = quantity("velocity")
-    add("--law", default="zhou", help="normal contact model (default: zhou)")
-    add(
-        "--set",
-        dest="settings",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="option of the contact model, such as --law thornton --set yield_ratio=2.8; repeatable",
-    )
-    add("--material", required=True, metavar="PRESET", help="material, such as stainless_316")
-    add("--diameter", required=True, type=length, help="diameter of the sphere, such as 25.4mm")
-    add("--velocity", required=True, type=velocity, help="impact velocity, such as 0.5 (m/s)")
-    add(
-        "--material2",
-        metavar="PRESET",
-        help="material of the other sphere or of the wall (default: the same)",
-    )
-    partner = parser.add_mutually_exclusive_group()
-    partner.add_argument("--diameter2", type=length, help="diameter of the other sphere (default: the same)")
-    partner.add_argument("--wall", action="store_true", help="collide with a wall instead of a sphere")
-    add(
-        "--restitution",
-        type=quantity("number"),
-        help="requested restitution, 0 to 1 (default: from the material)",
-    )
-    add(
-        "--steps-per-contact",
-        metavar="N",
-        type=float,
-        help="time steps per expected contact duration (default: from the automatic time step)",
-    )
-    add("--json", action="store_true", help="print JSON in SI units")
-    add_machine(parser, "f64")
-
-
-def add_restitution(verbs: Any) -> None:
-    """Add `granflow restitution` and its arguments."""
-    summary = (
-        "print requested and simulated restitution for each pair of materials at the time step of the scene"
-    )
-    parser = add_scene_verb(verbs, restitution, summary)
-    add_out(parser, "out/SCENE", "CSV and PNG")
-    add_machine(parser)
-
-
-def add_fit(verbs: Any) -> None:
-    """Add `granflow fit` and its arguments.
-
-    Exactly one of --material, --limit-velocity and --fit-limit determines the limit velocity.
-    """
-    parser = add_verb(
-        verbs, fit, "fit sigma and psi of the restitution curve (Zhou 2011, Eq. 12) to measurements"
-    )
-    columns = "table with the columns velocity [m/s] and restitution, optionally deviation or weight"
-    parser.add_argument("data", metavar="DATA.csv", type=Path, help=columns)
-    known = parser.add_mutually_exclusive_group(required=True)
-    add = known.add_argument
-    add(
-        "--material", metavar="PRESET", help="compute the limit velocity of this material (Zhou 2011, Eq. 11)"
-    )
-    add("--limit-velocity", type=quantity("velocity"), help="limit velocity, such as 340 m/s")
-    add("--fit-limit", action="store_true", help="also fit the limit velocity")
-    second = "with --material: material of the second body (default: the same)"
-    parser.add_argument("--material2", metavar="PRESET", help=second)
-    add_out(parser, "out/DATA", "CSV and PNG")
-
-
-def add_paper(verbs: Any) -> None:
-    """Add `granflow paper` and its arguments."""
-    summary = "reproduce the figures and tables of Zhou (2011) and compare all contact models, on one page"
-    add_out(add_verb(verbs, paper, summary), "out/paper")
-
-
-# `granflow sweep`: runs a scene for many parameter values.
-
-BATCH_SYSTEMS = ("slurm", "pbs", "lsf", "sge")
-"""Batch systems that can run the workers."""
+# sweep
 
 
 def sweep(options: argparse.Namespace) -> int:
@@ -516,6 +593,10 @@ def say_run(progress: "Progress", event: str) -> None:
     say(f"{progress}{event and '; '}{event}", flush=True)
 
 
+BATCH_SYSTEMS = ("slurm", "pbs", "lsf", "sge")
+"""Batch systems that can run the workers."""
+
+
 def workers_of(options: argparse.Namespace) -> "Workers":
     """The workers that the options select."""
     from granflow.studies.run_pool import Workers
@@ -546,3 +627,57 @@ def add_sweep(verbs: Any) -> None:
     for name in BATCH_SYSTEMS:
         text = f"start workers as {name.upper()} jobs with this profile"
         where.add_argument(f"--{name}", metavar="PROFILE.yaml", type=Path, help=text)
+
+
+# calibrate
+
+
+def calibrate(options: argparse.Namespace) -> int:
+    """`granflow calibrate`: carry out the trials that have not ended; write best values, scenes and a page.
+
+    Returns 0 if the best trial meets all targets within their tolerances, 1 otherwise, and 130 or 143 after a
+    stop signal; the same command then continues the calibration.
+    """
+    from granflow.studies.calibration.calibrate import read_calibration, run_calibration
+
+    study = read_calibration(options.file)
+    out = options.out or Path("out") / study.name
+    with deferred_to_event() as (stop, signals):
+        result = run_calibration(
+            study, out, options.jobs, options.threads, stop, lambda line: say(line, flush=True)
+        )
+    if signals and isinstance(signals[0], KeyboardInterrupt):
+        return print_error(
+            "stopped; repeat the command to continue the calibration.", exit_code_of(signals[0])
+        )
+    if result is None:
+        return print_error("no trial was completed, so there are no best values; see trials.csv.", 1)
+    show_calibration(result)
+    say(f"Written to {out / 'best.csv'}; open {out / 'calibration.html'} in a browser.")
+    return 0 if result.is_met else 1
+
+
+def show_calibration(result: "CalibrationResult") -> None:
+    """Print best values, targets, and remarks on parameters, noise and conflicts of targets."""
+    rows = [(each.name, *each.shown) for each in result.parameters]
+    show_table(
+        f"Best values, loss {result.loss:.4g}",
+        ("", "best trial", "optimum of the fit", "standard deviation"),
+        rows,
+    )
+    targets = [(each.name, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
+    show_table("Targets", ("", "measured", "simulated", "deviation / tolerance"), targets)
+    for sentence in result.remarks:
+        say(sentence)
+
+
+def add_calibrate(verbs: Any) -> None:
+    """Add `granflow calibrate` and its arguments."""
+    summary = "determine parameters of scenes from measured targets; repeat the command to continue"
+    parser = add_verb(verbs, calibrate, summary)
+    parser.add_argument("file", metavar="CALIBRATION.yaml", type=Path, help="calibration file")
+    add_out(parser, "out/CALIBRATION")
+    jobs = "simultaneous trials (default: cores / threads)"
+    parser.add_argument("--jobs", metavar="N", type=count, help=jobs)
+    threads = "CPU threads of each run (default: 1)"
+    parser.add_argument("--threads", metavar="T", type=thread_count, default=1, help=threads)

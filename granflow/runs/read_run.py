@@ -19,7 +19,7 @@ from granflow.io.lock import locked
 from granflow.io.log import LogEntry, read_log
 from granflow.io.tables import TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh
-from granflow.load import Scene, load
+from granflow.load import Scene, load_scene
 from granflow.runs.result import Result, read_sections, result_of
 from granflow.snapshot import Snapshot
 from granflow.visible_text import html_table, numbered, visible_line
@@ -232,7 +232,7 @@ class Run:
     @cached_property
     def scene(self) -> Scene:
         """The resolved scene of the run. Raises SceneError if this version cannot read it."""
-        return load(self.directory / SCENE)
+        return load_scene(self.directory / SCENE)
 
     @cached_property
     def scene_problem(self) -> str:

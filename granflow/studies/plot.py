@@ -26,17 +26,17 @@ from granflow.io.tables import (
 )
 from granflow.scene.suggest import suggestion_sentence
 from granflow.studies.figures import COLORS, FULL_WIDTH, draw_to, stacked_panels
-from granflow.studies.page import write_page
-from granflow.studies.report.plots import (
+from granflow.studies.interactive_plots import (
     DASHES,
     Plot,
     common_title,
     curve_layout,
     escaped,
     library,
-    plain,
+    plain_numbers,
     thinned,
 )
+from granflow.studies.page import write_page
 from granflow.units import UnitError, column_factor, si_unit_of, split_heading, to_si
 from granflow.visible_text import distinct_endings, numbered, visible
 
@@ -104,8 +104,10 @@ def _value(columns: Mapping[str, SeriesColumn], text: str, source: str) -> np.nd
 
 
 def _evaluated(node: ast.expr, values: list[np.ndarray]) -> Any:
-    """Value of a syntax tree; names are `_K` for the K-th of `values`. Raises ValueError for what is not
-    arithmetic."""
+    """Value of a syntax tree; names are `_K` for the K-th of `values`.
+
+    Raises ValueError for what is not arithmetic.
+    """
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return np.float64(
@@ -532,8 +534,8 @@ def _plot(panel: Panel, logarithmic: str) -> Plot:
                 "type": "scatter",
                 "mode": "lines" if len(x) > 1 else "markers",
                 "name": escaped(visible(curve.name)),
-                "x": plain(x),
-                "y": plain(y),
+                "x": plain_numbers(x),
+                "y": plain_numbers(y),
                 "line": {"color": color, "width": 1.8, "dash": dash},
             }
         )

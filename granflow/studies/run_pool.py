@@ -1,8 +1,8 @@
-"""Carries out many runs through an executor: the first run of each set of kernels compiles them, lost runs
-are retried.
+"""Many runs at the same time: `Driver` carries out the runs of a sweep through an executor.
 
-The executor is that of the standard library, or one of Dask. All state that outlives this process is in the
-directories of the runs.
+The first run of each set of kernels compiles them before the others start, and lost runs are repeated. The
+executor is that of the standard library, whose threads each use a worker process, or one of Dask, whose
+workers may be jobs of a batch system. All state that outlives this process is in the directories of the runs.
 """
 
 import shutil
@@ -25,10 +25,10 @@ from granflow.io.machine import worker_count
 from granflow.scene.blocks import quantities as q
 from granflow.scene.model import ListOf, Model, Text
 from granflow.scene.validated_file import validated_file
+from granflow.studies.checked_run import CheckedRun
 from granflow.studies.run_process import (
     CRASHED,
     NOT_RUN,
-    CheckedRun,
     Outcome,
     RunRequest,
     close_workers,
@@ -37,97 +37,7 @@ from granflow.studies.run_process import (
 )
 from granflow.visible_text import numbered
 
-# Workers as jobs of a batch system, through dask-jobqueue.
-
-SYSTEMS = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "lsf": "LSFCluster", "sge": "SGECluster"}
-"""Batch systems, and their classes in dask-jobqueue."""
-SUBMIT = {"slurm": "sbatch", "pbs": "qsub", "lsf": "bsub", "sge": "qsub"}
-"""Command of each batch system that submits a job."""
-Lines = Annotated[tuple[Text, ...], ListOf(one=True)]
-
-
-class BatchProfile(Model):
-    """Jobs of a batch system, each with one worker; `dask-jobqueue` writes their scripts."""
-
-    jobs: q.Count = Field(description="number of batch jobs, each of which takes runs one after the other")
-    cores: q.Count = Field(description="cores of each batch job")
-    memory: Text = Field(description="memory of each batch job, such as 8 GB")
-    walltime: Text | None = Field(None, description="time limit of each batch job, such as 04:00:00")
-    queue: Text | None = Field(None, description="queue or partition")
-    account: Text | None = Field(None, description="account or project")
-    directives: Lines = Field(
-        (), description="further lines for the batch system, such as --constraint=avx512"
-    )
-    prologue: Lines = Field(
-        (), description="shell commands before the worker starts, such as module load python"
-    )
-    log_directory: Text | None = Field(
-        None, description="directory of the files with the output of the batch jobs"
-    )
-
-
-def read_profile(path: Path) -> BatchProfile:
-    """The profile in a YAML file. Raises FileError with all problems."""
-    return validated_file(path, BatchProfile, "profile")[0]
-
-
-def batch_cluster(system: str, path: Path, profile: BatchProfile, threads: int) -> Any:
-    """A Dask cluster whose workers are jobs of a batch system; each run has `threads` threads.
-
-    `path`: file of the profile, for messages. Raises GranflowError without dask-jobqueue, with too few cores
-    per job, or where the batch system is not installed.
-    """
-    try:
-        import dask_jobqueue
-    except ImportError:
-        raise GranflowError(
-            "Batch systems require dask-jobqueue, which is not installed: pip install dask-jobqueue"
-        ) from None
-    if threads > profile.cores:
-        raise GranflowError(
-            f"{path}: cores is {profile.cores}, but one run needs {threads}: give at most that --threads."
-        )
-    if shutil.which(SUBMIT[system]) is None:
-        raise GranflowError(
-            f"--{system} requires the command {SUBMIT[system]}, which this machine does not have: run "
-            "granflow sweep where batch jobs are submitted, or without this option."
-        )
-    cluster = getattr(dask_jobqueue, SYSTEMS[system])(**cluster_options(system, profile, threads))
-    cluster.scale(jobs=profile.jobs)
-    return cluster
-
-
-def cluster_options(system: str, profile: BatchProfile, threads: int) -> dict[str, Any]:
-    """Arguments of the class of dask-jobqueue: a batch job has one worker, which takes cores // threads
-    runs."""
-    optional = {
-        "walltime": profile.walltime,
-        "queue": profile.queue,
-        "account": profile.account,
-        "log_directory": profile.log_directory,
-    }
-    options: dict[str, Any] = {key: value for key, value in optional.items() if value is not None}
-    if system in ("lsf", "sge") and "account" in options:
-        options["project"] = options.pop("account")
-    simultaneous = ["--nthreads", str(profile.cores // threads)]  # the last one of two such options applies
-    return options | {
-        "cores": profile.cores,
-        "processes": 1,
-        "memory": profile.memory,
-        "worker_extra_args": simultaneous,
-        "job_extra_directives": list(profile.directives),
-        "job_script_prologue": list(profile.prologue),
-    }
-
-
-MAX_ATTEMPTS = 3
-"""Attempts for a run whose process or worker is lost: the first one and two retries."""
-POLL = 0.5
-"""Interval [s] at which a request to stop is checked."""
-REPORT_INTERVAL = 60.0
-"""Longest time [s] without a report."""
-COMPILE_ONLY = "1e-12 s"
-"""Simulated time of a run that only compiles kernels: one step."""
+# Progress
 
 
 @dataclass(frozen=True)
@@ -161,6 +71,17 @@ def _duration(seconds: float) -> str:
 Report = Callable[[Progress, str], None]
 """Function that receives the progress, and the text and status of a run that has just ended, or an empty
 text."""
+
+# The driver
+
+MAX_ATTEMPTS = 3
+"""Attempts for a run whose process or worker is lost: the first one and two retries."""
+POLL = 0.5
+"""Interval [s] at which a request to stop is checked."""
+REPORT_INTERVAL = 60.0
+"""Longest time [s] without a report."""
+COMPILE_ONLY = "1e-12 s"
+"""Simulated time of a run that only compiles kernels: one step."""
 
 
 @dataclass(order=True)
@@ -327,10 +248,7 @@ def _outcome_of(future: "Future[Outcome]") -> Outcome:
         return Outcome(CRASHED, f"The worker is lost ({type(error).__name__}: {error}).", is_lost=True)
 
 
-# Where runs take place: threads of this process, each with a worker process, or workers of Dask.
-
-CONNECT_TIMEOUT = 20.0
-"""Time limit [s] for a connection to a scheduler."""
+# Where runs take place
 
 
 @dataclass(frozen=True)
@@ -390,6 +308,10 @@ def local_jobs(jobs: int | None, threads: int, cores: int) -> int:
             f"there: {most}."
         )
     return jobs or cores // threads
+
+
+CONNECT_TIMEOUT = 20.0
+"""Time limit [s] for a connection to a scheduler."""
 
 
 @contextmanager
@@ -474,3 +396,88 @@ def _refuse_overload(client: Any, threads: int) -> None:
 def machine_cores() -> tuple[str, int]:
     """Name of this machine and number of its cores that this process can use; runs on the workers."""
     return socket.gethostname(), worker_count(None)[0]
+
+
+# Workers as jobs of a batch system, through dask-jobqueue
+
+Lines = Annotated[tuple[Text, ...], ListOf(one=True)]
+
+
+class BatchProfile(Model):
+    """Jobs of a batch system, each with one worker; `dask-jobqueue` writes their scripts."""
+
+    jobs: q.Count = Field(description="number of batch jobs, each of which takes runs one after the other")
+    cores: q.Count = Field(description="cores of each batch job")
+    memory: Text = Field(description="memory of each batch job, such as 8 GB")
+    walltime: Text | None = Field(None, description="time limit of each batch job, such as 04:00:00")
+    queue: Text | None = Field(None, description="queue or partition")
+    account: Text | None = Field(None, description="account or project")
+    directives: Lines = Field(
+        (), description="further lines for the batch system, such as --constraint=avx512"
+    )
+    prologue: Lines = Field(
+        (), description="shell commands before the worker starts, such as module load python"
+    )
+    log_directory: Text | None = Field(
+        None, description="directory of the files with the output of the batch jobs"
+    )
+
+
+def read_profile(path: Path) -> BatchProfile:
+    """The profile in a YAML file. Raises FileError with all problems."""
+    return validated_file(path, BatchProfile, "profile")[0]
+
+
+SYSTEMS = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "lsf": "LSFCluster", "sge": "SGECluster"}
+"""Batch systems, and their classes in dask-jobqueue."""
+SUBMIT = {"slurm": "sbatch", "pbs": "qsub", "lsf": "bsub", "sge": "qsub"}
+"""Command of each batch system that submits a job."""
+
+
+def batch_cluster(system: str, path: Path, profile: BatchProfile, threads: int) -> Any:
+    """A Dask cluster whose workers are jobs of a batch system; each run has `threads` threads.
+
+    `path`: file of the profile, for messages. Raises GranflowError without dask-jobqueue, with too few cores
+    per job, or where the batch system is not installed.
+    """
+    try:
+        import dask_jobqueue
+    except ImportError:
+        raise GranflowError(
+            "Batch systems require dask-jobqueue, which is not installed: pip install dask-jobqueue"
+        ) from None
+    if threads > profile.cores:
+        raise GranflowError(
+            f"{path}: cores is {profile.cores}, but one run needs {threads}: give at most that --threads."
+        )
+    if shutil.which(SUBMIT[system]) is None:
+        raise GranflowError(
+            f"--{system} requires the command {SUBMIT[system]}, which this machine does not have: run "
+            "granflow sweep where batch jobs are submitted, or without this option."
+        )
+    cluster = getattr(dask_jobqueue, SYSTEMS[system])(**cluster_options(system, profile, threads))
+    cluster.scale(jobs=profile.jobs)
+    return cluster
+
+
+def cluster_options(system: str, profile: BatchProfile, threads: int) -> dict[str, Any]:
+    """Arguments of the class of dask-jobqueue: a batch job has one worker, which takes cores // threads
+    runs."""
+    optional = {
+        "walltime": profile.walltime,
+        "queue": profile.queue,
+        "account": profile.account,
+        "log_directory": profile.log_directory,
+    }
+    options: dict[str, Any] = {key: value for key, value in optional.items() if value is not None}
+    if system in ("lsf", "sge") and "account" in options:
+        options["project"] = options.pop("account")
+    simultaneous = ["--nthreads", str(profile.cores // threads)]  # the last one of two such options applies
+    return options | {
+        "cores": profile.cores,
+        "processes": 1,
+        "memory": profile.memory,
+        "worker_extra_args": simultaneous,
+        "job_extra_directives": list(profile.directives),
+        "job_script_prologue": list(profile.prologue),
+    }

@@ -1,7 +1,10 @@
-"""Worker processes that carry out commands of granflow one after the other.
+"""One run of a study: the request, the process that carries it out, and the outcome.
 
-The second run of a worker with equal kernels starts at once: Python is loaded, and the kernels are in memory.
-A run that crashes ends its worker only; the next run has a new one.
+`execute` carries out a `RunRequest` in a worker process and returns the `Outcome`. The directory of the run
+is the only memory: a run whose files say that it has ended is not repeated, one with a checkpoint is resumed.
+A worker process carries out one command of granflow after the other, so that its second run with equal
+kernels starts at once: Python is loaded, and the kernels are in memory. A run that crashes ends its worker
+only; the next run has a new one.
 """
 
 import hashlib
@@ -12,7 +15,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -23,26 +26,14 @@ from threading import Lock, Thread
 from time import monotonic
 from typing import Any
 
-from granflow import OutputError, Plan, Scene, load_scene, plan_for, read_run
-from granflow.errors import FileError, GranflowError, RunError, SceneError
-from granflow.fields import (
-    FLOW_METER_QUANTITIES,
-    INSERTION_QUANTITIES,
-    OUTLET_QUANTITIES,
-    RUN_QUANTITIES,
-    TOTAL_QUANTITIES,
-    WALL_FORCE_QUANTITIES,
-    WALL_QUANTITIES,
-)
-from granflow.io.checkpoint import PATTERN, RANK_PATTERN, newest_checkpoint
-from granflow.io.files import file_digest, write_text
-from granflow.io.lock import locked
-from granflow.load import identity_of, program_version
-from granflow.scene.blocks.output import METRIC_QUANTITIES_BY_KIND
-from granflow.scene.suggest import nearest
-from granflow.units import number_of
+from granflow import OutputError, Scene, read_run
+from granflow.errors import GranflowError, RunError
+from granflow.io.checkpoint import PATTERN, newest_checkpoint
+from granflow.io.files import file_digest, locked, write_text
+from granflow.io.rank_files import PATTERN as RANK_PATTERN
+from granflow.load import program_version
 
-# Files that a run of a study reads, and whether they have changed since the run was checked.
+# The request, and the files that a run reads
 
 
 @dataclass(frozen=True)
@@ -84,11 +75,11 @@ class RunInputs:
 
 
 def source_digest(directory: Path) -> str:
-    """SHA-256 of what `start_from` reads from a run: the particles in its newest intact checkpoint; "none"
-    without.
+    """SHA-256 of what `start_from` reads from a run: the particles in its newest intact checkpoint.
 
-    It does not change with the wall-clock times in the checkpoint: a run that is repeated has the same
-    digest. Raises CheckpointError for a checkpoint that this version cannot read.
+    It is "none" without a checkpoint. It does not change with the wall-clock times in the checkpoint: a run
+    that is repeated has the same digest. Raises CheckpointError for a checkpoint that this version cannot
+    read.
     """
     files = [*directory.glob(PATTERN), *directory.glob(RANK_PATTERN)]
     states = ((path.name, path.stat()) for path in sorted(files))
@@ -112,10 +103,49 @@ def _source_digest(directory: Path, _states: tuple[tuple[str, int, int, int], ..
     return digest.hexdigest()
 
 
-# Outcome of a run, from the files in its directory: nothing else is known about runs after a restart.
+@dataclass(frozen=True)
+class RunRequest:
+    """A run to be carried out; plain data, so that it can be sent to a worker on another machine.
 
-DONE, MISSED, REFUSED, ABORTED = "done", "expectation missed", "refused", "aborted"
-CRASHED, NOT_RUN = "crashed", "not run"
+    `scene`, `directory`: absolute paths, which all workers must be able to read and write; `until`: simulated
+    time at which the run ends early, as in `granflow run --until`, or ""; `stop_file`: the run is stopped as
+    soon as this file exists; `inputs`: files that the run reads, with their contents when it was checked.
+    """
+
+    scene: str
+    overrides: tuple[str, ...]
+    directory: str
+    threads: int
+    arch: str
+    stop_file: str
+    until: str = ""
+    inputs: RunInputs | None = None
+
+    @property
+    def new(self) -> list[str]:
+        """Arguments of granflow that start the run and replace files of an earlier attempt."""
+        values = [f"--set={override}" for override in self.overrides]
+        until = ["--until", self.until] if self.until else []
+        return ["run", self.scene, *values, "--out", self.directory, "--overwrite", *until, *self._machine]
+
+    @property
+    def resumed(self) -> list[str]:
+        """Arguments of granflow that continue the run from its newest checkpoint."""
+        return ["resume", self.directory, *self._machine]
+
+    @property
+    def _machine(self) -> list[str]:
+        return ["--threads", str(self.threads), "--arch", self.arch]
+
+
+# The outcome and the numbers of a run, from the files in its directory
+
+DONE = "done"
+MISSED = "expectation missed"
+NOT_RUN = "not run"
+REFUSED = "refused"
+ABORTED = "aborted"
+CRASHED = "crashed"
 SEVERITY = (DONE, MISSED, NOT_RUN, REFUSED, ABORTED, CRASHED)
 """Statuses of a run in ascending severity; a run that was stopped, or not started, has the status NOT_RUN."""
 RESULT = "result.json"
@@ -147,6 +177,17 @@ UNFINISHED = Outcome(NOT_RUN)
 """Outcome of a run that was stopped, or not started."""
 
 
+def worst(outcomes: Iterable[Outcome]) -> Outcome:
+    """The most severe status of several runs, with the different reasons of all of them and the sum of the
+    seconds."""
+    found = list(outcomes)
+    status = max((each.status for each in found), key=SEVERITY.index, default=NOT_RUN)
+    reasons = dict.fromkeys(each.reason for each in found if each.reason)
+    return Outcome(
+        status, " ".join(reasons), sum(each.seconds for each in found if each.seconds == each.seconds)
+    )
+
+
 def final_outcome(directory: Path) -> Outcome | None:
     """The outcome of a run that is not repeated: completed or aborted; None for all others.
 
@@ -172,6 +213,19 @@ def final_outcome(directory: Path) -> Outcome | None:
     return None
 
 
+def read_json(path: Path) -> Any:
+    """The content of a JSON file; None if it does not exist or is damaged."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def write_outcome(directory: Path, outcome: Outcome) -> None:
+    """Write the outcome to the directory of the run, atomically."""
+    write_text(directory / RECORD, json.dumps(asdict(outcome), indent=2) + "\n")
+
+
 @contextmanager
 def naming_write_errors(out: Path, remedy: str) -> Iterator[None]:
     """In the block, an error of the operating system, such as a full disk, becomes an OutputError with a
@@ -186,24 +240,10 @@ def naming_write_errors(out: Path, remedy: str) -> Iterator[None]:
         raise OutputError(f"{where} cannot be written or read: {error.strerror or error}. {remedy}") from None
 
 
-def write_outcome(directory: Path, outcome: Outcome) -> None:
-    """Write the outcome to the directory of the run, atomically."""
-    write_text(directory / RECORD, json.dumps(asdict(outcome), indent=2) + "\n")
-
-
-def read_json(path: Path) -> Any:
-    """The content of a JSON file; None if it does not exist or is damaged."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-
-
 def numbers_of(directory: Path) -> dict[str, float]:
-    """All numbers of a completed run by the names of the `expect:` block; nan for a number that is not
-    finite.
+    """All numbers of a completed run by the names of the `expect:` block.
 
-    Empty if the run has no result.
+    A number that is not finite is nan. The result is empty if the run has no result.
     """
     try:
         result = read_run(directory).result
@@ -232,64 +272,199 @@ def reason_without(quantity: str, directory: Path) -> str:
     return " ".join([f"{quantity} is NaN.", *reasons])
 
 
-def worst(outcomes: Iterable[Outcome]) -> Outcome:
-    """The most severe status of several runs, with the different reasons of all of them and the sum of the
-    seconds."""
-    found = list(outcomes)
-    status = max((each.status for each in found), key=SEVERITY.index, default=NOT_RUN)
-    reasons = dict.fromkeys(each.reason for each in found if each.reason)
-    return Outcome(
-        status, " ".join(reasons), sum(each.seconds for each in found if each.seconds == each.seconds)
-    )
-
-
-# Names of the numbers that the result of a run of a scene contains.
-
-PHASES = ("neighbor_list", "forces", "integration", "output", "compile", "exchange", "waiting")
-"""Phases of a run with a wall-clock time, `timings.PHASE`; the last two on MPI ranks."""
-
-
-def result_names(scene: Scene) -> tuple[str, ...]:
-    """The names that a run of the scene can have, as in its `expect:` block."""
-    names = [*TOTAL_QUANTITIES, *RUN_QUANTITIES, *(f"timings.{phase}" for phase in PHASES)]
-    for meter in scene.output.flow_meters:
-        parts = [meter, *(f"{meter}.{part}" for part in scene.flow_meter_parts(meter))]
-        names += [f"{quantity}.{part}" for quantity in FLOW_METER_QUANTITIES for part in parts]
-    for name, metric in scene.output.metrics.items():
-        quantities = METRIC_QUANTITIES_BY_KIND[metric.kind]
-        names += [f"{quantity}{end}.{name}" for quantity in quantities for end in ("", "_mean")]
-    names += [f"{quantity}.{wall}" for quantity in WALL_FORCE_QUANTITIES for wall in scene.measured_walls]
-    names += [
-        f"{quantity}.{wall}"
-        for quantity in WALL_QUANTITIES
-        for wall, each in scene.walls.items()
-        if each.motion
-    ]
-    names += [f"{quantity}.{outlet}" for quantity in OUTLET_QUANTITIES for outlet in scene.outlets]
-    names += [f"{quantity}.{group}" for quantity in INSERTION_QUANTITIES for group in scene.particles]
-    return tuple(names)
-
-
-def unknown_quantity(name: str, scene: Scene) -> str:
-    """Why a run of the scene has no number of this name, with the closest name; empty if it has one."""
-    known = result_names(scene)
-    if name in known:
-        return ""
-    near = nearest(name, known)
-    with_parts = ", ".join(each for each in known if "." in each and not each.startswith("timings."))
-    remedy = (
-        f"Did you mean {near}?" if near else f"Apart from totals such as kinetic_energy it has {with_parts}."
-    )
-    return f"{name} is not a number of a run of {scene.path.name or 'the scene'}. {remedy}"
-
-
 def error_name(quantity: str) -> str:
-    """Name of the standard error of a number, such as angle_of_repose_error_mean.left; few quantities have
-    one."""
+    """Name of the standard error of a number, such as angle_of_repose_error_mean.left.
+
+    Few quantities have one.
+    """
     name, dot, part = quantity.partition(".")
     base, end = (name[: -len("_mean")], "_mean") if name.endswith("_mean") else (name, "")
     return f"{base}_error{end}{dot}{part}"
 
+
+# Carrying out a run: started, or resumed from its checkpoint, and watched until it ends
+
+POLL = 0.2
+"""Interval [s] at which a request to stop is checked."""
+STOP_TIMEOUT = 120.0
+"""Time [s] for a stopped run to write its checkpoint; after it the process is killed."""
+AS_RUN = "scene_as_run.yaml"
+"""File that a run writes to its directory when it has read its inputs."""
+MESSAGES = "stderr.txt"
+"""File in the directory of a run with the messages of its last attempt."""
+REFUSAL = GranflowError.exit_code
+ABORT = RunError.exit_code
+
+
+def execute(request: RunRequest, should_stop: Callable[[], bool] = lambda: False) -> Outcome:
+    """Carry out a run and return its outcome, which is also written to its directory.
+
+    A run that has ended is not repeated; one with a checkpoint is resumed. A process that still writes into
+    the directory, such as one whose worker was killed, is waited for. The run is stopped with a checkpoint if
+    the stop file exists or `should_stop` returns True. A run whose inputs have changed since it was checked
+    does not belong to its directory: it has the status NOT_RUN with a reason, and leaves no files.
+    """
+    directory = Path(request.directory)
+    stop_file = Path(request.stop_file)
+
+    def stopping() -> bool:
+        return stop_file.exists() or should_stop()
+
+    if not _wait_until_free(directory, stopping):
+        return UNFINISHED
+    known = final_outcome(directory)
+    if known is not None:
+        return known
+    began = time.monotonic()
+    is_damaged = (directory / RESULT).exists()  # it has no final outcome: its result is cut off
+    has_checkpoint = not is_damaged and any(directory.glob("checkpoint_*.npz"))
+    starting = _Start(request)
+    code: int | None = REFUSAL
+    if has_checkpoint:  # a resumed run reads the copies of the inputs in its directory
+        code = _watch(request.resumed, directory, stopping)
+    if code == REFUSAL and not starting.has_changed():
+        code = _watch(request.new, directory, lambda: stopping() or starting.has_changed())
+        starting.complete()
+    if starting.change:
+        shutil.rmtree(directory, ignore_errors=True)
+        return Outcome(NOT_RUN, starting.change)
+    outcome = _outcome(directory, code, time.monotonic() - began)
+    if outcome.status != NOT_RUN:
+        write_outcome(directory, outcome)
+    return outcome
+
+
+class _Start:
+    """Compares the inputs of a run with their contents when it was checked: before it starts, and once it has
+    begun.
+
+    A run has read its inputs when it has written its scene. Later changes of the files do not concern it.
+    `change`:
+    sentence on an input that has changed.
+    """
+
+    def __init__(self, request: RunRequest) -> None:
+        self._inputs = request.inputs
+        self._record = Path(request.directory) / AS_RUN
+        self._before: int | None = None
+        self._is_known = self._has_started = False
+        self.change = ""
+
+    def has_changed(self) -> bool:
+        """Whether an input has changed.
+
+        The inputs are compared at the first call, and at the first one after the start of the run.
+        """
+        if not self._is_known:
+            self._before = self._written()
+            self._is_known = True
+            self._compare()
+        elif not self._has_started and self._written() != self._before:
+            self._has_started = True
+            self._compare()
+        return bool(self.change)
+
+    def complete(self) -> None:
+        """Compare the inputs of a run that has ended before its start was seen."""
+        if not self._has_started:
+            self._compare()
+
+    def _compare(self) -> None:
+        if self._inputs is not None and not self.change:
+            self.change = self._inputs.change()
+
+    def _written(self) -> int | None:
+        """When the scene was written to the directory of the run [ns]; None if it is not."""
+        try:
+            return self._record.stat().st_mtime_ns
+        except OSError:
+            return None
+
+
+def _wait_until_free(directory: Path, stopping: Callable[[], bool]) -> bool:
+    """Wait until no process has locked the directory, which is created.
+
+    Returns False if a stop is requested before.
+    """
+    while not stopping():
+        try:
+            with locked(directory):
+                return True
+        except GranflowError:
+            time.sleep(POLL)
+    return False
+
+
+def _watch(arguments: Sequence[str], directory: Path, stopping: Callable[[], bool]) -> int | None:
+    """Carry out a command of granflow in a worker and return its exit code, negative for a signal.
+
+    Returns None if the run was stopped.
+    """
+    with worker() as taken:
+        taken.start([str(directory / MESSAGES), *arguments])
+        while True:
+            try:
+                return taken.exit_code(POLL)
+            except TimeoutError:
+                if stopping():
+                    return _stop(taken)
+
+
+def _stop(taken: "RunWorker") -> int | None:
+    """Stop a worker with a checkpoint of its run; the exit code if the run had just ended, else None."""
+    taken.terminate()
+    try:
+        code = taken.exit_code(STOP_TIMEOUT)
+    except TimeoutError:
+        return None
+    return code if code in (0, 1, REFUSAL, ABORT) else None
+
+
+def _outcome(directory: Path, code: int | None, seconds: float) -> Outcome:
+    """The outcome of a process by its exit code (None: stopped on request) and its files."""
+    if code is None:
+        return UNFINISHED
+    ended = final_outcome(directory) if code in (0, 1) else None
+    if ended is not None:
+        return ended
+    reason = _reason(directory)
+    if code in (REFUSAL, ABORT):
+        return Outcome(REFUSED if code == REFUSAL else ABORTED, reason, seconds)
+    if code < 0:
+        reason = f"The process was ended by {_signal_name(-code)}. {reason}".rstrip()
+    return Outcome(
+        CRASHED, reason or f"The process ended with exit code {code}.", seconds, code < 0 or code > ABORT
+    )
+
+
+def _signal_name(number: int) -> str:
+    """Name of a signal, such as SIGKILL."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _reason(directory: Path) -> str:
+    """The messages of a process on one line: without progress and warnings; of a traceback the last line.
+
+    The directory of the run is shown as runs/HASH, so that the reason does not depend on the place of the
+    study.
+    """
+    text = (directory / MESSAGES).read_text(encoding="utf-8", errors="replace")
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if any(line.startswith("Traceback") for line in lines):
+        return lines[-1]
+    problems = [
+        line for line in lines if line.startswith(("granflow: ", "--set", os.sep)) or ".yaml:" in line
+    ]
+    words = [
+        line.removeprefix("granflow: ") for line in problems if not line.startswith("granflow: warning:")
+    ]
+    return " ".join(words).replace(str(directory), f"{directory.parent.name}/{directory.name}")
+
+
+# Worker processes
 
 PROGRAM = (sys.executable, "-m", "granflow.cli.run_worker")
 """Command that starts a worker; its protocol is in granflow/cli/run_worker.py."""
@@ -367,8 +542,10 @@ _lock = Lock()
 
 @contextmanager
 def worker() -> Iterator[RunWorker]:
-    """A worker for one command: one that is ready, or a new one. It is kept after the block, if it is ready
-    again."""
+    """A worker for one command: one that is ready, or a new one.
+
+    It is kept after the block, if it is ready again.
+    """
     taken = _ready_worker() or RunWorker()
     try:
         yield taken
@@ -398,340 +575,3 @@ def close_workers() -> None:
         ended, _kept[:] = list(_kept), []
     for each in ended:
         each.close()
-
-
-# One run in a worker process: started, or resumed from its checkpoint, and watched until it ends.
-
-POLL = 0.2
-"""Interval [s] at which a request to stop is checked."""
-STOP_TIMEOUT = 120.0
-"""Time [s] for a stopped run to write its checkpoint; after it the process is killed."""
-AS_RUN = "scene_as_run.yaml"
-"""File that a run writes to its directory when it has read its inputs."""
-MESSAGES = "stderr.txt"
-"""File in the directory of a run with the messages of its last attempt."""
-REFUSAL, ABORT = GranflowError.exit_code, RunError.exit_code
-
-
-@dataclass(frozen=True)
-class RunRequest:
-    """A run to be carried out; plain data, so that it can be sent to a worker on another machine.
-
-    `scene`, `directory`: absolute paths, which all workers must be able to read and write; `until`: simulated
-    time at which the run ends early, as in `granflow run --until`, or ""; `stop_file`: the run is stopped as
-    soon as this file exists; `inputs`: files that the run reads, with their contents when it was checked.
-    """
-
-    scene: str
-    overrides: tuple[str, ...]
-    directory: str
-    threads: int
-    arch: str
-    stop_file: str
-    until: str = ""
-    inputs: RunInputs | None = None
-
-    @property
-    def new(self) -> list[str]:
-        """Arguments of granflow that start the run and replace files of an earlier attempt."""
-        values = [f"--set={override}" for override in self.overrides]
-        until = ["--until", self.until] if self.until else []
-        return ["run", self.scene, *values, "--out", self.directory, "--overwrite", *until, *self._machine]
-
-    @property
-    def resumed(self) -> list[str]:
-        """Arguments of granflow that continue the run from its newest checkpoint."""
-        return ["resume", self.directory, *self._machine]
-
-    @property
-    def _machine(self) -> list[str]:
-        return ["--threads", str(self.threads), "--arch", self.arch]
-
-
-def execute(request: RunRequest, should_stop: Callable[[], bool] = lambda: False) -> Outcome:
-    """Carry out a run and return its outcome, which is also written to its directory.
-
-    A run that has ended is not repeated; one with a checkpoint is resumed. A process that still writes into
-    the directory, such as one whose worker was killed, is waited for. The run is stopped with a checkpoint if
-    the stop file exists or `should_stop` returns True. A run whose inputs have changed since it was checked
-    does not belong to its directory: it has the status NOT_RUN with a reason, and leaves no files.
-    """
-    directory = Path(request.directory)
-    stop_file = Path(request.stop_file)
-
-    def stopping() -> bool:
-        return stop_file.exists() or should_stop()
-
-    if not _wait_until_free(directory, stopping):
-        return UNFINISHED
-    known = final_outcome(directory)
-    if known is not None:
-        return known
-    began = time.monotonic()
-    is_damaged = (directory / RESULT).exists()  # it has no final outcome: its result is cut off
-    has_checkpoint = not is_damaged and any(directory.glob("checkpoint_*.npz"))
-    starting = _Start(request)
-    code: int | None = REFUSAL
-    if has_checkpoint:  # a resumed run reads the copies of the inputs in its directory
-        code = _watch(request.resumed, directory, stopping)
-    if code == REFUSAL and not starting.has_changed():
-        code = _watch(request.new, directory, lambda: stopping() or starting.has_changed())
-        starting.complete()
-    if starting.change:
-        shutil.rmtree(directory, ignore_errors=True)
-        return Outcome(NOT_RUN, starting.change)
-    outcome = _outcome(directory, code, time.monotonic() - began)
-    if outcome.status != NOT_RUN:
-        write_outcome(directory, outcome)
-    return outcome
-
-
-class _Start:
-    """Compares the inputs of a run with their contents when it was checked: before it starts, and once it has
-    begun.
-
-    A run has read its inputs when it has written its scene. Later changes of the files do not concern it.
-    `change`:
-    sentence on an input that has changed.
-    """
-
-    def __init__(self, request: RunRequest) -> None:
-        self._inputs = request.inputs
-        self._record = Path(request.directory) / AS_RUN
-        self._before: int | None = None
-        self._is_known = self._has_started = False
-        self.change = ""
-
-    def has_changed(self) -> bool:
-        """Whether an input has changed; compared at the first call, and at the first one after the start of
-        the run."""
-        if not self._is_known:
-            self._before = self._written()
-            self._is_known = True
-            self._compare()
-        elif not self._has_started and self._written() != self._before:
-            self._has_started = True
-            self._compare()
-        return bool(self.change)
-
-    def complete(self) -> None:
-        """Compare the inputs of a run that has ended before its start was seen."""
-        if not self._has_started:
-            self._compare()
-
-    def _compare(self) -> None:
-        if self._inputs is not None and not self.change:
-            self.change = self._inputs.change()
-
-    def _written(self) -> int | None:
-        """When the scene was written to the directory of the run [ns]; None if it is not."""
-        try:
-            return self._record.stat().st_mtime_ns
-        except OSError:
-            return None
-
-
-def _wait_until_free(directory: Path, stopping: Callable[[], bool]) -> bool:
-    """Wait until no process has locked the directory, which is created; False if a stop is requested
-    before."""
-    while not stopping():
-        try:
-            with locked(directory):
-                return True
-        except GranflowError:
-            time.sleep(POLL)
-    return False
-
-
-def _watch(arguments: Sequence[str], directory: Path, stopping: Callable[[], bool]) -> int | None:
-    """Carry out a command of granflow in a worker and return its exit code, negative for a signal; None if
-    stopped."""
-    with worker() as taken:
-        taken.start([str(directory / MESSAGES), *arguments])
-        while True:
-            try:
-                return taken.exit_code(POLL)
-            except TimeoutError:
-                if stopping():
-                    return _stop(taken)
-
-
-def _stop(taken: RunWorker) -> int | None:
-    """Stop a worker with a checkpoint of its run; the exit code if the run had just ended, else None."""
-    taken.terminate()
-    try:
-        code = taken.exit_code(STOP_TIMEOUT)
-    except TimeoutError:
-        return None
-    return code if code in (0, 1, REFUSAL, ABORT) else None
-
-
-def _outcome(directory: Path, code: int | None, seconds: float) -> Outcome:
-    """The outcome of a process by its exit code (None: stopped on request) and its files."""
-    if code is None:
-        return UNFINISHED
-    ended = final_outcome(directory) if code in (0, 1) else None
-    if ended is not None:
-        return ended
-    reason = _reason(directory)
-    if code in (REFUSAL, ABORT):
-        return Outcome(REFUSED if code == REFUSAL else ABORTED, reason, seconds)
-    if code < 0:
-        reason = f"The process was ended by {_signal_name(-code)}. {reason}".rstrip()
-    return Outcome(
-        CRASHED, reason or f"The process ended with exit code {code}.", seconds, code < 0 or code > ABORT
-    )
-
-
-def _signal_name(number: int) -> str:
-    """Name of a signal, such as SIGKILL."""
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
-
-
-def _reason(directory: Path) -> str:
-    """The messages of a process on one line: without progress and warnings; of a traceback the last line.
-
-    The directory of the run is shown as runs/HASH, so that the reason does not depend on the place of the
-    study.
-    """
-    text = (directory / MESSAGES).read_text(encoding="utf-8", errors="replace")
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    if any(line.startswith("Traceback") for line in lines):
-        return lines[-1]
-    problems = [
-        line for line in lines if line.startswith(("granflow: ", "--set", os.sep)) or ".yaml:" in line
-    ]
-    words = [
-        line.removeprefix("granflow: ") for line in problems if not line.startswith("granflow: warning:")
-    ]
-    return " ".join(words).replace(str(directory), f"{directory.parent.name}/{directory.name}")
-
-
-# Values of scene keys that studies set: their SI numbers, and their notation for `--set`.
-
-
-def si_value(value: Any) -> Any:
-    """The SI number of text with a unit such as "9 mm"; other values unchanged."""
-    number = number_of(value) if isinstance(value, str) else None
-    return value if number is None else float(number)
-
-
-def overrides_of(settings: Mapping[str, Any]) -> tuple[str, ...]:
-    """The settings, values by key path, as arguments of --set; values in the notation of JSON, which YAML
-    contains."""
-    return tuple(f"{key}={json.dumps(value)}" for key, value in settings.items())
-
-
-def relocated(error: SceneError, positions: Mapping[str, str]) -> FileError:
-    """The error with its problems at the positions in the file of a study, where they concern settings of the
-    study.
-
-    `positions`: position in that file by key path of the scene.
-    """
-    return FileError([_relocated(problem, positions) for problem in error.problems])
-
-
-def _relocated(problem: str, positions: Mapping[str, str]) -> str:
-    for key, position in positions.items():
-        prefix = f"--set {key}="
-        if problem.startswith(prefix) and ": " in problem:
-            return f"{position}: {problem.partition(': ')[2]}"
-    return problem
-
-
-# Runs checked before they start: resolved scene, plan, directory by the identity of the run, and set of
-# kernels.
-
-HASH_DIGITS = 16
-"""Hexadecimal digits of the name of a run directory."""
-
-
-@dataclass(frozen=True)
-class CheckedRun:
-    """A run that can start. `kernels`: equal for runs with equal compiled kernels; `seed`: that of its
-    scene."""
-
-    request: RunRequest
-    seed: int
-    kernels: str
-
-    @property
-    def directory(self) -> Path:
-        """Directory of the run."""
-        return Path(self.request.directory)
-
-
-@dataclass(frozen=True)
-class RunSettings:
-    """Settings of all runs of a study.
-
-    `runs`: directory that contains the run directories; `threads`: of each run; `arch`: compute device;
-    `stop_file`:
-    file whose presence stops all runs.
-    """
-
-    runs: Path
-    threads: int
-    arch: str
-    stop_file: Path
-
-
-def checked_run(
-    path: Path,
-    settings: Mapping[str, Any],
-    read: Mapping[str, str],
-    common: RunSettings,
-    seed_offset: int = 0,
-) -> CheckedRun:
-    """Check a run of the scene in a file with other values of some keys, by key path.
-
-    `read`: numbers of the result that are needed, and the position of each in its file; `seed_offset`: added
-    to the seed of the scene. Raises SceneError if the scene with these values is invalid, FileError if it has
-    no such number or needs particles of a program.
-    """
-    overrides = overrides_of(settings)
-    scene = load_scene(path, overrides)
-    if seed_offset:
-        overrides = (*overrides, f"seed={scene.seed + seed_offset}")
-        scene = load_scene(path, overrides)
-    problems = [
-        f"{position}: {reason}"
-        for name, position in read.items()
-        if (reason := unknown_quantity(name, scene))
-    ]
-    problems += scene.problems_without_program()
-    if problems:
-        raise FileError(problems)
-    plan = plan_for(scene)
-    inputs = RunInputs.of(scene)
-    directory = (common.runs / run_identity(scene, common.arch)).resolve()
-    request = RunRequest(
-        str(path.resolve()),
-        overrides,
-        str(directory),
-        common.threads,
-        common.arch,
-        str(common.stop_file.resolve()),
-        inputs=inputs,
-    )
-    return CheckedRun(request, scene.seed, _kernel_set(scene, plan, common.arch))
-
-
-def run_identity(scene: Scene, arch: str) -> str:
-    """Hash of all that determines the result of a run: program version, compute device, scene, contents of
-    its inputs.
-
-    The inputs are meshes, tables, particle files, and the particles of the run in `start_from`.
-    """
-    source = "" if scene.start_from is None else source_digest(Path(scene.start_from))
-    text = f"{arch}\n{identity_of(scene)}\n{source}"
-    return hashlib.sha256(text.encode()).hexdigest()[:HASH_DIGITS]
-
-
-def _kernel_set(scene: Scene, plan: Plan, arch: str) -> str:
-    """Text that is equal for scenes whose compiled kernels are equal: contact models, features and
-    precision."""
-    return repr((arch, plan.precision, scene.contact, plan.features))

@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 
 import granflow.load
-from granflow.cli.arguments import Terminated, show_comparison
 from granflow.cli.main import build_parser, main
 from granflow.cli.run import prepare_output
+from granflow.cli.studies import show_comparison
 from granflow.errors import GranflowError, RunError, SceneError
 from granflow.io.lock import locked
 from granflow.load import Scene
+from granflow.runs.interrupts import Terminated
 from granflow.runs.result import ExpectationResult, Result
 from granflow.runs.run_directory import RESULT_FILES
 from granflow.scene.blocks.particles import FileInsertion

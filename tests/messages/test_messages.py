@@ -6,7 +6,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from granflow.errors import FileError, SceneError
-from granflow.load import load
+from granflow.load import load_scene
 from granflow.studies.calibration.calibrate import read_calibration
 from granflow.studies.sweep.sweep import read_sweep
 
@@ -28,12 +28,12 @@ def changed(change):
 def sentences(path, *overrides):
     """The messages about an invalid scene."""
     with pytest.raises(SceneError) as caught:
-        load(path, overrides)
+        load_scene(path, overrides)
     return list(caught.value.problems)
 
 
 def test_valid_scene_is_accepted():
-    assert load(HERE / "good.yaml").title == "Small hopper on a shaker"
+    assert load_scene(HERE / "good.yaml").title == "Small hopper on a shaker"
 
 
 def test_case_names_are_unique():
@@ -102,7 +102,7 @@ def test_directory_is_rejected(tmp_path):
 def test_byte_order_mark_is_ignored(tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + GOOD.encode())
-    assert load(path) == load(HERE / "good.yaml")
+    assert load_scene(path) == load_scene(HERE / "good.yaml")
 
 
 def test_all_problems_are_reported_in_the_order_of_the_file(tmp_path):

@@ -7,7 +7,7 @@ from resume.test_bit_identity import resume_copy, run_to_end
 from scene_builders import build_scene, particle_group, plane, run_and_sample
 
 from granflow.errors import SceneError
-from granflow.load import load
+from granflow.load import load_scene
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
 from granflow.simulation import Simulation
@@ -69,7 +69,7 @@ def saved_scene(folder, text=FILE, **motion):
 
 
 def test_a_csv_file_is_read_with_its_units(tmp_path):
-    scene = load(saved_scene(tmp_path))
+    scene = load_scene(saved_scene(tmp_path))
     (motion,) = scene.walls["floor"].motion
     assert motion.times == pytest.approx((0, 0.01, 0.02, 0.05))
     assert motion.displacements == pytest.approx((0, 1e-4, 4e-4, 1e-4))
@@ -79,7 +79,7 @@ def test_a_csv_file_is_read_with_its_units(tmp_path):
     again = tmp_path / "again"
     again.mkdir()
     (again / "lift.csv").write_text(FILE)
-    assert load(scene.save(again / "scene.yaml")) == scene
+    assert load_scene(scene.save(again / "scene.yaml")) == scene
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_invalid_files_are_refused_with_their_line(tmp_path, text, problem):
     if text is None:
         (tmp_path / "lift.csv").unlink()
     with pytest.raises(SceneError, match=problem):
-        load(path)
+        load_scene(path)
 
 
 def test_rows_closer_than_the_time_step_are_refused():
@@ -132,12 +132,12 @@ def test_restart_within_a_table_is_bit_identical_without_the_file(tmp_path, taic
     source.mkdir()
     path = saved_scene(source)
     options = ["output.checkpoint.interval=5 ms", "output.checkpoint.keep=100", "output.interval=5 ms"]
-    scene = load(path, options)
+    scene = load_scene(path, options)
     checkpoints = run_to_end(scene, tmp_path / "whole")
     assert (tmp_path / "whole" / "lift.csv").read_text() == FILE
     resume_copy(scene, tmp_path / "whole", tmp_path / "parts", checkpoints[3])
     assert files_of(tmp_path / "parts") == files_of(tmp_path / "whole")
     assert states_of(tmp_path / "parts") == states_of(tmp_path / "whole")
-    with Simulation(load(tmp_path / "whole" / "scene_as_run.yaml")) as simulation:
+    with Simulation(load_scene(tmp_path / "whole" / "scene_as_run.yaml")) as simulation:
         simulation.run(until=0.02)
         np.testing.assert_allclose(simulation.walls["floor"].pose.offset, [0, 0, 4e-4], atol=1e-9)

@@ -1,6 +1,6 @@
 """A small scene file for plans: ten soft glass particles above a floor."""
 
-from granflow.load import load
+from granflow.load import load_scene
 
 TEXT = """\
 title: Ten beads fall
@@ -41,4 +41,4 @@ def scene_of(directory, *overrides, text=TEXT):
     """Writes the text to beads.yaml in `directory` and loads it with overrides `key=value`."""
     path = directory / "beads.yaml"
     path.write_text(text)
-    return load(path, overrides)
+    return load_scene(path, overrides)

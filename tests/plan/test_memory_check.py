@@ -13,8 +13,8 @@ from granflow.cli.main import main
 from granflow.engine import backend as device_memory
 from granflow.engine.backend import VulkanDevice, free_device_memory
 from granflow.errors import SceneError
-from granflow.load import load
-from granflow.plan import memory as memory_check
+from granflow.load import load_scene
+from granflow.plan import arrays as memory_check
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
@@ -76,19 +76,19 @@ def test_run_that_does_not_fit_is_rejected_before_particles_are_placed(machine, 
     machine(GIB)
     path = lattice(tmp_path, 300_000_000)
     with pytest.raises(SceneError) as refused:
-        memory_check.refuse_without_memory(plan_for(load(path)))
+        memory_check.refuse_without_memory(plan_for(load_scene(path)))
     (message,) = refused.value.problems
     assert message.startswith(f"{path}:{line_of('count: 10')}:12: 300000000 particles need about ")
     assert "GB of memory, but only 1.07 GB are free: lower the count to about " in message
     assert message.endswith("set run.precision to mixed, or use a machine with more memory.")
     fitting = int(message.partition("count to about ")[2].partition(",")[0])
-    assert 0.7 * GIB < memory_check.required_memory(plan_for(load(lattice(tmp_path, fitting)))) < GIB
+    assert 0.7 * GIB < memory_check.required_memory(plan_for(load_scene(lattice(tmp_path, fitting)))) < GIB
 
 
 @pytest.mark.parametrize(("available", "warned"), [(0.9, True), (1.1, True), (1.3, False)])
 def test_check_warns_and_places_no_particles_that_do_not_fit(machine, tmp_path, capsys, available, warned):
     path = lattice(tmp_path, 10)
-    needed = memory_check.required_memory(plan_for(load(path)))
+    needed = memory_check.required_memory(plan_for(load_scene(path)))
     machine(int(available * needed))
     assert main(["check", str(path)]) == 0
     output = capsys.readouterr()
@@ -132,30 +132,30 @@ def fitting_count(error):
 
 
 def test_run_on_a_gpu_that_does_not_fit_is_rejected_with_a_count_that_fits(tmp_path):
-    plan = plan_for(load(lattice(tmp_path, 300_000)), on_gpu=True)
+    plan = plan_for(load_scene(lattice(tmp_path, 300_000)), on_gpu=True)
     needed = memory_check.estimate_memory(plan, plan.precision).total
     memory_check.refuse_without_device_memory(plan, needed, None)
     memory_check.refuse_without_device_memory(plan, None, None)  # unknown
     with pytest.raises(SceneError, match=r"GB on the GPU, but only .* are free: lower") as error:
         memory_check.refuse_without_device_memory(plan, needed - 1, None)
-    fitting = plan_for(load(lattice(tmp_path, fitting_count(error))), on_gpu=True)
+    fitting = plan_for(load_scene(lattice(tmp_path, fitting_count(error))), on_gpu=True)
     memory_check.refuse_without_device_memory(fitting, needed - 1, None)
 
 
 def test_array_above_the_largest_buffer_is_rejected_with_a_count_that_fits(tmp_path):
-    plan = plan_for(load(lattice(tmp_path, 30_000_000)), on_gpu=True)
+    plan = plan_for(load_scene(lattice(tmp_path, 30_000_000)), on_gpu=True)
     assert memory_check.estimate_memory(plan, "f64").total > 3 * 2**32, "in several buffers"
     with pytest.raises(
         SceneError, match=r"in one buffer, but this GPU allows at most 4\.29 GB: lower"
     ) as error:
         memory_check.refuse_without_device_memory(plan, None, 2**32)
-    fitting = plan_for(load(lattice(tmp_path, fitting_count(error))), on_gpu=True)
+    fitting = plan_for(load_scene(lattice(tmp_path, fitting_count(error))), on_gpu=True)
     memory_check.refuse_without_device_memory(fitting, None, 2**32)
     assert memory_check.estimate_memory(fitting, "f64").total > 2**32
 
 
 def test_neighbor_lists_that_no_longer_fit_into_a_gpu_are_rejected(tmp_path):
-    plan = plan_for(load(lattice(tmp_path, 300_000)), on_gpu=True)
+    plan = plan_for(load_scene(lattice(tmp_path, 300_000)), on_gpu=True)
     grown = plan.capacities.grown(2 * plan.capacities.list_entries, 0)
     needed = memory_check.estimate_memory(plan, "f64", grown).total
     assert needed > memory_check.estimate_memory(plan, "f64").total
@@ -189,9 +189,9 @@ def growth_of_a_run(folder):
     text = text.replace("max: [3 cm, 3 cm, 3 cm]", "max: [21 cm, 21 cm, 17 cm]").replace("50 ms", "20 us")
     path = Path(folder) / "many.yaml"
     path.write_text(text)
-    plan = plan_for(load(path))
+    plan = plan_for(load_scene(path))
     before = peak_memory()
-    Simulation(load(path), out=Path(folder) / "out").run()
+    Simulation(load_scene(path), out=Path(folder) / "out").run()
     return [memory_check.required_memory(plan), peak_memory() - before]
 
 

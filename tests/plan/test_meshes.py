@@ -10,7 +10,7 @@ from geometry.meshes import cube, sheet, write
 from granflow.errors import SceneError
 from granflow.geometry.mesh import mesh_of
 from granflow.geometry.mesh_file import read_triangles
-from granflow.load import load
+from granflow.load import load_scene
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
 
@@ -34,7 +34,7 @@ def plan_of(folder, file, more=""):
     """Plan of a scene in `folder` with a mesh wall of `file`; `more` appends keys to the wall."""
     path = folder / "scene.yaml"
     path.write_text(SCENE.replace("file: FILE", f"file: {file}{more}"), encoding="utf-8")
-    return plan_for(load(path))
+    return plan_for(load_scene(path))
 
 
 def problem(folder, file, more=""):

@@ -7,7 +7,7 @@ from plan.scenes import TEXT
 from resume.runs import files_of
 
 from granflow.cli.main import main
-from granflow.load import copied_scene, load
+from granflow.load import copied_scene, load_scene
 
 INSERT = TEXT[TEXT.index("    count: 10\n") : TEXT.index("\ndomain:")]
 FLOOR = "  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}"
@@ -52,7 +52,7 @@ def test_run_continues_from_copies_of_input_files_outside_the_scene_folder(tmp_p
     there = tmp_path / "there"
     shutil.move(out, there)
     shutil.rmtree(tmp_path / "here")
-    written = load(there / "scene_as_run.yaml")
+    written = load_scene(there / "scene_as_run.yaml")
     names = [name for _, name in written.input_names()]
     assert names == ["inputs/box.stl", "box.stl", "inputs/box_2.stl", "inputs/lift.csv", "inputs/beads.csv"]
     assert copied_scene(written) is written
@@ -72,6 +72,6 @@ def test_copies_of_results_of_another_run_keep_clear_of_those_of_the_run(tmp_pat
     )
     (tmp_path / "particles_0001.vtu").symlink_to(frame)
     for given in ("particles_0001.vtu", "filled/../particles_0001.vtu", str(frame)):
-        scene = load(next_scene, [f"particles.beads.insert.file={given}"])
+        scene = load_scene(next_scene, [f"particles.beads.insert.file={given}"])
         assert [name for _, name in copied_scene(scene).input_names()] == ["inputs/particles_0001.vtu"]
         assert scene.particles["beads"].count == 10

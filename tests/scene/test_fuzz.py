@@ -19,8 +19,8 @@ from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.errors import SceneError
-from granflow.load import load
-from granflow.plan import memory as memory_check
+from granflow.load import load_scene
+from granflow.plan import arrays as memory_check
 
 CPU_TIME_MAX, WALL_TIME_MAX = 20, 200
 """CPU time and wall time [s] above which one input counts as a hang; a shipped scene takes 0.02 s."""
@@ -321,7 +321,7 @@ def test_messages_state_the_exceeded_limit(tmp_path, text):
     path = tmp_path / "scene.yaml"
     path.write_text(text)
     with pytest.raises(SceneError) as caught:
-        load(path)
+        load_scene(path)
     problems = caught.value.problems
     assert len(problems) <= 101
     for sentence in LIMITS_EXCEEDED[text]:

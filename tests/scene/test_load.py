@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from granflow.errors import SceneError
-from granflow.load import Scene, load
+from granflow.load import Scene, load_scene
 from granflow.scene.blocks.materials import PRESETS
 from granflow.scene.blocks.walls import Plane, Vibration
 from granflow.scene.reference import json_schema
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent.parent
 
 @pytest.fixture(scope="module")
 def scene():
-    return load(GOOD)
+    return load_scene(GOOD)
 
 
 def test_numbers_are_converted_to_si(scene):
@@ -31,9 +31,9 @@ def test_numbers_are_converted_to_si(scene):
 def test_presets_define_missing_properties(scene):
     glass = scene.materials["glass"]
     assert (glass.young_modulus, glass.yield_strength) == (PRESETS["glass"].young_modulus, 50e6)
-    steel = load(GOOD, ["materials.steel={preset: stainless_316}"]).materials["steel"]
+    steel = load_scene(GOOD, ["materials.steel={preset: stainless_316}"]).materials["steel"]
     assert steel.restitution_fit == (3.0432, 0.540) and steel.density == 8030.0
-    pair = load(GOOD, ["pairs.glass-steel.restitution={preset: chrome_52100, limit_velocity: 3}"]).pair(
+    pair = load_scene(GOOD, ["pairs.glass-steel.restitution={preset: chrome_52100, limit_velocity: 3}"]).pair(
         "steel", "glass"
     )
     assert (pair.restitution.sigma, pair.restitution.psi) == (0.1418, 0.3114)
@@ -56,13 +56,13 @@ def test_fractions_of_classes_are_normalized(scene):
 
 
 def test_restitution_is_constant_if_every_pair_has_a_number():
-    scene = load(GOOD, ["pairs.glass-steel.restitution=0.5"])
+    scene = load_scene(GOOD, ["pairs.glass-steel.restitution=0.5"])
     assert scene.contact.normal.restitution_at == "constant"
 
 
 def test_scene_without_stages_has_one_stage_named_run(scene):
     assert [stage.name for stage in scene.schedule] == ["fill", "settle", "discharge"]
-    short = load(GOOD, ["stages=[]", "run.duration=2", "walls.gate.stages=[run]"])
+    short = load_scene(GOOD, ["stages=[]", "run.duration=2", "walls.gate.stages=[run]"])
     assert [(stage.name, stage.duration) for stage in short.schedule] == [("run", 2.0)]
 
 
@@ -91,14 +91,14 @@ def test_where_returns_the_position_of_a_key(scene):
     assert scene.where("walls", "tube", "radius") == f"{GOOD}:26"
     assert scene.where("walls", "tube", "appears_at") == f"{GOOD}:22"
     assert scene.where("run", "velocity_max") == f"{GOOD}:68"
-    assert load(GOOD, ["seed=3"]).where("seed") == "--set seed=3"
+    assert load_scene(GOOD, ["seed=3"]).where("seed") == "--set seed=3"
     assert scene.path == GOOD
 
 
 def test_text_of_a_scene_is_read_back_as_an_equal_scene(scene, tmp_path):
     path = tmp_path / "again.yaml"
     path.write_text(scene.to_yaml(), encoding="utf-8")
-    again = load(path)
+    again = load_scene(path)
     assert again == scene
     assert again.to_yaml() == scene.to_yaml()
 
@@ -125,15 +125,15 @@ def test_text_of_a_scene_is_read_back_as_an_equal_scene(scene, tmp_path):
 def test_every_title_is_read_back_unchanged(title, scene, tmp_path):
     path = tmp_path / "again.yaml"
     path.write_text(scene.model_copy(update={"title": title}).to_yaml(), encoding="utf-8")
-    assert load(path).title == title
+    assert load_scene(path).title == title
 
 
 def test_different_scenes_are_not_equal(scene):
-    assert scene != load(GOOD, ["seed=8"])
+    assert scene != load_scene(GOOD, ["seed=8"])
 
 
 def test_overrides_replace_values_of_the_file():
-    scene = load(
+    scene = load_scene(
         GOOD,
         [
             "run.precision=f32",
@@ -159,7 +159,7 @@ def test_override_changes_only_one_of_two_walls_with_a_common_anchor(tmp_path):
     path = tmp_path / "scene.yaml"
     text = GOOD.read_text(encoding="utf-8").replace("  floor: {", "  base: &base {", 1)
     path.write_text(text.replace("  tube:\n", "  floor: *base\n  tube:\n", 1), encoding="utf-8")
-    scene = load(path, ["walls.floor.point=[0, 0, 1]"])
+    scene = load_scene(path, ["walls.floor.point=[0, 0, 1]"])
     assert (scene.walls["base"].point[2], scene.walls["floor"].point[2]) == (0.0, 1.0)
 
 
@@ -210,6 +210,6 @@ def test_scene_file_conforms_to_the_json_schema(scene):
 def test_models_created_in_python_are_validated():
     with pytest.raises(SceneError, match=r"point is \[0, 0\], but a vector"):
         Plane(shape="plane", point=[0, 0], normal=[0, 0, 1], material="a")
-    assert isinstance(load(GOOD), Scene)
+    assert isinstance(load_scene(GOOD), Scene)
     with pytest.raises(SceneError):
-        load(GOOD.parent / "none.yaml")
+        load_scene(GOOD.parent / "none.yaml")

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from granflow.errors import SceneError
-from granflow.load import Scene, load
+from granflow.load import Scene, load_scene
 
 GOOD = Path(__file__).parent.parent / "messages" / "good.yaml"
 TEXT = GOOD.read_text(encoding="utf-8")
@@ -62,7 +62,7 @@ def read(path, text, overrides=()):
     """Read the text as a scene; check the messages of an error, or the round trip of a valid scene."""
     path.write_text(text, encoding="utf-8", newline="")
     try:
-        scene = load(path, overrides)
+        scene = load_scene(path, overrides)
     except SceneError as error:
         assert error.problems
         for problem in error.problems:
@@ -72,7 +72,7 @@ def read(path, text, overrides=()):
     assert isinstance(scene, Scene)
     again = path.with_name("again.yaml")
     again.write_text(scene.to_yaml(), encoding="utf-8")
-    assert load(again) == scene
+    assert load_scene(again) == scene
     return scene
 
 
@@ -134,4 +134,4 @@ def test_invalid_bytes_raise_scene_error(raw, tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_bytes(raw)
     with pytest.raises(SceneError):
-        load(path)
+        load_scene(path)

@@ -8,8 +8,8 @@ import pytest
 from plan.scenes import TEXT
 
 from granflow.errors import SceneError
-from granflow.load import load, scene_of
-from granflow.particles.group import groups_of
+from granflow.load import load_scene, scene_of
+from granflow.particles.group import draw_diameters, groups_of
 from granflow.particles.insertion import initial_particles
 from granflow.particles.resolve import scaled
 from granflow.particles.sizes import draw_diameters
@@ -29,7 +29,7 @@ def scene_with(tmp_path, beads, *overrides, **files):
         (tmp_path / f"{name}.csv").write_text(text)
     path = tmp_path / "beads.yaml"
     path.write_text(TEXT.replace(BEADS, beads))
-    return load(path, overrides)
+    return load_scene(path, overrides)
 
 
 def problems(tmp_path, *given, **files):

@@ -7,7 +7,7 @@ import pytest
 from plan.scenes import TEXT, scene_of
 
 from granflow.errors import SceneError
-from granflow.load import Scene, load
+from granflow.load import Scene, load_scene
 from granflow.scene.suggest import SYNONYMS, nearest
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -76,12 +76,12 @@ def test_synonyms_are_in_the_form_in_which_they_are_searched():
 def test_overrides_have_the_same_path_in_a_scene_and_in_its_resolved_form(tmp_path, override):
     """`granflow resume` applies overrides to scene_as_run.yaml."""
     resolved = tmp_path / "scene_as_run.yaml"
-    resolved.write_text(load(SCENES / "drum.yaml").to_yaml())
-    first, second = (load(path, [override]) for path in (SCENES / "drum.yaml", resolved))
-    assert first.to_yaml() == second.to_yaml() != load(SCENES / "drum.yaml").to_yaml()
+    resolved.write_text(load_scene(SCENES / "drum.yaml").to_yaml())
+    first, second = (load_scene(path, [override]) for path in (SCENES / "drum.yaml", resolved))
+    assert first.to_yaml() == second.to_yaml() != load_scene(SCENES / "drum.yaml").to_yaml()
     assert isinstance(first, Scene)
 
 
 def test_index_of_a_second_motion_is_refused(tmp_path):
     with pytest.raises(SceneError, match="angular_velocity"):
-        load(SCENES / "drum.yaml", ["walls.shell.motion.1.angular_velocity=2"])
+        load_scene(SCENES / "drum.yaml", ["walls.shell.motion.1.angular_velocity=2"])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scene_runner import SCENES
 
-from granflow.load import Scene, load
+from granflow.load import Scene, load_scene
 from granflow.simulation import Simulation
 
 
@@ -31,7 +31,7 @@ def test_heap_of_rods_is_steeper_than_that_of_spheres(taichi_f64):
     """
     retained = {"rods": [], "spheres": []}
     for seed in (1, 2, 3):
-        rods = load(SCENES / "clumps.yaml", ["output.interval=1000 s", f"seed={seed}"])
+        rods = load_scene(SCENES / "clumps.yaml", ["output.interval=1000 s", f"seed={seed}"])
         data = rods.to_dict()
         group = data["particles"]["rods"]
         group["diameter"] = (6.0 / np.pi * rods.particles["rods"].clump.shape.volume) ** (1.0 / 3.0)

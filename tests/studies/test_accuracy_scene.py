@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from granflow.errors import GranflowError, SceneError
-from granflow.load import load
+from granflow.load import load_scene
 from granflow.particles.insertion import initial_particles
 from granflow.studies.accuracy import scene as scene_runs
 from granflow.studies.accuracy.scene import (
@@ -66,18 +66,18 @@ def drop(tmp_path):
 
 
 def test_reduction_applies_to_groups_with_a_count(drop):
-    scene = load(drop)
+    scene = load_scene(drop)
     assert reduced_counts(scene, most=12) == []
     assert reduced_counts(scene, most=6) == ["particles.beads.count=6"]
-    assert reduced_counts(load(SCENES / "two_spheres.yaml"), most=1) == []
+    assert reduced_counts(load_scene(SCENES / "two_spheres.yaml"), most=1) == []
 
 
 def test_the_share_is_time_step_fraction(drop):
-    scene = load(drop, ["numerics.time_step_fraction=0.07"])
+    scene = load_scene(drop, ["numerics.time_step_fraction=0.07"])
     phase, own = phase_of(scene)
     assert own == pytest.approx(0.07)
     (override,) = STEP_FAMILIES[0].overrides(0.2, phase)
-    assert phase_of(load(drop, [override]))[1] == pytest.approx(0.2)
+    assert phase_of(load_scene(drop, [override]))[1] == pytest.approx(0.2)
 
 
 def test_center_of_mass_of_free_fall_matches_theory(taichi_f64, drop):

@@ -14,17 +14,17 @@ from studies.sweep_files import SCENE
 from granflow.errors import FileError, GranflowError, OutputError
 from granflow.studies import run_process as run_worker
 from granflow.studies.calibration.calibrate import read_calibration, run_calibration
+from granflow.studies.calibration.response import fit_response
 from granflow.studies.calibration.results import _best_target, result_of
-from granflow.studies.calibration.schema import Parameter, Target
-from granflow.studies.calibration.search import (
-    JOURNAL,
-    Search,
+from granflow.studies.calibration.schema import (
+    Parameter,
+    Target,
     deviation_in_units,
-    fit_response,
     from_unit,
     settings_of,
     to_unit,
 )
+from granflow.studies.calibration.search import JOURNAL, Search
 from granflow.studies.calibration.trials import (
     TrialRunner,
     _missing_reason,
@@ -35,7 +35,8 @@ from granflow.studies.calibration.trials import (
     residuals,
     standard_errors,
 )
-from granflow.studies.run_process import RunSettings, error_name
+from granflow.studies.checked_run import RunSettings
+from granflow.studies.run_process import error_name
 
 CALIBRATION = """\
 scenes: {pair: {scene: spheres.yaml}}

@@ -8,7 +8,7 @@ from scipy.stats import t as student
 from granflow.cli.main import main
 from granflow.contact.material import VelocityRestitution
 from granflow.errors import FileError, GranflowError
-from granflow.load import load
+from granflow.load import load_scene
 from granflow.studies.fit import Measurements, fit, limit_from_materials, read_measurements
 
 STEEL = VelocityRestitution(3.0432, 0.540, 340.3)
@@ -251,7 +251,7 @@ def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
     snippet = next(line.strip() for line in message.splitlines() if line.strip().startswith("restitution: {"))
     scene = tmp_path / "scene.yaml"
     scene.write_text(SCENE.format(snippet=snippet), encoding="utf-8")
-    pasted = load(scene).pairs["steel-steel"].restitution
+    pasted = load_scene(scene).pairs["steel-steel"].restitution
     assert (pasted.sigma, pasted.psi, pasted.limit_velocity) == pytest.approx(
         (3.0432, 0.540, 340.3), rel=1e-5
     )

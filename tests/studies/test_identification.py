@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import binom, ncf
 from scipy.stats import f as f_distribution
 
-from granflow.studies.calibration.results import Effects, effects, identification
-from granflow.studies.calibration.search import LEVEL, Response
+from granflow.studies.calibration.response import LEVEL, Effects, Response, effects, identification
 
 NAMES = ["friction", "rolling_friction", "restitution"]
 

@@ -15,28 +15,31 @@ from granflow.cli.main import main
 from granflow.cli.show import FITS
 from granflow.errors import GranflowError
 from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
-from granflow.studies.render.frames import (
+from granflow.studies.camera import (
     MARGIN,
     OPENING,
     VIEWS,
-    FrameParticles,
     aspect_of,
     bounding_points,
     camera_for,
     corners_of,
     drawn_box,
-    frames_of,
     outermost_points,
     particle_points,
     plane_box,
+    view_of,
+)
+from granflow.studies.color_scale import prefixed, scale_for, values_of
+from granflow.studies.frames import (
+    FrameParticles,
+    frames_of,
     planes_of,
     read_force_chains,
     read_particles,
     read_walls,
     selected_frames,
-    view_of,
 )
-from granflow.studies.render.render import decimals_of, prefixed, round_length, scale_for, speed_of, values_of
+from granflow.studies.render import decimals_of, round_length, speed_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -372,9 +375,9 @@ def test_shown_height_is_that_of_the_points_and_falls_with_the_zoom():
 AREAS = """
 import sys
 import numpy as np
-from granflow.studies.render.frames import camera_for, view_of
-from granflow.studies.render.frames import FrameParticles
-from granflow.studies.render.render import Renderer
+from granflow.studies.camera import camera_for, view_of
+from granflow.studies.frames import FrameParticles
+from granflow.studies.render import Renderer
 for name in ("front", "iso"):
     for radius in (0.07, 0.4):
         view = view_of(name)

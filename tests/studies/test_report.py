@@ -19,14 +19,13 @@ from granflow.io.log import explanation, read_log, sessions, warnings_and_errors
 from granflow.io.tables import SeriesColumn, TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ParticleFrames
+from granflow.studies import report as report_module
+from granflow.studies import report_pictures
+from granflow.studies.frames import frames_of
+from granflow.studies.interactive_plots import MOST_POINTS, groups_of, plot_of, thinned
 from granflow.studies.page import environment, page_text
-from granflow.studies.render.frames import frames_of
-from granflow.studies.report import report as report_sections
-from granflow.studies.report import report as report_topics
-from granflow.studies.report import view as pictures_module
-from granflow.studies.report.plots import MOST_POINTS, groups_of, plot_of, thinned
-from granflow.studies.report.report import field_content, report_text, table_of
-from granflow.studies.report.view import _caption, course_pictures, pictures_for
+from granflow.studies.report import field_content, report_text, table_of
+from granflow.studies.report_pictures import _caption, course_pictures, pictures_for
 
 HEAD = (
     "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle "
@@ -112,7 +111,7 @@ def test_page_of_a_complete_run_contains_all_results(run):
 
 
 def test_timings_add_up_to_the_wall_clock(run):
-    assert [row[:3] for row in report_sections.timings(read_run(run)).rows] == [
+    assert [row[:3] for row in report_module.timings(read_run(run)).rows] == [
         ("forces", "6.00", "60%"),
         ("compile", "3.00", "30%"),
         ("other", "1.00", "10%"),
@@ -225,17 +224,17 @@ def test_table_of_many_quantities_has_them_as_rows():
 def test_energies_without_a_budget_are_quantities_over_time(run):
     """The run has an energy budget; without its columns, the page shows the kinetic energy without a
     section."""
-    assert "Energy budget" in [topic.title for topic in report_topics.topics(read_run(run), with_plots=True)]
+    assert "Energy budget" in [topic.title for topic in report_module.topics(read_run(run), with_plots=True)]
     rows = [line.split(",")[:4] for line in (run / "timeseries.csv").read_text().splitlines()]
     assert rows[0][3] == "kinetic_energy [J]"
     (run / "timeseries.csv").write_text("\n".join(map(",".join, rows)) + "\n")
-    (topic,) = [each for each in report_topics.topics(read_run(run), with_plots=True) if not each.tables]
+    (topic,) = [each for each in report_module.topics(read_run(run), with_plots=True) if not each.tables]
     assert topic.title == "Over time" and "kinetic energy" in topic.plots[-1].caption.lower()
 
 
 def test_energies_of_rounding_are_zero(run):
     values = np.array([2e-6, 1e-6, 6e-43])
-    (table,) = report_topics._energy_budget([SeriesColumn("kinetic_energy", "J", values)])
+    (table,) = report_module._energy_budget([SeriesColumn("kinetic_energy", "J", values)])
     assert table.rows[0][1:4] == ["2e-06", "0", "2e-06"]
 
 
@@ -245,8 +244,8 @@ def test_angles_are_in_rad_and_degrees(run):
     result["totals"]["angle_of_repose.left"] = 0.4
     (run / "result.json").write_text(json.dumps(result))
     record = read_run(run)
-    tables = {table.caption: table for table in report_sections.remaining_numbers(record)}
-    (metrics,) = next(each for each in report_topics.topics(record, True) if each.title == "Metrics").tables
+    tables = {table.caption: table for table in report_module.remaining_numbers(record)}
+    (metrics,) = next(each for each in report_module.topics(record, True) if each.title == "Metrics").tables
     assert metrics.rows == [["left", "0.4 (22.92 deg)", "0.01 (0.573 deg)"]]
     assert ("angle of repose.left", "0.4", "rad (22.92 deg)") in tables["totals in result.json"].rows
     series = TimeSeriesTable(np.arange(2.0), np.array(["", ""]), (), ())
@@ -268,7 +267,7 @@ def test_small_components_of_forces_are_folded(run):
     forces = {"wall_force_x": 1.0, "wall_force_y": 2.0, "wall_force_z": 3.0, **{f"q{k}": k for k in range(8)}}
     result["wall_forces"] = {"lid": forces, "floor": forces}
     (run / "result.json").write_text(json.dumps(result))
-    topic = next(each for each in report_topics.topics(read_run(run), True) if each.title == "Wall forces")
+    topic = next(each for each in report_module.topics(read_run(run), True) if each.title == "Wall forces")
     assert [row[0] for row in topic.folded[0].rows] == [
         "wall force y, lid",
         "wall force x, floor",
@@ -289,7 +288,7 @@ def test_expected_quantities_are_first(run):
     shutil.copy(SCENES / "two_spheres.yaml", run / "scene_as_run.yaml")
     record = read_run(run)
     assert not record.scene_problem
-    topic = report_topics.expected_topic(record, with_plots=True)
+    topic = report_module.expected_topic(record, with_plots=True)
     names = [curve["name"] for plot in topic.plots for curve in plot.figure["data"]]
     assert names == ["kinetic energy"]
     text = text_of(run)
@@ -303,7 +302,7 @@ def test_expected_quantities_are_first(run):
 
 def captions_of(record):
     """Captions of the plots below those of the expectations."""
-    return [plot.caption for topic in report_topics.topics(record, with_plots=True) for plot in topic.plots]
+    return [plot.caption for topic in report_module.topics(record, with_plots=True) for plot in topic.plots]
 
 
 def test_thinned_curve_keeps_peaks_and_ends():
@@ -389,9 +388,9 @@ def test_pictures_of_the_course_are_rendered_besides_others(tmp_path, monkeypatc
             (tmp_path / "pictures" / f"picture_velocity_iso_{int(number):04d}.png").write_bytes(b"x")
         return SimpleNamespace(returncode=0)
 
-    monkeypatch.setattr(pictures_module.subprocess, "run", stand_in)
-    monkeypatch.setattr(pictures_module, "reduced", lambda path, scratch: path)
-    monkeypatch.setattr(pictures_module, "find_spec", lambda name: True)
+    monkeypatch.setattr(report_pictures.subprocess, "run", stand_in)
+    monkeypatch.setattr(report_pictures, "reduced", lambda path, scratch: path)
+    monkeypatch.setattr(report_pictures, "find_spec", lambda name: True)
     shown = [each.path.name for each in pictures_for(tmp_path, tmp_path).shown]
     assert [command[-1] for command in commands] == ["2,6,8"]
     assert shown == [

@@ -8,7 +8,7 @@ from granflow import read_run
 from granflow.observers.timeseries import CollisionEnergies
 from granflow.simulation import Simulation
 from granflow.snapshot import Snapshot
-from granflow.studies.report.report import collision_topics, report_text
+from granflow.studies.report import collision_topics, report_text
 
 
 def snapshot(time, particle, wall):

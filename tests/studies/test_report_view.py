@@ -13,10 +13,10 @@ from observers.snapshots import particles_of, snapshot_of
 from granflow import read_run
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ParticleFrames
-from granflow.studies.render.frames import FrameWalls, frames_of, read_particles
-from granflow.studies.report import view as view_module
-from granflow.studies.report.report import report_text
-from granflow.studies.report.view import PackedArrays, _wall_headers, geometry_of, interactive_view
+from granflow.studies import report_view
+from granflow.studies.frames import FrameWalls, frames_of, read_particles
+from granflow.studies.report import report_text
+from granflow.studies.report_view import PackedArrays, _wall_headers, geometry_of, interactive_view
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 FACES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -79,7 +79,7 @@ def test_colors_follow_from_the_labels(tmp_path):
 
 
 def test_many_particles_are_thinned_by_id(tmp_path, monkeypatch):
-    monkeypatch.setattr(view_module, "MOST_PARTICLES", 20)
+    monkeypatch.setattr(report_view, "MOST_PARTICLES", 20)
     view = interactive_view(write_run(tmp_path))
     ids = read_particles(frames_of(tmp_path)[0]).arrays["id"]
     assert view.header["frames"][0]["count"] == np.sum(ids % 3 == 0) <= 20
@@ -87,7 +87,7 @@ def test_many_particles_are_thinned_by_id(tmp_path, monkeypatch):
 
 
 def test_many_frames_are_reduced_to_the_budget_with_both_ends(tmp_path, monkeypatch):
-    monkeypatch.setattr(view_module, "PARTICLE_FRAMES", 250)
+    monkeypatch.setattr(report_view, "PARTICLE_FRAMES", 250)
     view = interactive_view(write_run(tmp_path, frame_count=9))
     assert [entry["time"] for entry in view.header["frames"]] == ["0 s", "0.2 s", "0.4 s", "0.6 s", "0.8 s"]
     assert view.statement == "5 of 9 frames."

@@ -9,7 +9,7 @@ from scene_builders import build_scene, particle_group, plane, run_to_end
 from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
-from granflow.load import load
+from granflow.load import load_scene
 from granflow.plan.build import plan_for
 from granflow.studies.restitution import _impact, _reference_restitution, measure, name_of, pairings, warnings
 
@@ -152,7 +152,7 @@ def test_each_material_pair_has_at_most_one_warning():
 
 def test_shipped_scenes_have_no_warnings():
     for path in [*SCENES.glob("*.yaml"), *SCENES.glob("dosta2024/*.yaml")]:
-        assert warnings_of(load(path)) == [], path
+        assert warnings_of(load_scene(path)) == [], path
 
 
 def test_warnings_of_the_plan_are_not_repeated():

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from granflow.studies.calibration.calibrate import read_calibration
-from granflow.studies.calibration.search import settings_of
-from granflow.studies.run_process import CheckedRun, RunSettings, checked_run
+from granflow.studies.calibration.schema import settings_of
+from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run
 from granflow.studies.sweep.sweep import checked_points, read_sweep
 
 SCENES = Path(__file__).parents[2] / "scenes"

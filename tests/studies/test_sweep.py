@@ -13,6 +13,7 @@ from studies.sweep_files import SCENE, SWEEP, write_sweep
 from granflow.cli.main import main
 from granflow.errors import FileError, GranflowError
 from granflow.io.checkpoint import write_checkpoint
+from granflow.studies.checked_run import CheckedRun, RunSettings
 from granflow.studies.run_pool import Driver, local_jobs
 from granflow.studies.run_process import (
     ABORTED,
@@ -20,10 +21,8 @@ from granflow.studies.run_process import (
     DONE,
     MISSED,
     REFUSED,
-    CheckedRun,
     Outcome,
     RunRequest,
-    RunSettings,
     final_outcome,
     write_outcome,
 )

@@ -12,8 +12,8 @@ import pytest
 from studies.test_calibration import runner
 from studies.test_sweep import run
 
-from granflow.studies.calibration.calibrate import write_calibration_page
-from granflow.studies.calibration.results import result_of, write_result
+from granflow.studies.calibration.results import result_of, write_calibration_page, write_result
+from granflow.studies.interactive_plots import short_names
 from granflow.studies.run_process import ABORTED, Outcome, final_outcome, write_outcome
 from granflow.studies.sweep.design import SweepInput, design_points
 from granflow.studies.sweep.page import (
@@ -28,7 +28,7 @@ from granflow.studies.sweep.page import (
     with_error,
     write_sweep_page,
 )
-from granflow.studies.sweep.table import short_names, shown, table_of
+from granflow.studies.sweep.table import shown, table_of
 
 
 def ishigami(x, y, z):

@@ -8,8 +8,9 @@ from benchmark import features
 from benchmark.features import variants_of
 from subprocess_runner import in_subprocess
 
-from granflow.errors import SceneError
-from granflow.load import load
+from granflow.cli.main import main
+from granflow.load import load_scene
+from granflow.plan.arrays import estimate_memory
 from granflow.plan.build import plan_for
 from granflow.plan.memory import estimate_memory
 
@@ -52,7 +53,7 @@ def plans(directory, *overrides):
     """Plans of all variants by name."""
     path = directory / "beads.yaml"
     path.write_text(TEXT)
-    scene = load(path, overrides)
+    scene = load_scene(path, overrides)
     base = plan_for(scene)
     return {variant.name: variant.plan(base, on_gpu=False) for variant in variants_of(scene, base)}
 
@@ -155,14 +156,12 @@ def measured(directory):
         restore(simulation, *others)
         positions.append(simulation.snapshot().particles["position"].tolist())
 
-    features.restore = restore_and_sample
-    scene = load(path)
-    found = features.feature_costs(scene, until=0.02, rounds=2, only=("baseline", "without walls"))
-    return {
-        "rows": features.cost_rows(found),
-        "positions": positions,
-        "text": features.text(found, scene.title),
-    }
+    measure.restore = restore_and_sample
+    scene = load_scene(path)
+    found = measure.feature_costs(scene, until=0.02, rounds=2, only=("baseline", "without walls"))
+    write_feature_costs(Path(directory) / "out", found, scene.title)
+    written = {each.name: each.read_text() for each in (Path(directory) / "out").iterdir()}
+    return {"rows": cost_rows(found), "positions": positions, "written": written}
 
 
 def test_every_timing_starts_from_the_same_particles(tmp_path):

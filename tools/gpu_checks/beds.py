@@ -33,13 +33,13 @@ def bed(path: str, count: int) -> Case:
 
 def plan_of(case: Case, precision: str, on_gpu: bool, law: str = LAW, skin: str = "auto") -> Any:
     """Plan of a bed between four walls and a floor."""
-    from granflow.load import load
+    from granflow.load import load_scene
     from granflow.plan.build import plan_for
 
     with tempfile.TemporaryDirectory() as folder:
         scene_file = Path(folder) / "bed.yaml"
         scene_file.write_text(ours.scene_text(case, law, precision, skin))
-        return plan_for(load(scene_file), on_gpu=on_gpu)
+        return plan_for(load_scene(scene_file), on_gpu=on_gpu)
 
 
 def engine_for(

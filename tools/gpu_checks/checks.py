@@ -196,11 +196,11 @@ def scenes(arch: str, precision: str) -> list[dict[str, Any]]:
     found = hopper(arch, precision)
     if precision != "f64":
         return found
-    from granflow.load import load
+    from granflow.load import load_scene
     from granflow.simulation import Simulation
 
     for name in VERIFIED:
-        scene = load(SCENES / "verification" / f"{name}.yaml", ["numerics.chunk_size=1"])
+        scene = load_scene(SCENES / "verification" / f"{name}.yaml", ["numerics.chunk_size=1"])
         simulation = Simulation(scene, arch=arch)  # type: ignore[arg-type]
         messages = [message for message, satisfied in simulation.run().expectations if not satisfied]
         simulation.free()
@@ -211,10 +211,10 @@ def scenes(arch: str, precision: str) -> list[dict[str, Any]]:
 
 def hopper(arch: str, precision: str) -> list[dict[str, Any]]:
     """Rain of 400 particles into the closed hopper: cone, cylinder, disc, friction, energy budget."""
-    from granflow.load import load
+    from granflow.load import load_scene
     from granflow.simulation import Simulation
 
-    scene = load(SCENES / "hopper.yaml", ["particles.beads.count=400", "numerics.chunk_size=1"])
+    scene = load_scene(SCENES / "hopper.yaml", ["particles.beads.count=400", "numerics.chunk_size=1"])
     simulation = Simulation(scene, arch=arch, precision=precision)  # type: ignore[arg-type]
     totals = simulation.run(until=0.1).totals
     simulation.free()

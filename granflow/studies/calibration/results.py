@@ -1,5 +1,8 @@
-"""Results of a calibration: best values with uncertainties, targets, conflicts, and the scenes with the best
-values."""
+"""Results of a calibration, and its files: tables, scenes with the best values, and the page.
+
+`result_of` makes the `CalibrationResult` of all trials so far: best values with uncertainties, targets at the
+best values, and conflicts between targets.
+"""
 
 import shutil
 from collections.abc import Mapping, Sequence
@@ -10,255 +13,39 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import fdtrc
 
 from granflow import Scene, load_scene
+from granflow.fields import unit_of
 from granflow.io.files import replacing, write_text
 from granflow.io.tables import write_table
 from granflow.load import copied_scene
-from granflow.studies.calibration.schema import CalibrationInput, Parameter
-from granflow.studies.calibration.search import (
-    EXACT,
-    LEVEL,
-    Response,
-    Search,
-    by_distance,
+from granflow.studies.calibration.response import Effects, fewest_trials, identification
+from granflow.studies.calibration.schema import (
+    CalibrationInput,
+    Parameter,
     deviation_in_units,
-    fewest_trials,
-    fit,
     from_unit,
-    highest_degree,
-    nearest_trials,
-    optimum_of,
     settings_of,
-    terms,
 )
+from granflow.studies.calibration.search import Search
 from granflow.studies.calibration.trials import Measured, deviation, given_text
-from granflow.studies.run_process import overrides_of
+from granflow.studies.checked_run import overrides_of
+from granflow.studies.figures import COLORS
+from granflow.studies.interactive_plots import (
+    Plot,
+    axis,
+    escaped,
+    layout,
+    library,
+    plain_number,
+    row_of_axes,
+    short_names,
+)
+from granflow.studies.page import page_text
+from granflow.studies.tables import PageTable, without_empty_ends
+from granflow.units import in_unit
 
-# What the targets determine: effects of the parameters over their bounds, and uncertainties at the best
-# values.
-#
-# 1. Effect: a residual responds to a parameter if the terms with the parameter improve a polynomial fit to
-#    all trials that have this residual, by an F test at LEVEL, divided by the number of residuals
-#    (Bonferroni).
-# 2. Uncertainty: the targets determine the parameters with the covariance
-#
-#     C = (sum of J J^T / (1 + s^2) + 12 I)^-1
-#
-# J: gradient of a residual at the best values, s: its scatter about the fit, 12 I: inverse variance of the
-# uniform distribution between the bounds. Fits of first and second degree, to the trials near the best one,
-# to all and to numbers between, predict the trials near the best one, if each of these is left out (PRESS).
-# Of the fits whose mean squared error is within one standard error of the smallest, each residual has the
-# one with the most significant slopes, of these the one with the smallest error. A component of J counts as
-# 0 without an effect over the bounds, or if its ratio to its standard error is below the quantile of the
-# t-distribution.
-
-UNIFORM_VARIANCE = 1.0 / 12.0
-"""Variance of the uniform distribution on [0, 1]."""
-WINDOW_FACTOR = 1.25
-"""Ratio of the numbers of trials of two fits that follow each other."""
-NOT_IDENTIFIED = 0.5
-"""Ratio of the standard deviation of a parameter to that of the uniform distribution between its bounds,
-above which the targets do not identify it."""
-
-
-@dataclass(frozen=True)
-class Effects:
-    """Effects of the parameters on the residuals over the bounds; arrays (residuals, d).
-
-    `change`: of a residual from the lower to the upper bound of a parameter, averaged over the other
-    parameters; `error`: its standard error; `probability`: of an effect of this size by scatter alone, for
-    all residuals together. `trials` (residuals,): number of trials that have each residual.
-    """
-
-    change: np.ndarray
-    error: np.ndarray
-    probability: np.ndarray
-    trials: np.ndarray
-
-    @property
-    def significant(self) -> np.ndarray:
-        """Whether each residual responds to each parameter."""
-        return np.asarray(self.probability < LEVEL)
-
-    def strongest(self, parameter: int) -> int:
-        """Index of the residual with the most significant effect of a parameter."""
-        return int(np.argmin(self.probability[:, parameter]))
-
-
-def effects(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray) -> Effects:
-    """Effects of parameters u (trials, d) on residuals (trials, residuals) with standard errors of the same
-    shape.
-
-        F = (RSS of the fit without the terms of a parameter - RSS of the full fit) / (number of these terms
-        s^2)
-
-    A residual that a trial does not have is nan. Each one needs the `fewest_trials` for a fit of first
-    degree.
-    """
-    known = np.isfinite(residuals)
-    found = [
-        _effect(u[has], r[has, None], e[has, None])
-        for has, r, e in zip(known.T, residuals.T, errors.T, strict=True)
-    ]
-    change, error, probability = np.array(found).transpose(1, 0, 2)
-    return Effects(change, error, np.minimum(probability * len(found), 1.0), known.sum(axis=0))
-
-
-def _effect(u: np.ndarray, residual: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Change, its standard error and probability (3, d) of one residual (trials, 1)."""
-    count = u.shape[1]
-    degree = highest_degree(*u.shape)
-    response = fit(u, residual, degree, error)
-    matrix = terms(u, degree)
-    full = _squares(matrix, residual)
-    found = np.empty((3, count))
-    for k in range(count):
-        low = np.full((1, count), 0.5)
-        high = low.copy()
-        low[0, k], high[0, k] = 0.0, 1.0
-        contrast = (terms(high, degree) - terms(low, degree))[0]
-        has_parameter = (
-            terms(np.eye(count)[[k]] + 2.0, degree)[0] != terms(np.full((1, count), 2.0), degree)[0]
-        )
-        excess = _squares(matrix[:, ~has_parameter], residual) - full
-        ratio = max(excess, 0.0) / (has_parameter.sum() * response.scatter[0] ** 2)
-        found[0, k] = contrast @ response.coefficients[:, 0]
-        found[1, k] = response.scatter[0] * np.sqrt(contrast @ response.spread @ contrast)
-        found[2, k] = fdtrc(has_parameter.sum(), response.freedom, ratio)
-    return found
-
-
-def _squares(matrix: np.ndarray, residual: np.ndarray) -> float:
-    """Sum of squared deviations from the best fit with the terms of `matrix` (trials, terms)."""
-    return float(((residual - matrix @ (np.linalg.pinv(matrix) @ residual)) ** 2).sum())
-
-
-@dataclass(frozen=True)
-class Identification:
-    """What the targets determine: standard deviation (d,) of each parameter in [0, 1]; responses to each
-    parameter.
-
-    `optimum` (d,): parameters in [0, 1] with the smallest sum of squares of the fitted residuals.
-    `importance` (d,):
-    share of each parameter in the squared gradients of the residuals at the best values; 0 if no target
-    responds to the parameter there.
-    """
-
-    deviation: np.ndarray
-    optimum: np.ndarray
-    importance: np.ndarray
-    effects: Effects
-
-    def is_identified(self, index: int) -> bool:
-        """Whether the targets determine a parameter."""
-        return bool(self.deviation[index] < NOT_IDENTIFIED * np.sqrt(UNIFORM_VARIANCE))
-
-    def statement(self, names: Sequence[str], index: int, changes: str) -> str:
-        """A sentence on a parameter that the targets do not identify; empty for an identified one.
-
-        `changes`: text of the effect of the parameter on a target.
-        """
-        if self.is_identified(index):
-            return ""
-        name = names[index]
-        strongest = self.effects.strongest(index)
-        probability = self.effects.probability[strongest, index]
-        others = [other for k, other in enumerate(names) if k != index and self.importance[k] > 0.0]
-        if not self.effects.significant[:, index].any():
-            reason = (
-                "none of them responds to it between its bounds by more than the scatter between runs; "
-                f"{changes} (F test of {self.effects.trials[strongest]} trials: p = {probability:.2g}, "
-                f"significant below {LEVEL})"
-            )
-        elif self.importance[index] == 0.0:
-            reason = (
-                f"they respond to it between its bounds ({changes}, p = {probability:.2g}), but near the "
-                "best values by no more than the scatter between runs"
-            )
-        elif others:
-            reason = f"they determine it only together with {', '.join(others)}"
-        else:
-            reason = "their tolerances are too large for its range"
-        return f"{name} cannot be identified from the targets: {reason}."
-
-
-def identification(
-    u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: int
-) -> Identification | None:
-    """What the targets determine near trial `best`; see the module docstring. None with too few completed
-    trials.
-
-    `u`: parameters (trials, d) in [0, 1]; `residuals` and their standard `errors`: (trials, residuals), nan
-    where a trial was stopped before; `best`: index of the best of the completed trials, which have all
-    residuals.
-    """
-    completed = np.isfinite(residuals).all(axis=1)
-    if highest_degree(int(completed.sum()), u.shape[1]) == 0:
-        return None
-    found = effects(u, residuals, errors)
-    number = int(completed[:best].sum())
-    fits = _local_fits(u[completed], residuals[completed], errors[completed], number)
-    at = u[best]
-    slopes = np.array([_significant(each, at)[k] for k, each in enumerate(fits)])
-    slopes = np.where(found.significant, slopes, 0.0)
-    scatter = np.array([each.scatter[k] for k, each in enumerate(fits)])
-    information = (slopes.T / (1.0 + scatter**2)) @ slopes + np.eye(u.shape[1]) / UNIFORM_VARIANCE
-    squares = (slopes**2).sum(axis=0)
-    total = float(squares.sum()) or 1.0
-    optimum = optimum_of(lambda u: np.array([each.at(u)[k] for k, each in enumerate(fits)]), at)
-    return Identification(np.sqrt(np.diag(np.linalg.inv(information))), optimum, squares / total, found)
-
-
-def _local_fits(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: int) -> list[Response]:
-    """The fit of each residual near trial `best`; see the module docstring."""
-    highest = highest_degree(*u.shape)
-    near = len(nearest_trials(u, best, highest))
-    order = by_distance(u, best)
-    fits = []
-    squares = []
-    significant = []
-    for degree in range(1, highest + 1):
-        for count in _window_sizes(near, len(u)):
-            used = order[:count]
-            fits.append(fit(u[used], residuals[used], degree, errors[used]))
-            squares.append(_left_out(u[used], residuals[used], degree)[:near] ** 2)
-            significant.append((_significant(fits[-1], u[best]) != 0.0).sum(axis=1))
-    error = np.mean(squares, axis=1)
-    smallest = error.argmin(axis=0)
-    columns = np.arange(residuals.shape[1])
-    spread = np.std(squares, axis=1, ddof=1)[smallest, columns] / np.sqrt(near)
-    allowed = error <= error[smallest, columns] + spread
-    rank = np.where(allowed, significant, -1)
-    chosen = np.where(rank == rank.max(axis=0), error, np.inf).argmin(axis=0)
-    return [fits[k] for k in chosen]
-
-
-def _window_sizes(smallest: int, largest: int) -> list[int]:
-    """Numbers of trials of the fits, from the smallest to the largest."""
-    sizes = [smallest]
-    while sizes[-1] < largest:
-        sizes.append(min(int(np.ceil(WINDOW_FACTOR * sizes[-1])), largest))
-    return sizes
-
-
-def _significant(response: Response, at: np.ndarray) -> np.ndarray:
-    """Gradient (residuals, d) at the parameters `at` (d,), 0 where it is not significant."""
-    slopes, errors = response.gradient(at)
-    return np.where(np.abs(slopes) >= response.least_ratio * errors, slopes, 0.0)
-
-
-def _left_out(u: np.ndarray, residuals: np.ndarray, degree: int) -> np.ndarray:
-    """Deviations (trials, residuals) of each trial from the fit to all other trials: e / (1 - h), h:
-    leverage."""
-    matrix = terms(u, degree)
-    hat = matrix @ np.linalg.pinv(matrix)
-    return np.asarray((residuals - hat @ residuals) / np.maximum(1.0 - np.diag(hat), EXACT)[:, None])
-
-
-FEWEST_TRIALS = 20
-"""Smallest number of completed trials for a statement on conflicts."""
+# The result
 
 
 @dataclass(frozen=True)
@@ -395,6 +182,15 @@ def _best_values(
     return found
 
 
+def _best_value(
+    name: str, parameter: Parameter, value: float, fitted: tuple[float, float, float], not_identified: str
+) -> BestValue:
+    """The best value of a parameter with its texts; `fitted`: optimum, standard deviation, importance."""
+    optimum, error, importance = fitted
+    shown = parameter.text(value, 5), parameter.text(optimum, 5), parameter.text(error, 2)
+    return BestValue(name, value, optimum, error, importance, not_identified, shown)
+
+
 def _strongest_change(targets: Mapping[str, Measured], effects: Effects, index: int) -> str:
     """Text of the most significant effect of a parameter over its bounds, such as
     `angle changes by 2 ± 1 deg`."""
@@ -404,15 +200,6 @@ def _strongest_change(targets: Mapping[str, Measured], effects: Effects, index: 
     change, error = (each[strongest, index] / measured.scale for each in (effects.change, effects.error))
     text = given_text(measured, change, measured.target.quantity, 2)
     return f"{names[strongest]} changes by {text} \N{PLUS-MINUS SIGN} {error / measured.factor:.2g}"
-
-
-def _best_value(
-    name: str, parameter: Parameter, value: float, fitted: tuple[float, float, float], not_identified: str
-) -> BestValue:
-    """The best value of a parameter with its texts; `fitted`: optimum, standard deviation, importance."""
-    optimum, error, importance = fitted
-    shown = parameter.text(value, 5), parameter.text(optimum, 5), parameter.text(error, 2)
-    return BestValue(name, value, optimum, error, importance, not_identified, shown)
 
 
 def _best_target(name: str, measured: Measured, trial: Any) -> BestTarget:
@@ -427,6 +214,10 @@ def _best_target(name: str, measured: Measured, trial: Any) -> BestTarget:
         shown += f" \N{PLUS-MINUS SIGN} {error * measured.target.tolerance / measured.factor:.2g}"
     given = "curve" if measured.time is not None else given_text(measured, value, quantity)
     return BestTarget(name, quantity, value, simulated, size, error, (given, shown))
+
+
+FEWEST_TRIALS = 20
+"""Smallest number of completed trials for a statement on conflicts."""
 
 
 def _conflicts(targets: Mapping[str, Measured], completed: Sequence[Any]) -> list[str]:
@@ -446,6 +237,70 @@ def _conflicts(targets: Mapping[str, Measured], completed: Sequence[Any]) -> lis
                 f"{first} and {int(met[1].sum())} meet {second} within the tolerance, but none meets both."
             )
     return found
+
+
+# Attributes of trials of Optuna
+
+
+def runs_of(trial: Any) -> dict[str, str]:
+    """Names of the run directories of a trial by scene."""
+    return {key[4:]: value for key, value in trial.user_attrs.items() if key.startswith("run.")}
+
+
+def warnings_of_trial(trial: Any) -> tuple[str, ...]:
+    """Warnings of the runs of a trial, each with the name of its scene."""
+    return tuple(trial.user_attrs.get("warnings", ()))
+
+
+def state_of(trial: Any) -> str:
+    """State of a trial in words."""
+    words = {"COMPLETE": "completed", "PRUNED": "stopped early", "FAIL": "failed", "RUNNING": "running"}
+    return words.get(trial.state.name, "waiting")
+
+
+# Tables
+
+
+def write_result(out: Path, result: CalibrationResult) -> None:
+    """Write `trials.csv` and `best.csv`, each atomically."""
+    best = {
+        "parameter": [each.name for each in result.parameters],
+        "value": [each.value for each in result.parameters],
+        "optimum_of_fit": [_number(each.optimum) for each in result.parameters],
+        "standard_deviation": [_number(each.deviation) for each in result.parameters],
+        "identified": [not each.not_identified for each in result.parameters],
+        "remark": [each.not_identified for each in result.parameters],
+    }
+    for name, columns in (("trials.csv", trial_columns(result)), ("best.csv", best)):
+        with replacing(out / name) as temporary:
+            write_table(temporary, columns, zip(*columns.values(), strict=True))
+
+
+def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:
+    """Columns of `trials.csv`: number, state, loss, parameters, simulated values, reason, warnings, runs.
+
+    None if missing.
+    """
+    names = [each.name for each in result.parameters]
+    targets = [each.name for each in result.targets]
+    found: dict[str, list[Any]] = {"trial": [trial.number for trial in result.trials]}
+    found["state"] = [state_of(trial) for trial in result.trials]
+    found["loss"] = [trial.value if trial.state.name == "COMPLETE" else None for trial in result.trials]
+    for name in names:
+        found[name] = [trial.params.get(name) for trial in result.trials]
+    for name in targets:
+        found[f"target.{name}"] = [trial.user_attrs.get("simulated", {}).get(name) for trial in result.trials]
+    found["reason"] = [trial.user_attrs.get("reason") for trial in result.trials]
+    found["warnings"] = [" ".join(warnings_of_trial(trial)) for trial in result.trials]
+    found["runs"] = [" ".join(runs_of(trial).values()) for trial in result.trials]
+    return found
+
+
+def _number(value: float) -> float | None:
+    return value if -inf < value < inf else None
+
+
+# Scenes with the best values
 
 
 def write_best_scenes(
@@ -476,56 +331,187 @@ def _copy_inputs(scene: Scene, copied: Scene, out: Path) -> None:
                 shutil.copyfile(source, temporary)
 
 
-def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:
-    """Columns of `trials.csv`: number, state, loss, parameters, simulated values, reason, warnings, runs.
+# The page
 
-    None if missing.
+PAGE = "calibration.html"
+HEIGHT = 340
+"""Height of a plot [pixels]."""
+
+
+def write_calibration_page(out: Path, calibration: CalibrationInput, result: CalibrationResult) -> None:
+    """Write `calibration.html` to the directory of the calibration; without plotly, it has tables only."""
+    script = library()
+    text = page_text(
+        "calibration.html",
+        plotly=script,
+        title=calibration.title or f"Calibration of {' and '.join(calibration.scenes)}",
+        lead=calibration.description or "Parameters from measured targets.",
+        loss=result.loss,
+        best=_best(result),
+        targets=_targets(result),
+        remarks=result.remarks,
+        has_plots=bool(script),
+        convergence=_convergence(result, calibration),
+        losses=_losses(result, calibration),
+        importance=_importance(result, calibration),
+        trials=_trials(result, calibration),
+    )
+    write_text(out / PAGE, text)
+
+
+def _best(result: CalibrationResult) -> PageTable:
+    """Best values, optima of the fit and their standard deviations."""
+    rows = [(each.name, *each.shown, "no" if each.not_identified else "yes") for each in result.parameters]
+    return PageTable(
+        ("parameter", "best trial", "optimum of the fit", "standard deviation", "identified"), rows
+    )
+
+
+def _targets(result: CalibrationResult) -> PageTable:
+    """Targets at the best values."""
+    rows = [(each.name, each.quantity, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
+    return PageTable(("target", "quantity", "measured", "simulated", "deviation / tolerance"), rows)
+
+
+def _convergence(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
+    """Loss of each completed trial, and the smallest loss so far."""
+    trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
+    numbers = [trial.number for trial in trials]
+    losses = [trial.value for trial in trials]
+    data = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "trial",
+            "x": numbers,
+            "y": [plain_number(each) for each in losses],
+            "hovertext": [_hover(trial, calibration) for trial in trials],
+            "hoverinfo": "text",
+            "marker": {"color": COLORS[5]},
+        },
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": "smallest so far",
+            "x": numbers,
+            "line": {"shape": "hv"},
+            "y": [plain_number(float(each)) for each in np.minimum.accumulate(losses)],
+            "marker": {"color": COLORS[0]},
+        },
+    ]
+    axes = {"xaxis": axis("trial"), "yaxis": axis("loss", type="log")}
+    return Plot(
+        "Convergence: loss of each trial and smallest loss so far",
+        {
+            "data": data,
+            "layout": layout(HEIGHT, **axes) | {"showlegend": True},
+        },
+    )
+
+
+def _losses(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
+    """Loss over each parameter."""
+    trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
+    data = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "x": [plain_number(each.in_unit(trial.params[name])) for trial in trials],
+            "y": [plain_number(trial.value) for trial in trials],
+            "hovertext": [_hover(trial, calibration) for trial in trials],
+            "hoverinfo": "text",
+            "xaxis": f"x{k + 1}" if k else "x",
+            "yaxis": f"y{k + 1}" if k else "y",
+            "marker": {
+                "color": [trial.number for trial in trials],
+                "colorscale": "Viridis",
+                "size": 7,
+                "line": {"width": 1, "color": "#999999"},
+            },
+        }
+        for k, (name, each) in enumerate(calibration.parameters.items())
+    ]
+    axes = row_of_axes(list(map(escaped, _labels(calibration))), "loss")
+    for key, each in axes.items():
+        is_log = (
+            key.startswith("y") or list(calibration.parameters.values())[int(key[5:] or 1) - 1].scale == "log"
+        )
+        each["type"] = "log" if is_log else "linear"
+    return Plot(
+        "Loss over each parameter, colored by the number of the trial",
+        {
+            "data": data,
+            "layout": layout(HEIGHT, **axes),
+        },
+    )
+
+
+def _labels(calibration: CalibrationInput) -> list[str]:
+    """Short name of each parameter with its unit."""
+    short = short_names(list(calibration.parameters))
+    return [
+        f"{short[name]} [{each.unit}]" if each.unit else short[name]
+        for name, each in calibration.parameters.items()
+    ]
+
+
+def _hover(trial: Any, calibration: CalibrationInput) -> str:
+    """Text at the pointer: number, loss, parameters and run directories of a trial."""
+    short = short_names(list(calibration.parameters))
+    values = [
+        f"{escaped(short[name])} = {each.text(trial.params[name])}"
+        for name, each in calibration.parameters.items()
+    ]
+    runs = [f"runs/{name}" for name in runs_of(trial).values()]
+    return "<br>".join([f"trial {trial.number}: loss {trial.value:.4g}", *values, *runs])
+
+
+def _importance(result: CalibrationResult, calibration: CalibrationInput) -> Plot | None:
+    """Share of each parameter in the squared gradients of the residuals at the best values.
+
+    There is no plot without a fit.
     """
-    names = [each.name for each in result.parameters]
-    targets = [each.name for each in result.targets]
-    found: dict[str, list[Any]] = {"trial": [trial.number for trial in result.trials]}
-    found["state"] = [state_of(trial) for trial in result.trials]
-    found["loss"] = [trial.value if trial.state.name == "COMPLETE" else None for trial in result.trials]
-    for name in names:
-        found[name] = [trial.params.get(name) for trial in result.trials]
-    for name in targets:
-        found[f"target.{name}"] = [trial.user_attrs.get("simulated", {}).get(name) for trial in result.trials]
-    found["reason"] = [trial.user_attrs.get("reason") for trial in result.trials]
-    found["warnings"] = [" ".join(warnings_of_trial(trial)) for trial in result.trials]
-    found["runs"] = [" ".join(runs_of(trial).values()) for trial in result.trials]
-    return found
-
-
-def runs_of(trial: Any) -> dict[str, str]:
-    """Names of the run directories of a trial by scene."""
-    return {key[4:]: value for key, value in trial.user_attrs.items() if key.startswith("run.")}
-
-
-def warnings_of_trial(trial: Any) -> tuple[str, ...]:
-    """Warnings of the runs of a trial, each with the name of its scene."""
-    return tuple(trial.user_attrs.get("warnings", ()))
-
-
-def state_of(trial: Any) -> str:
-    """State of a trial in words."""
-    words = {"COMPLETE": "completed", "PRUNED": "stopped early", "FAIL": "failed", "RUNNING": "running"}
-    return words.get(trial.state.name, "waiting")
-
-
-def write_result(out: Path, result: CalibrationResult) -> None:
-    """Write `trials.csv` and `best.csv`, each atomically."""
-    best = {
-        "parameter": [each.name for each in result.parameters],
-        "value": [each.value for each in result.parameters],
-        "optimum_of_fit": [_number(each.optimum) for each in result.parameters],
-        "standard_deviation": [_number(each.deviation) for each in result.parameters],
-        "identified": [not each.not_identified for each in result.parameters],
-        "remark": [each.not_identified for each in result.parameters],
+    shares = [each.importance for each in result.parameters]
+    if any(share != share for share in shares) or len(shares) < 2:
+        return None
+    data = {
+        "type": "bar",
+        "marker": {"color": COLORS[0]},
+        "y": [plain_number(share) for share in shares],
+        "x": list(map(escaped, short_names(list(calibration.parameters)).values())),
     }
-    for name, columns in (("trials.csv", trial_columns(result)), ("best.csv", best)):
-        with replacing(out / name) as temporary:
-            write_table(temporary, columns, zip(*columns.values(), strict=True))
+    axes = {"xaxis": axis("", type="category"), "yaxis": axis("share")}
+    caption = (
+        "Importance: share of each parameter, scaled to its bounds, in the response of the targets near the "
+        "best trial"
+    )
+    return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
 
 
-def _number(value: float) -> float | None:
-    return value if -inf < value < inf else None
+def _trials(result: CalibrationResult, calibration: CalibrationInput) -> PageTable:
+    """All trials: number, state, loss, parameters, simulated targets, runs and reasons."""
+    rows = []
+    units = {
+        name: "" if each.value is None else each.value.unit for name, each in calibration.targets.items()
+    }
+    shown = {name: units[name] or unit_of(each.quantity) for name, each in calibration.targets.items()}
+    for trial in result.trials:
+        simulated = trial.user_attrs.get("simulated", {})
+        loss = f"{trial.value:.4g}" if trial.state.name == "COMPLETE" else "–"
+        parameters = [
+            f"{each.in_unit(trial.params[name]):.4g}" if trial.params else "–"
+            for name, each in calibration.parameters.items()
+        ]
+        targets = [
+            f"{in_unit(simulated[name], unit):.4g}" if name in simulated else "–"
+            for name, unit in units.items()
+        ]
+        ends = (
+            " ".join(runs_of(trial).values()),
+            trial.user_attrs.get("reason", ""),
+            " ".join(warnings_of_trial(trial)),
+        )
+        rows.append((str(trial.number), state_of(trial), loss, *parameters, *targets, *ends))
+    targets = [f"{name} [{unit}]" if unit else name for name, unit in shown.items()]
+    heads = ["trial", "state", "loss", *_labels(calibration), *targets, "runs", "reason", "warnings"]
+    return without_empty_ends(heads, rows)

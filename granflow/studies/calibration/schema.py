@@ -1,6 +1,11 @@
-"""Schema of calibration files."""
+"""The schema of calibration files: scenes, parameters with bounds, and targets with tolerances.
 
-from collections.abc import Iterator
+The functions at the end convert a parameter between its value and its position between the bounds, 0 to 1, in
+which the search and the fits work.
+"""
+
+from collections.abc import Iterator, Mapping
+from math import log
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -12,7 +17,7 @@ from granflow.scene.blocks.scene import Seed
 from granflow.scene.faults import Fault, missing, redundant, whole
 from granflow.scene.model import FileName, ListOf, Model, Name, Text
 from granflow.scene.suggest import suggestion_or_list
-from granflow.units import GivenNumber, in_unit, mixed_units, unit_conflict
+from granflow.units import GivenNumber, in_si, in_unit, mixed_units, unit_conflict
 
 Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[pairs.glass-glass.friction]")]
 Tolerance = Annotated[GivenNumber, NumberWithUnit("any", noun="a tolerance", above=0)]
@@ -146,3 +151,36 @@ class CalibrationInput(Model):
         parameter = self.parameters[name]
         default = () if parameter.keys_in else (name,)
         return (*(default if parameter.keys is None else parameter.keys), *parameter.keys_in.get(scene, ()))
+
+
+def settings_of(calibration: CalibrationInput, scene: str, values: Mapping[str, float]) -> dict[str, Any]:
+    """Values of the keys of a scene for values of the parameters [SI]; with a unit if the bounds have one."""
+    given = {name: in_si(value, calibration.parameters[name].unit) for name, value in values.items()}
+    keys = {key: value for name, value in given.items() for key in calibration.keys_of(name, scene)}
+    return {**calibration.scenes[scene].settings, **keys}
+
+
+# Positions of parameters between their bounds
+
+
+def to_unit(parameter: Parameter, value: float) -> float:
+    """Position of a value between the bounds of its parameter, 0 to 1."""
+    if parameter.scale == "log":
+        return log(value / parameter.start) / log(parameter.stop / parameter.start)
+    return (value - parameter.start) / (parameter.stop - parameter.start)
+
+
+def from_unit(parameter: Parameter, share: float) -> float:
+    """Value at a position between the bounds of its parameter."""
+    if parameter.scale == "log":
+        value = parameter.start * (parameter.stop / parameter.start) ** share
+    else:
+        value = parameter.start + share * (parameter.stop - parameter.start)
+    return float(min(max(value, parameter.start), parameter.stop))
+
+
+def deviation_in_units(parameter: Parameter, value: float, share: float) -> float:
+    """Standard deviation of a parameter in its own unit, at a value, from that of its position."""
+    if parameter.scale == "log":
+        return float(value * log(parameter.stop / parameter.start) * share)
+    return (parameter.stop - parameter.start) * share

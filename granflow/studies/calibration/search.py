@@ -1,155 +1,25 @@
-"""The search: trials that several workers share through a journal in the folder of the calibration."""
+"""The search: trials that several workers share through a journal in the folder of the calibration.
+
+A `Search` proposes trials by a sampler of Optuna; the last ones are at the optimum of the fitted response
+instead. The journal contains all trials with their attributes, so that a calibration continues where it was
+stopped, and workers that are killed lose one trial each.
+"""
 
 import json
 import os
 import socket
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations_with_replacement
-from math import log
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import stdtrit
 
 from granflow.errors import GranflowError
-from granflow.io.files import replacing
-from granflow.io.lock import locked
-from granflow.studies.calibration.schema import CalibrationInput, Parameter
-from granflow.units import in_si
+from granflow.io.files import locked, replacing
+from granflow.studies.calibration.response import fit_response
+from granflow.studies.calibration.schema import CalibrationInput, from_unit, to_unit
 
-# Polynomial responses of the residuals to the parameters, fitted to trials by least squares.
-#
-# Each residual r is a polynomial of the parameters u, scaled to [0, 1]; s is the standard deviation of the
-# residual about the fit (scatter between runs), at least the root mean square of the standard errors that
-# the runs give for their values.
-
-LEVEL = 0.0027
-"""Significance level of effects and slopes, two-sided: 3 standard deviations of a normal distribution."""
-SURPLUS = 1.5
-"""Smallest ratio of the number of trials to that of the coefficients."""
-EXACT = 1e-9
-"""Smallest standard deviation of a residual: the scatter of exact polynomials is 0."""
-
-
-@dataclass(frozen=True)
-class Response:
-    """Fitted residuals: coefficients (terms, residuals), covariance factor (terms, terms), scatter
-    (residuals,).
-
-    `freedom`: number of trials less that of the terms.
-    """
-
-    degree: int
-    coefficients: np.ndarray
-    spread: np.ndarray
-    scatter: np.ndarray
-    freedom: int
-
-    @property
-    def least_ratio(self) -> float:
-        """Smallest significant ratio of a slope to its standard error: quantile of Student's t, 3 for many
-        trials."""
-        return float(stdtrit(self.freedom, 1.0 - LEVEL / 2.0))
-
-    def at(self, u: np.ndarray) -> np.ndarray:
-        """Residuals (residuals,) at parameters u (d,)."""
-        return np.asarray(terms(u[None, :], self.degree)[0] @ self.coefficients)
-
-    def gradient(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (residuals, d) at u (d,), and its standard errors."""
-        slopes = _term_slopes(u, self.degree)
-        errors = np.sqrt(np.einsum("it,ts,is->i", slopes, self.spread, slopes))
-        return (slopes @ self.coefficients).T, np.outer(self.scatter, errors)
-
-    def optimum(self, start: np.ndarray) -> np.ndarray:
-        """Parameters (d,) in [0, 1] with the smallest sum of squared residuals, found from `start`."""
-        return optimum_of(self.at, start)
-
-
-def optimum_of(residuals_at: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> np.ndarray:
-    """Parameters (d,) in [0, 1] with the smallest sum of squared residuals, found from `start`.
-
-    residuals_at:  function of parameters (d,) that returns residuals (residuals,)
-    """
-    return np.asarray(least_squares(residuals_at, np.clip(start, 1e-6, 1.0 - 1e-6), bounds=(0.0, 1.0)).x)
-
-
-def fewest_trials(count: int, degree: int = 1) -> int:
-    """Smallest number of trials for a fit of `degree` with `count` parameters."""
-    return int(np.ceil(SURPLUS * terms(np.zeros((1, count)), degree).shape[1])) + 1
-
-
-def fit_response(u: np.ndarray, residuals: np.ndarray, best: int) -> Response | None:
-    """Fit residuals (trials, residuals) over parameters u (trials, d), near trial `best`; None with too few
-    trials.
-
-    The degree is 2 if the trials suffice for it, else 1. The trials are those of `nearest_trials`.
-    """
-    degree = highest_degree(*u.shape)
-    if degree == 0:
-        return None
-    near = nearest_trials(u, best, degree)
-    return fit(u[near], residuals[near], degree)
-
-
-def highest_degree(trials: int, count: int) -> int:
-    """Highest degree, 2 or 1, for which the trials suffice with `count` parameters; 0 if there is none."""
-    return next((degree for degree in (2, 1) if trials >= fewest_trials(count, degree)), 0)
-
-
-def nearest_trials(u: np.ndarray, best: int, degree: int) -> np.ndarray:
-    """Indices of the half of the trials nearest to the best one, or of as many as a fit of `degree` needs."""
-    return by_distance(u, best)[: max(fewest_trials(u.shape[1], degree), len(u) // 2)]
-
-
-def by_distance(u: np.ndarray, best: int) -> np.ndarray:
-    """Indices of all trials in the order of their distance from the best one."""
-    return np.argsort(((u - u[best]) ** 2).sum(axis=1), kind="stable")
-
-
-def fit(u: np.ndarray, residuals: np.ndarray, degree: int, errors: np.ndarray | None = None) -> Response:
-    """Least squares of all residuals (trials, residuals) with the same terms.
-
-    `errors`: standard errors of the residuals (trials, residuals); the scatter about the fit is at least as
-    large.
-    """
-    matrix = terms(u, degree)
-    inverse = np.linalg.pinv(matrix)
-    coefficients = inverse @ residuals
-    freedom = len(u) - matrix.shape[1]
-    scatter = np.sqrt(((residuals - matrix @ coefficients) ** 2).sum(axis=0) / freedom)
-    if errors is not None:
-        scatter = np.maximum(scatter, np.sqrt((errors**2).mean(axis=0)))
-    return Response(degree, coefficients, inverse @ inverse.T, np.maximum(scatter, EXACT), freedom)
-
-
-def terms(u: np.ndarray, degree: int) -> np.ndarray:
-    """Terms (n, terms) of a polynomial at u (n, d): 1, u_i, and for degree 2 u_i u_j."""
-    columns = [np.ones(len(u)), *u.T]
-    if degree == 2:
-        columns += [u[:, i] * u[:, j] for i, j in combinations_with_replacement(range(u.shape[1]), 2)]
-    return np.column_stack(columns)
-
-
-def _term_slopes(u: np.ndarray, degree: int) -> np.ndarray:
-    """Derivatives (d, terms) of the terms at u (d,)."""
-    d = len(u)
-    unit = np.eye(d)
-    columns = [np.zeros(d), *unit]
-    if degree == 2:
-        columns += [unit[i] * u[j] + unit[j] * u[i] for i, j in combinations_with_replacement(range(d), 2)]
-    return np.column_stack(columns)
-
-
-JOURNAL = "trials.journal"
-"""File with all trials."""
-LOCK_GRACE = 10
-"""Time [s] after which the lock of the journal is that of a killed process; others hold it for some
-milliseconds."""
 REFINED_SHARE = 0.3
 """Share of the trials, the last ones, that evaluate the optimum of the fitted response instead of a sampled
 point."""
@@ -160,9 +30,32 @@ FIRST_RANDOM = 10
 """Trials with random parameters before the sampler learns from them."""
 
 
+def require_optuna(method: str) -> Any:
+    """The module optuna. Raises GranflowError if it, or a package that the method needs, is not installed."""
+    try:
+        import optuna
+        import optuna.storages.journal
+    except ImportError:
+        raise GranflowError(
+            "Calibration requires Optuna, which is not installed: pip install optuna cmaes"
+        ) from None
+    for name, package in (("cma_es", "cmaes"), ("gp", "torch")):
+        if method == name:
+            try:
+                __import__(package)
+            except ImportError:
+                raise GranflowError(
+                    f"search.method {name} requires {package}: pip install {package}"
+                ) from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna
+
+
 class Search:
-    """Trials of a calibration. Methods may be called from several threads, and several processes share the
-    journal."""
+    """Trials of a calibration.
+
+    Methods may be called from several threads, and several processes share the journal.
+    """
 
     def __init__(self, calibration: CalibrationInput, out: Path) -> None:
         self.optuna = require_optuna(calibration.search.method)
@@ -215,8 +108,10 @@ class Search:
                 )
 
     def _sampler(self, existing: int) -> Any:
-        """The sampler of Optuna; `existing`: number of trials, so that a restart does not repeat random
-        points."""
+        """The sampler of Optuna.
+
+        `existing`: number of trials, so that a restart does not repeat random points.
+        """
         samplers = self.optuna.samplers
         seed = self.calibration.search.seed + existing
         if self.calibration.search.method == "cma_es":
@@ -294,8 +189,10 @@ class Search:
         return self._unit_parameters(trials), _by_target(trials, "residuals")
 
     def standard_errors(self, trials: Sequence[Any]) -> np.ndarray:
-        """Standard errors (trials, residuals) of the weighted residuals, from the runs; 0 where these have
-        none."""
+        """Standard errors (trials, residuals) of the weighted residuals, from the runs.
+
+        They are 0 where the runs give none.
+        """
         return _by_target(trials, "errors")
 
     def _unit_parameters(self, trials: Sequence[Any]) -> np.ndarray:
@@ -325,6 +222,32 @@ class Search:
         if np.abs(tried - found).max(axis=1).min() > NEW_POINT:
             named = zip(self.calibration.parameters.items(), found, strict=True)
             self.study.enqueue_trial({name: from_unit(each, share) for (name, each), share in named})
+
+
+def _by_target(trials: Sequence[Any], attribute: str) -> np.ndarray:
+    """Numbers of all targets (trials, residuals) in an attribute of trials.
+
+    They are nan for a target that a trial lacks.
+    """
+    counts = {name: len(values) for name, values in trials[0].user_attrs["residuals"].items()}
+    found = [
+        np.concatenate(
+            [trial.user_attrs[attribute].get(name, [np.nan] * count) for name, count in counts.items()]
+        )
+        for trial in trials
+    ]
+    return np.array(found)
+
+
+# The journal
+
+JOURNAL = "trials.journal"
+"""File with all trials."""
+LOCK_GRACE = 10
+"""Time [s] after which the lock of the journal is that of a killed process; others hold it for some
+milliseconds."""
+OPERATION = b'{"op_code"'
+"""Start of a line of the journal."""
 
 
 def _journal_of(journal: Any, path: str, lock: Any) -> Any:
@@ -368,8 +291,10 @@ def _journal_of(journal: Any, path: str, lock: Any) -> Any:
 
 
 def _remove_damaged_lines(path: Path) -> None:
-    """Remove the lines of a journal that are no operations; a whole operation behind a cut-off one is
-    kept."""
+    """Remove the lines of a journal that are no operations.
+
+    A whole operation behind a cut-off one is kept.
+    """
     lines = path.read_bytes().splitlines(keepends=True)
     kept = []
     for line in lines:
@@ -383,10 +308,6 @@ def _remove_damaged_lines(path: Path) -> None:
             temporary.write_bytes(b"".join(kept))
 
 
-OPERATION = b'{"op_code"'
-"""Start of a line of the journal."""
-
-
 def _is_operation(line: bytes) -> bool:
     """Whether a line of the journal is complete."""
     try:
@@ -394,67 +315,3 @@ def _is_operation(line: bytes) -> bool:
     except ValueError:
         return False
     return line.endswith(b"\n") and isinstance(content, dict) and {"op_code", "worker_id"} <= content.keys()
-
-
-def _by_target(trials: Sequence[Any], attribute: str) -> np.ndarray:
-    """Numbers of all targets (trials, residuals) in an attribute of trials; nan for a target that a trial
-    lacks."""
-    counts = {name: len(values) for name, values in trials[0].user_attrs["residuals"].items()}
-    found = [
-        np.concatenate(
-            [trial.user_attrs[attribute].get(name, [np.nan] * count) for name, count in counts.items()]
-        )
-        for trial in trials
-    ]
-    return np.array(found)
-
-
-def require_optuna(method: str) -> Any:
-    """The module optuna. Raises GranflowError if it, or a package that the method needs, is not installed."""
-    try:
-        import optuna
-        import optuna.storages.journal
-    except ImportError:
-        raise GranflowError(
-            "Calibration requires Optuna, which is not installed: pip install optuna cmaes"
-        ) from None
-    for name, package in (("cma_es", "cmaes"), ("gp", "torch")):
-        if method == name:
-            try:
-                __import__(package)
-            except ImportError:
-                raise GranflowError(
-                    f"search.method {name} requires {package}: pip install {package}"
-                ) from None
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    return optuna
-
-
-def to_unit(parameter: Parameter, value: float) -> float:
-    """Position of a value between the bounds of its parameter, 0 to 1."""
-    if parameter.scale == "log":
-        return log(value / parameter.start) / log(parameter.stop / parameter.start)
-    return (value - parameter.start) / (parameter.stop - parameter.start)
-
-
-def from_unit(parameter: Parameter, share: float) -> float:
-    """Value at a position between the bounds of its parameter."""
-    if parameter.scale == "log":
-        value = parameter.start * (parameter.stop / parameter.start) ** share
-    else:
-        value = parameter.start + share * (parameter.stop - parameter.start)
-    return float(min(max(value, parameter.start), parameter.stop))
-
-
-def deviation_in_units(parameter: Parameter, value: float, share: float) -> float:
-    """Standard deviation of a parameter in its own unit, at a value, from that of its position."""
-    if parameter.scale == "log":
-        return float(value * log(parameter.stop / parameter.start) * share)
-    return (parameter.stop - parameter.start) * share
-
-
-def settings_of(calibration: CalibrationInput, scene: str, values: Mapping[str, float]) -> dict[str, Any]:
-    """Values of the keys of a scene for values of the parameters [SI]; with a unit if the bounds have one."""
-    given = {name: in_si(value, calibration.parameters[name].unit) for name, value in values.items()}
-    keys = {key: value for name, value in given.items() for key in calibration.keys_of(name, scene)}
-    return {**calibration.scenes[scene].settings, **keys}

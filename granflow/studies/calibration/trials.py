@@ -1,4 +1,11 @@
-"""One trial: the runs of all scenes with the parameters of the trial, and its loss."""
+"""Trials of a calibration: the runs of all scenes with the parameters of the trial, and the loss.
+
+    loss = sum of weight * r^2,    r = (simulated - measured) / tolerance
+
+`Measured` is a target with its measured values; for a curve, r^2 is the mean over its points. `TrialRunner`
+runs trials and compares the runs with the targets, also while they run: a trial whose loss already exceeds
+the median of the earlier ones is stopped early.
+"""
 
 import hashlib
 import time
@@ -14,40 +21,32 @@ import numpy as np
 from granflow.errors import FileError, GranflowError, SceneError
 from granflow.fields import unit_of
 from granflow.io.tables import TimeSeriesTable, read_series, read_table
-from granflow.studies.calibration.schema import CalibrationInput, Target
-from granflow.studies.calibration.search import FIRST_RANDOM, Search, from_unit, settings_of
+from granflow.studies.calibration.schema import CalibrationInput, Target, from_unit, settings_of
+from granflow.studies.calibration.search import FIRST_RANDOM, Search
+from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run, relocated
 from granflow.studies.run_process import (
     NOT_RUN,
-    CheckedRun,
     Outcome,
-    RunSettings,
-    checked_run,
     error_name,
     execute,
     numbers_of,
     reason_without,
-    relocated,
     warnings_of,
 )
 from granflow.units import UnitError, column_factor, split_heading, to_si
 
-# Deviations of a run from the targets, in tolerances, and a lower bound of the loss during the run.
-#
-#     loss = sum of weight * r^2,    r = (simulated - measured) / tolerance
-#
-# For a curve, r^2 is the mean over its points.
-
-CURVE_COLUMNS = ("time", "value")
-"""Columns of a file with a curve."""
+# Targets with their measured values
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A target with its measured values: `time` (n,) [s] of a curve, or None for a single value; `value`
-    (n,).
+    """A target with its measured values.
 
-    `unit`: in which the file gives the value; empty: SI. `factor`: SI value of this unit. `position`: of the
-    quantity in the file.
+    time (n,):   times of a curve [s]; None for a single value
+    value (n,):  measured values [SI]
+    unit:        in which the file gives the value; empty: SI
+    factor:      SI value of this unit
+    position:    of the quantity in the file, for messages
     """
 
     target: Target
@@ -67,6 +66,10 @@ class Measured:
     def scale(self) -> float:
         """Factor of a difference in its share of the residual: sqrt(weight / n) / tolerance."""
         return sqrt(self.target.weight / len(self.value)) / self.target.tolerance
+
+
+CURVE_COLUMNS = ("time", "value")
+"""Columns of a file with a curve."""
 
 
 def read_target(target: Target, folder: Path, position: str) -> Measured:
@@ -110,8 +113,10 @@ def read_target(target: Target, folder: Path, position: str) -> Measured:
 
 
 def residuals(measured: Measured, directory: Path) -> np.ndarray:
-    """Weighted residuals (n,) of a completed run, whose squares add up to its share of the loss; nan if
-    missing."""
+    """Weighted residuals (n,) of a completed run, whose squares add up to its share of the loss.
+
+    They are nan if the run has no such number.
+    """
     return (simulated(measured, directory) - measured.value) * measured.scale
 
 
@@ -124,11 +129,10 @@ def simulated(measured: Measured, directory: Path) -> np.ndarray:
 
 
 def standard_errors(measured: Measured, directory: Path) -> np.ndarray:
-    """Standard errors (n,) of the weighted residuals of a completed run; 0 where it gives no error of its
-    values.
+    """Standard errors (n,) of the weighted residuals of a completed run.
 
-    The error of `angle_of_repose.left` is `angle_of_repose_error.left`, that of `angle_of_repose_mean.left`
-    is `angle_of_repose_error_mean.left`.
+    They are 0 where the run gives no error of its values. The error of `angle_of_repose.left` is
+    `angle_of_repose_error.left`, that of `angle_of_repose_mean.left` is `angle_of_repose_error_mean.left`.
     """
     name = error_name(measured.target.quantity)
     named = replace(measured, target=measured.target.model_copy(update={"quantity": name}))
@@ -136,10 +140,9 @@ def standard_errors(measured: Measured, directory: Path) -> np.ndarray:
 
 
 def partial_loss(measured: Measured, directory: Path) -> float:
-    """Share of the loss that a curve has already in the time that the run has simulated; 0 for a single
-    value.
+    """Share of the loss that a curve has already in the time that the run has simulated.
 
-    The loss at the end is at least as large.
+    It is 0 for a single value. The loss at the end is at least as large.
     """
     if measured.time is None:
         return 0.0
@@ -172,8 +175,10 @@ def shown_value(measured: Measured, values: np.ndarray) -> float:
 
 
 def deviation(measured: Measured, found: Mapping[str, list[float]], name: str) -> float:
-    """Deviation of a target in tolerances, from the weighted residuals of a trial; infinite without
-    numbers."""
+    """Deviation of a target in tolerances, from the weighted residuals of a trial.
+
+    It is infinite without numbers.
+    """
     values = np.array(found.get(name, [np.inf]))
     size = float(np.sqrt((values**2).sum() / measured.target.weight))
     return size if isfinite(size) else float("inf")
@@ -186,6 +191,8 @@ def given_text(measured: Measured, value: float, quantity: str, digits: int = 5)
         return f"{value / measured.factor:.{digits}g} {measured.unit}"
     return f"{value:.{digits}g} {unit_of(quantity)}".rstrip()
 
+
+# Trials
 
 CHECK_INTERVAL = 2.0
 """Interval [s] at which the time series of a run is compared with the targets."""
@@ -269,8 +276,10 @@ class TrialRunner:
         return f"loss {loss:.4g}"
 
     def _loss(self, trial: Any) -> float:
-        """The loss of a trial; residuals, simulated values and run directories become attributes of the
-        trial."""
+        """The loss of a trial.
+
+        Residuals, simulated values and run directories become attributes of the trial.
+        """
         limit = self._limit()
         found: dict[str, list[float]] = {}
         shown: dict[str, float] = {}
@@ -312,8 +321,10 @@ class TrialRunner:
         trial.set_user_attr("errors", {name: errors[name] for name in known})
 
     def _limit(self) -> float:
-        """Loss above which a trial is stopped: the median of the completed trials; infinite for the first
-        ones."""
+        """Loss above which a trial is stopped: the median of the completed trials.
+
+        It is infinite for the first ones.
+        """
         losses = [trial.value for trial in self.search.completed()]
         return median(losses) if len(losses) >= FIRST_RANDOM else float("inf")
 

@@ -45,7 +45,7 @@ from granflow.studies.compare.bed import (
     median_of,
     survival,
 )
-from granflow.studies.run_process import run_identity
+from granflow.studies.checked_run import run_identity
 
 # ---------------------------------------------------------------- variants of the scene
 

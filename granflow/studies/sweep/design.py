@@ -16,7 +16,7 @@ from granflow.scene.blocks.quantities import GivenQuantity, Number, bound_faults
 from granflow.scene.blocks.scene import Seed
 from granflow.scene.faults import Fault, missing, whole
 from granflow.scene.model import FileName, ListOf, Model, Text, choose_by, choose_by_key, shorthand
-from granflow.studies.run_process import si_value
+from granflow.studies.checked_run import si_value
 from granflow.units import in_si, mixed_units
 
 # Schema of sweep files.

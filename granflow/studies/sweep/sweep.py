@@ -13,15 +13,9 @@ from granflow.arguments import path_of, refuse_other, whole_number
 from granflow.errors import FileError, GranflowError, SceneError
 from granflow.io.lock import locked
 from granflow.scene.validated_file import validated_file, validated_mapping
+from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run, relocated
 from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for
-from granflow.studies.run_process import (
-    CheckedRun,
-    Outcome,
-    RunSettings,
-    checked_run,
-    naming_write_errors,
-    relocated,
-)
+from granflow.studies.run_process import Outcome, naming_write_errors
 from granflow.studies.sweep.design import DesignPoint, SweepInput, design_points, keys_of
 from granflow.studies.sweep.page import write_sweep_page
 from granflow.studies.sweep.table import SweepTable, run_texts, shown, table_of, write_tables

@@ -1,4 +1,8 @@
-"""Tables of a sweep: one row per point (`sweep.csv`) and one per run (`runs.csv`)."""
+"""Tables of a sweep: one row per point (`sweep.csv`) and one per run (`runs.csv`).
+
+`SweepTable` has SI numbers, as the files have; `ShownTable` gives them in the units of the page: in that of
+the sweep file for parameters, and in degrees for angles.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,12 +15,12 @@ import numpy as np
 from granflow.fields import unit_of
 from granflow.io.files import replacing
 from granflow.io.tables import write_table
-from granflow.studies.report.plots import AXIS, LEGEND, STANDOFF, escaped
+from granflow.studies.checked_run import CheckedRun
+from granflow.studies.interactive_plots import escaped, level_text, short_names
 from granflow.studies.run_process import (
     DONE,
     REFUSED,
     UNFINISHED,
-    CheckedRun,
     Outcome,
     error_name,
     numbers_of,
@@ -26,86 +30,16 @@ from granflow.studies.run_process import (
 )
 from granflow.studies.sweep.design import DesignPoint, SweepInput, ValueList, ValueRange
 from granflow.units import common_unit, in_unit
-from granflow.visible_text import distinct_endings
 
-# Layout and parts that the interactive plots of sweeps and calibrations share, in the format of plotly.
-
-FONT = {"family": "system-ui, sans-serif", "size": 13}
-COLOR_SCALE = "Viridis"
-CELL_WIDTH, GAP = 1.0, 0.28
-"""Width of a plot in a row of plots, and of the gap between two, in the same unit."""
-
-
-def layout(height: int, **more: Any) -> dict[str, Any]:
-    """Layout of a plot with the style of all pages; `height` [pixels]."""
-    return {
-        "height": height,
-        "margin": {"l": 70, "r": 20, "t": 30, "b": 55},
-        "font": FONT,
-        "showlegend": False,
-        "legend": LEGEND,
-        "hovermode": "closest",
-        **more,
-    }
-
-
-def axis(title: str, **more: Any) -> dict[str, Any]:
-    """An axis with a title."""
-    return {
-        **AXIS,
-        "title": {"text": title, "standoff": STANDOFF},
-        "exponentformat": "power",
-        "automargin": True,
-        **more,
-    }
-
-
-def row_of_axes(titles: Sequence[str], y_title: str) -> dict[str, Any]:
-    """Axes of plots side by side: xaxis, yaxis, xaxis2, yaxis2, ...; the first one has the title
-    `y_title`."""
-    count = len(titles)
-    unit = 1.0 / (count * CELL_WIDTH + (count - 1) * GAP)
-    axes: dict[str, Any] = {}
-    for k, title in enumerate(titles):
-        start = k * (CELL_WIDTH + GAP) * unit
-        number = str(k + 1) if k else ""
-        axes[f"xaxis{number}"] = axis(
-            title, domain=[start, min(start + CELL_WIDTH * unit, 1.0)], anchor=f"y{number}"
-        )
-        axes[f"yaxis{number}"] = axis(
-            "" if k else y_title, anchor=f"x{number}", **({"matches": "y"} if k else {})
-        )
-    return axes
-
-
-def plain(value: Any, digits: int = 6) -> Any:
-    """A number with few digits for the page, None if it is not finite; other values as text."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value)
-    return float(f"{value:.{digits}g}") if isfinite(value) else None
-
-
-def level_text(value: Any, digits: int = 6) -> str:
-    """Text of a value of a parameter: 18 for the float 18.0, and other values as they are."""
-    number = plain(value, digits)
-    return f"{number:.{digits}g}" if isinstance(number, int | float) else str(value)
-
-
-def short_names(names: Sequence[str]) -> dict[str, str]:
-    """Short name of each parameter for an axis: the last two keys of its path, or as many as make all
-    different."""
-    endings = distinct_endings([name.split(".") for name in names], least=2)
-    return {name: ".".join(parts) for name, parts in zip(names, endings, strict=True)}
-
-
-STANDARD_ERROR = "standard_error"
-"""Prefix of the columns with the standard errors of the means over seeds."""
+# Rows and tables
 
 
 @dataclass(frozen=True)
 class RunRow:
-    """One run of a point: `run` is None if the point was refused before; numbers and warnings, if the run has
-    ended."""
+    """One run of a point: `run` is None if the point was refused before.
+
+    A run that has ended has numbers and warnings.
+    """
 
     run: CheckedRun | None
     outcome: Outcome
@@ -136,11 +70,11 @@ class PointRow:
         return float(np.mean(values)) if values else nan
 
     def standard_error(self, name: str) -> float:
-        """Standard error of the mean over the seeds; nan for fewer than two values without errors of their
-        own.
+        """Standard error of the mean over the seeds.
 
-        The larger one of s / sqrt(n) and sqrt(sum e^2) / n: the scatter s between seeds contains the errors e
-        that the runs give (`angle_of_repose_error`), but few seeds may agree by chance.
+        It is nan for fewer than two values without errors of their own; otherwise the larger one of s /
+        sqrt(n) and sqrt(sum e^2) / n: the scatter s between seeds contains the errors e that the runs give
+        (`angle_of_repose_error`), but few seeds may agree by chance.
         """
         values = self._values(name)
         own = self._values(error_name(name))
@@ -155,6 +89,10 @@ class PointRow:
     def directories(self) -> list[str]:
         """Names of the run directories."""
         return [each.run.directory.name for each in self.runs if each.run is not None]
+
+
+STANDARD_ERROR = "standard_error"
+"""Prefix of the columns with the standard errors of the means over seeds."""
 
 
 @dataclass(frozen=True)
@@ -236,6 +174,19 @@ def _run_row(run: CheckedRun | str, outcomes: Mapping[str, Outcome], quantities:
     return RunRow(run, replace(outcome, reason=reason), numbers, warnings_of(run.directory))
 
 
+def label(name: str) -> str:
+    """Column name of a number with its unit, as in timeseries.csv: `mass_flow.outlet [kg/s]`."""
+    unit = unit_of(name)
+    return f"{name} [{unit}]" if unit else name
+
+
+def _cell(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
+# Files
+
+
 def write_tables(out: Path, table: SweepTable) -> None:
     """Write `sweep.csv` and `runs.csv`, and `sweep.parquet` if pyarrow is installed; each atomically."""
     for name, columns in (("sweep.csv", table.columns()), ("runs.csv", table.run_columns())):
@@ -258,18 +209,7 @@ def _of_one_type(values: Sequence[Any]) -> list[Any]:
     return [None if each is None else str(each) for each in values]
 
 
-def label(name: str) -> str:
-    """Column name of a number with its unit, as in timeseries.csv: `mass_flow.outlet [kg/s]`."""
-    unit = unit_of(name)
-    return f"{name} [{unit}]" if unit else name
-
-
-def _cell(value: float) -> float | None:
-    return value if isfinite(value) else None
-
-
-# Parameters and quantities of a sweep as its page shows them: in the unit of the sweep file, and angles in
-# degrees.
+# Numbers in the units of the page
 
 
 @dataclass(frozen=True)
@@ -338,20 +278,6 @@ def shown(sweep: SweepInput, table: SweepTable) -> ShownTable:
     return ShownTable(table, units, frozenset(name for name, each in ranges.items() if each.scale == "log"))
 
 
-def run_texts(table: ShownTable) -> dict[str, str]:
-    """Parameter values and name of each run, and its seed if there are several, by its directory."""
-    found = {}
-    for row in table.rows:
-        values = {
-            table.parameter_label(name): level_text(table.value(row, name), 4) for name in table.parameters
-        }
-        for run in (each.run for each in row.runs if each.run is not None):
-            own = values | ({"seed": str(run.seed)} if table.table.seed_count > 1 else {})
-            text = ", ".join(f"{name} = {value}" for name, value in own.items())
-            found[run.request.directory] = f"{text} ({run.directory.name})"
-    return found
-
-
 def _given_unit(variation: Any) -> str:
     """The unit of the values of a parameter in the sweep file, if it is the same for all."""
     if isinstance(variation, ValueRange):
@@ -372,3 +298,17 @@ def _in_unit(value: float, quantity: str) -> float:
 
 def _with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
+
+
+def run_texts(table: ShownTable) -> dict[str, str]:
+    """Parameter values and name of each run, and its seed if there are several, by its directory."""
+    found = {}
+    for row in table.rows:
+        values = {
+            table.parameter_label(name): level_text(table.value(row, name), 4) for name in table.parameters
+        }
+        for run in (each.run for each in row.runs if each.run is not None):
+            own = values | ({"seed": str(run.seed)} if table.table.seed_count > 1 else {})
+            text = ", ".join(f"{name} = {value}" for name, value in own.items())
+            found[run.request.directory] = f"{text} ({run.directory.name})"
+    return found

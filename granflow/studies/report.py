@@ -1,4 +1,10 @@
-"""The report page of a run, from the files in its directory."""
+"""The report page of a run, from the files in its directory.
+
+`write_report` writes one self-contained HTML page: results first, then the computation. A run in progress or
+without a result has the parts that its log and its time series give; the page omits empty parts. The
+functions below return the parts in the order of the page, as tables (`PageTable`), plots (`Plot`) and
+sentences.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -23,23 +29,421 @@ from granflow.io.frames import listed_frames, read_mesh
 from granflow.io.log import explanation, sessions, warnings_and_errors
 from granflow.io.tables import COLLISION_FILE, SeriesColumn, TimeSeriesTable, collision_table, read_table
 from granflow.studies.figures import COLORS
-from granflow.studies.page import page_text
-from granflow.studies.report.plots import (
+from granflow.studies.interactive_plots import (
     Plot,
     curve_layout,
     groups_of,
-    largest_of,
     library,
-    negligible_columns,
-    plain,
+    plain_numbers,
     plot_of,
 )
-from granflow.studies.report.view import RunPictures, interactive_view, pictures_for
+from granflow.studies.page import page_text
+from granflow.studies.report_pictures import RunPictures, pictures_for
+from granflow.studies.report_view import interactive_view
 from granflow.studies.tables import PageTable
 from granflow.visible_text import in_degrees, readable
 
-# Fields on grids (`output.fields`) in the page: profiles along a grid of one row of cells, tables of other
-# grids.
+NO_LIBRARY = "Plots require plotly, which is not installed: pip install plotly, then granflow report again."
+
+
+def write_report(
+    directory: Path, out: Path | None = None, pictures: bool = True, report: Callable[[str], None] = print
+) -> Path:
+    """Write the report page of a run to its directory or to `out`; return its path.
+
+    `pictures`: include pictures, and render some if there are none. `report` is called with a message about
+    missing packages. Raises GranflowError if the directory is not that of a run, or if files cannot be read.
+    """
+    record = read_run(directory)
+    script = library()
+    if not script:
+        report(NO_LIBRARY)
+    path = out or directory / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as scratch:
+        text = report_text(record, script, pictures_for(directory, Path(scratch)) if pictures else None)
+    write_text(path, text)
+    return path
+
+
+def report_text(record: Run, script: str, pictures: RunPictures | None) -> str:
+    """The text of the page; `script`: the plot library, empty for a page without plots."""
+    plan, problem = plan_and_problem(record)
+    fields = field_content(record.directory, bool(script))
+    return page_text(
+        "report.html",
+        record=record,
+        plotly=script,
+        pictures=pictures,
+        view_content=interactive_view(record) if pictures else None,
+        state=state_of(record),
+        progress=progress(record),
+        warnings=warnings(record),
+        expected=expected_topic(record, bool(script)),
+        topics=[*topics(record, bool(script)), *collision_topics(record.directory, bool(script))],
+        field_tables=fields[0],
+        field_plots=fields[1],
+        timings=timings(record),
+        remaining=remaining_numbers(record),
+        plan=plan,
+        plan_problem=problem,
+        machine=machine(record),
+    )
+
+
+# State and progress
+
+ENDED_BY = "ended by "
+"""Prefix of the log entry of an exception that ended a run."""
+
+
+def state_of(record: Run) -> str:
+    """One sentence on how the run ended."""
+    if record.is_running:
+        return "The run is in progress; this page shows its present state."
+    if record.result_sections:
+        parts = len(sessions(record.log))
+        resumed = f"; it was resumed ({parts} sessions)" if parts > 1 else ""
+        if not record.result_sections.get("complete", True):
+            return (
+                f"The run ended before its last stage{resumed}: granflow resume {record.directory} continues "
+                "it."
+            )
+        return f"The run is complete{resumed}."
+    text = next((entry.text for entry in reversed(record.log) if entry.text.startswith(ENDED_BY)), "")
+    why = f" ({ENDED_BY}{text.removeprefix(ENDED_BY).partition(':')[0]}: see the warnings)" if text else ""
+    resume = f"granflow resume {record.directory} continues from its last checkpoint, if it has one."
+    return f"The run did not finish{why}. {resume}"
+
+
+def progress(record: Run) -> PageTable:
+    """Simulated time, performance and particle counts."""
+    numbers = dict(record.result_sections.get("run", {}))
+    if record.time is not None:
+        numbers = {"simulated_time": record.time} | numbers
+    totals = record.result_sections.get("totals", {})
+    numbers |= {name: totals.get(name) for name in ("particle_count", "inserted_count")}
+    rows = [row for row in map(_number_row, numbers.items()) if row[1]]
+    return PageTable(("", "", ""), rows, "Progress and performance.")
+
+
+def _number_row(item: tuple[str, Any]) -> tuple[str, str, str]:
+    """Name, number and unit."""
+    name, number = item
+    unit = unit_of(name)
+    return (
+        name.replace("_", " "),
+        shown(number),
+        unit + (in_degrees(number, unit) if number is not None else ""),
+    )
+
+
+def shown(number: Any, unit: str = "") -> str:
+    """A number as text, of an angle [rad] with degrees; another value as it is; empty for None."""
+    if isinstance(number, int | float):
+        return readable(number) + in_degrees(number, unit)
+    return "" if number is None else str(number)
+
+
+FROM_LOG = "From run.log."
+
+
+def warnings(record: Run) -> PageTable:
+    """Warnings and errors of the run."""
+    return PageTable(("time", "level", "message"), list(warnings_and_errors(record.log)), FROM_LOG)
+
+
+# Quantities over time: those that the scene expects, then metrics, flow, walls, energies and others
+
+
+class Topic(NamedTuple):
+    """Section of quantities over time; `folded` is shown after a click."""
+
+    title: str
+    tables: Sequence[PageTable]
+    sentences: Sequence[str]
+    plots: Sequence[Plot]
+    folded: Sequence[PageTable] = ()
+
+
+class Readings(NamedTuple):
+    """Topic of metrics, flow meters or walls: its quantities, its key in result.json, and the caption of its
+    table."""
+
+    quantities: Iterable[str]
+    key: str
+    caption: str
+
+
+METRIC_CAPTION = "Metrics of the bed at the end of the run."
+FLOW_CAPTION = "Flow meters at the end of the run; the mass flow rate is the steady one."
+FORCE_CAPTION = (
+    "Forces of the particles on the walls: means over the last stage, and the largest value of a row in the "
+    "run."
+)
+EXPECTED = "Expectations"
+FORCES = "Wall forces"
+ENERGIES = "Energy budget"
+OTHERS = "Over time"
+"""Titles of topics."""
+READINGS = {
+    "Metrics": Readings(METRIC_QUANTITIES, "metrics", METRIC_CAPTION),
+    "Flow": Readings(FLOW_METER_QUANTITIES, "flow_meters", FLOW_CAPTION),
+    FORCES: Readings(WALL_FORCE_QUANTITIES, "wall_forces", FORCE_CAPTION),
+}
+"""Topics with one part, such as a metric, a flow meter or a wall, per row, by title."""
+
+
+def expected_topic(record: Run, with_plots: bool) -> Topic:
+    """Expectations of the scene, their results, and plots of the expected quantities.
+
+    Counts and ratios of the whole run, such as `particle_count` and `energy_error`, have no plot here.
+    """
+    rows = [
+        ("\N{CHECK MARK} satisfied" if entry["met"] else "\N{BALLOT X} not satisfied", entry["sentence"])
+        for entry in record.result_sections.get("expect", ())
+    ]
+    table = PageTable(("", "result"), rows, "Expectations of the scene (expect).")
+    columns = [each for each in _expected_columns(record) if not is_zero(each)]
+    plots = (
+        [plot_of(group, record.series) for group in groups_of(columns)]
+        if record.series and with_plots
+        else []
+    )
+    return Topic(EXPECTED, [table] if rows else [], [], plots)
+
+
+def _expected_columns(record: Run) -> list[SeriesColumn]:
+    """Columns of expected quantities with a unit or a part, in the order of the scene."""
+    if record.series is None or record.scene_problem:
+        return []
+    columns = {column.name: column for column in record.series.columns}
+    names = dict.fromkeys(expectation.quantity for expectation in record.scene.expect)
+    return [columns[name] for name in names if name in columns and (columns[name].unit or "." in name)]
+
+
+def is_zero(column: SeriesColumn) -> bool:
+    """Whether a column is zero or nan in every row."""
+    return not np.nan_to_num(column.values).any()
+
+
+def topics(record: Run, with_plots: bool) -> Iterator[Topic]:
+    """Sections of metrics, flow, wall forces, energy budget, and all other quantities over time.
+
+    Columns of zeros are listed instead of plotted, a plot of expected quantities only is not repeated, and
+    small components of forces and torques are folded. Without an energy budget, energies are among the other
+    quantities. `with_plots`: whether the plot library is available.
+    """
+    series = record.series
+    if series is None:
+        yield Topic(OTHERS, (), ["The run has written no rows of timeseries.csv yet."], ())
+        return
+    shown_before = {column.name for column in _expected_columns(record)}
+    has_budget = any(column.name in ENERGY_BUDGET_QUANTITIES for column in series.columns)
+    for title in (*READINGS, ENERGIES, OTHERS):
+        columns = [each for each in _columns_of(title, series, has_budget) if not is_zero(each)]
+        small = negligible_columns(_columns_of(FORCES, series), SMALL) if title == FORCES else []
+        tables, folded = _folded(_tables(record, title, has_budget), small)
+        groups = groups_of([each for each in columns if each not in small])
+        groups = [group for group in groups if not {each.name for each in group.columns} <= shown_before]
+        plots = [plot_of(group, series) for group in groups] if with_plots else []
+        sentences = _sentences(record, title, bool(tables)) + (
+            [NO_LIBRARY] if columns and not with_plots else []
+        )
+        if tables or sentences or plots:
+            yield Topic(title, tables, sentences, plots, folded)
+
+
+def topic_of(column: SeriesColumn, has_budget: bool = True) -> str:
+    """Title of the topic of a column; energies have their own only in a run with an energy budget."""
+    quantity, _, part = column.name.partition(".")
+    topics = (title for title, readings in READINGS.items() if part and quantity in readings.quantities)
+    is_energy = has_budget and (column.unit == "J" or quantity.startswith("energy"))
+    return next(topics, ENERGIES if is_energy else OTHERS)
+
+
+def _columns_of(title: str, series: TimeSeriesTable, has_budget: bool = True) -> list[SeriesColumn]:
+    """Columns of a topic."""
+    return [column for column in series.columns if topic_of(column, has_budget) == title]
+
+
+def _tables(record: Run, title: str, has_budget: bool) -> list[PageTable]:
+    """Tables of a topic."""
+    if title in READINGS:
+        return _readings(record, title)
+    return _energy_budget(record.series.columns) if title == ENERGIES and has_budget and record.series else []
+
+
+def _sentences(record: Run, title: str, has_table: bool) -> list[str]:
+    """Sentences of a topic: the energy error, or the columns that are always zero."""
+    error = record.result_sections.get("totals", {}).get("energy_error")
+    if title == ENERGIES and has_table and error is not None:
+        return [f"Energy error: {error:.3g} of the largest energy input."]
+    zero_columns = (
+        [column.text for column in record.series.columns if is_zero(column)] if record.series else []
+    )
+    return [f"Always zero: {', '.join(zero_columns)}."] if title == OTHERS and zero_columns else []
+
+
+SMALL = 0.01
+"""Share of the largest force or torque of the run below which a component is folded."""
+
+
+def _folded(
+    tables: Sequence[PageTable], small: Sequence[SeriesColumn]
+) -> tuple[list[PageTable], list[PageTable]]:
+    """The tables without rows of small columns, and a table of the largest values of those that are not zero.
+
+    A row is removed if it is a quantity whose column is small for every wall.
+    """
+    names = {column.name for column in small}
+    kept = []
+    for table in tables:
+        kept.append(
+            table._replace(rows=[row for row in table.rows if not _is_small(row[0], table.heads[1:], names)])
+        )
+    caption = (
+        f"Components below {SMALL:.0%} of the largest force or torque of a row: largest absolute values."
+    )
+    rows = [
+        (column.text, f"{largest_of(column):.3g}", column.unit) for column in small if not is_zero(column)
+    ]
+    return kept, [PageTable(("", "", ""), rows, caption)] if rows else []
+
+
+def _is_small(head: str, parts: Sequence[str], small: set[str]) -> bool:
+    """Whether the row of a quantity contains small columns only; `head`: its name with its unit."""
+    quantity = head.partition(" (")[0].replace(" ", "_")
+    return all(f"{quantity}.{part}" in small for part in parts)
+
+
+def negligible_columns(columns: Sequence[SeriesColumn], share: float) -> list[SeriesColumn]:
+    """Columns whose largest absolute value is below `share` of that of all columns of the same unit."""
+    largest: dict[str, float] = {}
+    for column in columns:
+        largest[column.unit] = max(largest.get(column.unit, 0.0), largest_of(column))
+    return [column for column in columns if largest_of(column) < share * largest[column.unit]]
+
+
+def largest_of(column: SeriesColumn) -> float:
+    """Largest absolute value of a column; values that are not finite are ignored."""
+    return float(np.max(np.abs(column.values[np.isfinite(column.values)]), initial=0.0))
+
+
+def _readings(record: Run, title: str) -> list[PageTable]:
+    """Final values of metrics, flow meters or walls.
+
+    They are those of the last row of the time series if there is no result.
+    """
+    readings = record.result_sections.get(READINGS[title].key, {})
+    caption = READINGS[title].caption
+    if not readings and record.series is not None:
+        caption = "The last row of timeseries.csv."
+        for column in record.series.columns:
+            quantity, _, part = column.name.partition(".")
+            if topic_of(column) == title:
+                readings.setdefault(part, {})[quantity] = float(column.values[-1])
+    return [table_of(caption, readings)] if readings else []
+
+
+MOST_COLUMNS = 8
+"""Largest number of quantities of flow meters or walls that are columns of a table."""
+
+
+def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
+    """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity.
+
+    With more than MOST_COLUMNS quantities and fewer parts, the rows are the quantities and the columns the
+    parts.
+    """
+    names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
+    units = [unit_of(name + ".x") for name in names]
+    heads = [
+        name.replace("_", " ") + (f" ({unit})" if unit else "")
+        for name, unit in zip(names, units, strict=True)
+    ]
+    columns = list(zip(names, units, strict=True))
+    rows = [
+        [part, *(shown(numbers.get(name), unit) for name, unit in columns)] for part, numbers in parts.items()
+    ]
+    if len(parts) < MOST_COLUMNS < len(names):
+        return PageTable(["", *parts], list(zip(heads, *(row[1:] for row in rows), strict=True)), caption)
+    return PageTable(["", *heads], rows, caption)
+
+
+NEGLIGIBLE = 1e-15
+"""Share of its largest value in the run below which a quantity is rounding, and shown as 0."""
+
+
+def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
+    """Each energy at the start and at the end, and its largest absolute value [J].
+
+    Values below NEGLIGIBLE of the largest one are shown as 0.
+    """
+    rows = []
+    for column in columns:
+        if column.unit == "J" and not is_zero(column):
+            known = TOTAL_QUANTITIES.get(column.name)
+            values = column.values[np.isfinite(column.values)]
+            numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
+            kept = (number if abs(number) > NEGLIGIBLE * abs(numbers[-1]) else 0.0 for number in numbers)
+            rows.append(
+                [column.text, *(f"{number + 0.0:.4g}" for number in kept), known.meaning if known else ""]
+            )
+    return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
+
+
+# Collisions by impact energy (`output.collision_energies`)
+
+TITLE = "Collisions by impact energy"
+
+
+def collision_topics(directory: Path, with_plots: bool) -> Iterator[Topic]:
+    """The section on the collisions of a run since its start; none without `output.collision_energies`.
+
+    Raises GranflowError if the file cannot be read.
+    """
+    path = directory / FILE
+    table = read_table(path) if path.exists() else None
+    collisions = None if table is None else collision_table(table)
+    if collisions is None:
+        return
+    total = {kind: counts[-1] for kind, counts in collisions.totals.items()}
+    rows = [
+        (f"{low:.3g} to {high:.3g} J", *(readable(float(counts[row])) for counts in total.values()))
+        for row, (low, high) in enumerate(collisions.edges)
+        if any(counts[row] for counts in total.values())
+    ]
+    caption = (
+        "Contacts that began since the start of the run, by impact energy; classes without collisions are "
+        "absent."
+    )
+    heads = ("impact energy", *(f"with a {kind}" for kind in total))
+    plots = [Plot(TITLE, _figure(collisions.energy, total))] if with_plots else []
+    yield Topic(TITLE, (), [], plots, (PageTable(heads, rows, caption),))
+
+
+def _figure(energy: np.ndarray, total: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Numbers of collisions over the centers of their classes, both logarithmic, in the format of plotly."""
+    known = np.isfinite(energy)
+    curves = [
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "name": f"with a {kind}",
+            "x": plain_numbers(energy[known]),
+            "y": [count or None for count in plain_numbers(counts[known])],
+            "line": {"color": color, "width": 1.8},
+        }
+        for color, (kind, counts) in zip(COLORS, total.items(), strict=False)
+    ]
+    layout = curve_layout("impact energy (J)", "collisions per class", True)
+    for axis in ("xaxis", "yaxis"):
+        layout[axis] = layout[axis] | {"type": "log", "exponentformat": "power"}
+    return {"data": curves, "layout": layout}
+
+
+# Fields on grids (`output.fields`): profiles of a grid of one row of cells, tables of other grids
 
 PROFILES = 4
 """Maximum number of frames in the plot of a profile: evenly spaced, including the last one."""
@@ -108,8 +512,8 @@ def _profile(name: str, quantity: str, axis: int, frames: Sequence[GridFrame]) -
                 "type": "scatter",
                 "mode": "lines",
                 "name": f"{frame.time:.4g} s",
-                "y": plain(values[is_number]),
-                "x": plain(frame.centers[order, axis][is_number]),
+                "y": plain_numbers(values[is_number]),
+                "x": plain_numbers(frame.centers[order, axis][is_number]),
                 "line": {"color": COLORS[len(curves) % len(COLORS)]},
             }
         )
@@ -131,332 +535,10 @@ def _range_table(name: str, frame: GridFrame) -> PageTable:
     return PageTable(("", "smallest", "mean", "largest"), [row for row in rows if row[1:]], caption)
 
 
-# Sections of the page on quantities: those that the scene expects, then metrics, flow, walls, energies and
-# others.
+# The computation: timings, other numbers, plan, machine
 
-NO_LIBRARY = "Plots require plotly, which is not installed: pip install plotly, then granflow report again."
-
-
-class Topic(NamedTuple):
-    """Section of quantities over time; `folded` is shown after a click."""
-
-    title: str
-    tables: Sequence[PageTable]
-    sentences: Sequence[str]
-    plots: Sequence[Plot]
-    folded: Sequence[PageTable] = ()
-
-
-class Readings(NamedTuple):
-    """Topic of metrics, flow meters or walls: its quantities, its key in result.json, and the caption of its
-    table."""
-
-    quantities: Iterable[str]
-    key: str
-    caption: str
-
-
-METRIC_CAPTION = "Metrics of the bed at the end of the run."
-FLOW_CAPTION = "Flow meters at the end of the run; the mass flow rate is the steady one."
-FORCE_CAPTION = (
-    "Forces of the particles on the walls: means over the last stage, and the largest value of a row in the "
-    "run."
-)
-EXPECTED, FORCES, ENERGIES, OTHERS = "Expectations", "Wall forces", "Energy budget", "Over time"
-READINGS = {
-    "Metrics": Readings(METRIC_QUANTITIES, "metrics", METRIC_CAPTION),
-    "Flow": Readings(FLOW_METER_QUANTITIES, "flow_meters", FLOW_CAPTION),
-    FORCES: Readings(WALL_FORCE_QUANTITIES, "wall_forces", FORCE_CAPTION),
-}
-"""Topics with one part, such as a metric, a flow meter or a wall, per row, by title."""
-MOST_COLUMNS = 8
-"""Largest number of quantities of flow meters or walls that are columns of a table."""
-NEGLIGIBLE = 1e-15
-"""Share of its largest value in the run below which a quantity is rounding, and shown as 0."""
-SMALL = 0.01
-"""Share of the largest force or torque of the run below which a component is folded."""
-
-
-def expected_topic(record: Run, with_plots: bool) -> Topic:
-    """Expectations of the scene, their results, and plots of the expected quantities.
-
-    Counts and ratios of the whole run, such as `particle_count` and `energy_error`, have no plot here.
-    """
-    rows = [
-        ("\N{CHECK MARK} satisfied" if entry["met"] else "\N{BALLOT X} not satisfied", entry["sentence"])
-        for entry in record.result_sections.get("expect", ())
-    ]
-    table = PageTable(("", "result"), rows, "Expectations of the scene (expect).")
-    columns = [each for each in _expected_columns(record) if not is_zero(each)]
-    plots = (
-        [plot_of(group, record.series) for group in groups_of(columns)]
-        if record.series and with_plots
-        else []
-    )
-    return Topic(EXPECTED, [table] if rows else [], [], plots)
-
-
-def _expected_columns(record: Run) -> list[SeriesColumn]:
-    """Columns of expected quantities with a unit or a part, in the order of the scene."""
-    if record.series is None or record.scene_problem:
-        return []
-    columns = {column.name: column for column in record.series.columns}
-    names = dict.fromkeys(expectation.quantity for expectation in record.scene.expect)
-    return [columns[name] for name in names if name in columns and (columns[name].unit or "." in name)]
-
-
-def is_zero(column: SeriesColumn) -> bool:
-    """Whether a column is zero or nan in every row."""
-    return not np.nan_to_num(column.values).any()
-
-
-def topic_of(column: SeriesColumn, has_budget: bool = True) -> str:
-    """Title of the topic of a column; energies have their own only in a run with an energy budget."""
-    quantity, _, part = column.name.partition(".")
-    topics = (title for title, readings in READINGS.items() if part and quantity in readings.quantities)
-    is_energy = has_budget and (column.unit == "J" or quantity.startswith("energy"))
-    return next(topics, ENERGIES if is_energy else OTHERS)
-
-
-def topics(record: Run, with_plots: bool) -> Iterator[Topic]:
-    """Sections of metrics, flow, wall forces, energy budget, and all other quantities over time.
-
-    Columns of zeros are listed instead of plotted, a plot of expected quantities only is not repeated, and
-    small components of forces and torques are folded. Without an energy budget, energies are among the other
-    quantities. `with_plots`: whether the plot library is available.
-    """
-    series = record.series
-    if series is None:
-        yield Topic(OTHERS, (), ["The run has written no rows of timeseries.csv yet."], ())
-        return
-    shown_before = {column.name for column in _expected_columns(record)}
-    has_budget = any(column.name in ENERGY_BUDGET_QUANTITIES for column in series.columns)
-    for title in (*READINGS, ENERGIES, OTHERS):
-        columns = [each for each in _columns_of(title, series, has_budget) if not is_zero(each)]
-        small = negligible_columns(_columns_of(FORCES, series), SMALL) if title == FORCES else []
-        tables, folded = _folded(_tables(record, title, has_budget), small)
-        groups = groups_of([each for each in columns if each not in small])
-        groups = [group for group in groups if not {each.name for each in group.columns} <= shown_before]
-        plots = [plot_of(group, series) for group in groups] if with_plots else []
-        sentences = _sentences(record, title, bool(tables)) + (
-            [NO_LIBRARY] if columns and not with_plots else []
-        )
-        if tables or sentences or plots:
-            yield Topic(title, tables, sentences, plots, folded)
-
-
-def _columns_of(title: str, series: TimeSeriesTable, has_budget: bool = True) -> list[SeriesColumn]:
-    """Columns of a topic."""
-    return [column for column in series.columns if topic_of(column, has_budget) == title]
-
-
-def _tables(record: Run, title: str, has_budget: bool) -> list[PageTable]:
-    """Tables of a topic."""
-    if title in READINGS:
-        return _readings(record, title)
-    return _energy_budget(record.series.columns) if title == ENERGIES and has_budget and record.series else []
-
-
-def _sentences(record: Run, title: str, has_table: bool) -> list[str]:
-    """Sentences of a topic: the energy error, or the columns that are always zero."""
-    error = record.result_sections.get("totals", {}).get("energy_error")
-    if title == ENERGIES and has_table and error is not None:
-        return [f"Energy error: {error:.3g} of the largest energy input."]
-    zero_columns = (
-        [column.text for column in record.series.columns if is_zero(column)] if record.series else []
-    )
-    return [f"Always zero: {', '.join(zero_columns)}."] if title == OTHERS and zero_columns else []
-
-
-def _folded(
-    tables: Sequence[PageTable], small: Sequence[SeriesColumn]
-) -> tuple[list[PageTable], list[PageTable]]:
-    """The tables without rows of small columns, and a table of the largest values of those that are not zero.
-
-    A row is removed if it is a quantity whose column is small for every wall.
-    """
-    names = {column.name for column in small}
-    kept = []
-    for table in tables:
-        kept.append(
-            table._replace(rows=[row for row in table.rows if not _is_small(row[0], table.heads[1:], names)])
-        )
-    caption = (
-        f"Components below {SMALL:.0%} of the largest force or torque of a row: largest absolute values."
-    )
-    rows = [
-        (column.text, f"{largest_of(column):.3g}", column.unit) for column in small if not is_zero(column)
-    ]
-    return kept, [PageTable(("", "", ""), rows, caption)] if rows else []
-
-
-def _is_small(head: str, parts: Sequence[str], small: set[str]) -> bool:
-    """Whether the row of a quantity contains small columns only; `head`: its name with its unit."""
-    quantity = head.partition(" (")[0].replace(" ", "_")
-    return all(f"{quantity}.{part}" in small for part in parts)
-
-
-def _readings(record: Run, title: str) -> list[PageTable]:
-    """Final values of metrics, flow meters or walls; from the last row of the time series if there is no
-    result."""
-    readings = record.result_sections.get(READINGS[title].key, {})
-    caption = READINGS[title].caption
-    if not readings and record.series is not None:
-        caption = "The last row of timeseries.csv."
-        for column in record.series.columns:
-            quantity, _, part = column.name.partition(".")
-            if topic_of(column) == title:
-                readings.setdefault(part, {})[quantity] = float(column.values[-1])
-    return [table_of(caption, readings)] if readings else []
-
-
-def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
-    """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity.
-
-    With more than MOST_COLUMNS quantities and fewer parts, the rows are the quantities and the columns the
-    parts.
-    """
-    names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
-    units = [unit_of(name + ".x") for name in names]
-    heads = [
-        name.replace("_", " ") + (f" ({unit})" if unit else "")
-        for name, unit in zip(names, units, strict=True)
-    ]
-    columns = list(zip(names, units, strict=True))
-    rows = [
-        [part, *(shown(numbers.get(name), unit) for name, unit in columns)] for part, numbers in parts.items()
-    ]
-    if len(parts) < MOST_COLUMNS < len(names):
-        return PageTable(["", *parts], list(zip(heads, *(row[1:] for row in rows), strict=True)), caption)
-    return PageTable(["", *heads], rows, caption)
-
-
-def shown(number: Any, unit: str = "") -> str:
-    """A number as text, of an angle [rad] with degrees; another value as it is; empty for None."""
-    if isinstance(number, int | float):
-        return readable(number) + in_degrees(number, unit)
-    return "" if number is None else str(number)
-
-
-def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
-    """Each energy at the start and at the end, and its largest absolute value [J]; NEGLIGIBLE shares of it
-    are 0."""
-    rows = []
-    for column in columns:
-        if column.unit == "J" and not is_zero(column):
-            known = TOTAL_QUANTITIES.get(column.name)
-            values = column.values[np.isfinite(column.values)]
-            numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
-            kept = (number if abs(number) > NEGLIGIBLE * abs(numbers[-1]) else 0.0 for number in numbers)
-            rows.append(
-                [column.text, *(f"{number + 0.0:.4g}" for number in kept), known.meaning if known else ""]
-            )
-    return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
-
-
-# Collisions by impact energy (`output.collision_energies`) in the page: a plot of their numbers, and a
-# table.
-
-TITLE = "Collisions by impact energy"
-
-
-def collision_topics(directory: Path, with_plots: bool) -> Iterator[Topic]:
-    """The section on the collisions of a run since its start; none without `output.collision_energies`.
-
-    Raises GranflowError if the file cannot be read.
-    """
-    path = directory / COLLISION_FILE
-    table = read_table(path) if path.exists() else None
-    collisions = None if table is None else collision_table(table)
-    if collisions is None:
-        return
-    total = {kind: counts[-1] for kind, counts in collisions.totals.items()}
-    rows = [
-        (f"{low:.3g} to {high:.3g} J", *(readable(float(counts[row])) for counts in total.values()))
-        for row, (low, high) in enumerate(collisions.edges)
-        if any(counts[row] for counts in total.values())
-    ]
-    caption = (
-        "Contacts that began since the start of the run, by impact energy; classes without collisions are "
-        "absent."
-    )
-    heads = ("impact energy", *(f"with a {kind}" for kind in total))
-    plots = [Plot(TITLE, _figure(collisions.energy, total))] if with_plots else []
-    yield Topic(TITLE, (), [], plots, (PageTable(heads, rows, caption),))
-
-
-def _figure(energy: np.ndarray, total: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Numbers of collisions over the centers of their classes, both logarithmic, in the format of plotly."""
-    known = np.isfinite(energy)
-    curves = [
-        {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "name": f"with a {kind}",
-            "x": plain(energy[known]),
-            "y": [count or None for count in plain(counts[known])],
-            "line": {"color": color, "width": 1.8},
-        }
-        for color, (kind, counts) in zip(COLORS, total.items(), strict=False)
-    ]
-    layout = curve_layout("impact energy (J)", "collisions per class", True)
-    for axis in ("xaxis", "yaxis"):
-        layout[axis] = layout[axis] | {"type": "log", "exponentformat": "power"}
-    return {"data": curves, "layout": layout}
-
-
-# Parts of the report page on the run as a whole, each from its files; the page omits empty parts.
-#
-# A run in progress or without a result has parts from its log and time series only.
-
-FROM_LOG = "From run.log."
-SEPARATE = ("run", "timings", "expect", *(each.key for each in READINGS.values()))
-"""Sections of result.json that the page shows separately."""
-ENDED_BY = "ended by "
-"""Prefix of the log entry of an exception that ended a run."""
 BAR_STEPS = 20
 """Length of the bar of the total wall-clock time, in blocks."""
-
-
-def state_of(record: Run) -> str:
-    """One sentence on how the run ended."""
-    if record.is_running:
-        return "The run is in progress; this page shows its present state."
-    if record.result_sections:
-        parts = len(sessions(record.log))
-        resumed = f"; it was resumed ({parts} sessions)" if parts > 1 else ""
-        if not record.result_sections.get("complete", True):
-            return (
-                f"The run ended before its last stage{resumed}: granflow resume {record.directory} continues "
-                "it."
-            )
-        return f"The run is complete{resumed}."
-    text = next((entry.text for entry in reversed(record.log) if entry.text.startswith(ENDED_BY)), "")
-    why = f" ({ENDED_BY}{text.removeprefix(ENDED_BY).partition(':')[0]}: see the warnings)" if text else ""
-    resume = f"granflow resume {record.directory} continues from its last checkpoint, if it has one."
-    return f"The run did not finish{why}. {resume}"
-
-
-def progress(record: Run) -> PageTable:
-    """Simulated time, performance and particle counts."""
-    numbers = dict(record.result_sections.get("run", {}))
-    if record.time is not None:
-        numbers = {"simulated_time": record.time} | numbers
-    totals = record.result_sections.get("totals", {})
-    numbers |= {name: totals.get(name) for name in ("particle_count", "inserted_count")}
-    rows = [row for row in map(_number_row, numbers.items()) if row[1]]
-    return PageTable(("", "", ""), rows, "Progress and performance.")
-
-
-def _number_row(item: tuple[str, Any]) -> tuple[str, str, str]:
-    """Name, number and unit."""
-    name, number = item
-    unit = unit_of(name)
-    return (
-        name.replace("_", " "),
-        shown(number),
-        unit + (in_degrees(number, unit) if number is not None else ""),
-    )
 
 
 def timings(record: Run) -> PageTable | None:
@@ -477,39 +559,8 @@ def timings(record: Run) -> PageTable | None:
     return PageTable(("", "s", "share", ""), rows, f"Total wall-clock time: {total:.4g} s.")
 
 
-def plan_and_problem(record: Run) -> tuple[str, str]:
-    """Decisions of the plan with their reasons, from the log, or recomputed from the resolved scene; or the
-    problem."""
-    text = explanation(record.log)
-    if not text and not record.scene_problem:
-        try:
-            text = explain(plan_for(record.scene))
-        except GranflowError as error:
-            return "", str(error)
-    return text, ""
-
-
-def machine(record: Run) -> PageTable:
-    """Versions, backend and machine of each session."""
-    rows = [
-        (
-            each.started,
-            each.arch,
-            each.precision,
-            each.threads,
-            each.compiled and f"{each.compiled} s",
-            each.versions,
-            each.resumed_from,
-        )
-        for each in sessions(record.log)
-    ]
-    header = ("start", "backend", "precision", "threads", "compilation", "versions and system", "")
-    return PageTable(header, rows, FROM_LOG)
-
-
-def warnings(record: Run) -> PageTable:
-    """Warnings and errors of the run."""
-    return PageTable(("time", "level", "message"), list(warnings_and_errors(record.log)), FROM_LOG)
+SEPARATE = ("run", "timings", "expect", *(each.key for each in READINGS.values()))
+"""Sections of result.json that the page shows separately."""
 
 
 def remaining_numbers(record: Run) -> list[PageTable]:
@@ -537,47 +588,33 @@ def _unless_negligible(record: Run, name: str, number: Any) -> Any:
     return 0.0 if isinstance(number, float) and abs(number) < NEGLIGIBLE * largest else number
 
 
-def write_report(
-    directory: Path, out: Path | None = None, pictures: bool = True, report: Callable[[str], None] = print
-) -> Path:
-    """Write the report page of a run to its directory or to `out`; return its path.
+def plan_and_problem(record: Run) -> tuple[str, str]:
+    """Decisions of the plan with their reasons, and the problem if there is no plan.
 
-    `pictures`: include pictures, and render some if there are none. `report` is called with a message about
-    missing packages. Raises GranflowError if the directory is not that of a run, or if files cannot be read.
+    They are those of the log, or recomputed from the resolved scene.
     """
-    record = read_run(directory)
-    script = library()
-    if not script:
-        report(NO_LIBRARY)
-    path = out or directory / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory() as scratch:
-        text = report_text(record, script, pictures_for(directory, Path(scratch)) if pictures else None)
-    write_text(path, text)
-    return path
+    text = explanation(record.log)
+    if not text and not record.scene_problem:
+        try:
+            text = explain(plan_for(record.scene))
+        except GranflowError as error:
+            return "", str(error)
+    return text, ""
 
 
-def report_text(record: Run, script: str, pictures: RunPictures | None) -> str:
-    """The page: results first, then the computation. `script` is the plot library; empty for a page without
-    plots."""
-    plan, problem = plan_and_problem(record)
-    fields = field_content(record.directory, bool(script))
-    return page_text(
-        "report.html",
-        record=record,
-        plotly=script,
-        pictures=pictures,
-        view_content=interactive_view(record) if pictures else None,
-        state=state_of(record),
-        progress=progress(record),
-        warnings=warnings(record),
-        expected=expected_topic(record, bool(script)),
-        topics=[*topics(record, bool(script)), *collision_topics(record.directory, bool(script))],
-        field_tables=fields[0],
-        field_plots=fields[1],
-        timings=timings(record),
-        remaining=remaining_numbers(record),
-        plan=plan,
-        plan_problem=problem,
-        machine=machine(record),
-    )
+def machine(record: Run) -> PageTable:
+    """Versions, backend and machine of each session."""
+    rows = [
+        (
+            each.started,
+            each.arch,
+            each.precision,
+            each.threads,
+            each.compiled and f"{each.compiled} s",
+            each.versions,
+            each.resumed_from,
+        )
+        for each in sessions(record.log)
+    ]
+    header = ("start", "backend", "precision", "threads", "compilation", "versions and system", "")
+    return PageTable(header, rows, FROM_LOG)

@@ -1,1 +1,0 @@
-"""`granflow render`: pictures and films from the frames of a run."""

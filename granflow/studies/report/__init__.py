@@ -1,1 +1,0 @@
-"""`granflow report`: an HTML page that summarizes a run."""
