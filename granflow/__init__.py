@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from granflow.load import Scene as Scene
     from granflow.load import load_scene as load_scene
     from granflow.observers.analysis import analyze_snapshots as analyze_snapshots
-    from granflow.observers.flow_meters import steady_flow as steady_flow
+    from granflow.observers.meters import steady_flow as steady_flow
     from granflow.observers.observer import on_interval as on_interval
     from granflow.particles.group import ParticleData as ParticleData
-    from granflow.plan.arrays import estimate_memory as estimate_memory
     from granflow.plan.build import plan_for as plan_for
     from granflow.plan.explain import explain as explain
+    from granflow.plan.memory import estimate_memory as estimate_memory
     from granflow.plan.plan import Plan as Plan
     from granflow.runs.read_run import Run as Run
     from granflow.runs.read_run import read_run as read_run
@@ -187,7 +187,7 @@ _LOCATIONS = {
     "Vibration": "granflow.scene.blocks.walls.Vibration",
     "analyze_snapshots": "granflow.observers.analysis.analyze_snapshots",
     "calibrate": "granflow.studies.calibration.calibrate.calibrate",
-    "estimate_memory": "granflow.plan.arrays.estimate_memory",
+    "estimate_memory": "granflow.plan.memory.estimate_memory",
     "explain": "granflow.plan.explain.explain",
     "load_scene": "granflow.load.load_scene",
     "on_interval": "granflow.observers.observer.on_interval",
@@ -195,7 +195,7 @@ _LOCATIONS = {
     "read_run": "granflow.runs.read_run.read_run",
     "register_contact_model": "granflow.scene.registration.register_contact_model",
     "start": "granflow.engine.engine.start",
-    "steady_flow": "granflow.observers.flow_meters.steady_flow",
+    "steady_flow": "granflow.observers.meters.steady_flow",
     "sweep": "granflow.studies.sweep.sweep.sweep",
 }
 """Module and attribute of each public name."""

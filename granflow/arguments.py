@@ -55,14 +55,45 @@ def items_of(name: str, value: Any, expected: str) -> list[Any]:
     return list(value)
 
 
-def item_at(name: str, items: Sequence[_T], index: Any) -> _T:
-    """The item with an index, or those of a slice.
+class GuardedList(Sequence[_T]):
+    """A list of a simulation, such as its forces, that only `append` and `remove` of the subclass change.
 
-    Raises GranflowError for another object or an absent index.
+    `_name`: of the list in messages; `_items`: the present items. Other ways to change a list of Python, and
+    an index that does not exist, raise an error with one sentence.
     """
-    if isinstance(index, slice):
-        return items[index]  # type: ignore[return-value]
-    refuse_other(f"the index of {name}", index, Integral, "a whole number")
-    if not -len(items) <= index < len(items):
-        raise GranflowError(f"{name}[{index}] does not exist: {name} has {len(items)} entries.")
-    return items[index]
+
+    _name: str
+    _items: tuple[_T, ...]
+
+    def __getitem__(self, index: Any) -> _T:  # type: ignore[override]
+        """The item with an index, or those of a slice."""
+        if isinstance(index, slice):
+            return self._items[index]  # type: ignore[return-value]
+        refuse_other(f"the index of {self._name}", index, Integral, "a whole number")
+        if not -len(self) <= index < len(self):
+            raise GranflowError(
+                f"{self._name}[{index}] does not exist: {self._name} has {len(self)} entries."
+            )
+        return self._items[index]
+
+    def __iter__(self) -> Iterator[_T]:
+        return iter(self._items)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __setitem__(self, index: object, value: object) -> NoReturn:
+        raise GranflowError(
+            f"{self._name}[...] cannot be set: use {self._name}.append and {self._name}.remove."
+        )
+
+    def __delitem__(self, index: object) -> NoReturn:
+        raise GranflowError(f"{self._name}[...] cannot be deleted: use {self._name}.remove.")
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Raises AttributeError: the list has no attributes of its own."""
+        if not name.startswith("_"):
+            raise AttributeError(
+                f"{self._name}.{name} cannot be set: use {self._name}.append and {self._name}.remove."
+            )
+        super().__setattr__(name, value)

@@ -24,7 +24,7 @@ from granflow.errors import GranflowError
 
 # For each decorated function of a module, Taichi asks `inspect` for the module that executes the import,
 # which is not found: without this entry, `inspect` searches all modules every time, 0.3 s per start.
-inspect.modulesbyfile.setdefault("<frozen importlib._bootstrap>", "_frozen_importlib")  # type: ignore[attr-defined]
+inspect.modulesbyfile.setdefault("<frozen importlib._bootstrap>", "_frozen_importlib")
 
 VARIABLE = "GRANFLOW_KERNELS"
 """Environment variable that selects the kernel language."""

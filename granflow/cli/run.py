@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     if the directory contains an earlier run, unless --overwrite is given, or if the launch does not match
     --mpi.
     """
-    from granflow.parallel.launch import refuse_without_mpi_flag
+    from granflow.parallel.refusals import refuse_without_mpi_flag
 
     if options.mpi:
         return on_ranks(options, partial(run_scene, options), partial(scene_and_plan, options))
@@ -98,7 +98,7 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
         out = options.out or Path("out") / scene.path.stem
         printed = prepare_output(out, scene, options.overwrite)
         # After the checks of scene and directory, because this import of Taichi takes most of the time.
-        from granflow.io.files import locked
+        from granflow.io.lock import locked
         from granflow.simulation import Simulation
 
         simulation = Simulation(
@@ -124,7 +124,7 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
     Raises GranflowError if it contains an earlier run, unless `overwrite` is set and the scene reads no file
     from it. The new run replaces the earlier one after its first frame.
     """
-    from granflow.io.files import locked
+    from granflow.io.lock import locked
     from granflow.runs.run_directory import refuse_inputs_inside, restore_previous_run, results_in
 
     if not out.exists():
@@ -239,7 +239,7 @@ def resume(options: argparse.Namespace) -> int:
     """
     if not options.directory.is_dir():
         raise GranflowError(f"{options.directory}: no such directory; give the directory of a run.")
-    from granflow.parallel.launch import refuse_without_mpi_flag
+    from granflow.parallel.refusals import refuse_without_mpi_flag
 
     if options.mpi:
         return on_ranks(options, partial(resume_locked, options), partial(resumed_plan, options))
@@ -289,7 +289,7 @@ def resume_locked(options: argparse.Namespace, communicator: "Communicator | Non
 
     The lock prevents that another process continues or replaces the run at the same time.
     """
-    from granflow.io.files import locked
+    from granflow.io.lock import locked
 
     with locked(options.directory):
         return _resume(options, communicator)
@@ -520,13 +520,13 @@ def check(options: argparse.Namespace) -> int:
     problems. If the particles do not fit into the memory, their packing is not checked.
     """
     scene = load(options)
+    from granflow.parallel.refusals import refuse_on_ranks
     from granflow.particles.insertion import initial_particles, inserters
-    from granflow.plan.arrays import fits, memory_warning, refuse_too_many
     from granflow.plan.build import plan_for
-    from granflow.plan.explain import refuse_run_time
-    from granflow.plan.forecast import particle_warnings, refuse_initial_overlaps
+    from granflow.plan.initial_overlaps import particle_warnings, refuse_initial_overlaps
+    from granflow.plan.memory import fits, memory_warning, refuse_too_many
+    from granflow.plan.run_time import refuse_run_time
     from granflow.runs.initial_particles import particles_from_run
-    from granflow.runs.ranks import refuse_on_ranks
 
     plan = plan_for(scene)
     if options.mpi:

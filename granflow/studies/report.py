@@ -403,7 +403,7 @@ def collision_topics(directory: Path, with_plots: bool) -> Iterator[Topic]:
 
     Raises GranflowError if the file cannot be read.
     """
-    path = directory / FILE
+    path = directory / COLLISION_FILE
     table = read_table(path) if path.exists() else None
     collisions = None if table is None else collision_table(table)
     if collisions is None:

@@ -28,9 +28,9 @@ from typing import Any
 
 from granflow import OutputError, Scene, read_run
 from granflow.errors import GranflowError, RunError
-from granflow.io.checkpoint import PATTERN, newest_checkpoint
-from granflow.io.files import file_digest, locked, write_text
-from granflow.io.rank_files import PATTERN as RANK_PATTERN
+from granflow.io.checkpoint import PATTERN, RANK_PATTERN, newest_checkpoint
+from granflow.io.files import file_digest, write_text
+from granflow.io.lock import locked
 from granflow.load import program_version
 
 # The request, and the files that a run reads

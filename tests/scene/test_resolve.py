@@ -9,7 +9,7 @@ from plan.scenes import TEXT
 
 from granflow.errors import SceneError
 from granflow.load import load_scene, scene_of
-from granflow.particles.group import draw_diameters, groups_of
+from granflow.particles.group import groups_of
 from granflow.particles.insertion import initial_particles
 from granflow.particles.resolve import scaled
 from granflow.particles.sizes import draw_diameters

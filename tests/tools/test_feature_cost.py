@@ -10,7 +10,6 @@ from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.load import load_scene
-from granflow.plan.arrays import estimate_memory
 from granflow.plan.build import plan_for
 from granflow.plan.memory import estimate_memory
 

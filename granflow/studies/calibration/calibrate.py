@@ -15,7 +15,7 @@ from typing import Any
 
 from granflow.arguments import path_of, refuse_other, whole_number
 from granflow.errors import FileError, GranflowError
-from granflow.io.files import locked
+from granflow.io.lock import locked
 from granflow.io.machine import worker_count
 from granflow.scene.validated_file import validated_file, validated_mapping
 from granflow.studies.calibration.results import (

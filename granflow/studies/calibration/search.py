@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.io.files import locked, replacing
+from granflow.io.files import replacing
+from granflow.io.lock import locked
 from granflow.studies.calibration.response import fit_response
 from granflow.studies.calibration.schema import CalibrationInput, from_unit, to_unit
 

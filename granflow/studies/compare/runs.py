@@ -35,6 +35,7 @@ from granflow.contact.registry import models
 from granflow.io.files import file_digest, replacing
 from granflow.load import copied_scene
 from granflow.scene.suggest import suggestion_or_list
+from granflow.studies.checked_run import run_identity
 from granflow.studies.compare.bed import (
     FORCE_EDGES,
     BedHeights,
@@ -45,7 +46,6 @@ from granflow.studies.compare.bed import (
     median_of,
     survival,
 )
-from granflow.studies.checked_run import run_identity
 
 # ---------------------------------------------------------------- variants of the scene
 
