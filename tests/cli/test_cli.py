@@ -68,7 +68,7 @@ def stubs(monkeypatch, tmp_path):
         calls.collide = options
         return {"restitution_asked": 0.7, "restitution": 0.70001, "duration": 4e-5, "duration_theory": 4.1e-5}
 
-    monkeypatch.setattr(granflow.load, "load", load)
+    monkeypatch.setattr(granflow.load, "load_scene", load)
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
     monkeypatch.setattr(granflow.cli.run, "restitution_warnings", lambda scene, plan: [])
     monkeypatch.setitem(sys.modules, "granflow.studies.collide", types.SimpleNamespace(collide=collide))
