@@ -26,7 +26,6 @@ from granflow.cli.arguments import (
     load_runnable,
     print_error,
     say,
-    show_table,
     simulated_time,
     thread_count,
     warn,

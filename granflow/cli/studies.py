@@ -236,48 +236,6 @@ def add_fit(verbs: Any) -> None:
     add_out(parser, "out/DATA", "CSV and PNG")
 
 
-# beverloo
-
-
-def beverloo(options: argparse.Namespace) -> int:
-    """`granflow beverloo`: fit C and k of Beverloo's law; from four orifices also with a free exponent.
-
-        W = C rho sqrt(g) d^2.5 (D/d - k)^n
-
-    W: mass flow rate [kg/s], rho: bulk density [kg/m3], D: orifice, d: particle diameter [m]; n = 5/2 or
-    free. (W. A. Beverloo et al., Chem. Eng. Sci. 15 (1961) 260.)
-    """
-    from granflow.studies.beverloo import beverloo_rows, fit_beverloo, read_discharges
-
-    data = read_discharges(options.paths)
-    given = (data, options.diameter, options.bulk_density, options.gravity)
-    fits = [fit_beverloo(*given)]
-    heads = ["exponent 5/2"]
-    if len(set(data.orifice)) > len(("C", "k", "exponent")):
-        fits.append(fit_beverloo(*given, exponent=None))
-        heads.append("exponent free")
-    say("W = C rho sqrt(g) d^2.5 (D/d - k)^n")
-    show_table(f"{len(data.orifice)} flows", ("", *heads), beverloo_rows(fits))
-    return 0
-
-
-def add_beverloo(verbs: Any) -> None:
-    """Add `granflow beverloo` and its arguments."""
-    summary = "fit Beverloo's law to the flow rates of several runs, or of a table, with standard errors"
-    parser = add_verb(verbs, beverloo, summary)
-    add = parser.add_argument
-    sources = (
-        "runs whose flow meter has the radius of the orifice, or tables with the columns orifice and "
-        "mass_flow"
-    )
-    add("paths", metavar="OUT|FILE.csv", type=Path, nargs="+", help=sources)
-    add("--diameter", required=True, type=quantity("length"), help="particle diameter, such as 5mm")
-    density = "bulk density of the bed, such as '1500 kg/m3'"
-    add("--bulk-density", required=True, type=quantity("density"), help=density)
-    acceleration = "gravitational acceleration (default: 9.81 m/s2)"
-    add("--gravity", type=quantity("acceleration"), default=9.81, help=acceleration)
-
-
 # paper
 
 
@@ -297,45 +255,6 @@ def add_paper(verbs: Any) -> None:
     """Add `granflow paper` and its arguments."""
     summary = "reproduce the figures and tables of Zhou (2011) and compare all contact models, on one page"
     add_out(add_verb(verbs, paper, summary), "out/paper")
-
-
-# validate
-
-
-def validate(options: argparse.Namespace) -> int:
-    """`granflow validate`: compare published numbers and closed forms with simulations, on one page.
-
-    Writes the page as HTML and Markdown, and its data as JSON. Returns 1 if a deviation exceeds the allowed
-    one where the reference applies.
-    """
-    from granflow.studies.validation.report import write_validation
-
-    out = options.out or Path("out/validation")
-    cases = write_validation(out, options.quick, say_progress, options.peers)
-    failed = [each for each in cases if each.status == "fail"]
-    for each in (each for each in cases if each.status != "pass"):
-        say(
-            f"{each.status}: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} "
-            f"{each.unit}"
-        )
-    passed = sum(each.status == "pass" for each in cases)
-    say(f"{passed} of {len(cases)} cases pass. Open {out / 'validation.html'} in a browser.")
-    return 1 if failed else 0
-
-
-def add_validate(verbs: Any) -> None:
-    """Add `granflow validate` and its arguments."""
-    summary = "compare published numbers and closed forms with simulations, on one page"
-    parser = add_verb(verbs, validate, summary)
-    few = (
-        "only the cases of few particles and the cheap ones of many: 5 minutes instead of up to 35, on two "
-        "cores"
-    )
-    extent = parser.add_mutually_exclusive_group()
-    extent.add_argument("--quick", action="store_true", help=few)
-    both = "run LIGGGHTS (liggghts) and LAMMPS (lmp), as far as installed, for about 25 minutes more"
-    extent.add_argument("--peers", action="store_true", help=both)
-    add_out(parser, "out/validation")
 
 
 # accuracy

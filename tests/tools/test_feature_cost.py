@@ -8,7 +8,7 @@ from benchmark import features
 from benchmark.features import variants_of
 from subprocess_runner import in_subprocess
 
-from granflow.cli.main import main
+from granflow.errors import SceneError
 from granflow.load import load_scene
 from granflow.plan.build import plan_for
 from granflow.plan.memory import estimate_memory
@@ -155,12 +155,14 @@ def measured(directory):
         restore(simulation, *others)
         positions.append(simulation.snapshot().particles["position"].tolist())
 
-    measure.restore = restore_and_sample
+    features.restore = restore_and_sample
     scene = load_scene(path)
-    found = measure.feature_costs(scene, until=0.02, rounds=2, only=("baseline", "without walls"))
-    write_feature_costs(Path(directory) / "out", found, scene.title)
-    written = {each.name: each.read_text() for each in (Path(directory) / "out").iterdir()}
-    return {"rows": cost_rows(found), "positions": positions, "written": written}
+    found = features.feature_costs(scene, until=0.02, rounds=2, only=("baseline", "without walls"))
+    return {
+        "rows": features.cost_rows(found),
+        "positions": positions,
+        "text": features.text(found, scene.title),
+    }
 
 
 def test_every_timing_starts_from_the_same_particles(tmp_path):
@@ -177,6 +179,6 @@ def test_every_timing_starts_from_the_same_particles(tmp_path):
 
 
 def test_clumps_are_refused_before_the_run():
-    scene = load(Path(__file__).parents[2] / "scenes" / "clumps.yaml")
+    scene = load_scene(Path(__file__).parents[2] / "scenes" / "clumps.yaml")
     with pytest.raises(SceneError, match=r"clumps\.yaml:\d+:\d+: .* cannot be measured with clumps"):
         features.feature_costs(scene)
