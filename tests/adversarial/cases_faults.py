@@ -8,6 +8,9 @@ import sys
 import time
 from pathlib import Path
 
+from resume.faults import assert_complete
+from subprocess_runner import restore_interrupts
+
 from adversarial.beads import beads
 from adversarial.case import Case
 from adversarial.runs import (
@@ -20,8 +23,6 @@ from adversarial.runs import (
     write_scene,
 )
 from adversarial.sandbox import FinishedProcess, Sandbox, Skip, as_unprivileged_user, limited
-from resume.faults import assert_complete
-from subprocess_runner import restore_interrupts
 
 RESTARTS = 3
 """Number of times a run is killed before it is resumed to its end."""

@@ -7,9 +7,10 @@ import zlib
 
 import meshio
 import numpy as np
+from geometry.meshes import cube, sheet
+
 from adversarial.beads import BEADS, changed
 from adversarial.case import Case
-from geometry.meshes import cube, sheet
 
 FROM_TABLE = changed(
     BEADS,

@@ -6,10 +6,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from scene_builders import build_scene, particle_group
+
 from adversarial.beads import BEADS, changed, scene, solid
 from adversarial.case import Case
 from adversarial.sandbox import FinishedProcess, Sandbox, Skip
-from scene_builders import build_scene, particle_group
 
 FRAMES = 100_000
 STEPS = 1_000_000

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import numpy as np
-from adversarial.beads import beads, solid
-from adversarial.case import Case
 from geometry.meshes import sheet
 from scene_builders import build_scene, particle_group
+
+from adversarial.beads import beads, solid
+from adversarial.case import Case
 
 from adversarial.cases_input import as_stl  # isort: skip
 

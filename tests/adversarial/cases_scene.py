@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+from ruamel.yaml import YAML
+
 from adversarial.beads import BEADS, changed, scene
 from adversarial.case import Case
-from ruamel.yaml import YAML
 
 MESSAGES = Path(__file__).parents[1] / "messages"
 GOOD = (MESSAGES / "good.yaml").read_text(encoding="utf-8")

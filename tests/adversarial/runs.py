@@ -6,9 +6,10 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from resume.faults import SCENE, assert_complete, wait_for
+
 from adversarial.case import Case
 from adversarial.sandbox import FinishedProcess, Sandbox
-from resume.faults import SCENE, assert_complete, wait_for
 
 
 @functools.cache

@@ -3,6 +3,7 @@
 import functools
 
 import pytest
+
 from adversarial.case import Case, Outcome, outcome_of
 from adversarial.page import CASES, page_of, page_text
 
