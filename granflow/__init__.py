@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from granflow.engine.engine import start as start
+    from granflow.engine.state_cache import start as start
     from granflow.errors import FunctionError as FunctionError
     from granflow.errors import GranflowError as GranflowError
     from granflow.errors import OutputError as OutputError
@@ -194,7 +194,7 @@ _LOCATIONS = {
     "plan_for": "granflow.plan.build.plan_for",
     "read_run": "granflow.runs.read_run.read_run",
     "register_contact_model": "granflow.scene.registration.register_contact_model",
-    "start": "granflow.engine.engine.start",
+    "start": "granflow.engine.state_cache.start",
     "steady_flow": "granflow.observers.meters.steady_flow",
     "sweep": "granflow.studies.sweep.sweep.sweep",
 }

@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import inf
+from math import inf, isfinite
 from numbers import Real
 from pathlib import Path
 from threading import Lock
@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 from granflow.arguments import items_of, path_of, refuse_other, shown, whole_number
 from granflow.engine.backend import Arch, Backend, Precision, free_device_memory, refuse_other_thread
-from granflow.engine.engine import Engine, start
+from granflow.engine.engine import Engine
+from granflow.engine.state_cache import start
 from granflow.errors import GranflowError, StopRun
 from granflow.io.checkpoint import Checkpoint, checkpoint_at
 from granflow.live.forces import Forces, ParticleForce, plan_with_forces
@@ -45,9 +46,10 @@ from granflow.runs.resume import (
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import RunState
 from granflow.runs.session import RunSession
-from granflow.runs.time_loop import TimeLoop, end_of_run
+from granflow.runs.time_loop import TimeLoop
 from granflow.runs.timings import WallClock
 from granflow.snapshot import Snapshot
+from granflow.units import seconds_of
 from granflow.visible_text import html_table, readable, visible_line
 
 if TYPE_CHECKING:
@@ -418,7 +420,6 @@ class Simulation:
                 f"request_stop takes an exception, such as KeyboardInterrupt(), not {error!r}."
             )
         self._loop.stop_requested = error
-        self._state.interrupt()
 
     def free(self) -> None:
         """Finish all files and release the device memory; the simulation cannot continue afterwards."""
@@ -474,3 +475,29 @@ class Simulation:
             ("files", str(self.files.shown or "none")),
         ]
         return html_table(self.plan.title, rows)
+
+
+def end_of_run(
+    until: float | str | None, duration: float | str | None, now: float, time_step: float
+) -> float:
+    """End [s] of a run until a time or for a duration, numbers in s or text with units; infinite without
+    both.
+
+    now:        present time [s]
+    time_step:  present time step [s]
+    Raises:     GranflowError
+    """
+    until, duration = (
+        None if time is None else seconds_of(name, time)
+        for name, time in (("until", until), ("duration", duration))
+    )
+    if until is not None and duration is not None:
+        raise GranflowError("run takes until or duration, not both.")
+    if until is not None and until < now - time_step:
+        raise GranflowError(f"until is {until:g} s, but the simulation is at {now:g} s.")
+    for name, time in (("until", until), ("duration", duration)):
+        if time is not None and not isfinite(now + time):
+            raise GranflowError(f"{name} is {time} s, but must be finite.")
+    if duration is not None and duration < 0.0:
+        raise GranflowError(f"duration is {duration:g} s, but must not be negative.")
+    return now + duration if duration is not None else inf if until is None else until

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from granflow import start
-from granflow.engine import engine as state_cache
+from granflow.engine import state_cache
 
 CACHE = Path(__file__).parent.parent / ".pytest_cache"
 

@@ -14,15 +14,14 @@ import pytest
 
 import granflow.contact
 import granflow.engine
-from granflow.kernel_language import (
-    KERNELS,
+from granflow.kernel_language import KERNELS, ti
+from granflow.taichi_patches import (
     TreePool,
     end_of_function,
     filled,
     inside_class,
     set_member_class,
     source_lines,
-    ti,
 )
 
 

@@ -12,7 +12,7 @@ PACKAGE = ROOT / "granflow"
 LAYERS = (
     "errors",
     "arguments",
-    "kernel_source",
+    "taichi_patches",
     "kernel_language",
     "device_functions",
     "visible_text",

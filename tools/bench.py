@@ -32,7 +32,7 @@ from benchmark.codes import PEERS, missing
 from benchmark.machine import machine
 
 import granflow as gf
-from granflow.engine.backend import CACHE_VARIABLE
+from granflow.engine.kernel_cache import CACHE_VARIABLE
 
 RESULTS = Path(__file__).resolve().parent / "benchmark" / "results"
 LAWS = ("hertz", "zhou", "linear")

@@ -2,9 +2,9 @@
 
 `main` runs each verb within `standard_streams` and `stop_signals`. A stop signal, SIGINT (Ctrl-C) or SIGTERM,
 takes effect within a second at any time. While a verb works, the handler raises an exception at once. During
-a run it requests a stop: the run completes the launch in progress (LAUNCH_SECONDS of the stepper, or one step
-if that is longer), writes a checkpoint and ends. While C++ code compiles a kernel no Python handler runs, so
-the default action of the operating system ends the process instead.
+a run it requests a stop: the run completes the steps in progress, which take about `ADVANCE_SECONDS` of the
+time loop, writes a checkpoint and ends. While C++ code compiles a kernel no Python handler runs, so the
+default action of the operating system ends the process instead.
 """
 
 import errno
@@ -140,17 +140,17 @@ def stop_signals() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or _current is not None:
         yield
         return
-    from granflow.engine import compilation
+    from granflow import taichi_patches
 
     _current = signals = StopSignals()
-    around = compilation.around
-    compilation.around = signals.default_action
+    around = taichi_patches.around
+    taichi_patches.around = signals.default_action
     signals.install()
     try:
         yield
     finally:
         signals.restore()
-        compilation.around = around
+        taichi_patches.around = around
         _current = None
 
 

@@ -472,7 +472,7 @@ def _rank_engine(
     options: argparse.Namespace, communicator: "Communicator", scene: "Scene", plan: "Plan"
 ) -> "RankEngine":
     """The engine of a rank that is not the root."""
-    from granflow.engine.engine import start
+    from granflow.engine.state_cache import start
     from granflow.parallel.rank_engine import RankEngine
 
     return RankEngine(plan, start("cpu", scene.run.precision, options.threads), communicator, scene)
@@ -489,12 +489,12 @@ class RankStop:
         """Request the stop of the run; `number`: of the signal."""
         self._number = number
         if self._engine is not None:
-            self._engine.stepper.interrupted = number
+            self._engine.stepper.requested_stop = number
 
     def applied_to(self, engine: "RankEngine") -> "RankEngine":
         """The engine of this rank, with the request that came before it."""
         self._engine = engine
-        engine.stepper.interrupted = self._number
+        engine.stepper.requested_stop = self._number
         return engine
 
 
@@ -743,7 +743,7 @@ def cache(options: argparse.Namespace) -> int:
 
     With --clear, they are deleted.
     """
-    from granflow.engine.backend import CACHE_VARIABLE, cache_contents, cache_folder, clear_cache
+    from granflow.engine.kernel_cache import CACHE_VARIABLE, cache_contents, cache_folder, clear_cache
 
     if options.clear:
         cached = clear_cache()

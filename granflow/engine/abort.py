@@ -121,7 +121,7 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
     """Sentences on the cause of an overlap above the limit, with the remedies that follow from the contact
     model.
 
-    The moduli are those at which the same impact or load stays below the limit, see `forecast.advice`. For
+    The moduli are those at which the same impact or load stays below the limit, see `plan.overlaps`. For
     static loads the largest of the observed force, the weight of all particles and the walls counts: the load
     may still increase.
     """
@@ -553,7 +553,7 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnosis of an abort, with the contact pair of the largest overlap; None without a contact.
 
-    code:        abort code, see `limits`
+    code:        abort code, see `engine.codes`
     particle:    id of the particle that exceeded the limit; unused for walls
     time:        simulated time [s]
     step_taken:  true if a step was taken; false if only the initial forces were computed

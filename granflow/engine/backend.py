@@ -1,4 +1,10 @@
-"""Starts and restarts Taichi with architecture, precision and threads. No other module does."""
+"""Starts Taichi with architecture, precision and threads. No other module does.
+
+`start` is for one set of settings per process and returns them as a `Backend`; `engine.state_cache.start`
+also restarts Taichi with other settings if nothing is in use. The second section notices fields that the
+user's program makes with Taichi. The third one reads which Vulkan devices exist, and refuses those whose
+results would be wrong.
+"""
 
 import atexit
 import ctypes
@@ -6,12 +12,11 @@ import logging
 import os
 import re
 import shutil
+import struct
 import sys
-import tempfile
 import threading
-import time
 from collections.abc import Sequence
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from functools import cache
 from io import StringIO
@@ -19,378 +24,11 @@ from pathlib import Path
 from typing import Any, Literal
 from weakref import WeakSet
 
-from granflow.engine.compilation import guarded, in_context
+from granflow.engine.kernel_cache import TEMPORARY, cache_folder, usable_folder
 from granflow.errors import GranflowError
 from granflow.io.machine import free_gpu_memory, worker_count
 from granflow.kernel_language import KERNELS, VARIABLE, ti
-from granflow.kernel_language import KERNELS as LANGUAGE
-
-# Fields and arrays that a user's program has made with Taichi: a restart of Taichi would destroy them.
-
-_own: "WeakSet[Any]" = WeakSet()
-_found = False
-
-
-def new_builder() -> Any:
-    """A builder of fields of granflow."""
-    builder = ti.FieldsBuilder()
-    _own.add(builder)
-    return builder
-
-
-def found() -> bool:
-    """Whether the program has allocated fields or arrays since the first start, or declared fields."""
-    return _found or not ti.root.empty
-
-
-def watch() -> None:
-    """Notice fields and arrays that are allocated from now on; once per process."""
-    builder = ti.FieldsBuilder
-    program = ti._lib.core.Program
-    builder._finalize = _watched_builder(builder._finalize)
-    program.create_ndarray = _watched(program.create_ndarray)
-
-
-def _watched_builder(finalize: Any) -> Any:
-    def finalize_builder(builder: Any, *arguments: Any, **options: Any) -> Any:
-        global _found
-        _found |= builder not in _own and not builder.empty
-        return finalize(builder, *arguments, **options)
-
-    return finalize_builder
-
-
-def _watched(create: Any) -> Any:
-    def create_array(*arguments: Any, **options: Any) -> Any:
-        global _found
-        _found = True
-        return create(*arguments, **options)
-
-    return create_array
-
-
-# The folder that keeps compiled kernels between runs, for fast later starts. File operations only, no
-# Taichi.
-
-CACHE_VARIABLE = "GRANFLOW_CACHE"
-"""Environment variable with the path of the folder."""
-PATTERNS = {"taichi": "*.tic", "quadrants": "kernel_compilation_manager/*.qdc"}
-"""Pattern of the paths of compiled kernels in the folder, by kernel language."""
-CACHED_KERNELS = PATTERNS[LANGUAGE]
-"""Pattern of the kernel language in use."""
-INDEXES = {"taichi": "ticache.tcb", "quadrants": "kernel_compilation_manager/qdcache.qdb"}
-LOCKS = {"taichi": "ticache.lock", "quadrants": "kernel_compilation_manager/qdcache.lock"}
-"""Paths of the index and of the lock of the cache in the folder, by kernel language."""
-TEMPORARY = "granflow_kernels_"
-"""Prefix of a temporary folder for one process, deleted at its end."""
-STALE_LOCK = 60.0
-"""Age [s] of an abandoned lock. Taichi holds its lock briefly; the lock of a killed process would disable the
-cache."""
-
-
-@dataclass(frozen=True)
-class CacheContents:
-    """Contents of the cache folder: number of kernels, and size [bytes] of all files."""
-
-    kernel_count: int
-    size: int
-
-
-def cache_folder() -> Path:
-    """The folder in GRANFLOW_CACHE as an absolute path, or granflow/kernels in the cache folder of the
-    platform."""
-    named = os.environ.get(CACHE_VARIABLE)
-    if named:
-        return Path(named).expanduser().absolute()
-    from platformdirs import user_cache_path
-
-    return user_cache_path("granflow", appauthor=False, opinion=False) / "kernels"
-
-
-def usable_folder() -> Path:
-    """The cache folder, created if necessary. If it is not writable: a warning, and a temporary folder.
-
-    The caller deletes a temporary folder, whose name begins with TEMPORARY. A lock older than STALE_LOCK is
-    removed.
-
-    Taichi without any cache folder crashes at the end of a process that has compiled many kernels (SIGSEGV).
-    """
-    folder = cache_folder()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        writable = os.access(folder, os.W_OK)
-    except OSError:
-        writable = False
-    if not writable:
-        logging.getLogger("granflow").warning(
-            "granflow: %s cannot be written, so kernels are compiled again in every run. Set %s to another "
-            "folder.",
-            folder,
-            CACHE_VARIABLE,
-        )
-        return Path(tempfile.mkdtemp(prefix=TEMPORARY))
-    with suppress(OSError):
-        lock = folder / LOCKS[LANGUAGE]
-        if time.time() - lock.stat().st_mtime > STALE_LOCK:
-            lock.unlink()
-    return folder
-
-
-def cache_contents() -> CacheContents:
-    """Number of kernels and size of the folder; zeros without a folder."""
-    files = _files()
-    return CacheContents(
-        sum(any(map(path.match, PATTERNS.values())) for path in files), sum(map(_size, files))
-    )
-
-
-def clear_cache() -> CacheContents:
-    """Delete the files of both kernel languages in the folder and no others; returns their number and
-    size."""
-    removed = cache_contents()
-    for path in _files():
-        path.unlink(missing_ok=True)
-    return removed
-
-
-def _files() -> list[Path]:
-    """Files of both kernel languages in the cache folder."""
-    folder = cache_folder()
-    kernels = [path for pattern in PATTERNS.values() for path in folder.glob(pattern)]
-    others = [folder / name for name in (*INDEXES.values(), *LOCKS.values())]
-    return [*kernels, *(path for path in others if path.exists())]
-
-
-def _size(path: Path) -> int:
-    """Size of a file [bytes]; 0 if it does not exist."""
-    try:
-        return path.stat().st_size
-    except FileNotFoundError:  # another process has deleted it
-        return 0
-
-
-# Vulkan devices and drivers of this machine, read through the Vulkan loader.
-
-MESA_MINIMUM = (25, 0)
-"""First version of Mesa with a correct llvmpipe; 22.3 skips statements after an inner loop with two
-atomics."""
-CPU_TYPE = 4
-"""VkPhysicalDeviceType of a device that is a CPU."""
-API_VERSION = 1 << 22 | 1 << 12
-"""Vulkan 1.1, as VK_MAKE_API_VERSION."""
-FEATURE_COUNT, FLOAT64, INT64 = 55, 39, 40
-"""Number of entries of VkPhysicalDeviceFeatures, and indices of shaderFloat64 and shaderInt64."""
-INSTANCE_INFO, PROPERTIES_2, MEMORY_2, LIMITS, DRIVER_PROPERTIES, BUDGET = (
-    1,
-    1000059001,
-    1000059006,
-    1000168000,
-    1000196000,
-    1000237000,
-)
-"""VkStructureType of the structures."""
-MEMORY_TYPES, MEMORY_HEAPS, DEVICE_LOCAL = 32, 16, 1
-"""Lengths of the arrays of VkPhysicalDeviceMemoryProperties, and flag of a heap in the memory of the
-device."""
-ADDRESSED = 2**32
-"""Largest buffer [bytes]: kernels address the fields of a run, which are in one buffer, with 32 bits."""
-
-
-class _ApplicationInfo(ctypes.Structure):
-    """VkApplicationInfo."""
-
-    _fields_ = (
-        ("kind", ctypes.c_int32),
-        ("next", ctypes.c_void_p),
-        ("name", ctypes.c_char_p),
-        ("version", ctypes.c_uint32),
-        ("engine", ctypes.c_char_p),
-        ("engine_version", ctypes.c_uint32),
-        ("api", ctypes.c_uint32),
-    )
-
-
-class _InstanceInfo(ctypes.Structure):
-    """VkInstanceCreateInfo."""
-
-    _fields_ = (
-        ("kind", ctypes.c_int32),
-        ("next", ctypes.c_void_p),
-        ("flags", ctypes.c_uint32),
-        ("application", ctypes.POINTER(_ApplicationInfo)),
-        ("layer_count", ctypes.c_uint32),
-        ("layers", ctypes.c_void_p),
-        ("extension_count", ctypes.c_uint32),
-        ("extensions", ctypes.c_void_p),
-    )
-
-
-class _Driver(ctypes.Structure):
-    """VkPhysicalDeviceDriverProperties."""
-
-    _fields_ = (
-        ("kind", ctypes.c_int32),
-        ("next", ctypes.c_void_p),
-        ("id", ctypes.c_int32),
-        ("name", ctypes.c_char * 256),
-        ("info", ctypes.c_char * 256),
-        ("conformance", ctypes.c_uint8 * 4),
-    )
-
-
-class _Properties(ctypes.Structure):
-    """VkPhysicalDeviceProperties2; `rest` is longer than the remaining members."""
-
-    _fields_ = (
-        ("kind", ctypes.c_int32),
-        ("next", ctypes.c_void_p),
-        *((name, ctypes.c_uint32) for name in ("api", "driver_version", "vendor", "device", "type")),
-        ("name", ctypes.c_char * 256),
-        ("rest", ctypes.c_char * 4096),
-    )
-
-
-class _Limits(ctypes.Structure):
-    """VkPhysicalDeviceMaintenance3Properties."""
-
-    _fields_ = (
-        ("kind", ctypes.c_int32),
-        ("next", ctypes.c_void_p),
-        ("descriptors", ctypes.c_uint32),
-        ("allocation", ctypes.c_uint64),
-    )
-
-
-class _Heap(ctypes.Structure):
-    """VkMemoryHeap."""
-
-    _fields_ = (("size", ctypes.c_uint64), ("flags", ctypes.c_uint32))
-
-
-class _Memory(ctypes.Structure):
-    """VkPhysicalDeviceMemoryProperties2."""
-
-    _fields_ = (
-        ("kind", ctypes.c_int32),
-        ("next", ctypes.c_void_p),
-        ("type_count", ctypes.c_uint32),
-        ("types", ctypes.c_uint32 * (2 * MEMORY_TYPES)),
-        ("heap_count", ctypes.c_uint32),
-        ("heaps", _Heap * MEMORY_HEAPS),
-    )
-
-
-class _Budget(ctypes.Structure):
-    """VkPhysicalDeviceMemoryBudgetPropertiesEXT; zeros from a driver without the extension."""
-
-    _fields_ = (
-        ("kind", ctypes.c_int32),
-        ("next", ctypes.c_void_p),
-        ("budget", ctypes.c_uint64 * MEMORY_HEAPS),
-        ("usage", ctypes.c_uint64 * MEMORY_HEAPS),
-    )
-
-
-@dataclass(frozen=True)
-class VulkanDevice:
-    """A Vulkan device.
-
-    name:        as reported by the driver, as `llvmpipe (LLVM 15.0.6, 256 bits)`
-    driver:      name and version of the driver, as `llvmpipe Mesa 25.0.7 (LLVM 15.0.6)`
-    on_cpu:      the driver executes on the CPU
-    has_64_bit:  f64 and i64 in kernels
-    total, free: memory [bytes]; without VK_EXT_memory_budget all memory counts as free
-    allocation:  largest allocation [bytes]
-    """
-
-    name: str
-    driver: str
-    on_cpu: bool
-    has_64_bit: bool = True
-    total: int = 0
-    free: int = 0
-    allocation: int = ADDRESSED
-
-    @property
-    def largest_buffer(self) -> int:
-        """Largest buffer [bytes] for the fields of a run."""
-        return min(self.allocation, ADDRESSED)
-
-    @property
-    def is_wrong(self) -> bool:
-        """True for llvmpipe of a Mesa that returns wrong results without an error."""
-        version = re.search(r"Mesa (\d+)\.(\d+)", self.driver)
-        known = (int(version[1]), int(version[2])) if version else (0, 0)
-        return self.name.startswith("llvmpipe") and known < MESA_MINIMUM
-
-
-def vulkan_devices() -> list[VulkanDevice]:
-    """All Vulkan devices in the order of the loader; empty without a loader or a driver."""
-    loader = _loader()
-    if loader is None:
-        return []
-    application = _ApplicationInfo(api=API_VERSION)
-    info = _InstanceInfo(kind=INSTANCE_INFO, application=ctypes.pointer(application))
-    instance = ctypes.c_void_p()
-    if loader.vkCreateInstance(ctypes.byref(info), None, ctypes.byref(instance)):
-        return []
-    try:
-        return [_device(loader, handle) for handle in _handles(loader, instance)]
-    finally:
-        loader.vkDestroyInstance(instance, None)
-
-
-def used_device(devices: Sequence[VulkanDevice]) -> VulkanDevice | None:
-    """The device that kernels run on: the first GPU, or the first device without a GPU; None without a
-    device."""
-    return min(devices, key=lambda device: device.on_cpu, default=None)
-
-
-def _loader() -> Any:
-    """The Vulkan loader; None if it is not installed or older than Vulkan 1.1."""
-    names = {"win32": "vulkan-1.dll", "darwin": "libvulkan.dylib"}
-    try:
-        loader = ctypes.CDLL(names.get(sys.platform, "libvulkan.so.1"))
-    except OSError:
-        return None
-    return loader if hasattr(loader, "vkGetPhysicalDeviceProperties2") else None
-
-
-def _handles(loader: Any, instance: ctypes.c_void_p) -> list[ctypes.c_void_p]:
-    """Handles of the physical devices."""
-    count = ctypes.c_uint32()
-    loader.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), None)
-    handles = (ctypes.c_void_p * count.value)()
-    loader.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
-    return [ctypes.c_void_p(handle) for handle in handles[: count.value]]
-
-
-def _device(loader: Any, handle: ctypes.c_void_p) -> VulkanDevice:
-    """Properties of one device."""
-    limits = _Limits(kind=LIMITS)
-    driver = _Driver(kind=DRIVER_PROPERTIES, next=ctypes.addressof(limits))
-    found = _Properties(kind=PROPERTIES_2, next=ctypes.addressof(driver))
-    loader.vkGetPhysicalDeviceProperties2(handle, ctypes.byref(found))
-    features = (ctypes.c_uint32 * FEATURE_COUNT)()
-    loader.vkGetPhysicalDeviceFeatures(handle, features)
-    text = f"{driver.name.decode(errors='replace')} {driver.info.decode(errors='replace')}"
-    has_64_bit, (total, free) = bool(features[FLOAT64] and features[INT64]), _memory(loader, handle)
-    name = found.name.decode(errors="replace")
-    on_cpu = found.type == CPU_TYPE
-    return VulkanDevice(name, text, on_cpu, has_64_bit, total, free, int(limits.allocation) or ADDRESSED)
-
-
-def _memory(loader: Any, handle: ctypes.c_void_p) -> tuple[int, int]:
-    """Total and free memory [bytes] of the largest heap of a device."""
-    budget = _Budget(kind=BUDGET)
-    memory = _Memory(kind=MEMORY_2, next=ctypes.addressof(budget))
-    loader.vkGetPhysicalDeviceMemoryProperties2(handle, ctypes.byref(memory))
-    local = [k for k in range(memory.heap_count) if memory.heaps[k].flags & DEVICE_LOCAL]
-    largest = max(local, key=lambda k: memory.heaps[k].size, default=0)
-    total = int(memory.heaps[largest].size)
-    free = int(budget.budget[largest]) - int(budget.usage[largest]) if budget.budget[largest] else total
-    return total, max(free, 0)
-
+from granflow.taichi_patches import prepare_program
 
 Arch = Literal["cpu", "cuda", "vulkan", "gpu"]
 """Requested architecture; "gpu" is CUDA, or Vulkan where that is absent."""
@@ -472,7 +110,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
 
     threads:  CPU threads; None: as many as this process may use
     Raises:   GranflowError if the architecture is absent or lacks float64, or if Taichi runs with other
-              settings and `state_cache.restart` is not possible
+              settings and `engine.state_cache.start` is not possible
     """
     global _started
     refuse_forked_process()
@@ -549,36 +187,13 @@ def _folder(named: Path) -> Path:
 @cache
 def _prepare_module() -> None:
     """Replace functions of the kernel language, once per process."""
-    watch()
-    if KERNELS == "taichi":
-        ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _position_in_source
-        for module in (ti.lang.impl, ti.lang.matrix, ti.lang.snode):
-            module.get_traceback = _no_traceback
-    wrapped = guarded if KERNELS == "taichi" else in_context
-    ti._lib.core.Program.compile_kernel = wrapped(ti._lib.core.Program.compile_kernel)
+    prepare_program(ti, KERNELS == "quadrants", _note_builder, _note_array)
 
 
 def _stop_and_remove(folder: Path) -> None:
     """Stop Taichi, which then writes its kernel cache, and delete the temporary folder."""
     ti.reset()
     shutil.rmtree(folder, ignore_errors=True)
-
-
-def _position_in_source(context: Any, node: Any) -> str:
-    """File and line of a syntax tree node for error messages; replaces the function of Taichi.
-
-    The function of Taichi formats the source line of every node of every kernel, needed or not: 0.5 s per
-    start.
-    """
-    number = node.lineno + context.lineno_offset
-    line = f'File "{context.file}", line {number}, in {context.func.func.__name__}:\n'
-    return line + context.src[node.lineno - 1] + "\n"
-
-
-def _no_traceback(stacklevel: int = 1) -> str:
-    """Replaces the function of Taichi that formats the call stack of each field: it reads some 60 source
-    files."""
-    return ""
 
 
 def _init(workers: int, **options: Any) -> None:
@@ -618,6 +233,105 @@ def _check_started(name: str) -> None:
         )
 
 
+def is_running_with(arch: Arch, precision: Precision, threads: int | None) -> bool:
+    """Whether Taichi runs with these settings."""
+    if _started is None:
+        return False
+    same_arch = arch == _started.arch or (arch == "gpu" and not _started.on_cpu)
+    return same_arch and precision == _started.precision and threads in (None, _started.threads)
+
+
+def _refusal(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> GranflowError:
+    """The error if Taichi runs with other settings."""
+    before = _settings(running.arch, running.precision, running.threads)
+    now = _settings(arch, precision, threads)
+    if foreign_fields_exist():
+        return GranflowError(
+            f"Taichi runs in this process on {before}, and a restart would destroy the fields that your "
+            f"program has made with Taichi; start {now} in a separate process."
+        )
+    return GranflowError(
+        f"A simulation in this process uses {before}: end it by simulation.free() before one on {now}, or "
+        "start that in a separate process."
+    )
+
+
+def _settings(arch: str, precision: Precision, threads: int | None) -> str:
+    """Settings of a start in words."""
+    return f"{arch} with {precision} and {'all' if threads is None else threads} threads"
+
+
+# Fields and arrays that a user's program has made with Taichi: a restart of Taichi would destroy them.
+
+_own: "WeakSet[Any]" = WeakSet()
+"""Builders of the fields of granflow."""
+_foreign_fields_allocated = False
+
+
+def new_builder() -> Any:
+    """A builder of fields of granflow."""
+    builder = ti.FieldsBuilder()
+    _own.add(builder)
+    return builder
+
+
+def foreign_fields_exist() -> bool:
+    """Whether the program has allocated fields or arrays since the first start, or declared fields."""
+    return _foreign_fields_allocated or not ti.root.empty
+
+
+def _note_builder(builder: Any) -> None:
+    global _foreign_fields_allocated
+    _foreign_fields_allocated |= builder not in _own and not builder.empty
+
+
+def _note_array() -> None:
+    global _foreign_fields_allocated
+    _foreign_fields_allocated = True
+
+
+# Vulkan devices of this machine, read through the Vulkan loader. Taichi reports neither their drivers nor
+# their memory.
+
+MESA_MINIMUM = (25, 0)
+"""First version of Mesa with a correct llvmpipe; 22.3 skips statements after an inner loop with two
+atomics."""
+ADDRESSED = 2**32
+"""Largest buffer [bytes]: kernels address the fields of a run, which are in one buffer, with 32 bits."""
+
+
+@dataclass(frozen=True)
+class VulkanDevice:
+    """A Vulkan device.
+
+    name:        as reported by the driver, as `llvmpipe (LLVM 15.0.6, 256 bits)`
+    driver:      name and version of the driver, as `llvmpipe Mesa 25.0.7 (LLVM 15.0.6)`
+    on_cpu:      the driver executes on the CPU
+    has_64_bit:  f64 and i64 in kernels
+    free:        memory [bytes]; without VK_EXT_memory_budget all memory counts as free
+    allocation:  largest allocation [bytes]
+    """
+
+    name: str
+    driver: str
+    on_cpu: bool
+    has_64_bit: bool = True
+    free: int = 0
+    allocation: int = ADDRESSED
+
+    @property
+    def largest_buffer(self) -> int:
+        """Largest buffer [bytes] for the fields of a run."""
+        return min(self.allocation, ADDRESSED)
+
+    @property
+    def is_wrong(self) -> bool:
+        """True for llvmpipe of a Mesa that returns wrong results without an error."""
+        version = re.search(r"Mesa (\d+)\.(\d+)", self.driver)
+        known = (int(version[1]), int(version[2])) if version else (0, 0)
+        return self.name.startswith("llvmpipe") and known < MESA_MINIMUM
+
+
 def refuse_unreliable_vulkan(devices: Sequence[VulkanDevice]) -> None:
     """Raise GranflowError if results on Vulkan would be wrong, or a run would end early.
 
@@ -641,40 +355,88 @@ def refuse_unreliable_vulkan(devices: Sequence[VulkanDevice]) -> None:
         )
 
 
-def is_running_with(arch: Arch, precision: Precision, threads: int | None) -> bool:
-    """Whether Taichi runs with these settings."""
-    if _started is None:
-        return False
-    same_arch = arch == _started.arch or (arch == "gpu" and not _started.on_cpu)
-    return same_arch and precision == _started.precision and threads in (None, _started.threads)
-
-
-def _refusal(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> GranflowError:
-    """The error if Taichi runs with other settings."""
-    before = _settings(running.arch, running.precision, running.threads)
-    now = _settings(arch, precision, threads)
-    if found():
-        return GranflowError(
-            f"Taichi runs in this process on {before}, and a restart would destroy the fields that your "
-            f"program has made with Taichi; start {now} in a separate process."
-        )
-    return GranflowError(
-        f"A simulation in this process uses {before}: end it by simulation.free() before one on {now}, or "
-        "start that in a separate process."
-    )
-
-
-def _settings(arch: str, precision: Precision, threads: int | None) -> str:
-    """Settings of a start in words."""
-    return f"{arch} with {precision} and {'all' if threads is None else threads} threads"
-
-
-# Free memory of the GPU that kernels run on.
-
-
 def free_device_memory(arch: str) -> int | None:
     """Free memory [bytes] of the device of "cuda" or "vulkan"; None if it is unknown."""
     if arch == "cuda":
         return free_gpu_memory()
     device = used_device(vulkan_devices())
     return None if device is None else device.free
+
+
+def used_device(devices: Sequence[VulkanDevice]) -> VulkanDevice | None:
+    """The device that kernels run on: the first GPU, or the first device without a GPU; None without a
+    device."""
+    return min(devices, key=lambda device: device.on_cpu, default=None)
+
+
+def vulkan_devices() -> list[VulkanDevice]:
+    """All Vulkan devices in the order of the loader; empty without a loader or a driver."""
+    names = {"win32": "vulkan-1.dll", "darwin": "libvulkan.dylib"}
+    try:
+        loader = ctypes.CDLL(names.get(sys.platform, "libvulkan.so.1"))
+    except OSError:
+        return []
+    if not hasattr(loader, "vkGetPhysicalDeviceProperties2"):  # older than Vulkan 1.1
+        return []
+    application = _structure(0, 48)  # VkApplicationInfo
+    struct.pack_into("=I", application, 44, 1 << 22 | 1 << 12)  # version 1.1
+    info = _structure(1, 64)  # VkInstanceCreateInfo
+    struct.pack_into("=Q", info, 24, ctypes.addressof(application))
+    instance = ctypes.c_void_p()
+    if loader.vkCreateInstance(info, None, ctypes.byref(instance)):
+        return []
+    try:
+        count = ctypes.c_uint32()
+        loader.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), None)
+        handles = (ctypes.c_void_p * count.value)()
+        loader.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
+        return [_device(loader, ctypes.c_void_p(handle)) for handle in handles[: count.value]]
+    finally:
+        loader.vkDestroyInstance(instance, None)
+
+
+def _device(loader: Any, handle: ctypes.c_void_p) -> VulkanDevice:
+    """Properties of one device. The offsets are those of the members of the structures in vulkan_core.h."""
+    limits = _structure(1000168000, 32)  # VkPhysicalDeviceMaintenance3Properties
+    driver = _structure(1000196000, 536, limits)  # VkPhysicalDeviceDriverProperties
+    properties = _structure(1000059001, 840, driver)  # VkPhysicalDeviceProperties2
+    loader.vkGetPhysicalDeviceProperties2(handle, properties)
+    features = (ctypes.c_uint32 * 55)()  # VkPhysicalDeviceFeatures
+    loader.vkGetPhysicalDeviceFeatures(handle, features)
+    (device_type,) = struct.unpack_from("=I", properties, 32)
+    (allocation,) = struct.unpack_from("=Q", limits, 24)
+    return VulkanDevice(
+        name=_text(properties, 36),
+        driver=f"{_text(driver, 20)} {_text(driver, 276)}",
+        on_cpu=device_type == 4,  # VK_PHYSICAL_DEVICE_TYPE_CPU
+        has_64_bit=bool(features[39] and features[40]),  # shaderFloat64, shaderInt64
+        free=_free_memory(loader, handle),
+        allocation=allocation or ADDRESSED,
+    )
+
+
+def _free_memory(loader: Any, handle: ctypes.c_void_p) -> int:
+    """Free memory [bytes] of the largest heap in the memory of the device."""
+    budget = _structure(1000237000, 272)  # VkPhysicalDeviceMemoryBudgetPropertiesEXT, zeros without it
+    memory = _structure(1000059006, 536, budget)  # VkPhysicalDeviceMemoryProperties2
+    loader.vkGetPhysicalDeviceMemoryProperties2(handle, memory)
+    (heap_count,) = struct.unpack_from("=I", memory, 276)
+    heaps = [struct.unpack_from("=QI", memory, 280 + 16 * k) for k in range(heap_count)]  # size, flags
+    local = [k for k, (_, flags) in enumerate(heaps) if flags & 1]  # VK_MEMORY_HEAP_DEVICE_LOCAL_BIT
+    largest = max(local, key=lambda k: heaps[k][0], default=0)
+    (allowed,) = struct.unpack_from("=Q", budget, 16 + 8 * largest)
+    (used,) = struct.unpack_from("=Q", budget, 144 + 8 * largest)
+    return max(allowed - used, 0) if allowed else int(heaps[largest][0])
+
+
+def _structure(kind: int, size: int, following: Any = None) -> Any:
+    """A Vulkan structure of `size` bytes: its VkStructureType, the structure that follows it, and zeros."""
+    memory = (ctypes.c_uint64 * (size // 8))()  # aligned as pointers
+    address = 0 if following is None else ctypes.addressof(following)
+    struct.pack_into("=I4xQ", memory, 0, kind, address)
+    return memory
+
+
+def _text(structure: Any, offset: int) -> str:
+    """Text in the 256 bytes from an offset."""
+    return bytes(structure)[offset : offset + 256].split(b"\0")[0].decode(errors="replace")

@@ -1,21 +1,23 @@
-"""Device interface of the simulation: insert particles, set walls, advance, take a snapshot."""
+"""The engine: the device interface of a simulation.
 
-import gc
-import threading
+`Engine` connects a plan with the device. It owns a `State` (arrays and clock), a `Stepper` (kernels) and the
+accounting of inserted and deleted particles. Its methods insert particles, set walls, take steps, and return
+snapshots, sums and the state for a checkpoint. It knows neither stages nor observers nor files:
+`granflow.runs` decides what happens when.
+"""
+
 import weakref
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Any, Protocol, TypeVar, get_args
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from granflow.engine import backend as foreign_fields
-from granflow.engine import backend as taichi
 from granflow.engine.abort import Change, Diagnosis, diagnose
-from granflow.engine.backend import Arch, Backend, Precision
-from granflow.engine.clumps import CLUMP_MOTION, Arrays, angular_momentum, arms, synchronized_clumps
-from granflow.engine.codes import NO_PARTICLE, REMOVED_BELOW
+from granflow.engine.backend import Backend
+from granflow.engine.clumps import CLUMP_MOTION, synchronized_clumps
+from granflow.engine.codes import NO_PARTICLE
 from granflow.engine.contact import collision_counts
 from granflow.engine.fields import write_field
 from granflow.engine.host import (
@@ -23,11 +25,14 @@ from granflow.engine.host import (
     HostParticles,
     append_particles,
     copy_to_host,
-    particle_table,
+    new_particle_arrays,
     saved_particle_table,
+    sphere_rows,
+    write_particles,
 )
 from granflow.engine.particle_forces import mobility_mask, write_damping
 from granflow.engine.state import FreedState, State
+from granflow.engine.state_cache import return_state, take_state
 from granflow.engine.statistics import ContactOutput, ContactStatistics, MaxImpactVelocity
 from granflow.engine.step import build_kick
 from granflow.engine.stepper import GpuStepper, Stepper
@@ -50,153 +55,18 @@ from granflow.engine.wall_dynamics import wall_impulses
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion, pose
-from granflow.geometry.quaternions import product
-from granflow.geometry.shape import sphere_mass, sphere_volume
-from granflow.io.machine import worker_count
 from granflow.particles.group import ParticleData
 from granflow.plan.arrays import (
     DeviceArray,
-    fits_lists,
     saved_arrays,
-    structure_of,
     sum_arrays,
     wall_dynamics_arrays,
 )
-from granflow.plan.memory import estimate_memory
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import STEPS_BETWEEN_UPDATES
 from granflow.snapshot import Snapshot
 
-# Particles that change during a run from Python: read in the order of ids, written and removed.
-#
-# `Engine.begin_change` precedes each change, `Engine.refresh` follows the last one.
-
-
-def present_indices(state: State) -> np.ndarray:
-    """Device indices (n,) of the particles in the order of their ids, without those that are removed."""
-    arrays = copy_to_host(state, ("id", "radius"))
-    order = np.argsort(arrays["id"], kind="stable")
-    return order[arrays["radius"][order] > REMOVED_BELOW]
-
-
-def write_particles(state: State, indices: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write particle fields.
-
-    indices:  device indices (k,)
-    arrays:   arrays (k,) or (k, 3) by field; velocities are at the time of the positions
-    """
-    values = dict(arrays)
-    if "velocity" in values and state.particles.velocity_synchronized is not None:
-        values["velocity_synchronized"] = values["velocity"]
-    state.built(particle_table, tuple(values)).put(indices, values)
-
-
-def remove_particles(state: State, indices: np.ndarray) -> None:
-    """Mark particles with these device indices (k,) for deletion at the next neighbor-list rebuild."""
-    radius = copy_to_host(state, ("radius",))["radius"][indices]
-    write_particles(state, indices, {"radius": -radius})
-
-
-# Arrays of inserted particles.
-
-
-def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
-    """Arrays (k,) or (k, 3) by particle field for new particles, with ids from `first_id`.
-
-    Velocities are at the time of the positions; materials are numbers of the plan. Each clump is one particle
-    of `new` and several rows of the arrays, see `sphere_rows`.
-    """
-    density = _densities(plan)
-    count = len(new)
-    numbers = {name: number for number, name in enumerate(plan.materials)}
-    material = np.array([numbers.get(name, 0) for name in plan.solids])
-    fixed = np.array([group.fixed for group in plan.groups])
-    arrays = {
-        "id": first_id + np.arange(count),
-        "material": material[new.material],
-        "fixed": fixed[new.group].astype(np.int32),
-        "radius": new.radius,
-        "mass": sphere_mass(new.radius, density[new.material]),
-        "position": new.position,
-        "position_at_rebuild": new.position,
-        "velocity": new.velocity,
-        "angular_velocity": new.angular_velocity,
-    }
-    if plan.features.liquid_transfer:
-        arrays["liquid_film"] = _films(plan, new)
-    return _sphere_arrays(plan, new, arrays, first_id) if plan.features.clumps else arrays
-
-
-def _films(plan: Plan, new: ParticleData) -> np.ndarray:
-    """Volumes (k,) [m3] of the films of new particles, whole units."""
-    content = np.array([group.liquid_content for group in plan.groups])
-    volume = content[new.group] * sphere_volume(new.radius)
-    films: np.ndarray = np.rint(volume / plan.liquid_unit) * plan.liquid_unit
-    return films
-
-
-def sphere_rows(plan: Plan, new: ParticleData) -> np.ndarray:
-    """Row (k,) in `new` of each of the k spheres: that of its clump, or its own."""
-    sizes = np.array([1 if group.clump is None else len(group.clump) for group in plan.groups])
-    return np.repeat(np.arange(len(new)), sizes[new.group])
-
-
-def _densities(plan: Plan) -> np.ndarray:
-    """Densities [kg/m3] of the materials of the scene."""
-    return np.array([solid.density for solid in plan.solids.values()])
-
-
-def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int) -> Arrays:
-    """Arrays (k,) or (k, 3) of the spheres of all clumps, and of single spheres.
-
-    bodies:  arrays (n,) or (n, 3) with a row per clump or single sphere
-    """
-    row = sphere_rows(plan, new)
-    size = np.bincount(row, minlength=len(new))
-    first = np.cumsum(size) - size
-    member = np.arange(len(row)) - first[row]
-    count = len(row)
-    arrays = {name: values[row] for name, values in bodies.items()}
-    arrays |= {"id": first_id + np.arange(count), "clump": np.full(count, -1), "clump_size": size[row]}
-    arrays |= {"clump_mass": arrays["mass"].copy(), "orientation": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))}
-    arrays |= {name: np.zeros((count, 3)) for name in ("clump_inertia", "clump_offset")}
-    for number, group in enumerate(plan.groups):
-        own = np.flatnonzero(new.group[row] == number)
-        if group.clump is not None and len(own):
-            assert new.orientation is not None
-            shape = group.clump
-            density = float(_densities(plan)[new.material[row[own[0]]]])
-            arrays["clump"][own] = first_id + first[row[own]]
-            arrays["radius"][own], arrays["clump_offset"][own] = (
-                shape.radius[member[own]],
-                shape.offset[member[own]],
-            )
-            arrays["mass"][own] = density * shape.volume * shape.volume_share[member[own]]
-            arrays["clump_mass"][own], arrays["clump_inertia"][own] = (
-                density * shape.volume,
-                density * shape.moments,
-            )
-            arrays["orientation"][own] = product(new.orientation[row[own]], shape.principal_axes)
-    return arrays | _motion_of_spheres(arrays)
-
-
-def _motion_of_spheres(arrays: Arrays) -> Arrays:
-    """Positions and velocities of spheres, from those of the clumps in the same arrays."""
-    arm = arms(arrays)
-    position = arrays["position"] + arm
-    return {
-        "position": position,
-        "position_at_rebuild": position,
-        "velocity": arrays["velocity"] + np.cross(arrays["angular_velocity"], arm),
-        "clump_position": arrays["position"],
-        "clump_position_at_rebuild": arrays["position"],
-        "clump_velocity": arrays["velocity"],
-        "clump_angular_momentum": angular_momentum(arrays),
-    }
-
-
-# What is read from a run on the device: clock, energies, snapshots, arrays of the particles.
-
+_T = TypeVar("_T")
 TIME_TOLERANCE = 1e-6
 """Tolerance for reaching a requested time, as a fraction of the time step."""
 MOTION = ("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque", *CLUMP_MOTION)
@@ -218,21 +88,44 @@ class RestState:
     unbalanced: float
 
 
-class Readings:
-    """The readable part of an engine: none of these functions changes the run, except for the records of
-    `observe`."""
+class Engine:
+    """One plan on one backend; the clock of the state counts steps and time.
 
-    plan: Plan
-    state: State
-    stepper: Stepper
-    accounting: Accounting
-    stability_monitor: StabilityMonitor
-    energy_before_change: float | None
-    _gravity: np.ndarray
-    _started: bool
-    _walls_changed: bool
-    _stopping_change: Change | None
-    _counts_contacts: bool
+    Typical order: `insert`, `set_walls` and `refresh`, then `advance` and `observe` repeatedly; again
+    `refresh` after particles or walls have changed; `free` at the end. Snapshots, energies and sums change
+    nothing, except for the records of `observe`.
+
+    `accounting`: inserted and deleted particles and their energies; `timing`: wall-clock time by phase;
+    `stability_monitor`: checks at each observation; `energy_before_change`: mechanical energy [J] before a
+    change of particles from Python, None without one; `kept_particles`: copy for a later checkpoint.
+    """
+
+    def __init__(self, plan: Plan, backend: Backend) -> None:
+        self.plan = plan
+        self.state: State = take_state(plan, backend)
+        self._return_state = weakref.finalize(self, return_state, self.state)
+        self._return_state.atexit = False
+        self.stepper = self._new_stepper()
+        self.timing = self.stepper.timing
+        self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in plan.outlets})
+        self.stability_monitor = StabilityMonitor(plan)
+        self.steps_since_update = 0
+        self._gravity = np.array(plan.gravity)
+        self._walls_changed = False
+        self._stage = plan.stages[0].name
+        self._walls_appeared = list[str]()
+        self._stopping_change: Change | None = None
+        self._started = False
+        self.energy_before_change: float | None = None
+        self._counts_contacts = False
+        self.kept_particles: HostParticles | None = None
+
+    def _new_stepper(self) -> Stepper:
+        """The stepper of the state."""
+        kind = Stepper if self.state.backend.on_cpu else GpuStepper
+        return kind(self.state, self._on_deleted)
+
+    # Time and status.
 
     @property
     def time(self) -> float:
@@ -270,7 +163,7 @@ class Readings:
 
     @property
     def is_changed(self) -> bool:
-        """True if particles or walls have changed since the last `refresh`; see `engine.changes`."""
+        """True if particles or walls have changed since the last `refresh`; see `begin_change`."""
         return self._walls_changed or self.energy_before_change is not None
 
     @property
@@ -286,6 +179,172 @@ class Readings:
             return None
         particle = int(self.state.control.abort_particle[0])
         return diagnose(code, particle, self.state, self.time, self._started, self._stopping_change)
+
+    # Particles and walls.
+
+    def insert(self, new: ParticleData) -> None:
+        """Insert particles at the present time; the next `refresh` computes their forces.
+
+        new:  k particles; material numbers of the scene, velocities [m/s] at the present time
+
+        Ids continue the count of inserted particles. After the start, velocities are shifted half a step back
+        by gravity, as the leapfrog scheme requires. The mechanical energy counts as inserted.
+        """
+        if not len(new):
+            return
+        arrays = new_particle_arrays(self.plan, new, self.accounting.inserted_count)
+        energy = sum(mechanical_energy(arrays, self._gravity))
+        rows = sphere_rows(self.plan, new)
+        self.accounting.insert(new.material[rows], new.group[rows], self.time, energy)
+        if self.energy_before_change is not None:
+            self.energy_before_change += energy
+        if self._started:
+            velocity_gain = mobility_mask(arrays)[:, None] * (0.5 * self.time_step * self._gravity)
+            for name in ("velocity", "clump_velocity"):
+                if name in arrays:
+                    arrays[name] = arrays[name] - velocity_gain
+        self._append(arrays | {"velocity_synchronized": arrays["velocity"]})
+
+    def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Append particles on the device, see `append_particles`."""
+        append_particles(self.state, arrays)
+
+    def restart(self, new: ParticleData, time_step: float | None = None) -> None:
+        """Replace all particles, with initial forces and without contact history; also after an abort.
+
+        new:        particles at the present time
+        time_step:  of all further steps [s]; None: the present one
+        Raises:     GranflowError for a scene with clumps
+        """
+        self._refuse_with_clumps("Particles from Python")
+        state = self.state
+        state.count = 0
+        state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
+        for row in (state.neighbors.list_begin, state.neighbors.list_end):
+            row.fill(0)
+        if time_step is not None:
+            state.clock.change(time_step)
+        self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
+        self._started = False
+        self.energy_before_change = None
+        self._stopping_change = None
+        self.insert(new)
+        self.refresh()
+
+    def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
+        """Set which walls are present and their motions; takes effect with the next `refresh`.
+
+        present:  one entry per wall of the plan
+        motions:  motions of each wall
+        """
+        self.state.wall_motions = tuple(tuple(each) for each in motions)
+        for index, is_present in enumerate(present):
+            if is_present and not self.state.walls.present[index]:
+                self._walls_appeared.append(self.plan.walls[index].name)
+            self.state.walls.present[index] = int(is_present)
+            pivot = pose(self.state.wall_motions[index], np.array([self.time])).pivot
+            self.state.walls.pivot[index] = pivot.tolist()
+        self._walls_changed = True
+
+    def set_stage(self, stage: str) -> None:
+        """Set the stage, which may have damping; takes effect with the next forces."""
+        self._stage = stage
+        write_damping(self.state, stage)
+
+    def begin_change(self) -> None:
+        """Prepare a change of the particles: shift all velocities to the time of the positions.
+
+        The next `refresh` shifts them back, and counts the change of all energies as inserted. Raises
+        GranflowError for a scene with clumps.
+        """
+        self._refuse_with_clumps("Changes of particles and forces from Python")
+        if self.energy_before_change is not None:
+            return
+        self._counts_contacts = self.timing.rebuild_count > 0
+        arrays = self.synchronized(MOTION)
+        self.energy_before_change = self._stored_energy(arrays)
+        if self._started:
+            motion = {
+                name: values for name, values in arrays.items() if name in ("velocity", "angular_velocity")
+            }
+            write_particles(self.state, np.arange(self.state.count), motion)
+            self._started = False
+
+    def _refuse_with_clumps(self, what: str) -> None:
+        """Raise GranflowError for a scene with clumps; `what`: subject of the message, in the plural."""
+        if self.plan.features.clumps:
+            raise GranflowError(f"{what} are not possible in a scene with clumps.")
+
+    def refresh(self) -> None:
+        """Rebuild the neighbor list and compute the forces after particles or walls were added or removed.
+
+        The first call also shifts velocities half a step back, as the leapfrog scheme requires. If a wall
+        appears between particles, or disappears, the energy of its contacts counts as inserted or removed;
+        after a change of the particles, the change of all energies.
+        """
+        before = self.energy_before_change
+        energy = self.stored_energy
+        if before is None and self.plan.features.energy_budget and self._walls_changed:
+            before = self._contact_energy()
+            energy = self._contact_energy
+        self.stepper.poses.discard()
+        self.stepper.refresh(self.step_count, velocities_lag=self._started)
+        if self._started and self.aborted:
+            self._stopping_change = Change(self._stage, tuple(self._walls_appeared))
+        else:
+            self._stopping_change = None
+        self._walls_appeared.clear()
+        if before is not None:
+            self.accounting.inserted_energy += energy() - before
+        self._walls_changed = False
+        self.energy_before_change = None
+        if not self._started and not self.aborted:
+            self._started = True
+            self._kick(-0.5 * self.time_step)
+        self._update_time_step()
+
+    # Time steps.
+
+    def advance(self, steps: int) -> None:
+        """Take `steps` steps; fewer after an abort and, with an adaptive time step, after a rebuild.
+
+        `step_count`, `time` and `aborted` show the result. An adaptive time step is updated after a rebuild,
+        and after STEPS_BETWEEN_UPDATES steps, which `steps` must not exceed then.
+        """
+        rebuilds = self.timing.rebuild_count
+        done = self.stepper.advance(steps, self.step_count)
+        self.state.clock.step_count += done
+        if self.plan.adaptive_time_step is None:
+            return
+        self.steps_since_update += done
+        if self.steps_since_update >= STEPS_BETWEEN_UPDATES or self.timing.rebuild_count > rebuilds:
+            self._update_time_step()
+
+    def _update_time_step(self) -> None:
+        """Update an adaptive time step for the present state.
+
+        Velocities are half a step behind; they are shifted to half a step of the new length.
+        """
+        adaptive_time_step = self.plan.adaptive_time_step
+        self.steps_since_update = 0
+        if adaptive_time_step is None or self.aborted:
+            return
+        self.stepper.poses.discard()
+        self.stepper.poses.index_at(self.step_count)
+        step = adaptive_time_step.step_for(
+            self.state.built(MaxImpactVelocity).measure(),
+            float(np.linalg.norm(self._gravity)) * self.time_step,
+        )
+        if step != self.time_step:
+            self._kick(0.5 * (self.time_step - step))
+            self.state.clock.change(step)
+            self.stepper.poses.discard()
+
+    def _kick(self, time: float) -> None:
+        """Change the velocities by the present forces during `time` [s]; backwards if negative."""
+        self.state.built(build_kick)(self.state.count, time)
+
+    # Energies and snapshots.
 
     def _contact_energy(self) -> float:
         """Elastic energy and plastic dissipation [J] of the present contacts."""
@@ -427,6 +486,90 @@ class Readings:
             arrays |= {name: np.where(in_clump, values, arrays[name]) for name, values in clumps.items()}
         return arrays
 
+    # Checkpoints, and the end.
+
+    def saved_particles(self) -> HostParticles:
+        """The particles of this process with their contact histories, for a checkpoint."""
+        return self.stepper.saved_particles()
+
+    def saved_sums(self) -> dict[str, Any]:
+        """Sums and force-controlled walls, for a checkpoint."""
+        return {"energy_budget": saved_sums(self.state), "wall_dynamics": saved_wall_dynamics(self.state)}
+
+    def on_each_rank(self, task: "Callable[[Engine, int], _T]") -> list[_T]:
+        """Results of task(engine, rank) on all MPI ranks; one without MPI. Raises OSError of any task."""
+        return [task(self, 0)]
+
+    def restore(
+        self,
+        saved: Mapping[str, Any],
+        particles: HostParticles,
+        motions: Sequence[Sequence[Motion]],
+        files: "RankFiles | None" = None,
+    ) -> None:
+        """Continue from a checkpoint.
+
+        saved:      as `engine.checkpoint.saved_state`, without the particles and the clocks
+        particles:  in the order of their ids
+        motions:    motions of each wall
+        files:      None: only MPI ranks read files with further particles
+        """
+        self._restore_lists(saved, particles, motions)
+        self.state.clock.load_state_dict(saved["clock"])
+        self.set_walls(saved["walls_present"], motions)
+        load_sums(self.state, saved["energy_budget"])
+        load_wall_dynamics(self.state, saved["wall_dynamics"])
+        self.accounting.load_state_dict(saved["accounting"])
+        self.steps_since_update = saved["steps_since_update"]
+        self._started = True
+        self._walls_changed = False
+        self._walls_appeared.clear()
+
+    def _restore_lists(
+        self, saved: Mapping[str, Any], particles: HostParticles, motions: Sequence[Sequence[Motion]]
+    ) -> None:
+        """Put the particles on the device; with the neighbor lists of their last rebuild, if it is known."""
+        if saved["clock_at_rebuild"] is None:
+            self.stepper.put(particles)
+            return
+        dynamics = dict(saved["wall_dynamics"])
+        if "offset" in dynamics:
+            dynamics["offset"] = dynamics["offset_at_rebuild"]
+        load_wall_dynamics(self.state, dynamics)
+        self.state.clock.load_state_dict(saved["clock_at_rebuild"])
+        self.set_walls(saved["walls_present"], motions)
+        self.stepper.restore(particles)
+        self.stepper.steps_since_rebuild = saved["clock"]["step_count"] - self.state.clock.step_count
+
+    def take_over(self, earlier: "Engine") -> None:
+        """Continue the run of an earlier engine whose checkpoint has been restored here, with its pending
+        changes."""
+        self._started = earlier._started
+        self._walls_changed = earlier._walls_changed
+        self._walls_appeared = list(earlier._walls_appeared)
+        self.energy_before_change = earlier.energy_before_change
+        self._counts_contacts = earlier._counts_contacts
+        self.timing.compile += earlier.timing.compile
+        self.timing.growth_count += earlier.timing.growth_count
+        self.stability_monitor.warnings |= earlier.stability_monitor.warnings
+
+    def free(self) -> None:
+        """Give the device memory to later simulations of this process; this engine cannot continue."""
+        if self._return_state.alive:
+            freed: Any = FreedState(self.state)
+            self.state = self.stepper.state = freed
+            self._return_state()
+
+    def _on_deleted(self, first: int, last: int) -> None:
+        """Add the deleted particles to the accounting: indices `first` to `last`, exclusive, in device
+        order."""
+        self._account_deleted(deleted_particles(self.state, first, last))
+
+    def _account_deleted(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Add deleted particles with the fields DELETED_FIELDS to the accounting; may abort, see
+        `account_deleted`."""
+        account_deleted(self.state, self.accounting, arrays)
+
 
 # Sums over the chunks of particles, and force-controlled walls, in checkpoints.
 
@@ -546,405 +689,3 @@ def host_particles(state: State, saved: Mapping[str, Any]) -> HostParticles:
     particles = HostParticles(saved["particles"], Histories(count, partner, contacts))
     is_sorted = np.all(np.diff(saved["particles"]["id"]) > 0)
     return particles if is_sorted else particles.by_id()
-
-
-# Device data of ended simulations, kept with their kernels for later simulations of equal structure in this
-# process.
-#
-# Taichi numbers its fields consecutively from its start, and the key of a kernel in the cache on disk
-# contains these numbers. Fields that are added to others therefore need new kernels, also if they equal
-# earlier ones. If no simulation is in use, Taichi is restarted instead (about 0.1 s): each structure is
-# compiled once per machine, and architecture, precision and threads can change.
-
-MOST_STATES = 4
-"""Number of states that are kept; the oldest is freed first."""
-MOST_BYTES = 250_000_000
-"""Device memory [bytes] of all kept states; a larger state is freed at its end."""
-restarts_for_structures = True
-"""Whether Taichi is restarted for a new structure. The tests keep states instead."""
-_kept: list[State] = []
-_in_use: "weakref.WeakSet[State]" = weakref.WeakSet()
-
-
-def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None = None) -> Backend:
-    """Start Taichi, or restart it if it runs with other settings and no simulation is in use.
-
-        granflow.start("cpu", precision="mixed", threads=2)
-
-    threads:  CPU threads; None: as many as this process may use
-    Raises:   GranflowError for unknown settings, if the architecture is absent or lacks float64, or if Taichi
-              runs with other settings, or in another thread, and a simulation, or a field of the program
-              itself, is in use
-    """
-    worker_count(threads)  # refuses what is no number of threads before anything is stopped
-    for name, value, known in (("arch", arch, get_args(Arch)), ("precision", precision, get_args(Precision))):
-        if value not in known:
-            raise GranflowError(f"{name} is {value!r}; give one of {', '.join(known)}.")
-    taichi.refuse_forked_process()
-    running = taichi.running()
-    if running is not None:
-        is_same = running.owner is threading.current_thread() and taichi.is_running_with(
-            arch, precision, threads
-        )
-        if not is_same and _is_unused():
-            _stop()
-    return taichi.start(arch, precision, threads)
-
-
-def take_state(plan: Plan, backend: Backend) -> State:
-    """The state for a plan: a kept one of equal structure, reset, or a new one.
-
-    Simulations that nothing refers to any more return their states first.
-    """
-    structure = structure_of(plan)
-    if not _matches(structure, plan, _kept) and _matches(structure, plan, _in_use):
-        gc.collect()
-    found = next(iter(_matches(structure, plan, _kept)), None)
-    if found is None:
-        found = State(plan, _fresh(backend))
-    else:
-        _kept.remove(found)
-        found.reset(plan)
-    _in_use.add(found)
-    return found
-
-
-def return_state(state: State) -> None:
-    """Keep a state for a later simulation. Garbage collection may call it, so that it frees nothing."""
-    _in_use.discard(state)
-    _kept.append(state)
-
-
-def _fresh(backend: Backend) -> Backend:
-    """The backend, restarted if it has been used and nothing of it is in use."""
-    if not taichi.is_used() or backend is not taichi.running():
-        return backend
-    if not (restarts_for_structures and _is_unused()):
-        _free_excess()
-        return backend
-    _stop()
-    return taichi.start(backend.arch, backend.precision, backend.threads)  # type: ignore[arg-type]
-
-
-def _is_unused() -> bool:
-    """Whether neither a simulation nor a field of the program itself is in use."""
-    if _in_use:
-        gc.collect()
-    return not _in_use and not foreign_fields.found()
-
-
-def _stop() -> None:
-    """Free the kept states and stop Taichi."""
-    while _kept:
-        _kept.pop().free()
-    taichi.stop()
-
-
-def _matches(structure: Hashable, plan: Plan, states: "list[State] | weakref.WeakSet[State]") -> list[State]:
-    return [
-        state
-        for state in states
-        if state.structure == structure and fits_lists(state.capacities, plan.capacities)
-    ]
-
-
-def _free_excess() -> None:
-    """Free the oldest kept states above MOST_STATES or MOST_BYTES."""
-    while _kept and (len(_kept) > MOST_STATES or sum(map(_size, _kept)) > MOST_BYTES):
-        _kept.pop(0).free()
-
-
-def _size(state: State) -> int:
-    """Device memory [bytes]."""
-    return estimate_memory(state.plan, state.plan.precision).total
-
-
-_T = TypeVar("_T")
-
-
-class Engine(Readings):
-    """One plan on one backend; the clock of the state counts steps and time.
-
-    Typical order: `insert`, `set_walls` and `refresh`, then `advance` and `observe` repeatedly; again
-    `refresh` after particles or walls have changed; `free` at the end.
-    """
-
-    def __init__(self, plan: Plan, backend: Backend) -> None:
-        self.plan = plan
-        self.state: State = take_state(plan, backend)
-        self._return_state = weakref.finalize(self, return_state, self.state)
-        self._return_state.atexit = False
-        self.stepper = self._new_stepper()
-        self.timing = self.stepper.timing
-        self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in plan.outlets})
-        self.stability_monitor = StabilityMonitor(plan)
-        self.steps_since_update = 0
-        self._gravity = np.array(plan.gravity)
-        self._walls_changed = False
-        self._stage = plan.stages[0].name
-        self._walls_appeared = list[str]()
-        self._stopping_change: Change | None = None
-        self._started = False
-        self.energy_before_change: float | None = None
-        self._counts_contacts = False
-        self.kept_particles: HostParticles | None = None
-
-    def _new_stepper(self) -> Stepper:
-        """The stepper of the state."""
-        kind = Stepper if self.state.backend.on_cpu else GpuStepper
-        return kind(self.state, self._on_deleted)
-
-    def insert(self, new: ParticleData) -> None:
-        """Insert particles at the present time; the next `refresh` computes their forces.
-
-        new:  k particles; material numbers of the scene, velocities [m/s] at the present time
-
-        Ids continue the count of inserted particles. After the start, velocities are shifted half a step back
-        by gravity, as the leapfrog scheme requires. The mechanical energy counts as inserted.
-        """
-        if not len(new):
-            return
-        arrays = new_particle_arrays(self.plan, new, self.accounting.inserted_count)
-        energy = sum(mechanical_energy(arrays, self._gravity))
-        rows = sphere_rows(self.plan, new)
-        self.accounting.insert(new.material[rows], new.group[rows], self.time, energy)
-        if self.energy_before_change is not None:
-            self.energy_before_change += energy
-        if self._started:
-            velocity_gain = mobility_mask(arrays)[:, None] * (0.5 * self.time_step * self._gravity)
-            for name in ("velocity", "clump_velocity"):
-                if name in arrays:
-                    arrays[name] = arrays[name] - velocity_gain
-        self._append(arrays | {"velocity_synchronized": arrays["velocity"]})
-
-    def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Append particles on the device, see `append_particles`."""
-        append_particles(self.state, arrays)
-
-    def restart(self, new: ParticleData, time_step: float | None = None) -> None:
-        """Replace all particles, with initial forces and without contact history; also after an abort.
-
-        new:        particles at the present time
-        time_step:  of all further steps [s]; None: the present one
-        Raises:     GranflowError for a scene with clumps
-        """
-        self._refuse_with_clumps("Particles from Python")
-        state = self.state
-        state.count = 0
-        state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
-        for row in (state.neighbors.list_begin, state.neighbors.list_end):
-            row.fill(0)
-        if time_step is not None:
-            state.clock.change(time_step)
-        self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
-        self._started = False
-        self.energy_before_change = None
-        self._stopping_change = None
-        self.insert(new)
-        self.refresh()
-
-    def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
-        """Set which walls are present and their motions; takes effect with the next `refresh`.
-
-        present:  one entry per wall of the plan
-        motions:  motions of each wall
-        """
-        self.state.wall_motions = tuple(tuple(each) for each in motions)
-        for index, is_present in enumerate(present):
-            if is_present and not self.state.walls.present[index]:
-                self._walls_appeared.append(self.plan.walls[index].name)
-            self.state.walls.present[index] = int(is_present)
-            pivot = pose(self.state.wall_motions[index], np.array([self.time])).pivot
-            self.state.walls.pivot[index] = pivot.tolist()
-        self._walls_changed = True
-
-    def set_stage(self, stage: str) -> None:
-        """Set the stage, which may have damping; takes effect with the next forces."""
-        self._stage = stage
-        write_damping(self.state, stage)
-
-    def refresh(self) -> None:
-        """Rebuild the neighbor list and compute the forces after particles or walls were added or removed.
-
-        The first call also shifts velocities half a step back, as the leapfrog scheme requires. If a wall
-        appears between particles, or disappears, the energy of its contacts counts as inserted or removed;
-        after a change of the particles, the change of all energies.
-        """
-        before = self.energy_before_change
-        energy = self.stored_energy
-        if before is None and self.plan.features.energy_budget and self._walls_changed:
-            before = self._contact_energy()
-            energy = self._contact_energy
-        self.stepper.poses.discard()
-        self.stepper.refresh(self.step_count, velocities_lag=self._started)
-        if self._started and self.aborted:
-            self._stopping_change = Change(self._stage, tuple(self._walls_appeared))
-        else:
-            self._stopping_change = None
-        self._walls_appeared.clear()
-        if before is not None:
-            self.accounting.inserted_energy += energy() - before
-        self._walls_changed = False
-        self.energy_before_change = None
-        if not self._started and not self.aborted:
-            self._started = True
-            self._kick(-0.5 * self.time_step)
-        self._update_time_step()
-
-    def _refuse_with_clumps(self, what: str) -> None:
-        """Raise GranflowError for a scene with clumps; `what`: subject of the message, in the plural."""
-        if self.plan.features.clumps:
-            raise GranflowError(f"{what} are not possible in a scene with clumps.")
-
-    def _kick(self, time: float) -> None:
-        """Change the velocities by the present forces during `time` [s]; backwards if negative."""
-        self.state.built(build_kick)(self.state.count, time)
-
-    def begin_change(self) -> None:
-        """Prepare a change of the particles: shift all velocities to the time of the positions.
-
-        The next `refresh` shifts them back, and counts the change of all energies as inserted. Raises
-        GranflowError for a scene with clumps.
-        """
-        self._refuse_with_clumps("Changes of particles and forces from Python")
-        if self.energy_before_change is not None:
-            return
-        self._counts_contacts = self.timing.rebuild_count > 0
-        arrays = self.synchronized(MOTION)
-        self.energy_before_change = self._stored_energy(arrays)
-        if self._started:
-            motion = {
-                name: values for name, values in arrays.items() if name in ("velocity", "angular_velocity")
-            }
-            write_particles(self.state, np.arange(self.state.count), motion)
-            self._started = False
-
-    def advance(self, steps: int) -> None:
-        """Take `steps` steps; fewer after an abort, a stop request or a change of the time step.
-
-        `step_count`, `time` and `aborted` show the result.
-        """
-        clock = self.state.clock
-        before = self.time_step
-        wanted = clock.step_count + steps
-        while (
-            clock.step_count < wanted
-            and self.time_step == before
-            and not (self.aborted or self.stepper.interrupted)
-        ):
-            allowed = wanted - clock.step_count
-            if self.plan.adaptive_time_step is None:
-                clock.step_count += self.stepper.advance(allowed, clock.step_count)
-            else:
-                self._advance_to_update(min(allowed, STEPS_BETWEEN_UPDATES - self.steps_since_update))
-
-    def _advance_to_update(self, steps: int) -> None:
-        """Take up to `steps` steps; update the time step if an update is due."""
-        rebuilds = self.timing.rebuild_count
-        done = self.stepper.advance(steps, self.state.clock.step_count)
-        self.state.clock.step_count += done
-        self.steps_since_update += done
-        if self.steps_since_update >= STEPS_BETWEEN_UPDATES or self.timing.rebuild_count > rebuilds:
-            self._update_time_step()
-
-    def _update_time_step(self) -> None:
-        """Update an adaptive time step for the present state.
-
-        Velocities are half a step behind; they are shifted to half a step of the new length.
-        """
-        adaptive_time_step = self.plan.adaptive_time_step
-        self.steps_since_update = 0
-        if adaptive_time_step is None or self.aborted:
-            return
-        self.stepper.poses.discard()
-        self.stepper.poses.index_at(self.step_count)
-        step = adaptive_time_step.step_for(
-            self.state.built(MaxImpactVelocity).measure(),
-            float(np.linalg.norm(self._gravity)) * self.time_step,
-        )
-        if step != self.time_step:
-            self._kick(0.5 * (self.time_step - step))
-            self.state.clock.change(step)
-            self.stepper.poses.discard()
-
-    def saved_particles(self) -> HostParticles:
-        """The particles of this process with their contact histories, for a checkpoint."""
-        return self.stepper.saved_particles()
-
-    def saved_sums(self) -> dict[str, Any]:
-        """Sums and force-controlled walls, for a checkpoint."""
-        return {"energy_budget": saved_sums(self.state), "wall_dynamics": saved_wall_dynamics(self.state)}
-
-    def on_each_rank(self, task: "Callable[[Engine, int], _T]") -> list[_T]:
-        """Results of task(engine, rank) on all MPI ranks; one without MPI. Raises OSError of any task."""
-        return [task(self, 0)]
-
-    def restore(
-        self,
-        saved: Mapping[str, Any],
-        particles: HostParticles,
-        motions: Sequence[Sequence[Motion]],
-        files: RankFiles | None = None,
-    ) -> None:
-        """Continue from a checkpoint.
-
-        saved:      as `engine.checkpoint.saved_state`, without the particles and the clocks
-        particles:  in the order of their ids
-        motions:    motions of each wall
-        files:      None: only MPI ranks read files with further particles
-        """
-        self._restore_lists(saved, particles, motions)
-        self.state.clock.load_state_dict(saved["clock"])
-        self.set_walls(saved["walls_present"], motions)
-        load_sums(self.state, saved["energy_budget"])
-        load_wall_dynamics(self.state, saved["wall_dynamics"])
-        self.accounting.load_state_dict(saved["accounting"])
-        self.steps_since_update = saved["steps_since_update"]
-        self._started = True
-        self._walls_changed = False
-        self._walls_appeared.clear()
-
-    def _restore_lists(
-        self, saved: Mapping[str, Any], particles: HostParticles, motions: Sequence[Sequence[Motion]]
-    ) -> None:
-        """Put the particles on the device; with the neighbor lists of their last rebuild, if it is known."""
-        if saved["clock_at_rebuild"] is None:
-            self.stepper.put(particles)
-            return
-        dynamics = dict(saved["wall_dynamics"])
-        if "offset" in dynamics:
-            dynamics["offset"] = dynamics["offset_at_rebuild"]
-        load_wall_dynamics(self.state, dynamics)
-        self.state.clock.load_state_dict(saved["clock_at_rebuild"])
-        self.set_walls(saved["walls_present"], motions)
-        self.stepper.restore(particles)
-        self.stepper.steps_since_rebuild = saved["clock"]["step_count"] - self.state.clock.step_count
-
-    def take_over(self, earlier: "Engine") -> None:
-        """Continue the run of an earlier engine whose checkpoint has been restored here, with its pending
-        changes."""
-        self._started = earlier._started
-        self._walls_changed = earlier._walls_changed
-        self._walls_appeared = list(earlier._walls_appeared)
-        self.energy_before_change = earlier.energy_before_change
-        self._counts_contacts = earlier._counts_contacts
-        self.timing.compile += earlier.timing.compile
-        self.timing.growth_count += earlier.timing.growth_count
-        self.stability_monitor.warnings |= earlier.stability_monitor.warnings
-
-    def free(self) -> None:
-        """Give the device memory to later simulations of this process; this engine cannot continue."""
-        if self._return_state.alive:
-            freed: Any = FreedState(self.state)
-            self.state = self.stepper.state = freed
-            self._return_state()
-
-    def _on_deleted(self, first: int, last: int) -> None:
-        """Add the deleted particles to the accounting: indices `first` to `last`, exclusive, in device
-        order."""
-        self._account_deleted(deleted_particles(self.state, first, last))
-
-    def _account_deleted(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Add deleted particles with the fields DELETED_FIELDS to the accounting; may abort, see
-        `account_deleted`."""
-        account_deleted(self.state, self.accounting, arrays)

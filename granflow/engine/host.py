@@ -1,4 +1,8 @@
-"""Copies between device fields and the host: insertion, snapshots, checkpoints.
+"""Particles and their contact histories on the host: numpy arrays that are copied from the device and back.
+
+`FieldTable` copies selected entries of several fields at once; all other parts use it. `copy_to_host` and
+`append_particles` serve snapshots and insertion, `HistoryTable` and `HostParticles` checkpoints and the
+migration between MPI ranks. Changes from Python and the arrays of inserted particles follow at the end.
 
 On a GPU, the `to_numpy` of Taichi compiles a kernel for each field and copies the whole capacity; it serves
 small arrays only.
@@ -10,13 +14,19 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.clumps import angular_momentum, arms
+from granflow.engine.codes import REMOVED_BELOW
 from granflow.engine.fields import components, memory_of
 from granflow.engine.history import IN_CONTACT, vector_components
 from granflow.engine.state import Arrays, State
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.periodic_box import PeriodicBox
+from granflow.geometry.quaternions import product
+from granflow.geometry.shape import sphere_mass, sphere_volume
 from granflow.kernel_language import ti
+from granflow.particles.group import ParticleData
 from granflow.plan.arrays import particle_arrays, saved_arrays
+from granflow.plan.plan import Plan
 
 
 class FieldTable:
@@ -474,3 +484,131 @@ def joined_particles(parts: list[HostParticles]) -> HostParticles:
     """The particles of several parts, one part after the other."""
     histories = joined_histories([part.histories for part in parts])
     return HostParticles(joined_arrays([part.arrays for part in parts]), histories)
+
+
+# Particles that change during a run from Python: read in the order of ids, written and removed.
+#
+# `Engine.begin_change` precedes each change, `Engine.refresh` follows the last one.
+
+
+def present_indices(state: State) -> np.ndarray:
+    """Device indices (n,) of the particles in the order of their ids, without those that are removed."""
+    arrays = copy_to_host(state, ("id", "radius"))
+    order = np.argsort(arrays["id"], kind="stable")
+    return order[arrays["radius"][order] > REMOVED_BELOW]
+
+
+def write_particles(state: State, indices: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write particle fields.
+
+    indices:  device indices (k,)
+    arrays:   arrays (k,) or (k, 3) by field; velocities are at the time of the positions
+    """
+    values = dict(arrays)
+    if "velocity" in values and state.particles.velocity_synchronized is not None:
+        values["velocity_synchronized"] = values["velocity"]
+    state.built(particle_table, tuple(values)).put(indices, values)
+
+
+def remove_particles(state: State, indices: np.ndarray) -> None:
+    """Mark particles with these device indices (k,) for deletion at the next neighbor-list rebuild."""
+    radius = copy_to_host(state, ("radius",))["radius"][indices]
+    write_particles(state, indices, {"radius": -radius})
+
+
+# Arrays of inserted particles.
+
+
+def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
+    """Arrays (k,) or (k, 3) by particle field for new particles, with ids from `first_id`.
+
+    Velocities are at the time of the positions; materials are numbers of the plan. Each clump is one particle
+    of `new` and several rows of the arrays, see `sphere_rows`.
+    """
+    density = _densities(plan)
+    count = len(new)
+    numbers = {name: number for number, name in enumerate(plan.materials)}
+    material = np.array([numbers.get(name, 0) for name in plan.solids])
+    fixed = np.array([group.fixed for group in plan.groups])
+    arrays = {
+        "id": first_id + np.arange(count),
+        "material": material[new.material],
+        "fixed": fixed[new.group].astype(np.int32),
+        "radius": new.radius,
+        "mass": sphere_mass(new.radius, density[new.material]),
+        "position": new.position,
+        "position_at_rebuild": new.position,
+        "velocity": new.velocity,
+        "angular_velocity": new.angular_velocity,
+    }
+    if plan.features.liquid_transfer:
+        arrays["liquid_film"] = _films(plan, new)
+    return _sphere_arrays(plan, new, arrays, first_id) if plan.features.clumps else arrays
+
+
+def _films(plan: Plan, new: ParticleData) -> np.ndarray:
+    """Volumes (k,) [m3] of the films of new particles, whole units."""
+    content = np.array([group.liquid_content for group in plan.groups])
+    volume = content[new.group] * sphere_volume(new.radius)
+    films: np.ndarray = np.rint(volume / plan.liquid_unit) * plan.liquid_unit
+    return films
+
+
+def sphere_rows(plan: Plan, new: ParticleData) -> np.ndarray:
+    """Row (k,) in `new` of each of the k spheres: that of its clump, or its own."""
+    sizes = np.array([1 if group.clump is None else len(group.clump) for group in plan.groups])
+    return np.repeat(np.arange(len(new)), sizes[new.group])
+
+
+def _densities(plan: Plan) -> np.ndarray:
+    """Densities [kg/m3] of the materials of the scene."""
+    return np.array([solid.density for solid in plan.solids.values()])
+
+
+def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int) -> Arrays:
+    """Arrays (k,) or (k, 3) of the spheres of all clumps, and of single spheres.
+
+    bodies:  arrays (n,) or (n, 3) with a row per clump or single sphere
+    """
+    row = sphere_rows(plan, new)
+    size = np.bincount(row, minlength=len(new))
+    first = np.cumsum(size) - size
+    member = np.arange(len(row)) - first[row]
+    count = len(row)
+    arrays = {name: values[row] for name, values in bodies.items()}
+    arrays |= {"id": first_id + np.arange(count), "clump": np.full(count, -1), "clump_size": size[row]}
+    arrays |= {"clump_mass": arrays["mass"].copy(), "orientation": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))}
+    arrays |= {name: np.zeros((count, 3)) for name in ("clump_inertia", "clump_offset")}
+    for number, group in enumerate(plan.groups):
+        own = np.flatnonzero(new.group[row] == number)
+        if group.clump is not None and len(own):
+            assert new.orientation is not None
+            shape = group.clump
+            density = float(_densities(plan)[new.material[row[own[0]]]])
+            arrays["clump"][own] = first_id + first[row[own]]
+            arrays["radius"][own], arrays["clump_offset"][own] = (
+                shape.radius[member[own]],
+                shape.offset[member[own]],
+            )
+            arrays["mass"][own] = density * shape.volume * shape.volume_share[member[own]]
+            arrays["clump_mass"][own], arrays["clump_inertia"][own] = (
+                density * shape.volume,
+                density * shape.moments,
+            )
+            arrays["orientation"][own] = product(new.orientation[row[own]], shape.principal_axes)
+    return arrays | _motion_of_spheres(arrays)
+
+
+def _motion_of_spheres(arrays: Arrays) -> Arrays:
+    """Positions and velocities of spheres, from those of the clumps in the same arrays."""
+    arm = arms(arrays)
+    position = arrays["position"] + arm
+    return {
+        "position": position,
+        "position_at_rebuild": position,
+        "velocity": arrays["velocity"] + np.cross(arrays["angular_velocity"], arm),
+        "clump_position": arrays["position"],
+        "clump_position_at_rebuild": arrays["position"],
+        "clump_velocity": arrays["velocity"],
+        "clump_angular_momentum": angular_momentum(arrays),
+    }

@@ -1,4 +1,4 @@
-"""Device arrays. `plan.device_arrays` lists most of them; a field that the plan does not need is None."""
+"""Device arrays. `plan.arrays` lists most of them; a field that the plan does not need is None."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -106,19 +106,19 @@ class Control(Fields):
     patience:                   number of polls after which a worker leaves, and that of the first barrier of
                                 a launch
     next_chunk:                 number of chunks that workers have taken in this phase
-    arrived, released:          counters of the barrier, see `barrier`
+    arrived, released:          counters of the barrier, see `engine.threads`
     list_length_needed:         largest number of entries of a segment, plus TOO_LONG if a list exceeds the
                                 batch
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
     law_parameters:             one row, the parameters of the contact laws
-    losses:                     terms LOSSES of each chunk, see `exact_sums`
-    impulses:                   time integrals of the wall forces of each chunk, see `exact_sums`
+    losses:                     terms LOSSES of each chunk, see `engine.sums`
+    impulses:                   time integrals of the wall forces of each chunk, see `engine.sums`
     collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
     wall_work_ahead:            part of the work of moving walls of each chunk that belongs to the next step,
-                                see `contact_accounting`
-    boundary_work:              work at periodic boundaries of each chunk, see `exact_sums`
-    external_work:              work of external forces of each chunk, see `exact_sums`
+                                see `engine.contact`
+    boundary_work:              work at periodic boundaries of each chunk, see `engine.sums`
+    external_work:              work of external forces of each chunk, see `engine.sums`
     force_parameters:           parameters of all external forces
     force_clock:                since_time, time_step, steps since since_time of the next force evaluation,
                                 and the time by which velocities lag behind positions there [s]
@@ -257,7 +257,7 @@ class PairBatch:
     longest_list:  largest number of candidate pairs of one particle for which a batch suffices
     sums:          contact force and torque on each particle of the chunk of a worker; None in f64
 
-    The names are those of the variables in `pair_force.py`; `evaluate` overwrites inputs with results.
+    The names are those of the variables in `engine.pair`; `evaluate` overwrites inputs with results.
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
@@ -518,7 +518,7 @@ class NeighborList(Fields):
     list_walls_end:        end of its wall entries, which are first
     partner:               index of a particle, -1 - wall, or -1 - wall count - triangle
     history:               history of each entry by slot of the contact models
-    in_contact:            state of each entry, see `contact_history_entry`; only with a history
+    in_contact:            state of each entry, see `engine.history`; only with a history
     saved:                 copy of the entries with a history while the particles are sorted
 
     A pair within a chunk is in one list, a pair across two chunks in both.
@@ -534,7 +534,7 @@ class NeighborList(Fields):
 class State:
     """All device data of one plan.
 
-    structure:      what the kernels depend on, see `plan.structure`
+    structure:      what the kernels depend on, see `plan.arrays.structure_of`
     capacities:     lengths of the arrays; those of the plan unless the neighbor lists have grown
     parameters:     numbers of the plan
     count:          number of particles
@@ -544,7 +544,7 @@ class State:
     neighbors:      neighbor lists and contact histories
     batch:          columns of the batched contacts; None on a GPU and with one particle per chunk
     wall_dynamics:  force-controlled walls; None without
-    mesh:           mesh walls, see `mesh_fields`; None without
+    mesh:           mesh walls, see `fill_mesh`; None without
     ranks:          combines the data of MPI ranks
     """
 
@@ -558,10 +558,8 @@ class State:
         self._begin()
 
     def reset(self, plan: Plan) -> None:
-        """Begin again with another plan of equal structure; the kernels are those that exist.
-
-        Raises nothing for another structure, see `plan.structure`; the caller compares.
-        """
+        """Begin again with another plan of equal structure, which the caller ensures; the kernels are those
+        that exist."""
         self.plan = plan
         self.capacities = replace(self.capacities, segments=plan.capacities.segments)
         if not self._block.clear():

@@ -1,6 +1,6 @@
 """The phases of a time step, in order: integration, neighbor-list rebuild if it is due, contact forces.
 
-One launch takes many steps on a CPU and one on a GPU, see `gpu_stepper`. If a particle has moved by half the
+One launch takes many steps on a CPU and one on a GPU, see `GpuStepper`. If a particle has moved by half the
 skin, all further phases of the launch do nothing until the host has rebuilt the neighbor list, so that no
 step needs a transfer to the host. If the list capacity is too small, the host reallocates the fields and
 repeats the rebuild.
@@ -157,11 +157,6 @@ class WallPoses:
         return int(displacement_limit / (speed * plan.longest_time_step)) - steps_since_rebuild
 
 
-LAUNCH_SECONDS = 0.05
-"""Wall-clock time of a CPU launch [s]. A launch cannot be interrupted: a stop takes effect between two
-launches."""
-FIRST_LAUNCH = 50_000
-"""Particle-steps of the first CPU launch, before the rate is known."""
 SAMPLE_EVERY = 256
 """Interval in steps between sampled steps, whose phases are timed separately."""
 
@@ -172,10 +167,12 @@ class Stepper:
     state:       device data
     on_deleted:  see the class of the rebuild, `NeighborListRebuild`
 
-    `interrupted` stops `advance` after the present launch; `stop_signal`: number of the signal that another
-    MPI rank has received, otherwise 0. `clock_at_rebuild`: state of the clock at the last rebuild, None
-    before the first.
+    `stop_signal`: number of the signal that another MPI rank has received, otherwise 0. `clock_at_rebuild`:
+    state of the clock at the last rebuild, None before the first.
     """
+
+    LONGEST_LAUNCH = 2**30
+    """Largest number of steps of a launch: the kernel counts them in 32 bits."""
 
     def __init__(self, state: State, on_deleted: Callable[..., None]) -> None:
         self.state = state
@@ -183,12 +180,10 @@ class Stepper:
         self.timing = Timing()
         self.steps_since_rebuild = 0
         self.clock_at_rebuild: dict[str, float] | None = None
-        self.interrupted: int = False
         self._since_sample = 0
         self._rebuild = self._new_rebuild(on_deleted)
         self._workers = Workers(state)
         self.poses = WallPoses(state)
-        self._step_seconds = 0.0
         self._compile()
 
     def _new_rebuild(self, on_deleted: Callable[..., None]) -> Rebuild:
@@ -298,10 +293,8 @@ class Stepper:
     def advance(self, steps: int, step: int) -> int:
         """Take `steps` steps after step number `step`; returns the number of completed steps.
 
-        It is smaller after an abort, if `interrupted` is set (by a signal handler), and, with an adaptive
-        time step, after a neighbor-list rebuild, which adds candidate pairs.
-
-        `interrupted` takes effect between two launches, each of which takes about LAUNCH_SECONDS.
+        It is smaller after an abort and, with an adaptive time step, after a neighbor-list rebuild, which
+        adds candidate pairs.
         """
         done = 0
         rebuilds = self.timing.rebuild_count
@@ -311,8 +304,6 @@ class Stepper:
             and not self.abort_code
             and not (is_adaptive and self.timing.rebuild_count > rebuilds)
         ):
-            if self.interrupted:
-                break
             done += self._advance_batch(steps - done, step + done)
         return done
 
@@ -342,13 +333,12 @@ class Stepper:
         """
         state = self.state
         self._prepare_workers()
-        if state.plan.has_poses:
-            steps = min(steps, self.poses.prepare(step, self.steps_since_rebuild))
+        steps = self._steps_of_launch(steps, step)
         self._begin_count()
         began = clock.perf_counter()
         rebuild_seconds = self.timing.neighbor_list
         write_force_inputs(state, step + 1)
-        done = self._launch(steps)
+        done = self._sampled_step() if self._is_sample_due else self._launch(steps)
         if self._is_rebuild_due and not self.abort_code:
             self.rebuild_neighbor_lists(step + done + 1, self.poses.next + done)
             write_force_inputs(state, step + done + 1)
@@ -363,27 +353,31 @@ class Stepper:
         self.timing.particle_steps += done * state.count
         return done
 
-    def _launch(self, steps: int) -> int:
-        """Launch up to `steps` steps; returns the number of completed steps."""
-        step = self.state.clock.time_step
-        if self._since_sample >= SAMPLE_EVERY:
-            return self._sampled_step()
-        began = clock.perf_counter()
-        wanted = min(steps, self._steps_per_launch)
-        self._launch_step(wanted, self.poses.next, step)
-        done = self._steps_done
-        if done:
-            seconds = clock.perf_counter() - began
-            self._step_seconds = seconds / done
-            self._workers.record(done, seconds)
-        return done
+    def _steps_of_launch(self, steps: int, step: int) -> int:
+        """Number of steps after step number `step` that the next launch takes, at most `steps`.
+
+        Steps are split into launches here only, for three reasons: the device holds the poses of moving walls
+        for WALL_BATCH steps, and they may move up to a limit between two rebuilds; a sampled step has its own
+        launches; and a GPU takes GPU_BATCH steps until the host reads its flags.
+        """
+        steps = min(steps, self.LONGEST_LAUNCH)
+        if self.state.plan.has_poses:
+            steps = min(steps, self.poses.prepare(step, self.steps_since_rebuild))
+        return 1 if self._is_sample_due else steps
 
     @property
-    def _steps_per_launch(self) -> int:
-        """Number of steps that take LAUNCH_SECONDS at the rate of the previous launch."""
-        if not self._step_seconds:
-            return max(FIRST_LAUNCH // max(self.state.count, 1), 1)
-        return max(int(LAUNCH_SECONDS / self._step_seconds), 1)
+    def _is_sample_due(self) -> bool:
+        """Whether the phases of the next step are timed separately."""
+        return self._since_sample >= SAMPLE_EVERY
+
+    def _launch(self, steps: int) -> int:
+        """Launch `steps` steps; returns the number of completed steps."""
+        began = clock.perf_counter()
+        self._launch_step(steps, self.poses.next, self.state.clock.time_step)
+        done = self._steps_done
+        if done:
+            self._workers.record(done, clock.perf_counter() - began)
+        return done
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other
@@ -413,7 +407,7 @@ class Stepper:
 
 # The stepper of a GPU: two dispatches per step, and one transfer to the host per batch of steps.
 #
-# The kernels compare numbers of launches, see `gpu_step`, so that the host resets no flag between two
+# The kernels compare numbers of launches, see `engine.step`, so that the host resets no flag between two
 # batches.
 
 GPU_BATCH = 16
@@ -422,6 +416,8 @@ GPU_BATCH = 16
 
 class GpuStepper(Stepper):
     """Advances a State on a GPU by steps, each of them a launch."""
+
+    LONGEST_LAUNCH = GPU_BATCH
 
     _launches = 0
     """Number of the next launch that computes forces."""
@@ -487,10 +483,8 @@ class GpuStepper(Stepper):
         super().forces(pose, history_step)
 
     def _launch(self, steps: int) -> int:
-        """Launch up to GPU_BATCH steps; returns the number of completed steps."""
-        if self._since_sample >= SAMPLE_EVERY:
-            return self._sampled_step()
-        for index in range(min(steps, GPU_BATCH)):
+        """Launch `steps` steps one after the other; returns the number of completed steps."""
+        for index in range(steps):
             self._launch_step(1, self.poses.next + index, self.state.clock.time_step)
         return self._steps_done
 

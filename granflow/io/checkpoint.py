@@ -211,13 +211,14 @@ ENGINE_SOURCES = (
     "contact",
     "device_functions.py",
     "engine",
-    "fields",
+    "fields.py",
     "geometry",
     "kernel_language.py",
     "live",
     "parallel",
     "particles",
     "plan",
+    "taichi_patches.py",
 )
 """Parts of the package that determine the motion of a run."""
 DIGEST_LENGTH = 12

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from granflow.arguments import shown
-from granflow.engine.engine import Engine, present_indices, remove_particles, write_particles
+from granflow.engine.engine import Engine
+from granflow.engine.host import present_indices, remove_particles, write_particles
 from granflow.errors import GranflowError
 from granflow.geometry.shape import sphere_mass
 from granflow.particles.group import ParticleData

@@ -22,7 +22,6 @@ from granflow.engine.codes import ABORT_WALL
 from granflow.engine.engine import Engine, RankFiles, host_particles
 from granflow.engine.host import HostParticles, joined_particles, saved_particle_table
 from granflow.engine.state import NO_CHANGES, State
-from granflow.engine.stepper import Stepper
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
@@ -70,6 +69,8 @@ class RankEngine(Engine):
     Raises:  OtherScene on all ranks if their scenes differ, before any of them has an engine
     """
 
+    stepper: RankStepper
+
     def __init__(self, plan: Plan, backend: Backend, communicator: Communicator, scene: Scene) -> None:
         self.communicator = communicator
         with communicator.commanding(START):
@@ -111,14 +112,13 @@ class RankEngine(Engine):
     rest_state = _on_all_ranks("rest_state")
 
     def advance(self, steps: int) -> None:
-        """As `Engine`, on all ranks; a stop signal of any rank stops all."""
-        assert isinstance(self.stepper, RankStepper)
+        """As `Engine`, on all ranks; a stop signal of any rank is then known to the root, which stops."""
         with self.communicator.commanding("advance", (steps,)):
-            self.stepper.begin_advance()
             super().advance(steps)
-            self.stepper.end_advance()
+            if self.stepper.stop_signal:
+                self.stepper.requested_stop = 0
 
-    def _new_stepper(self) -> Stepper:
+    def _new_stepper(self) -> RankStepper:
         return RankStepper(self.state, self.communicator, self._account_deleted)
 
     @property
@@ -132,7 +132,6 @@ class RankEngine(Engine):
 
     def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Take a part of the particles; the next rebuild moves them to the ranks that own their positions."""
-        assert isinstance(self.stepper, RankStepper)
         share = np.array_split(np.arange(len(arrays["id"])), self.communicator.size)[self.communicator.rank]
         table = saved_particle_table(self.state)
         part = {}
@@ -186,7 +185,6 @@ class RankEngine(Engine):
     def _kick(self, time: float) -> None:
         """As `Engine`, also for the ghosts."""
         super()._kick(time)
-        assert isinstance(self.stepper, RankStepper)
         self.stepper.update_ghosts()
 
     @property
@@ -196,7 +194,6 @@ class RankEngine(Engine):
 
     def rank_diagnosis(self) -> Diagnosis | None:
         """Diagnosis on the root, computed by the rank of the particle; None on the other ranks."""
-        assert isinstance(self.stepper, RankStepper)
         with self.communicator.commanding("rank_diagnosis"):
             code = self.stepper.abort_code
             particle = int(self.state.control.abort_particle[0])

@@ -40,15 +40,17 @@ from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS
 class RankStepper(Stepper):
     """As `Stepper`, for the particles of one rank; all ranks call each function together.
 
-    Each phase of a step is a separate launch. The ranks agree on rebuilds, aborts and stops after the
+    Each phase of a step is a separate launch. The ranks agree on rebuilds, aborts and stop signals after the
     integration and after the forces, so that all of them take the same steps.
+
+    `requested_stop`: number of the stop signal that this rank has received, otherwise 0. All ranks then have
+    it as `stop_signal`, and the root ends the run.
     """
 
     def __init__(
         self, state: State, communicator: Communicator, on_deleted: Callable[[Arrays], None]
     ) -> None:
-        self._requested = 0
-        self._agreed = 0
+        self.requested_stop = 0
         self._communicator = communicator
         super().__init__(state, on_deleted)
 
@@ -64,29 +66,6 @@ class RankStepper(Stepper):
     def holds(self, particle: int) -> bool:
         """Whether this rank owns the particle with this id, or has deleted it at the last rebuild."""
         return self._rank_rebuild.holds(particle)
-
-    @property
-    def interrupted(self) -> int:
-        """Whether all ranks stop; a request of one rank takes effect when they have agreed on it.
-
-        The value is 1 for a request of the root, otherwise the number of a signal.
-        """
-        return self._agreed
-
-    @interrupted.setter
-    def interrupted(self, requested: int) -> None:
-        self._requested = int(requested)
-
-    def begin_advance(self) -> None:
-        """Clear the stop of the last call of `advance`, after which the root has continued."""
-        self._agreed = 0
-        self.stop_signal = 0
-
-    def end_advance(self) -> None:
-        """Clear the request of this rank, if all ranks have stopped; the root clears its own."""
-        self.stop_signal = self._agreed if self._agreed > 1 else 0
-        if self._agreed and not self._communicator.is_root:
-            self._requested = 0
 
     def update_ghosts(self) -> None:
         """Update the ghosts from their owners."""
@@ -124,9 +103,9 @@ class RankStepper(Stepper):
         field.from_numpy(by_chunk)
 
     def _agree(self, rebuild: bool = False) -> bool:
-        """Whether any rank requests a rebuild; also agrees on an abort and a stop. Waits for the slowest
-        rank."""
-        is_due, self._agreed = self._rank_rebuild.ghosts.agree(self._requested, rebuild)
+        """Whether any rank requests a rebuild; also agrees on an abort and a stop signal. Waits for the
+        slowest rank."""
+        is_due, self.stop_signal = self._rank_rebuild.ghosts.agree(self.requested_stop, rebuild)
         return is_due
 
     def _advance_batch(self, steps: int, step: int) -> int:

@@ -1,5 +1,9 @@
-"""Checks the clumps of a checkpoint: complete bodies with the spheres, masses and moments of inertia of the
-scene."""
+"""Checks the state in a checkpoint against the scene and the plan before it is copied to the device.
+
+A checkpoint with a valid checksum can still have been written for another scene or be edited. Each section
+checks a part of it: clumps, contacts, observers and inserters, the state of the run, and the files of MPI
+ranks. All raise CheckpointError with the key of the value.
+"""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -249,7 +253,7 @@ def _check_sums(part: Part) -> None:
         each.floats(*(lengths if len(lengths) == 1 else (0,)), width, high=LARGEST_REAL)
 
 
-# Checks a checkpoint against the plan of the run before it is copied to the device; see `checkpoint_parts`.
+# Checks a checkpoint against the plan of the run before it is copied to the device; see `io.checkpoint.Part`.
 
 SIZE_ROUNDING = 1e-5
 """Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
@@ -558,7 +562,7 @@ def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
 
 @dataclass(frozen=True)
 class CheckedRankFiles:
-    """As `engine.saved_particles.RankFiles`. `density_by_name` [kg/m3]: of the materials of the
+    """As `engine.engine.RankFiles`. `density_by_name` [kg/m3]: of the materials of the
     checkpoint."""
 
     files: tuple[RankFile, ...]

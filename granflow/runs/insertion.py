@@ -85,9 +85,11 @@ class ParticleInsertion:
             if inserter.remaining:
                 queued = len(inserter.queued)
                 not_due = inserter.remaining - queued
-                reasons = [f"{queued} are queued for lack of space"] * bool(queued) + [
-                    f"{not_due} were not due"
-                ] * bool(not_due)
+                reasons = []
+                if queued:
+                    reasons.append(f"{queued} are queued for lack of space")
+                if not_due:
+                    reasons.append(f"{not_due} were not due")
                 requested = len(inserter.radius)
                 yield (
                     f"{inserter.remaining} of {requested} {inserter.group_name} were not inserted: "

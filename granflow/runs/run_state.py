@@ -30,9 +30,6 @@ from granflow.runs.resume import Change, plan_fingerprint, saved_changes
 from granflow.runs.stages import StageProgress
 from granflow.runs.timings import WallClock
 
-REST_CHECKS = 200
-"""Number of checks for rest over the maximum duration of a stage with `kinetic_energy_below`."""
-
 
 class RunState:
     """Engine, stages, insertion, observers and wall clock of a run.
@@ -80,10 +77,6 @@ class RunState:
         """The clock of the run, which every thread may read."""
         return self._engine.state.clock
 
-    def interrupt(self) -> None:
-        """End the present steps after their launch; in any thread, and in a signal handler."""
-        self._engine.stepper.interrupted = True
-
     def free(self) -> None:
         """Release the device memory; also in another thread, if that of the run has ended."""
         if self.owner.is_alive():
@@ -115,7 +108,7 @@ class RunState:
         self.prepare()
         progress = self.progress
         engine = self.engine
-        progress.begin(stage.name, engine.time, stage.longest / REST_CHECKS)
+        progress.begin(stage, engine.time)
         engine.set_stage(stage.name)
         progress.set_walls(engine)
         self.insertion.insert_due(engine)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.engine import Engine
+from granflow.engine.engine import Engine, RestState
 from granflow.engine.wall_dynamics import controlled_forces
 from granflow.errors import GranflowError
 from granflow.fields import unit_of
@@ -218,6 +218,50 @@ def _statement(condition: StageCondition, value: float) -> str:
     )
 
 
+# Ends of stages at rest: low kinetic energy of particles whose weight is supported.
+
+REST_CHECKS = 200
+"""Number of checks for rest over the maximum duration of a stage with `kinetic_energy_below`."""
+LARGEST_UNBALANCED = 0.2
+"""Largest net force on all particles over their weight at rest. It is 1 in free fall, also at the start from
+rest and at the top of a bounce, and 1 - cundall with damping. Internal forces cancel, so that vibrations of
+stiff contacts, with accelerations of single particles above gravity, do not delay the end."""
+
+
+def warn_without_rest(stage: PlannedStage, engine: Engine, insertion_is_done: bool) -> None:
+    """Warn that the particles are not at rest at the end of the longest duration of a stage that requires
+    it."""
+    if stage.kinetic_energy_below is None:
+        return
+    state = engine.rest_state()
+    pending = "" if insertion_is_done else "insertion continues; "
+    if pending or not _is_rest(stage, state):
+        logging.getLogger("granflow").warning(
+            "stage %s (%s): its longest duration of %.6g s is over, but %s%s.",
+            stage.name,
+            stage.source,
+            stage.longest,
+            pending,
+            _rest_statement(stage, state),
+        )
+
+
+def _is_rest(stage: PlannedStage, state: RestState) -> bool:
+    """Whether the kinetic energy is below the limit, and the walls carry the weight."""
+    limit = stage.kinetic_energy_below
+    return limit is not None and state.kinetic_energy < limit and state.unbalanced < LARGEST_UNBALANCED
+
+
+def _rest_statement(stage: PlannedStage, state: RestState) -> str:
+    limit = stage.kinetic_energy_below
+    assert limit is not None
+    below = "below" if state.kinetic_energy < limit else "not below"
+    return (
+        f"the mean kinetic energy is {state.kinetic_energy:.3g} J, {below} {limit:.3g} J, and the net force "
+        f"on the particles is {state.unbalanced:.2g} of their weight (at most {LARGEST_UNBALANCED:g})"
+    )
+
+
 # Progress of a run through its stages.
 
 
@@ -250,15 +294,39 @@ class StageProgress:
         """Return the progress before the first step."""
         return cls(plan.stages[0].name, wall_change_times(plan.walls))
 
-    def begin(self, stage: str, time: float, check_interval: float) -> None:
-        """Begin a stage at `time` [s], with a first check for rest after `check_interval` [s]."""
-        self.stage = stage
-        self.next_check = time + check_interval
-        self.stage_times[stage] = (time, inf)
+    def begin(self, stage: PlannedStage, time: float) -> None:
+        """Begin a stage at `time` [s]."""
+        self.stage = stage.name
+        self.next_check = time + stage.longest / REST_CHECKS
+        self.stage_times[stage.name] = (time, inf)
 
     def end(self, time: float) -> None:
         """End the current stage at `time` [s]."""
         self.stage_times[self.stage] = (self.stage_times[self.stage][0], time)
+
+    def end_of(self, stage: PlannedStage) -> float:
+        """Time [s] at which a stage that has begun ends at the latest."""
+        return self.stage_times[stage.name][0] + stage.longest
+
+    def ends_at_rest(self, stage: PlannedStage, engine: Engine, insertion_is_done: bool) -> bool:
+        """Whether a check for rest is due at which the stage ends, which is logged.
+
+        REST_CHECKS checks are distributed evenly over the longest duration. The particles must be at rest
+        after the shortest duration, and all of them inserted.
+        """
+        if stage.kinetic_energy_below is None or not engine.reached(self.next_check):
+            return False
+        self.next_check += stage.longest / REST_CHECKS
+        began = self.stage_times[stage.name][0]
+        if not insertion_is_done or not engine.reached(began + stage.shortest):
+            return False
+        state = engine.rest_state()
+        if not _is_rest(stage, state):
+            return False
+        logging.getLogger("granflow").info(
+            "stage %s ends at %.6g s: %s", stage.name, engine.time, _rest_statement(stage, state)
+        )
+        return True
 
     def has_ended(self, stage: str) -> bool:
         """Return whether the stage has ended."""

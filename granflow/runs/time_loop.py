@@ -1,185 +1,40 @@
-"""The time loop: advances to the next event, handles it, and repeats."""
+"""The time loop of a run: takes steps to the next event, handles it, and repeats.
+
+`TimeLoop._next_steps` is the only place that decides how many steps come next. `Engine.advance` takes exactly
+these steps, and `engine.stepper` splits them into launches where the device requires it. The rest of the
+file is the begin and the end of a run, stop requests, checkpoints and aborts, and the warning on particles
+that left the domain.
+"""
 
 import logging
 import time as clock
-from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
-from math import inf, isfinite
+from math import isfinite
 
 import numpy as np
 
 from granflow.engine.abort import abort_message, permitted_change
-from granflow.engine.engine import Engine, RestState
+from granflow.engine.engine import Engine
 from granflow.engine.totals import EXIT_FACES
-from granflow.errors import FunctionError, GranflowError, RunError, StopRun
+from granflow.errors import FunctionError, RunError, StopRun
 from granflow.observers.observer import TOTALS
 from granflow.plan.plan import Plan
 from granflow.plan.stages import PlannedStage
+from granflow.plan.time_step import STEPS_BETWEEN_UPDATES
 from granflow.runs.interrupts import stop_of
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
-from granflow.runs.run_state import REST_CHECKS, LastGoodState, RunState
+from granflow.runs.run_state import LastGoodState, RunState
+from granflow.runs.stages import warn_without_rest
 from granflow.runs.timings import collect_result
-from granflow.units import seconds_of
+from granflow.snapshot import Snapshot
 
-# Warning at the end of a run about particles that left the domain where none is expected to leave it.
-
-LARGE_SHARE = 0.05
-"""Fraction of the inserted particles that can leave a domain without outlets, except downward and through
-meters."""
-
-
-def log_exits(engine: Engine, result: Result) -> None:
-    """Log a warning about particles that left the domain outside the outlets; `result`: numbers of the
-    run."""
-    meters = sum(each.get("flow_count", 0.0) for each in result.flow_meters.values())
-    sentence = exit_warning(engine.plan, engine.accounting.exits, engine.accounting.inserted_count, meters)
-    if sentence is not None:
-        logging.getLogger("granflow").warning("%s", sentence)
-
-
-def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meters: float) -> str | None:
-    """Sentence on the particles that left the domain, with the face through which most of them did; None if
-    expected.
-
-    With outlets, no other exit is expected. Without, particles can leave downward, as from a hopper, and as
-    many as pass flow meters can leave anywhere.
-
-    exits:           number of particles by face of the domain, outside the outlets
-    inserted:        number of inserted particles
-    through_meters:  number of particles that passed flow meters
-    """
-    total = sum(exits.values())
-    sideward = total - sum(exits[face] for face in _lower_faces(plan))
-    expected = 0 if plan.outlets else max(LARGE_SHARE * inserted, through_meters)
-    if (total if plan.outlets else sideward) <= expected:
-        return None
-    most = max(exits, key=lambda face: exits[face])
-    axis, end = most.split("_")
-    bound = getattr(plan.domain, end)["xyz".index(axis)]
-    outside = " outside the outlets" if plan.outlets else ""
-    return (
-        f"{total} of {inserted} particles left the domain{outside}, {exits[most]} of them through its face "
-        f"at {axis} = {bound:.4g} m: they are deleted. If this is not intended, check the walls and "
-        f"domain.{end}; otherwise give this region an outlet."
-    )
-
-
-def _lower_faces(plan: Plan) -> set[str]:
-    """Faces of the domain toward which gravity points."""
-    signs = np.concatenate([-np.array(plan.gravity), np.array(plan.gravity)])
-    return {face for face, sign in zip(EXIT_FACES, signs, strict=True) if sign > 0.0}
-
-
-# Ends of stages at rest: low kinetic energy of particles whose weight is supported.
-
-LARGEST_UNBALANCED = 0.2
-"""Largest net force on all particles over their weight at rest. It is 1 in free fall, also at the start from
-rest and at the top of a bounce, and 1 - cundall with damping. Internal forces cancel, so that vibrations of
-stiff contacts, with accelerations of single particles above gravity, do not delay the end."""
-
-
-def ends_at_rest(stage: PlannedStage, stage_times: Mapping[str, tuple[float, float]], engine: Engine) -> bool:
-    """Whether a stage ends because its particles are at rest after its shortest duration; the end is logged.
-
-    stage_times:  start and end [s] of the stages
-    """
-    if stage.kinetic_energy_below is None or not engine.reached(stage_times[stage.name][0] + stage.shortest):
-        return False
-    state = engine.rest_state()
-    if not _is_rest(stage, state):
-        return False
-    logging.getLogger("granflow").info(
-        "stage %s ends at %.6g s: %s", stage.name, engine.time, _statement(stage, state)
-    )
-    return True
-
-
-def warn_without_rest(stage: PlannedStage, engine: Engine, insertion_is_done: bool) -> None:
-    """Warn that the particles are not at rest at the end of the longest duration of a stage that requires
-    it."""
-    if stage.kinetic_energy_below is None:
-        return
-    state = engine.rest_state()
-    pending = "" if insertion_is_done else "insertion continues; "
-    if pending or not _is_rest(stage, state):
-        logging.getLogger("granflow").warning(
-            "stage %s (%s): its longest duration of %.6g s is over, but %s%s.",
-            stage.name,
-            stage.source,
-            stage.longest,
-            pending,
-            _statement(stage, state),
-        )
-
-
-def _is_rest(stage: PlannedStage, state: RestState) -> bool:
-    """Whether the kinetic energy is below the limit, and the walls carry the weight."""
-    limit = stage.kinetic_energy_below
-    return limit is not None and state.kinetic_energy < limit and state.unbalanced < LARGEST_UNBALANCED
-
-
-def _statement(stage: PlannedStage, state: RestState) -> str:
-    limit = stage.kinetic_energy_below
-    assert limit is not None
-    below = "below" if state.kinetic_energy < limit else "not below"
-    return (
-        f"the mean kinetic energy is {state.kinetic_energy:.3g} J, {below} {limit:.3g} J, and the net force "
-        f"on the particles is {state.unbalanced:.2g} of their weight (at most {LARGEST_UNBALANCED:g})"
-    )
-
-
-# Times of `Simulation.run`: text with units, durations, and their limits.
-
-
-def end_of_run(
-    until: float | str | None, duration: float | str | None, now: float, time_step: float
-) -> float:
-    """End [s] of a run until a time or for a duration, numbers in s or text with units; infinite without
-    both.
-
-    now:        present time [s]
-    time_step:  present time step [s]
-    Raises:     GranflowError
-    """
-    until, duration = (
-        None if time is None else seconds_of(name, time)
-        for name, time in (("until", until), ("duration", duration))
-    )
-    if until is not None and duration is not None:
-        raise GranflowError("run takes until or duration, not both.")
-    if until is not None and until < now - time_step:
-        raise GranflowError(f"until is {until:g} s, but the simulation is at {now:g} s.")
-    for name, time in (("until", until), ("duration", duration)):
-        if time is not None and not isfinite(now + time):
-            raise GranflowError(f"{name} is {time} s, but must be finite.")
-    if duration is not None and duration < 0.0:
-        raise GranflowError(f"duration is {duration:g} s, but must not be negative.")
-    return now + duration if duration is not None else inf if until is None else until
-
-
-# Batches of steps: between batches, signals are handled and checkpoints are written.
-
-CHUNK_SECONDS = 0.2
-"""Wall-clock time of one batch [s]."""
-
-
-class StepBatches:
-    """Takes steps in batches of about CHUNK_SECONDS: their length follows the measured rate, and at most
-    doubles."""
-
-    def __init__(self) -> None:
-        self._steps = 1
-
-    def advance(self, engine: Engine, most: int) -> None:
-        """Take one batch of at most `most` steps."""
-        began = clock.perf_counter()
-        before = engine.step_count
-        engine.advance(min(self._steps, most))
-        step_rate = (engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
-        self._steps = max(min(int(step_rate * CHUNK_SECONDS), 2 * self._steps), 1)
+ADVANCE_SECONDS = 0.05
+"""Wall-clock time [s] for which the engine takes steps at once. They cannot be interrupted: stop requests are
+handled, and checkpoints written, before the next ones."""
+FIRST_PARTICLE_STEPS = 50_000.0
+"""Particle-steps that the engine takes at first, before its rate is known."""
 
 
 class TimeLoop:
@@ -187,15 +42,15 @@ class TimeLoop:
     remain.
 
     `state`: of the run; `files`: its output directory. `stop_requested`: exception that ends the run after
-    the present batch of steps, or None.
+    the present steps, or None.
     """
 
     def __init__(self, state: RunState, files: RunDirectory) -> None:
         self.state = state
         self.files = files
         self.stop_requested: BaseException | None = None
-        self._batches = StepBatches()
         self.last_good = LastGoodState(state)
+        self._particle_steps = FIRST_PARTICLE_STEPS
 
     @property
     def engine(self) -> Engine:
@@ -207,6 +62,12 @@ class TimeLoop:
         """Whether the last stage has ended."""
         return self.state.progress.has_ended(self.engine.plan.stages[-1].name)
 
+    @property
+    def _stage(self) -> PlannedStage:
+        """The present stage."""
+        name = self.state.progress.stage
+        return next(stage for stage in self.engine.plan.stages if stage.name == name)
+
     def run(self, end: float, within_stages: bool = False) -> None:
         """Run the stages that have not ended, to their ends or to `end` [s]; the first one begins in any
         case.
@@ -215,17 +76,18 @@ class TimeLoop:
 
         Raises StopRun if an observer ends the run, RunError on an abort.
         """
+        progress = self.state.progress
         self._begin_run()
         for stage in self.engine.plan.stages:
-            if self.state.progress.has_ended(stage.name):
+            if progress.has_ended(stage.name):
                 continue
             if self.engine.time < end:
                 self._run_stage(stage, end)
-            if not self.state.progress.has_ended(stage.name):
+            if not progress.has_ended(stage.name):
                 break  # at `end`, from which the time may differ by half a step
         if self.stages_ended and isfinite(end) and not within_stages:
-            while self.state.progress.target is not None or not self.engine.reached(end):
-                self._advance_to(min(end, self._next_event()))
+            while progress.target is not None or not self.engine.reached(end):
+                self._advance_to_event(end)
         self._stop_if_requested()
 
     def _run_stage(self, stage: PlannedStage, end: float) -> None:
@@ -233,30 +95,108 @@ class TimeLoop:
 
         The stage ends after its longest duration, at the first row of the time series that satisfies one of
         its conditions, or, with `kinetic_energy_below`, at the first check at which the particles are at
-        rest; REST_CHECKS checks are distributed evenly (see `granflow.runs.time_loop`). A resumed stage
-        continues at its target.
+        rest. A resumed stage continues at its target.
         """
         progress = self.state.progress
         if stage.name not in progress.stage_times:
             self._begin_stage(stage)
-        stop = progress.stage_times[stage.name][0] + stage.longest
-        while progress.conditions.met is None and (
-            progress.target is not None or not self.engine.reached(min(stop, end))
-        ):
-            next_check = progress.next_check if stage.kinetic_energy_below is not None else inf
-            self._advance_to(min(stop, end, next_check, progress.servos.next_sample, self._next_event()))
+        at_rest = False
+        while not at_rest and progress.conditions.met is None:
+            if progress.target is None and self.engine.reached(min(progress.end_of(stage), end)):
+                break
+            self._advance_to_event(end)
             progress.servos.sample_if_due(self.engine, stage.longest)
-            if self.engine.reached(next_check):
-                progress.next_check += stage.longest / REST_CHECKS
-                if self.state.insertion.is_done and ends_at_rest(stage, progress.stage_times, self.engine):
-                    break
-        else:
-            if progress.conditions.met is None and not self.engine.reached(stop):
+            at_rest = progress.ends_at_rest(stage, self.engine, self.state.insertion.is_done)
+        if not at_rest:
+            if progress.conditions.met is None and not self.engine.reached(progress.end_of(stage)):
                 return
             progress.conditions.log_end(stage, self.engine.time)
             warn_without_rest(stage, self.engine, self.state.insertion.is_done)
         progress.servos.warn_at_end(self.engine, stage.name)
         progress.end(self.engine.time)
+
+    def _advance_to_event(self, end: float) -> None:
+        """Advance to the next event, at the latest to `end` [s], and handle it.
+
+        Between two calls of the engine, stop requests are handled and checkpoints written. Raises RunError if
+        the run exceeds a limit.
+        """
+        self.prepare()
+        self._stop_if_requested()  # by an observer at the last event
+        while (steps := self._next_steps(end)) > 0:
+            began = clock.perf_counter()
+            before = self.engine.step_count
+            self.engine.advance(steps)
+            rate = (self.engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
+            self._particle_steps = rate * ADVANCE_SECONDS * max(self.engine.particle_count, 1)
+            self._abort_if_diagnosed()
+            self._handle_requests()
+        self._handle_event()
+
+    def _next_steps(self, end: float) -> int:
+        """Number of steps until the host has something to do; 0 if an event is reached.
+
+        1. The target is the time of the next event: an observation, an insertion or a wall change; in a stage
+           that has not ended also its end, a check for rest, and a force sample of its servos; at the latest
+           `end` [s]. It is at least one step ahead, so that the run always advances. It remains until its
+           event is handled, and checkpoints contain it: a resumed run takes the same steps.
+        2. A scheduled checkpoint, or the next update of an adaptive time step, can precede the target.
+        3. The steps take about ADVANCE_SECONDS, at the rate of the previous ones.
+        """
+        progress = self.state.progress
+        engine = self.engine
+        if progress.target is None:
+            times = [end, self.state.observers.next_time(), self.state.insertion.next_time()]
+            times += [time for time in progress.changes if not engine.reached(time)]
+            if not progress.has_ended(progress.stage):
+                times += [progress.end_of(self._stage), progress.servos.next_sample]
+                if self._stage.kinetic_energy_below is not None:
+                    times.append(progress.next_check)
+            progress.set_target(max(min(times), engine.time + engine.time_step))
+        assert progress.target is not None
+        steps = engine.steps_to(progress.target)
+        if isfinite(self.files.next_checkpoint):
+            steps = min(steps, max(engine.steps_to(self.files.next_checkpoint), 1))
+        if engine.plan.adaptive_time_step is not None:
+            steps = min(steps, STEPS_BETWEEN_UPDATES - engine.steps_since_update)
+        return min(steps, max(int(self._particle_steps / max(engine.particle_count, 1)), 1))
+
+    def _handle_event(self) -> None:
+        """At the target, insert particles and change walls, and notify the observers that are due."""
+        progress = self.state.progress
+        if not progress.arrived:
+            inserted = self.state.insertion.insert_due(self.engine)
+            if progress.remove_past_changes(self.engine) or inserted:
+                progress.set_walls(self.engine)
+                self.engine.refresh()
+            progress.arrived = True
+        try:
+            with self.state.wall_clock.measuring_output():
+                self.state.observers.notify_due(self.engine.reached, self._observe)
+        except StopRun:
+            self._complete_target()
+            raise
+        self._complete_target()
+
+    def _complete_target(self) -> None:
+        """Forget the target; evaluate the conditions of the stage, if the time series has a new row."""
+        progress = self.state.progress
+        progress.target = None
+        if not progress.conditions.since or progress.has_ended(progress.stage):
+            return
+        if (row := self.state.observers.row_at(self.engine.time)) is not None:
+            progress.conditions.add_row(self._stage, progress.stage_times[progress.stage][0], row)
+
+    def notify_all(self, quantities: frozenset[str]) -> None:
+        """Pass a snapshot with these quantities to all observers. Raises StopRun, FunctionError."""
+        with self.state.wall_clock.measuring_output():
+            self.state.observers.notify_all(self._observe, quantities)
+
+    def _observe(self, quantities: frozenset[str]) -> Snapshot:
+        """Snapshot for observers, with these quantities."""
+        return self.engine.observe(self.state.progress.stage, quantities)
+
+    # The begin of a run and of its stages, and changes from Python.
 
     def _begin_run(self) -> None:
         """Begin the first stage and notify all observers, unless this is done: the run has then begun."""
@@ -267,7 +207,7 @@ class TimeLoop:
         self._begin_stage(self.engine.plan.stages[0])
         self.state.is_unobserved = False
         try:
-            self._notify(self.state.observers.notify_all)
+            self.notify_all(frozenset())
         except StopRun:
             self.files.began()
             raise
@@ -281,65 +221,6 @@ class TimeLoop:
             self.state.begin_stage(stage)
         self._abort_if_diagnosed()
 
-    def _notify(self, notify: Callable[..., object], *arguments: object) -> None:
-        """Call a method of the observer list with a function that takes the snapshot; its time counts as
-        output."""
-        with self.state.wall_clock.measuring_output():
-            notify(*arguments, partial(self.engine.observe, self.state.progress.stage))
-
-    def _next_event(self) -> float:
-        """Return the simulated time [s] of the next observation, insertion or wall change."""
-        changes = [time for time in self.state.progress.changes if not self.engine.reached(time)]
-        return min([self.state.observers.next_time(), self.state.insertion.next_time(), *changes])
-
-    def _advance_to(self, time: float) -> None:
-        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are
-        due.
-
-        The target is at least one step ahead, so that the run always advances. A resumed run continues to its
-        saved target.
-        """
-        progress = self.state.progress
-        if progress.target is None:
-            progress.set_target(max(time, self.engine.time + self.engine.time_step))
-        assert progress.target is not None
-        self._advance(progress.target)
-        if not progress.arrived:
-            inserted = self.state.insertion.insert_due(self.engine)
-            if progress.remove_past_changes(self.engine) or inserted:
-                progress.set_walls(self.engine)
-                self.engine.refresh()
-            progress.arrived = True
-        try:
-            self._notify(self.state.observers.notify_due, self.engine.reached)
-        except StopRun:
-            self._complete_target()
-            raise
-        self._complete_target()
-
-    def _complete_target(self) -> None:
-        """Forget the target; evaluate the conditions of the stage, if the time series has a new row."""
-        progress = self.state.progress
-        progress.target = None
-        if not progress.conditions.since or progress.has_ended(progress.stage):
-            return
-        if (row := self.state.observers.row_at(self.engine.time)) is not None:
-            stage = next(each for each in self.engine.plan.stages if each.name == progress.stage)
-            progress.conditions.add_row(stage, progress.stage_times[stage.name][0], row)
-
-    def _advance(self, target: float) -> None:
-        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written.
-
-        Raises RunError if the run exceeds a limit.
-        """
-        self.prepare()
-        while (steps := self.engine.steps_to(target)) > 0:
-            if isfinite(self.files.next_checkpoint):
-                steps = min(steps, max(self.engine.steps_to(self.files.next_checkpoint), 1))
-            self._batches.advance(self.engine, steps)
-            self._abort_if_diagnosed()
-            self._handle_requests()
-
     def prepare(self) -> None:
         """Apply the changes from Python: compile new features, rebuild neighbor lists, compute forces.
 
@@ -349,6 +230,15 @@ class TimeLoop:
         if self.engine.is_changed and self.state.progress.stage_times:
             self.engine.refresh()
             self._abort_if_diagnosed()
+
+    # Stop requests, checkpoints and aborts.
+
+    def _handle_requests(self) -> None:
+        """Stop if requested; write a checkpoint if due, and keep the state for one after an abort."""
+        self._stop_if_requested()
+        with self.state.wall_clock.measuring_output():
+            self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict)
+        self._keep_state()
 
     def _stop_if_requested(self) -> None:
         """Raise the requested exception after a checkpoint; the request is then done.
@@ -360,16 +250,8 @@ class TimeLoop:
         if self.stop_requested is not None:
             error = self.stop_requested
             self.stop_requested = None
-            self.engine.stepper.interrupted = False
             self.save()
             raise error
-
-    def _handle_requests(self) -> None:
-        """Stop if requested; write a checkpoint if due, and keep the state for one after an abort."""
-        self._stop_if_requested()
-        with self.state.wall_clock.measuring_output():
-            self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict)
-        self._keep_state()
 
     def _keep_state(self) -> None:
         """Keep the present state if that is due: a checkpoint after an abort or in lost files contains it."""
@@ -415,11 +297,10 @@ class TimeLoop:
         if diagnosis is None:
             return
         message = abort_message(diagnosis, self.engine.plan, self.engine.time)
-        take = partial(self.engine.observe, self.state.progress.stage)
         with self.state.wall_clock.measuring_output():
             try:
                 written = self.state.observers.notify_all(
-                    take, frozenset({TOTALS}), only_finite=True
+                    self._observe, frozenset({TOTALS}), only_finite=True
                 ).is_finite
             except (StopRun, FunctionError):
                 written = True  # a function from Python receives the snapshot after the files
@@ -427,25 +308,18 @@ class TimeLoop:
                 self.save_last_good()
         raise RunError(message + self.files.note_on_state(written, permitted_change(diagnosis)))
 
-    def notify_all(self, quantities: frozenset[str]) -> None:
-        """Pass a snapshot with these quantities to all observers. Raises StopRun, FunctionError."""
-        with self.state.wall_clock.measuring_output():
-            self.state.observers.notify_all(
-                partial(self.engine.observe, self.state.progress.stage), quantities
-            )
-
-    def log_end(self) -> None:
-        """Log the simulated time and the number of steps."""
-        engine = self.engine
-        logging.getLogger("granflow").info("done at %.6g s after %d steps", engine.time, engine.step_count)
-
     def last_result(self) -> Result:
         """Numbers of the run at its end, which is logged."""
+        engine = self.engine
+        log = logging.getLogger("granflow")
         result = self.result()
         self.state.insertion.log_end()
-        log_exits(self.engine, result)
+        meters = sum(each.get("flow_count", 0.0) for each in result.flow_meters.values())
+        warning = exit_warning(engine.plan, engine.accounting.exits, engine.accounting.inserted_count, meters)
+        if warning is not None:
+            log.warning("%s", warning)
         self.state.observers.log_end()
-        self.log_end()
+        log.info("done at %.6g s after %d steps", engine.time, engine.step_count)
         return result
 
     def result(self) -> Result:
@@ -458,3 +332,43 @@ class TimeLoop:
         if not self.stages_ended:
             return replace(result, is_complete=False)
         return result.with_expectations(state.plan.expectations)
+
+
+# Particles that left the domain where none is expected to leave it.
+
+LARGE_SHARE = 0.05
+"""Fraction of the inserted particles that can leave a domain without outlets, except downward and through
+meters."""
+
+
+def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meters: float) -> str | None:
+    """Sentence on the particles that left the domain, with the face through which most of them did; None if
+    expected.
+
+    With outlets, no other exit is expected. Without, particles can leave downward, as from a hopper, and as
+    many as pass flow meters can leave anywhere.
+
+    exits:           number of particles by face of the domain, outside the outlets
+    inserted:        number of inserted particles
+    through_meters:  number of particles that passed flow meters
+    """
+    total = sum(exits.values())
+    sideward = total - sum(exits[face] for face in _lower_faces(plan))
+    expected = 0 if plan.outlets else max(LARGE_SHARE * inserted, through_meters)
+    if (total if plan.outlets else sideward) <= expected:
+        return None
+    most = max(exits, key=lambda face: exits[face])
+    axis, end = most.split("_")
+    bound = getattr(plan.domain, end)["xyz".index(axis)]
+    outside = " outside the outlets" if plan.outlets else ""
+    return (
+        f"{total} of {inserted} particles left the domain{outside}, {exits[most]} of them through its face "
+        f"at {axis} = {bound:.4g} m: they are deleted. If this is not intended, check the walls and "
+        f"domain.{end}; otherwise give this region an outlet."
+    )
+
+
+def _lower_faces(plan: Plan) -> set[str]:
+    """Faces of the domain toward which gravity points."""
+    signs = np.concatenate([-np.array(plan.gravity), np.array(plan.gravity)])
+    return {face for face, sign in zip(EXIT_FACES, signs, strict=True) if sign > 0.0}

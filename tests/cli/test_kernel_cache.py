@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from granflow.engine.backend import CACHED_KERNELS as KERNELS
-from granflow.engine.backend import LANGUAGE, LOCKS
+from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
+from granflow.engine.kernel_cache import LOCKS
+from granflow.kernel_language import KERNELS as LANGUAGE
 
 COLLISION = ("collide", "--material", "stainless_316", "--diameter", "25.4mm", "--velocity", "0.5", "--json")
 

@@ -16,7 +16,7 @@ from granflow.contact.normal.hertz import Hertz
 from granflow.contact.normal.zhou import Zhou
 from granflow.contact.selected_laws import ContactLaws
 from granflow.engine import backend
-from granflow.engine.backend import CACHED_KERNELS as KERNELS
+from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 
 
 def variants(model, number):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scene_builders import box, build_scene, particle_group, prepared_simulation, run_to_end
 
-from granflow.engine import engine as state_cache
+from granflow.engine import state_cache
 from granflow.engine.neighbor.sort import BLOCK_SIDE, build_grid_over
 from granflow.kernel_language import ti
 from granflow.observers.observer import on_interval

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
-from granflow.engine import compilation
+from granflow import taichi_patches
 from granflow.engine import threads as workers
 from granflow.engine.backend import Backend
 
@@ -22,8 +22,8 @@ def test_each_kernel_is_compiled_once_in_the_context_also_if_an_id_is_used_again
         entered.append(True)
         yield
 
-    monkeypatch.setattr(compilation, "around", around)
-    compile_kernel = compilation.guarded(lambda program, configuration, capabilities, kernel: None)
+    monkeypatch.setattr(taichi_patches, "around", around)
+    compile_kernel = taichi_patches.guarded(lambda program, configuration, capabilities, kernel: None)
     for count in (1, 2, 3):
         kernel = Kernel()
         for _ in range(2):

@@ -10,9 +10,9 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
-from granflow.engine import engine as state_cache
 from granflow.engine import fields as field_block
-from granflow.engine.backend import CACHED_KERNELS as KERNELS
+from granflow.engine import state_cache
+from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 from granflow.engine.state import FreedState
 from granflow.errors import GranflowError
 from granflow.simulation import Simulation

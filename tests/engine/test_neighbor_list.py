@@ -16,7 +16,7 @@ from scene_builders import (
 )
 from scipy.spatial import cKDTree
 
-from granflow.engine import engine as state_cache
+from granflow.engine import state_cache
 from granflow.engine.host import copy_to_host
 from granflow.errors import RunError
 from granflow.observers.observer import on_interval

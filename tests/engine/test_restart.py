@@ -9,8 +9,8 @@ import pytest
 from scene_builders import build_scene, particle_group
 from subprocess_runner import in_subprocess
 
-from granflow.engine import engine as state_cache
-from granflow.engine.backend import CACHED_KERNELS as KERNELS
+from granflow.engine import state_cache
+from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 from granflow.errors import GranflowError
 from granflow.kernel_language import ti
 from granflow.simulation import Simulation

@@ -16,8 +16,8 @@ import rank_launcher
 from rank_launcher import alone, environment, on_ranks
 from scene_builders import box, build_scene, moving_lattice, particle_group, vibrating_box
 
-from granflow.engine.backend import CACHE_VARIABLE as VARIABLE
-from granflow.engine.backend import CACHED_KERNELS as KERNELS
+from granflow.engine.kernel_cache import CACHE_VARIABLE as VARIABLE
+from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 from granflow.io.checkpoint import newest_checkpoint, read_checkpoint
 
 pytestmark = pytest.mark.skipif(

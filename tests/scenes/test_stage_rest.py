@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group, plane
 
-from granflow.runs.run_state import REST_CHECKS
+from granflow.runs.stages import REST_CHECKS
 from granflow.simulation import Simulation
 
 RADIUS, GRAVITY, DENSITY = 0.005, 9.81, 2500.0

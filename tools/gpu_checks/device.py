@@ -45,7 +45,6 @@ def _query_vulkan() -> dict[str, Any]:
     if device is None:
         return {}
     memory = {
-        "memory_total": device.total,
         "memory_free": device.free,
         "largest_buffer": device.largest_buffer,
     }
