@@ -98,7 +98,7 @@ if TYPE_CHECKING:
     from granflow.simulation import Simulation as Simulation
     from granflow.snapshot import Snapshot as Snapshot
     from granflow.studies.calibration.calibrate import calibrate as calibrate
-    from granflow.studies.sweep.sweep import sweep as sweep
+    from granflow.studies.sweep import sweep as sweep
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
@@ -196,7 +196,7 @@ _LOCATIONS = {
     "register_contact_model": "granflow.scene.registration.register_contact_model",
     "start": "granflow.engine.state_cache.start",
     "steady_flow": "granflow.observers.meters.steady_flow",
-    "sweep": "granflow.studies.sweep.sweep.sweep",
+    "sweep": "granflow.studies.sweep.sweep",
 }
 """Module and attribute of each public name."""
 

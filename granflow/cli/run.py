@@ -704,7 +704,7 @@ def _scenes_of(source: Path) -> list[Path]:
     """The scene itself, or the scenes of a sweep or a calibration."""
     verb = VERBS.get(source.parent.name)
     if verb == "sweep":
-        from granflow.studies.sweep.sweep import read_sweep
+        from granflow.studies.sweep import read_sweep
 
         return [read_sweep(source).scene.resolve()]
     if verb == "calibrate":

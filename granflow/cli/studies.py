@@ -475,7 +475,7 @@ def sweep(options: argparse.Namespace) -> int:
     Returns 0 if all runs are done and meet their expectations, 1 otherwise, and 130 or 143 after a stop
     signal; the same command then continues the sweep.
     """
-    from granflow.studies.sweep.sweep import SweepStopped, read_sweep, run_sweep
+    from granflow.studies.sweep import SweepStopped, read_sweep, run_sweep
 
     study = read_sweep(options.file)
     out = options.out or Path("out") / study.name

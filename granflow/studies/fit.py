@@ -20,8 +20,7 @@ from granflow.io.files import read_regular
 from granflow.io.tables import table_in
 from granflow.scene.blocks.materials import PRESETS
 from granflow.scene.suggest import suggestion_or_list
-from granflow.studies.figures import COLORS, POINTS, draw_to
-from granflow.studies.tables import write_columns
+from granflow.studies.figures import COLORS, POINTS, draw_to, write_columns
 from granflow.units import UnitError, to_si, with_unit
 
 # ---------------------------------------------------------------- measurements

@@ -1,7 +1,11 @@
-"""Frames of a run as arrays: particles, walls and contacts at each output time, read from VTU files.
+"""Frames of a run as arrays, and the camera that shows them.
 
 `frames_of` lists the frames of a run by the PVD files, which give the times; files that no longer exist are
-skipped. `read_particles`, `read_walls` and `read_force_chains` read the parts of one frame.
+skipped. `read_particles`, `read_walls` and `read_force_chains` read the parts of one frame from VTU files.
+
+A `View` is a direction of view with its frame right, up, and toward the viewer. `bounding_points` gives the
+points that must be visible over the whole run, so that all pictures of a run have the same camera;
+`camera_for` places the camera that just shows them.
 """
 
 from collections.abc import Sequence
@@ -221,3 +225,268 @@ def read_force_chains(frame: Frame) -> ForceChains | None:
     ends = mesh.points[np.concatenate([np.zeros((0, 2), np.int64), *lines])]
     forces = mesh.cell_data.get("normal_force", [])
     return ForceChains(ends, np.concatenate([np.zeros(0), *forces])[: len(ends)])
+
+
+# View directions
+
+VIEWS = ("iso", "front", "side", "top")
+"""Names of views."""
+ISO = (0.6, -1.0, 0.45)
+"""Direction toward the viewer of the view `iso`, in the axes right, into and up."""
+
+
+@dataclass(frozen=True)
+class View:
+    """View of a picture: perpendicular unit vectors `toward` the viewer and `up` (3,), perspective or
+    parallel.
+
+    The vectors `right`, `up` and `toward` form a right-handed frame.
+    """
+
+    toward: np.ndarray
+    up: np.ndarray
+    perspective: bool
+
+    @property
+    def right(self) -> np.ndarray:
+        """Unit vector (3,) to the right in the picture."""
+        return np.cross(self.up, self.toward)
+
+    def projected(self, points: np.ndarray) -> np.ndarray:
+        """Coordinates (n, 3) [m] of points to the right, up and toward the viewer."""
+        return points @ np.stack([self.right, self.up, self.toward], axis=1)
+
+
+def view_of(text: str, gravity: np.ndarray | None = None) -> View:
+    """View by name: iso, front, side, top, or the direction to the viewer as three numbers "1,-2,0.8".
+
+    Up is the axis opposite to `gravity` (z without gravity); front, side and top are parallel projections,
+    the others perspective. Raises GranflowError for another text.
+    """
+    up = upward(gravity)
+    right = np.array([0.0, 1.0, 0.0]) if up[0] else np.array([1.0, 0.0, 0.0])
+    into = np.cross(up, right)
+    flat = {"front": (-into, up), "side": (right, up), "top": (up, into)}
+    if text in flat:
+        toward, top = flat[text]
+        return View(toward, top, perspective=False)
+    if text == "iso":
+        toward = ISO[0] * right + ISO[1] * into + ISO[2] * up
+    else:
+        toward = _direction(text)
+    return _upright(toward, up, into)
+
+
+def upward(gravity: np.ndarray | None) -> np.ndarray:
+    """Unit vector (3,) along the axis that is most nearly opposite to gravity."""
+    up = np.zeros(3)
+    if gravity is None or not np.any(gravity):
+        up[2] = 1.0
+    else:
+        axis = int(np.argmax(np.abs(gravity)))
+        up[axis] = -np.sign(gravity[axis])
+    return up
+
+
+def _direction(text: str) -> np.ndarray:
+    """Direction (3,) from text with three numbers. Raises GranflowError for other text."""
+    try:
+        numbers = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) != 3 or not np.all(np.isfinite(numbers)) or not np.any(numbers):
+        raise GranflowError(
+            f"--view {text}: give {', '.join(VIEWS)}, or the direction to the viewer, such as "
+            "--view=1,-2,0.8."
+        )
+    return numbers / np.abs(numbers).max()  # the squares of numbers such as 1e300 and 1e-300 are out of range
+
+
+def _upright(toward: np.ndarray, up: np.ndarray, into: np.ndarray) -> View:
+    """Perspective view from `toward` with `up` vertical in the picture.
+
+    For a view along `up`, `into` is vertical.
+    """
+    toward = toward / np.linalg.norm(toward)
+    axis = up if abs(toward @ up) < np.cos(np.radians(1.0)) else into
+    upright = axis - (axis @ toward) * toward
+    return View(toward, upright / np.linalg.norm(upright), perspective=True)
+
+
+# Camera
+
+OPENING = np.radians(24.0)
+"""Vertical field of view of a perspective picture; small, so that near and far particles have similar
+sizes."""
+MARGIN = 1.05
+"""Relative margin around the shown points."""
+CENTERINGS = 6
+"""Iterations that center a perspective picture; each reduces the error to a tenth."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Camera: `eye` and `focus` (3,) [m]; `half_height` [m] of the picture for parallel projection.
+
+    The vertical field of view of a perspective picture is OPENING.
+    """
+
+    view: View
+    eye: np.ndarray
+    focus: np.ndarray
+    half_height: float
+
+    @property
+    def shown_height(self) -> float:
+        """Height [m] of the shown part of the plane through the focus."""
+        if not self.view.perspective:
+            return 2.0 * self.half_height
+        return 2.0 * float(np.linalg.norm(self.eye - self.focus) * np.tan(0.5 * OPENING))
+
+
+def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0) -> Camera:
+    """Camera that just shows the points (n, 3) [m] in a picture with this ratio of width to height.
+
+    `zoom`: magnification; above 1, outer points are outside the picture.
+    """
+    seen = view.projected(points)
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    middle = 0.5 * (low + high)
+    size = np.maximum(high - low, 1e-12)
+    half_height = 0.5 * MARGIN * max(size[1], size[0] / aspect) / zoom
+    tangent = np.tan(0.5 * OPENING) * np.array([aspect, 1.0]) / MARGIN
+    distance = half_height / tangent[1] + size[2]
+    for _ in range(CENTERINGS if view.perspective else 0):
+        distance = _camera_distance(seen - middle, tangent) / zoom
+        middle[:2] += _off_center(seen - middle, distance)
+    focus = middle @ np.stack([view.right, view.up, view.toward])
+    return Camera(view, focus + distance * view.toward, focus, half_height)
+
+
+def _camera_distance(seen: np.ndarray, tangent: np.ndarray) -> float:
+    """Smallest distance [m] of the eye from the origin at which all points are in the field of view.
+
+    `seen` (n, 3) [m]: points in the frame of the view; `tangent` (2,): of half the field of view.
+    """
+    return float(np.max(seen[:, 2:] + np.abs(seen[:, :2]) / tangent))
+
+
+def _off_center(seen: np.ndarray, distance: float) -> np.ndarray:
+    """Offset (2,) [m] of the middle of the shown points from the center of the picture, in the plane of the
+    focus."""
+    depth = np.maximum(distance - seen[:, 2:], 1e-3 * distance)
+    shown = seen[:, :2] / depth
+    return 0.5 * (shown.min(axis=0) + shown.max(axis=0)) * distance
+
+
+def aspect_of(view: View, points: np.ndarray) -> float:
+    """Ratio of width to height of points (n, 3) [m] in a view."""
+    width, height, _ = np.ptp(view.projected(points), axis=0)
+    return float(width / height) if width > 0.0 and height > 0.0 else 1.0
+
+
+# Points that must be visible: the outermost points of particles and walls, or the domain
+
+SAMPLED_FRAMES = 12
+"""Number of frames of the whole run that determine the camera, so that all pictures of a run have the same
+camera."""
+EMPTY_BOX = np.array([[-0.5] * 3, [0.5] * 3])
+"""Box (2, 3) [m] shown if there are neither particles nor a scene."""
+
+
+def bounding_points(
+    fit: str, scene: Scene | None, frames: Sequence[Frame], domain: np.ndarray | None, particles: np.ndarray
+) -> np.ndarray:
+    """Points (n, 3) [m] that the camera must show: the domain, or the outermost points of particles and
+    walls.
+
+    `fit`: "all", "particles" or "domain"; `domain` (2, 3) [m], or None; `particles` (k, 3) [m]: see
+    `particle_points`. At most SAMPLED_FRAMES frames are read. Never empty.
+    """
+    if fit == "domain" and domain is not None:
+        return corners_of(domain)
+    points = particles
+    if fit != "particles":
+        walls = [each for each in map(read_walls, sampled(frames, SAMPLED_FRAMES)) if each is not None]
+        points = np.concatenate([points, *(wall_points(each, scene, points, domain) for each in walls)])
+    if len(points):
+        return points
+    return corners_of(domain if domain is not None else EMPTY_BOX)
+
+
+def domain_of(scene: Scene | None) -> np.ndarray | None:
+    """Domain (2, 3) [m] of the simulation; None if it expands or if the scene is unknown."""
+    if scene is None or scene.domain.on_exit == "expand":
+        return None
+    return np.array([scene.domain.min, scene.domain.max])
+
+
+def particle_points(frames: Sequence[Frame]) -> np.ndarray:
+    """Outermost points (n, 3) [m] of the particles of at most SAMPLED_FRAMES frames.
+
+    The array is empty without particles.
+    """
+    return np.concatenate(
+        [outermost_points(read_particles(frame)) for frame in sampled(frames, SAMPLED_FRAMES)]
+    )
+
+
+def outermost_points(particles: FrameParticles) -> np.ndarray:
+    """Points (n, 3) [m] on the surface of the bed: the farthest point in each of a set of directions."""
+    if not len(particles.radius):
+        return np.zeros((0, 3))
+    directions = np.array([ray for ray in np.ndindex(3, 3, 3) if ray != (1, 1, 1)]) - 1.0
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    farthest = np.argmax(particles.position @ directions.T + particles.radius[:, None], axis=0)
+    return particles.position[farthest] + particles.radius[farthest, None] * directions
+
+
+def wall_points(
+    walls: FrameWalls, scene: Scene | None, particles: np.ndarray, domain: np.ndarray | None
+) -> np.ndarray:
+    """Corners (n, 3) [m] of the walls, clipped to the domain; unbounded planes are clipped to the particles.
+
+    `particles` (k, 3) [m]: outermost points of the particles; `domain` (2, 3) [m], or None.
+    """
+    planes = planes_of(walls, scene)
+    corners = [walls.points_of([number for number in walls.numbers if number not in planes])]
+    corners += [
+        np.clip(each, *plane_box(each, particles)) for each in map(walls.points_of, ([k] for k in planes))
+    ]
+    points = np.concatenate(corners)
+    return points if domain is None else np.clip(points, *domain)
+
+
+PLANE_MARGIN = 0.5
+"""Largest distance of a shown plane from the particles, relative to their largest extent."""
+PLANE_OVERHANG = 0.05
+"""Overhang of the shown part of a plane over the particles, relative to their largest extent."""
+FLAT = 1e-6
+"""Extent of a plane along its normal, relative to its size, up to which it is normal to an axis."""
+
+
+def plane_box(plane: np.ndarray, particles: np.ndarray) -> np.ndarray:
+    """Box (2, 3) [m] of the shown part of a plane: around the particles, wider along the normal of the plane.
+
+    `plane` (m, 3) [m]: its corners in the frame; `particles` (k, 3) [m]: outermost points of the particles.
+    All of the plane without particles.
+    """
+    if not len(particles) or not len(plane):
+        return np.array([[-np.inf] * 3, [np.inf] * 3])
+    low, high = particles.min(axis=0), particles.max(axis=0)
+    extent = np.ptp(plane, axis=0)
+    margin = np.where(extent > FLAT * extent.max(), PLANE_OVERHANG, PLANE_MARGIN) * np.max(high - low)
+    return np.array([low - margin, high + margin])
+
+
+def drawn_box(plane: np.ndarray, particles: np.ndarray) -> np.ndarray:
+    """Box (2, 3) [m] to which the drawing of a plane is clipped: `plane_box`, unbounded along the normal."""
+    low, high = plane_box(plane, particles)
+    extent = np.ptp(plane, axis=0)
+    is_normal = extent <= FLAT * extent.max()
+    return np.array([np.where(is_normal, -np.inf, low), np.where(is_normal, np.inf, high)])
+
+
+def corners_of(box: np.ndarray) -> np.ndarray:
+    """Corners (8, 3) of a box (2, 3)."""
+    return np.array([[box[i][0], box[j][1], box[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])

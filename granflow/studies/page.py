@@ -14,8 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup
 
 from granflow.io.files import write_text
-from granflow.studies.figures import Drawing, write_figures
-from granflow.studies.tables import PageTable, percent, write_columns
+from granflow.studies.figures import Drawing, PageTable, percent, write_columns, write_figures
 from granflow.visible_text import readable, visible
 
 MEDIA_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}

@@ -12,21 +12,26 @@ import numpy as np
 
 from granflow import Run, Scene
 from granflow.io.frames import listed_frames
-from granflow.studies.camera import bounding_points, domain_of, drawn_box, outermost_points, upward, view_of
-from granflow.studies.color_scale import CATEGORIES, SIGNED, Scale, scale_for, values_of
 from granflow.studies.figures import COLORS
 from granflow.studies.frames import (
     Frame,
     FrameParticles,
     FrameWalls,
+    bounding_points,
+    domain_of,
+    drawn_box,
     filled_frames,
     frames_of,
+    outermost_points,
     planes_of,
     read_particles,
     read_walls,
     sampled,
+    upward,
+    view_of,
 )
 from granflow.studies.interactive_plots import deflated
+from granflow.studies.render import CATEGORIES, SIGNED, Scale, scale_for, values_of
 from granflow.visible_text import readable
 
 

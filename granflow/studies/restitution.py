@@ -17,8 +17,7 @@ import numpy as np
 
 from granflow import Plan, Scene, plan_for
 from granflow.studies.bench import LONGEST, Collision, CollisionBench, Impact
-from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to
-from granflow.studies.tables import write_columns
+from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
 
 def pairings(scene: Scene, plan: Plan) -> list[Collision]:

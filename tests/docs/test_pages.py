@@ -12,7 +12,7 @@ import pytest
 from granflow.cli.main import main
 from granflow.cli.run import scene_paths
 from granflow.studies.calibration.calibrate import read_calibration
-from granflow.studies.sweep.sweep import read_sweep
+from granflow.studies.sweep import read_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"

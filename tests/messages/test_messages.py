@@ -8,7 +8,7 @@ from ruamel.yaml import YAML
 from granflow.errors import FileError, SceneError
 from granflow.load import load_scene
 from granflow.studies.calibration.calibrate import read_calibration
-from granflow.studies.sweep.sweep import read_sweep
+from granflow.studies.sweep import read_sweep
 
 HERE = Path(__file__).parent
 GOOD = (HERE / "good.yaml").read_text(encoding="utf-8")

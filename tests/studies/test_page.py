@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from jinja2 import UndefinedError
 
-from granflow.studies.figures import Drawing
+from granflow.studies.figures import Drawing, PageTable, percent
 from granflow.studies.page import environment, page_text, write_study
-from granflow.studies.tables import PageTable, percent
 
 TINY = bytes.fromhex("89504e470d0a1a0a")
 TABLE = PageTable(("law", "e"), [("a < b", "0.5"), ("c", "−1")], "its own caption")

@@ -15,31 +15,28 @@ from granflow.cli.main import main
 from granflow.cli.show import FITS
 from granflow.errors import GranflowError
 from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
-from granflow.studies.camera import (
+from granflow.studies.frames import (
     MARGIN,
     OPENING,
     VIEWS,
+    FrameParticles,
     aspect_of,
     bounding_points,
     camera_for,
     corners_of,
     drawn_box,
+    frames_of,
     outermost_points,
     particle_points,
     plane_box,
-    view_of,
-)
-from granflow.studies.color_scale import prefixed, scale_for, values_of
-from granflow.studies.frames import (
-    FrameParticles,
-    frames_of,
     planes_of,
     read_force_chains,
     read_particles,
     read_walls,
     selected_frames,
+    view_of,
 )
-from granflow.studies.render import decimals_of, round_length, speed_of
+from granflow.studies.render import decimals_of, prefixed, round_length, scale_for, speed_of, values_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -375,7 +372,7 @@ def test_shown_height_is_that_of_the_points_and_falls_with_the_zoom():
 AREAS = """
 import sys
 import numpy as np
-from granflow.studies.camera import camera_for, view_of
+from granflow.studies.frames import camera_for, view_of
 from granflow.studies.frames import FrameParticles
 from granflow.studies.render import Renderer
 for name in ("front", "iso"):

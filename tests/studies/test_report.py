@@ -20,12 +20,17 @@ from granflow.io.tables import SeriesColumn, TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ParticleFrames
 from granflow.studies import report as report_module
-from granflow.studies import report_pictures
 from granflow.studies.frames import frames_of
 from granflow.studies.interactive_plots import MOST_POINTS, groups_of, plot_of, thinned
 from granflow.studies.page import environment, page_text
-from granflow.studies.report import field_content, report_text, table_of
-from granflow.studies.report_pictures import _caption, course_pictures, pictures_for
+from granflow.studies.report import (
+    _caption,
+    course_pictures,
+    field_content,
+    pictures_for,
+    report_text,
+    table_of,
+)
 
 HEAD = (
     "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle "
@@ -388,9 +393,9 @@ def test_pictures_of_the_course_are_rendered_besides_others(tmp_path, monkeypatc
             (tmp_path / "pictures" / f"picture_velocity_iso_{int(number):04d}.png").write_bytes(b"x")
         return SimpleNamespace(returncode=0)
 
-    monkeypatch.setattr(report_pictures.subprocess, "run", stand_in)
-    monkeypatch.setattr(report_pictures, "reduced", lambda path, scratch: path)
-    monkeypatch.setattr(report_pictures, "find_spec", lambda name: True)
+    monkeypatch.setattr(report_module.subprocess, "run", stand_in)
+    monkeypatch.setattr(report_module, "reduced", lambda path, scratch: path)
+    monkeypatch.setattr(report_module, "find_spec", lambda name: True)
     shown = [each.path.name for each in pictures_for(tmp_path, tmp_path).shown]
     assert [command[-1] for command in commands] == ["2,6,8"]
     assert shown == [

@@ -7,7 +7,7 @@ import pytest
 from granflow.studies.calibration.calibrate import read_calibration
 from granflow.studies.calibration.schema import settings_of
 from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run
-from granflow.studies.sweep.sweep import checked_points, read_sweep
+from granflow.studies.sweep import checked_points, read_sweep
 
 SCENES = Path(__file__).parents[2] / "scenes"
 SWEEPS, CALIBRATIONS = (sorted((SCENES / folder).glob("*.yaml")) for folder in ("sweeps", "calibration"))

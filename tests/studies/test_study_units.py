@@ -6,8 +6,8 @@ from studies.test_calibration import CALIBRATION, runner
 from studies.test_sweep import problems_of, settings, sweep_of
 
 from granflow.errors import FileError
-from granflow.studies.sweep.design import design_points
-from granflow.studies.sweep.sweep import checked_points, read_sweep
+from granflow.studies.sweep import checked_points, read_sweep
+from granflow.studies.sweep_design import design_points
 
 
 @pytest.mark.parametrize(

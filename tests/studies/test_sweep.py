@@ -26,15 +26,15 @@ from granflow.studies.run_process import (
     final_outcome,
     write_outcome,
 )
-from granflow.studies.sweep.design import (
+from granflow.studies.sweep import checked_points, read_sweep
+from granflow.studies.sweep_design import (
     LatinHypercube,
     SobolSampling,
     SweepInput,
     design_points,
     unit_samples,
 )
-from granflow.studies.sweep.sweep import checked_points, read_sweep
-from granflow.studies.sweep.table import table_of, write_tables
+from granflow.studies.sweep_table import table_of, write_tables
 
 
 def problems_of(folder, text):

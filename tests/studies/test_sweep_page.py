@@ -15,8 +15,8 @@ from studies.test_sweep import run
 from granflow.studies.calibration.results import result_of, write_calibration_page, write_result
 from granflow.studies.interactive_plots import short_names
 from granflow.studies.run_process import ABORTED, Outcome, final_outcome, write_outcome
-from granflow.studies.sweep.design import SweepInput, design_points
-from granflow.studies.sweep.page import (
+from granflow.studies.sweep_design import SweepInput, design_points
+from granflow.studies.sweep_page import (
     NamedRun,
     heat_maps,
     in_lines,
@@ -28,7 +28,7 @@ from granflow.studies.sweep.page import (
     with_error,
     write_sweep_page,
 )
-from granflow.studies.sweep.table import shown, table_of
+from granflow.studies.sweep_table import shown, table_of
 
 
 def ishigami(x, y, z):

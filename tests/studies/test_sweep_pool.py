@@ -16,7 +16,7 @@ from studies.sweep_files import SWEEP, write_sweep
 
 from granflow.studies import run_process as run_worker
 from granflow.studies.run_pool import Workers
-from granflow.studies.sweep.sweep import read_sweep, run_sweep
+from granflow.studies.sweep import read_sweep, run_sweep
 
 STATUSES = ["done"] * 3 + ["aborted"] + ["expectation missed"] * 3 + ["aborted"] + ["refused"] * 4
 

@@ -25,9 +25,8 @@ from granflow.studies.accuracy.two_particles import (
     columns,
     measured_line,
 )
-from granflow.studies.figures import COLORS, MARKERS, Drawing, stacked_panels
+from granflow.studies.figures import COLORS, MARKERS, Drawing, PageTable, stacked_panels
 from granflow.studies.page import write_study
-from granflow.studies.tables import PageTable
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,11 @@ from granflow.io.files import write_text
 from granflow.studies.accuracy.report import LINE_STYLES, loglog
 from granflow.studies.accuracy.two_particles import PRECISIONS
 from granflow.studies.checked_run import run_identity
-from granflow.studies.figures import COLORS, Drawing, stacked_panels
+from granflow.studies.figures import COLORS, Drawing, PageTable, percent, stacked_panels
 from granflow.studies.page import write_study
 from granflow.studies.restitution import QUICK_VELOCITIES
 from granflow.studies.restitution import measure as measure_restitution
 from granflow.studies.run_process import read_json
-from granflow.studies.tables import PageTable, percent
 
 # ---------------------------------------------------------------- the scene, and its time steps
 

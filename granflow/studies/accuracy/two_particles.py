@@ -21,8 +21,8 @@ from granflow.contact import theory
 from granflow.contact.material import Solid
 from granflow.scene.blocks.materials import PRESETS
 from granflow.studies.bench import FORCES_TO_END, Collision, HeadOnCollision, head_on_bench, share_to_end
+from granflow.studies.figures import attribute_columns
 from granflow.studies.paper.figures import PaperCase
-from granflow.studies.tables import attribute_columns
 
 # ---------------------------------------------------------------- what is varied
 

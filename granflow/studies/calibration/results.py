@@ -30,7 +30,7 @@ from granflow.studies.calibration.schema import (
 from granflow.studies.calibration.search import Search
 from granflow.studies.calibration.trials import Measured, deviation, given_text
 from granflow.studies.checked_run import overrides_of
-from granflow.studies.figures import COLORS
+from granflow.studies.figures import COLORS, PageTable, without_empty_ends
 from granflow.studies.interactive_plots import (
     Plot,
     axis,
@@ -42,7 +42,6 @@ from granflow.studies.interactive_plots import (
     short_names,
 )
 from granflow.studies.page import page_text
-from granflow.studies.tables import PageTable, without_empty_ends
 from granflow.units import in_unit
 
 # The result

@@ -27,7 +27,7 @@ from granflow.studies.compare.runs import (
     densest_stage,
     restitution_for,
 )
-from granflow.studies.tables import percent
+from granflow.studies.figures import percent
 
 # ---------------------------------------------------------------- collisions
 

@@ -42,9 +42,8 @@ from granflow.studies.compare.runs import (
     run_all,
     variants_of,
 )
-from granflow.studies.figures import COLORS, MARKERS, Drawing, stacked_panels
+from granflow.studies.figures import COLORS, MARKERS, Drawing, PageTable, stacked, stacked_panels
 from granflow.studies.page import write_page, write_study
-from granflow.studies.tables import PageTable, stacked
 from granflow.visible_text import readable
 
 PAGE = "compare.html"

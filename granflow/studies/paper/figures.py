@@ -18,8 +18,7 @@ from granflow.contact.material import Solid, VelocityRestitution, limit_velocity
 from granflow.geometry.shape import sphere_mass
 from granflow.scene.blocks.materials import PRESETS
 from granflow.studies.bench import HeadOnCollision, Outcomes, collide
-from granflow.studies.figures import COLORS, MARKERS, POINTS, stacked_panels
-from granflow.studies.tables import percent
+from granflow.studies.figures import COLORS, MARKERS, POINTS, percent, stacked_panels
 
 # ---------------------------------------------------------------- cases: two equal spheres of one material
 

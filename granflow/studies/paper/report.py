@@ -7,7 +7,7 @@ from typing import Any
 
 from granflow.contact import theory
 from granflow.contact.material import limit_velocity
-from granflow.studies.figures import Drawing, require_plotting
+from granflow.studies.figures import Drawing, PageTable, percent, require_plotting
 from granflow.studies.page import write_study
 from granflow.studies.paper import comparison as cost
 from granflow.studies.paper.comparison import REFERENCE_VELOCITY, LawComparison, compare, comparison_figure
@@ -30,7 +30,6 @@ from granflow.studies.paper.figures import (
     velocity_run,
 )
 from granflow.studies.paper.oblique import oblique_figure, oblique_run
-from granflow.studies.tables import PageTable, percent
 
 TABULATED = (0.2, 0.5, 0.7, 0.9, 1.0)
 """Restitutions in the table of the model."""

@@ -20,9 +20,9 @@ from granflow.contact.material import VelocityRestitution
 from granflow.geometry.shape import sphere_mass, sphere_volume
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 from granflow.studies.bench import Collision, CollisionBench
+from granflow.studies.figures import percent
 from granflow.studies.stability.time_step_bounds import LATTICES, RESOLUTION, real_bounds
 from granflow.studies.stability.time_step_bounds import LAWS as BOUND_LAWS
-from granflow.studies.tables import percent
 
 # ---------------------------------------------------------------- a case and its assessment
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from granflow import start
-from granflow.studies.figures import FULL_WIDTH, Drawing
+from granflow.studies.figures import FULL_WIDTH, Drawing, PageTable, attribute_columns, percent
 from granflow.studies.page import write_study
 from granflow.studies.stability.cases import (
     ACCURATE,
@@ -31,7 +31,6 @@ from granflow.studies.stability.cases import (
     case_outcome,
     run_case,
 )
-from granflow.studies.tables import PageTable, attribute_columns, percent
 
 PAGE = "stability.html"
 HEADS = ("family", "cases", "accurate", "error reported", "refused", "defects", "largest error")

@@ -28,7 +28,7 @@ from granflow.studies.run_process import (
     warnings_of,
     worst,
 )
-from granflow.studies.sweep.design import DesignPoint, SweepInput, ValueList, ValueRange
+from granflow.studies.sweep_design import DesignPoint, SweepInput, ValueList, ValueRange
 from granflow.units import common_unit, in_unit
 
 # Rows and tables

@@ -15,7 +15,7 @@ import numpy as np
 
 from granflow.io.files import write_text
 from granflow.io.tables import SeriesColumn, TimeSeriesTable, read_series
-from granflow.studies.figures import COLORS
+from granflow.studies.figures import COLORS, PageTable, without_empty_ends
 from granflow.studies.interactive_plots import (
     COLOR_SCALE,
     DASHES,
@@ -32,9 +32,8 @@ from granflow.studies.interactive_plots import (
     thinned,
 )
 from granflow.studies.page import page_text
-from granflow.studies.sweep.design import Grid, SobolSampling, SweepInput
-from granflow.studies.sweep.table import PointRow, ShownTable, SweepTable, shown
-from granflow.studies.tables import PageTable, without_empty_ends
+from granflow.studies.sweep_design import Grid, SobolSampling, SweepInput
+from granflow.studies.sweep_table import PointRow, ShownTable, SweepTable, shown
 
 PAGE = "sweep.html"
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install plotly, then repeat the command."

@@ -16,9 +16,9 @@ from granflow.scene.validated_file import validated_file, validated_mapping
 from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run, relocated
 from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for
 from granflow.studies.run_process import Outcome, naming_write_errors
-from granflow.studies.sweep.design import DesignPoint, SweepInput, design_points, keys_of
-from granflow.studies.sweep.page import write_sweep_page
-from granflow.studies.sweep.table import SweepTable, run_texts, shown, table_of, write_tables
+from granflow.studies.sweep_design import DesignPoint, SweepInput, design_points, keys_of
+from granflow.studies.sweep_page import write_sweep_page
+from granflow.studies.sweep_table import SweepTable, run_texts, shown, table_of, write_tables
 
 # Runs a sweep: checks all points, carries out the missing runs, and writes tables and page.
 
