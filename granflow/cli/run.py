@@ -33,8 +33,6 @@ from granflow.cli.arguments import (
 )
 from granflow.cli.process import deferred_to, exit_code_of, pass_stops_to, quick_start
 from granflow.errors import GranflowError
-from granflow.io.files import example_paths
-from granflow.io.machine import allowed_cores
 from granflow.visible_text import VisibleFormatter, numbered, visible
 
 if TYPE_CHECKING:
@@ -503,6 +501,8 @@ def threads_per_rank(communicator: "Communicator") -> int:
 
     They are its cores if mpirun has bound it to some, otherwise an equal part of those of the machine.
     """
+    from granflow.io.machine import allowed_cores
+
     cores = allowed_cores()
     ranks = communicator.local_size()
     return max(cores // ranks if cores == os.cpu_count() else cores, 1)
@@ -644,6 +644,7 @@ VERBS = {"sweeps": "sweep", "calibration": "calibrate"}
 
 def examples(options: argparse.Namespace) -> int:
     """`granflow examples`: list the names and titles of the shipped scenes, sweeps and calibrations."""
+    from granflow.io.files import example_paths
     from granflow.scene.document import parse
 
     paths = example_paths()
@@ -719,6 +720,7 @@ def example_path(name: str) -> Path:
 
     Raises GranflowError for an unknown name.
     """
+    from granflow.io.files import example_paths
     from granflow.scene.suggest import suggestion_or_list
 
     paths = example_paths()
@@ -732,6 +734,8 @@ def example_path(name: str) -> Path:
 
 def scene_paths() -> dict[str, Path]:
     """Paths of the shipped scenes by name, without sweeps and calibrations."""
+    from granflow.io.files import example_paths
+
     return {name: path for name, path in example_paths().items() if path.parent.name not in VERBS}
 
 
