@@ -51,7 +51,7 @@ def test_each_expectation_of_a_shipped_scene_has_a_row():
         line.split(" | ") for line in table.PAGE.read_text(encoding="utf-8").splitlines() if " | " in line
     ]
     for name in table.names():
-        for expectation in table.load(table.SCENES / f"{name}.yaml").expect:
+        for expectation in table.load_scene(table.SCENES / f"{name}.yaml").expect:
             matching_rows = [
                 each for each in rows if each[0] == f"| `{name}`" and each[1] == f"`{expectation.quantity}`"
             ]
