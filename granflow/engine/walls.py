@@ -415,14 +415,20 @@ def _may_be_above_vertex(mesh: ti.template(), t, k, point, slack):
     vertex_index = mesh.point[3 * t + k]
     above = 0
     if mesh.owner[vertex_index] == t:
-        above = 1
-        from_vertex = point - mesh.vertex[3 * t + k]
-        vertex_edge = mesh.vertex_edge_start[vertex_index]
-        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
-            if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
-                above = 0
-            vertex_edge += 1
+        above = _is_before_edges(mesh, vertex_index, point - mesh.vertex[3 * t + k], slack)
     return above
+
+
+@ti.func
+def _is_before_edges(mesh: ti.template(), vertex_index, from_vertex, slack):
+    """1 if the vector from a vertex points along none of the edges that begin there, up to the slack [m]."""
+    before = 1
+    vertex_edge = mesh.vertex_edge_start[vertex_index]
+    while before == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
+        if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
+            before = 0
+        vertex_edge += 1
+    return before
 
 
 @ti.func
@@ -537,11 +543,7 @@ def _above_vertex(mesh: ti.template(), t, k, point):
     ):
         above = 0
     if above == 1:
-        vertex_edge = mesh.vertex_edge_start[vertex_index]
-        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
-            if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
-                above = 0
-            vertex_edge += 1
+        above = _is_before_edges(mesh, vertex_index, from_vertex, slack)
     return above
 
 

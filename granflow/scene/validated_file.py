@@ -3,12 +3,14 @@
 They get the same messages as scenes: with positions and suggestions, and all problems at once.
 """
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from granflow.arguments import refuse_other
 from granflow.errors import FileError, SceneError
 from granflow.scene.document import Document, document_of
 from granflow.scene.messages import problem_at, problems_of
@@ -37,10 +39,22 @@ def validated_file(path: Path, schema: type[M], kind: str) -> tuple[M, Document]
     return validated(document, schema), document
 
 
-def validated_mapping(data: Mapping[str, Any], schema: type[M]) -> tuple[M, Document]:
-    """As `validated_file`, for a mapping with the keys of such a file; its positions are key paths."""
-    document = document_of(data)
-    return validated(document, schema), document
+def validated_source(
+    source: str | os.PathLike[str] | Mapping[str, Any], schema: type[M], kind: str
+) -> tuple[M, Document, Path, str]:
+    """As `validated_file`, for the path of a file or a mapping with its keys, whose positions are key paths.
+
+    Also returns the folder to which paths in it are relative, the working directory for a mapping, and its
+    name, `kind` for a mapping. Raises GranflowError for a source of another type.
+    """
+    refuse_other(
+        "source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys"
+    )
+    if isinstance(source, Mapping):
+        document = document_of(source)
+        return validated(document, schema), document, Path(), kind
+    path = Path(source)
+    return *validated_file(path, schema, kind), path.parent, path.stem
 
 
 def validated(document: Document, schema: type[M]) -> M:

@@ -73,6 +73,17 @@ def require_plotting() -> None:
         ) from None
 
 
+def require_pandas(function: str) -> Any:
+    """The module pandas. Raises GranflowError, which names the function, if it is not installed."""
+    try:
+        import pandas
+    except ImportError:
+        raise GranflowError(
+            f"{function} returns a DataFrame of pandas, which is not installed: pip install pandas"
+        ) from None
+    return pandas
+
+
 def write_figures(out: Path, figures: Mapping[str, Drawing]) -> str:
     """Write figures by file name; without matplotlib, write none and return the reason, otherwise ""."""
     try:

@@ -9,11 +9,12 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from granflow.arguments import path_of, refuse_other, whole_number
+from granflow.arguments import path_of, whole_number
 from granflow.errors import FileError, GranflowError, SceneError
 from granflow.io.lock import locked
-from granflow.scene.validated_file import validated_file, validated_mapping
+from granflow.scene.validated_file import validated_source
 from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run, relocated
+from granflow.studies.figures import require_pandas
 from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for
 from granflow.studies.run_process import Outcome, naming_write_errors
 from granflow.studies.sweep_design import DesignPoint, SweepInput, design_points, keys_of
@@ -58,17 +59,7 @@ def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any]) -> SweepFile:
     The path of the scene is relative to the folder of the file, or to the present one. Raises FileError with
     all problems.
     """
-    refuse_other(
-        "source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys"
-    )
-    if isinstance(source, Mapping):
-        content, document = validated_mapping(source, SweepInput)
-        folder = Path()
-        name = "sweep"
-    else:
-        content, document = validated_file(Path(source), SweepInput, "sweep")
-        folder = Path(source).parent
-        name = Path(source).stem
+    content, document, folder, name = validated_source(source, SweepInput, "sweep")
     scene = folder / content.scene
     if not scene.is_file():
         position = document.value_position(("scene",))
@@ -207,12 +198,7 @@ def sweep(
     Raises:     GranflowError with all problems of the sweep, or if pandas (pip install pandas) is missing
     """
     study = read_sweep(source)
-    try:
-        import pandas
-    except ImportError:
-        raise GranflowError(
-            "granflow.sweep returns a DataFrame of pandas, which is not installed: pip install pandas"
-        ) from None
+    pandas = require_pandas("granflow.sweep")
     out = Path("out") / study.name if out is None else path_of("out", out)
     jobs = None if jobs is None else whole_number("jobs", jobs, 1)
     threads = whole_number("threads", threads, 1)

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -175,6 +176,12 @@ def test_digest_of_sources_depends_on_names_and_contents_of_python_files(tmp_pat
     (tmp_path / "engine" / "force" / "pair.py").rename(tmp_path / "engine" / "pair.py")
     found.append(digest())
     assert len(set(found)) == 3
+
+
+def test_sources_of_the_engine_exist():
+    """A file or folder that was renamed would silently leave the digest."""
+    package = Path(format_of.__file__).parents[1]
+    assert [name for name in format_of.ENGINE_SOURCES if not (package / name).exists()] == []
 
 
 def test_checkpoint_of_another_engine_is_named(taichi_f64, tmp_path, monkeypatch, capsys):

@@ -13,11 +13,11 @@ from pathlib import Path
 from threading import Event, Lock
 from typing import Any
 
-from granflow.arguments import path_of, refuse_other, whole_number
+from granflow.arguments import path_of, whole_number
 from granflow.errors import FileError, GranflowError
 from granflow.io.lock import locked
 from granflow.io.machine import worker_count
-from granflow.scene.validated_file import validated_file, validated_mapping
+from granflow.scene.validated_file import validated_source
 from granflow.studies.calibration.results import (
     CalibrationResult,
     result_of,
@@ -29,6 +29,7 @@ from granflow.studies.calibration.schema import CalibrationInput, Target
 from granflow.studies.calibration.search import Search, require_optuna
 from granflow.studies.calibration.trials import Measured, TrialRunner, read_target
 from granflow.studies.checked_run import RunSettings
+from granflow.studies.figures import require_pandas
 from granflow.studies.run_pool import local_jobs
 from granflow.studies.run_process import close_workers, naming_write_errors
 
@@ -54,12 +55,7 @@ def calibrate(
               pandas (pip install pandas) is missing
     """
     study = read_calibration(source)
-    try:
-        import pandas
-    except ImportError:
-        raise GranflowError(
-            "granflow.calibrate returns a DataFrame of pandas, which is not installed: pip install pandas"
-        ) from None
+    pandas = require_pandas("granflow.calibrate")
     out = Path("out") / study.name if out is None else path_of("out", out)
     jobs = None if jobs is None else whole_number("jobs", jobs, 1)
     result = run_calibration(study, out, jobs, whole_number("threads", threads, 1))
@@ -102,17 +98,7 @@ def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> Cali
     Paths are relative to the folder of the file, or to the working directory. Raises FileError with all
     problems.
     """
-    refuse_other(
-        "source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys"
-    )
-    if isinstance(source, Mapping):
-        content, document = validated_mapping(source, CalibrationInput)
-        folder = Path()
-        name = "calibration"
-    else:
-        content, document = validated_file(Path(source), CalibrationInput, "calibration")
-        folder = Path(source).parent
-        name = Path(source).stem
+    content, document, folder, name = validated_source(source, CalibrationInput, "calibration")
     scenes = {each: folder / given.scene for each, given in content.scenes.items()}
     missing = [
         f"{document.value_position(('scenes', each, 'scene'))}: scenes.{each}.scene is "
