@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from granflow.live.forces import ParticleForce as ParticleForce
     from granflow.load import Scene as Scene
     from granflow.load import load_scene as load_scene
-    from granflow.observers.analysis import analyze_snapshots as analyze_snapshots
+    from granflow.observers.build import analyze_snapshots as analyze_snapshots
     from granflow.observers.meters import steady_flow as steady_flow
     from granflow.observers.observer import on_interval as on_interval
     from granflow.particles.group import ParticleData as ParticleData
     from granflow.plan.build import plan_for as plan_for
+    from granflow.plan.cost import estimate_memory as estimate_memory
     from granflow.plan.explain import explain as explain
-    from granflow.plan.memory import estimate_memory as estimate_memory
     from granflow.plan.plan import Plan as Plan
     from granflow.runs.read_run import Run as Run
     from granflow.runs.read_run import read_run as read_run
@@ -185,9 +185,9 @@ _LOCATIONS = {
     "Translation": "granflow.scene.blocks.walls.Translation",
     "UniformSizes": "granflow.scene.blocks.particles.UniformSizes",
     "Vibration": "granflow.scene.blocks.walls.Vibration",
-    "analyze_snapshots": "granflow.observers.analysis.analyze_snapshots",
+    "analyze_snapshots": "granflow.observers.build.analyze_snapshots",
     "calibrate": "granflow.studies.calibration.calibrate.calibrate",
-    "estimate_memory": "granflow.plan.memory.estimate_memory",
+    "estimate_memory": "granflow.plan.cost.estimate_memory",
     "explain": "granflow.plan.explain.explain",
     "load_scene": "granflow.load.load_scene",
     "on_interval": "granflow.observers.observer.on_interval",

@@ -27,9 +27,13 @@ from granflow.observers.observer import CONTACTS, PARTICLES, TOTALS, WALLS, Obse
 from granflow.parallel.refusals import refuse_on_ranks
 from granflow.particles.group import ParticleData
 from granflow.plan.build import plan_for, rank_plan
-from granflow.plan.memory import refuse_too_many, refuse_without_device_memory, refuse_without_memory
+from granflow.plan.cost import (
+    refuse_run_time,
+    refuse_too_many,
+    refuse_without_device_memory,
+    refuse_without_memory,
+)
 from granflow.plan.plan import Plan
-from granflow.plan.run_time import refuse_run_time
 from granflow.runs.initial_particles import initial_state, refuse_other_particles, warnings_before
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.interrupts import stopping_on_interrupt

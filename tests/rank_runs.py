@@ -20,10 +20,10 @@ from granflow.engine import threads as workers  # noqa: E402
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
 from granflow.engine.host import joined_particles  # noqa: E402
-from granflow.parallel import decomposition, rank_engine  # noqa: E402
+from granflow.parallel import exchange, rank_engine  # noqa: E402
 from granflow.parallel import rank_stepper as rank_rebuild
 from granflow.parallel.communicator import Communicator  # noqa: E402
-from granflow.parallel.decomposition import Decomposition  # noqa: E402
+from granflow.parallel.exchange import Decomposition  # noqa: E402
 from granflow.parallel.rank_engine import (  # noqa: E402
     RankEngine,  # noqa: E402
     controlling,
@@ -56,7 +56,7 @@ def main(name, path, kind):
     rank_rebuild.MIGRATION_INTERVAL = 2  # every other rebuild keeps the particles
     communicator = Communicator()
     Recorded.rank_here = communicator.rank
-    decomposition.Decomposition = Recorded
+    exchange.Decomposition = Recorded
     rank_engine.RankEngine = engine = faulty_engine(kind) if kind.startswith("failing") else ObservedEngine
     if communicator.is_root:
         with controlling(communicator):

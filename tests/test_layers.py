@@ -55,9 +55,9 @@ STUDIES_IMPORT = {
     "granflow.geometry.shape",
     "granflow.load",
     "granflow.scene.faults",
+    "granflow.scene.messages",
     "granflow.scene.model",
-    "granflow.scene.suggest",
-    "granflow.scene.validated_file",
+    "granflow.scene.reader",
     "granflow.units",
     "granflow.visible_text",
 }

@@ -225,7 +225,7 @@ and later
   friction and rolling_friction of pairs, if both the old and the new value are above 0
   numerics.max_overlap, title, description, expect
 """
-"""End of the help text; `granflow.scene.differences.ALLOWED_CHANGES` defines the keys."""
+"""End of the help text; `granflow.runs.resume.ALLOWED_CHANGES` defines the keys."""
 
 
 def resume(options: argparse.Namespace) -> int:
@@ -522,9 +522,8 @@ def check(options: argparse.Namespace) -> int:
     from granflow.parallel.refusals import refuse_on_ranks
     from granflow.particles.insertion import initial_particles, inserters
     from granflow.plan.build import plan_for
-    from granflow.plan.initial_overlaps import particle_warnings, refuse_initial_overlaps
-    from granflow.plan.memory import fits, memory_warning, refuse_too_many
-    from granflow.plan.run_time import refuse_run_time
+    from granflow.plan.cost import fits, memory_warning, refuse_run_time, refuse_too_many
+    from granflow.plan.overlaps import particle_warnings, refuse_initial_overlaps
     from granflow.runs.initial_particles import particles_from_run
 
     plan = plan_for(scene)
@@ -721,7 +720,7 @@ def example_path(name: str) -> Path:
     Raises GranflowError for an unknown name.
     """
     from granflow.io.files import example_paths
-    from granflow.scene.suggest import suggestion_or_list
+    from granflow.scene.messages import suggestion_or_list
 
     paths = example_paths()
     known = name.removesuffix(".yaml")

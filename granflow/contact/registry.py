@@ -1,10 +1,27 @@
-"""Registry of contact models by slot and name. A built-in model is one file and one entry here. No Taichi."""
+"""Registry of contact models by slot and name, and the laws that one scene selects. No Taichi.
+
+A built-in model is one file and one entry here. `ContactLaws` holds the laws of a scene, one per slot that it
+needs, and their layout in arrays.
+"""
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from granflow.contact.cohesion import capillary, capillary_transfer, dmt, jkr, sjkr, van_der_waals
-from granflow.contact.law import SLOTS, CohesionLaw, ContactModel, PairOption
+from granflow.contact.law import (
+    SLOTS,
+    CohesionLaw,
+    ContactModel,
+    HistoryField,
+    Law,
+    NormalLaw,
+    PairOption,
+    RollingLaw,
+    TangentialLaw,
+    TwistingLaw,
+)
+from granflow.contact.material import PairMaterial
 from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
 from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import linear_history, mindlin
@@ -100,3 +117,96 @@ _NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono)
 _SURFACE = (mindlin, linear_history, epsd, cdt, sds, viscous, marshall, torsion_spring)
 for _module in (*_NORMAL, *_SURFACE, sjkr, dmt, jkr, capillary, capillary_transfer, van_der_waals):
     add(_module.MODEL)
+
+
+@dataclass(frozen=True)
+class ContactLaws:
+    """Laws of a scene; None for a slot that no pair of materials needs."""
+
+    normal: NormalLaw
+    tangential: TangentialLaw | None = None
+    rolling: RollingLaw | None = None
+    cohesion: CohesionLaw | None = None
+    twisting: TwistingLaw | None = None
+
+    @property
+    def by_slot(self) -> Mapping[str, Law]:
+        """The laws that are not None, by slot, in the order of the columns of the pair constants."""
+        laws = {
+            "normal": self.normal,
+            "tangential": self.tangential,
+            "rolling": self.rolling,
+            "twisting": self.twisting,
+            "cohesion": self.cohesion,
+        }
+        return {slot: law for slot, law in laws.items() if law is not None}
+
+    @property
+    def structure(self) -> tuple[tuple[str, Law], ...]:
+        """Each slot with the structure of its law, see `Law.structure`."""
+        return tuple((slot, law.structure) for slot, law in self.by_slot.items())
+
+    @property
+    def has_tangential(self) -> bool:
+        """Whether a tangential model acts; kernels cannot compare with None."""
+        return self.tangential is not None
+
+    @property
+    def damped_slots(self) -> tuple[str, ...]:
+        """Slots, tangential or twisting, whose dashpot is a multiple of that of the normal model."""
+        laws = {"tangential": self.tangential, "twisting": self.twisting}
+        return tuple(slot for slot, law in laws.items() if law is not None and law.damped)
+
+    @property
+    def has_rolling(self) -> bool:
+        """Whether a rolling model acts."""
+        return self.rolling is not None
+
+    @property
+    def has_twisting(self) -> bool:
+        """Whether a twisting model acts."""
+        return self.twisting is not None
+
+    @property
+    def has_cohesion(self) -> bool:
+        """Whether a cohesion model acts."""
+        return self.cohesion is not None
+
+    @property
+    def acts_at_distance(self) -> bool:
+        """Whether a model acts without overlap."""
+        return self.cohesion is not None and self.cohesion.at_distance
+
+    @property
+    def transfers_liquid(self) -> bool:
+        """Whether the cohesion model takes liquid from films on the particles."""
+        return self.cohesion is not None and self.cohesion.transfers_liquid
+
+    @property
+    def range(self) -> float:
+        """Largest distance [m] between two surfaces at which a model acts."""
+        return self.cohesion.range if self.cohesion is not None else 0.0
+
+    @property
+    def attracts(self) -> bool:
+        """Whether the normal force can be attractive."""
+        return self.normal.attracts or self.has_cohesion
+
+    @property
+    def constant_names(self) -> Mapping[str, tuple[str, ...]]:
+        """Names of the pair constants of each slot; a row of the pair constants has them in this order."""
+        return {slot: law.constant_names for slot, law in self.by_slot.items()}
+
+    @property
+    def parameters(self) -> Mapping[str, Mapping[str, float]]:
+        """Parameters of each slot by name; on the device, those of all slots are one row."""
+        return {slot: law.parameters for slot, law in self.by_slot.items()}
+
+    @property
+    def history(self) -> Mapping[str, tuple[HistoryField, ...]]:
+        """History fields of each slot, empty ones included."""
+        return {slot: law.history for slot, law in self.by_slot.items()}
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Row of the pair constants. Raises ValueError for a pair that a model does not support."""
+        return tuple(value for law in self.by_slot.values() for value in law.pair_constants(pair))

@@ -28,7 +28,7 @@ import numpy as np
 from granflow.engine.box import build_add_energy_gain, build_minimum_image, build_wrap, build_wrap_position
 from granflow.engine.neighbor.phases import Phase, granularity
 from granflow.engine.state import State
-from granflow.geometry.quaternions import matrices
+from granflow.geometry.clump import matrices
 from granflow.kernel_language import ti
 
 # Integration on the device

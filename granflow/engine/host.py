@@ -20,8 +20,8 @@ from granflow.engine.fields import components, memory_of
 from granflow.engine.history import IN_CONTACT, vector_components
 from granflow.engine.state import Arrays, State
 from granflow.fields import PARTICLE_QUANTITIES
+from granflow.geometry.clump import product
 from granflow.geometry.periodic_box import PeriodicBox
-from granflow.geometry.quaternions import product
 from granflow.geometry.shape import sphere_mass, sphere_volume
 from granflow.kernel_language import ti
 from granflow.particles.group import ParticleData

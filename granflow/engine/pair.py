@@ -20,7 +20,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from granflow.contact.law import in_contact_plane
-from granflow.contact.selected_laws import ContactLaws
+from granflow.contact.registry import ContactLaws
 from granflow.device_functions import at_compile_time
 from granflow.engine.box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State

@@ -20,7 +20,7 @@ from granflow.engine.state import State
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
 from granflow.plan.arrays import fits_lists, structure_of
-from granflow.plan.memory import estimate_memory
+from granflow.plan.cost import estimate_memory
 from granflow.plan.plan import Plan
 
 MOST_STATES = 4

@@ -16,18 +16,17 @@ from granflow.engine.backend import free_device_memory
 from granflow.engine.box import upload_offsets
 from granflow.engine.codes import NOT_HALTED
 from granflow.engine.contact import build_end_wall_work
-from granflow.engine.flags import DeviceFlags, read_flags
 from granflow.engine.host import HistoryTable, HostParticles, saved_particle_table
 from granflow.engine.neighbor.rebuild import NeighborListRebuild, Rebuild
 from granflow.engine.particle_forces import write_force_inputs
-from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.state import BATCH, LANES, DeviceFlags, State, read_flags
 from granflow.engine.step import build_steps
 from granflow.engine.sums import shares_rows
 from granflow.engine.threads import Workers
 from granflow.engine.walls import upload_poses
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH, Capacities
-from granflow.plan.memory import estimate_memory, refuse_growth
+from granflow.plan.cost import estimate_memory, refuse_growth
 
 # Wall-clock time of a run by phase.
 

@@ -23,7 +23,7 @@ from granflow.plan.groups import PlannedGroup
 from granflow.plan.plan import Plan
 from granflow.runs.run_state import RunState
 from granflow.scene.checks import pair_name, possible_contacts
-from granflow.scene.suggest import suggestion_sentence
+from granflow.scene.messages import suggestion_sentence
 
 # Arrays of properties
 

@@ -14,7 +14,7 @@ import numpy as np
 from granflow.geometry.shape import sphere_volume
 from granflow.observers.coarse_graining import CoarseGrid, grid_for, mobile_particles, selected
 from granflow.observers.observer import CONTACTS, PARTICLES
-from granflow.particles.regions import frame_along
+from granflow.particles.sampling import frame_along
 from granflow.plan.plan import Plan
 from granflow.scene.blocks.output import (
     AnyMetric,

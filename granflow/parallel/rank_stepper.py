@@ -22,18 +22,16 @@ from granflow.engine.host import (
     particle_table,
     saved_particle_table,
 )
-from granflow.engine.neighbor.deletion import find_farthest, remaining
 from granflow.engine.neighbor.list import TOO_LONG
 from granflow.engine.neighbor.rebuild import ChunkKernel, RebuildKernel
-from granflow.engine.neighbor.sort import KEPT_REACH
+from granflow.engine.neighbor.sort import KEPT_REACH, find_farthest, remaining
 from granflow.engine.particle_forces import write_force_inputs
 from granflow.engine.state import BATCH, LANES, Arrays, State
 from granflow.engine.stepper import Stepper
 from granflow.engine.totals import DELETED_FIELDS
 from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.parallel.communicator import Communicator
-from granflow.parallel.decomposition import LoadBalance, migration_pays
-from granflow.parallel.exchange import GhostExchange, Share, migrated
+from granflow.parallel.exchange import GhostExchange, LoadBalance, Share, migrated, migration_pays
 from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from granflow.arguments import shown
 from granflow.errors import GranflowError
-from granflow.geometry.quaternions import about, random_orientations
+from granflow.geometry.clump import about, random_orientations
 from granflow.particles.packing import RegionFullError
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.particles import Clump, Group, ThermalMotion

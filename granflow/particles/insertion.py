@@ -18,8 +18,14 @@ from granflow.particles.close_pairs import overlaps_any
 from granflow.particles.file import particles_from_file
 from granflow.particles.group import ParticleData, SceneGroup, groups_of, particles_of, shortfall
 from granflow.particles.packing import RegionFullError, Spheres, check_width, fill_lattice, pack_at_random
-from granflow.particles.regions import CylinderSampler, RegionSampler, SlabSampler, sampler_of
-from granflow.particles.sizes import draw_diameters, ordered_diameters
+from granflow.particles.sampling import (
+    CylinderSampler,
+    RegionSampler,
+    SlabSampler,
+    draw_diameters,
+    ordered_diameters,
+    sampler_of,
+)
 from granflow.scene.blocks.particles import (
     DiscFace,
     FileInsertion,

@@ -11,7 +11,7 @@ import numpy as np
 
 from granflow.geometry.shape import sphere_volume
 from granflow.particles.close_pairs import near_pairs, overlaps_any
-from granflow.particles.regions import BoxSampler, CylinderSampler, RegionSampler
+from granflow.particles.sampling import BoxSampler, CylinderSampler, RegionSampler
 
 
 class RegionFullError(Exception):

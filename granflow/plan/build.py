@@ -18,12 +18,6 @@ from granflow.load import Scene, refuse_other_object
 from granflow.plan.features import features_of
 from granflow.plan.forecast import forecasts_of, size_problems
 from granflow.plan.groups import planned_groups, size_classes
-from granflow.plan.impact_velocity import (
-    image_speed,
-    initial_rotation_rates,
-    initial_speeds,
-    max_impact_velocity,
-)
 from granflow.plan.joined_walls import joints_of
 from granflow.plan.limits import (
     refuse_coarse,
@@ -58,6 +52,10 @@ from granflow.plan.time_step import (
     TimeStep,
     adaptive_time_step_for,
     choose_time_step,
+    image_speed,
+    initial_rotation_rates,
+    initial_speeds,
+    max_impact_velocity,
 )
 from granflow.plan.wall_control import controlled_motions_of
 from granflow.plan.walls import MeshNote, PlannedWall, notes_on, planned_walls, wall_speeds

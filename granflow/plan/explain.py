@@ -13,11 +13,10 @@ from typing import NamedTuple
 from granflow.arguments import refuse_other
 from granflow.geometry.motion import TableRotation, TableTranslation
 from granflow.geometry.shape import sphere_mass
+from granflow.plan.cost import MemoryEstimate, duration_of, estimate_memory
 from granflow.plan.features import Reason
 from granflow.plan.groups import PlannedGroup
-from granflow.plan.memory import MemoryEstimate, estimate_memory
 from granflow.plan.plan import Plan
-from granflow.plan.run_time import duration_of
 from granflow.plan.stages import PlannedStage
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe

@@ -28,10 +28,10 @@ from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.revolved import REVOLVED
 from granflow.load import Scene
 from granflow.particles.insertion import insertion_region
-from granflow.particles.regions import BoxSampler, CylinderSampler, RegionSampler, SlabSampler, sampler_of
+from granflow.particles.sampling import BoxSampler, CylinderSampler, RegionSampler, SlabSampler, sampler_of
 from granflow.plan.groups import outer_diameter_range
-from granflow.plan.impact_velocity import ImpactVelocity, image_speed, initial_speeds
 from granflow.plan.plan import Plan
+from granflow.plan.time_step import ImpactVelocity, image_speed, initial_speeds
 from granflow.plan.walls import PlannedMotion, PlannedWall
 from granflow.scene.blocks.particles import (
     Group,

@@ -21,16 +21,16 @@ from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
 from granflow.particles.insertion import MAX_BATCHES, insertion_region
-from granflow.particles.regions import BoxSampler, CylinderSampler, RegionSampler, SlabSampler
+from granflow.particles.sampling import BoxSampler, CylinderSampler, RegionSampler, SlabSampler
 from granflow.plan.falls import forecast_velocity, path_velocity, velocity_warnings
 from granflow.plan.groups import outer_diameter_range
-from granflow.plan.initial_overlaps import region_warnings
 from granflow.plan.overlaps import (
     HARDEST,
     bed_pressures,
     impact_forecast,
     mean_volume,
     pressure_words,
+    region_warnings,
     solid_volume,
     static_forecasts,
     supported_forecast,

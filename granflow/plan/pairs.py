@@ -22,7 +22,7 @@ from granflow.contact.material import (
     shear_modulus_eff,
     yield_strength,
 )
-from granflow.contact.selected_laws import ContactLaws
+from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.shape import sphere_mass
 from granflow.load import Scene

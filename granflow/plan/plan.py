@@ -14,7 +14,7 @@ import numpy as np
 
 from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial, Solid
-from granflow.contact.selected_laws import ContactLaws
+from granflow.contact.registry import ContactLaws
 from granflow.geometry.catalog import area_of
 from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
 from granflow.geometry.periodic_box import PeriodicBox
@@ -39,7 +39,6 @@ from granflow.plan.capacities import (
 )
 from granflow.plan.features import Features, Reason
 from granflow.plan.groups import PlannedGroup
-from granflow.plan.impact_velocity import ImpactVelocity
 from granflow.plan.limits import coordinate_limit
 from granflow.plan.outlets import PlannedOutlet
 from granflow.plan.settings import OptionalSetting
@@ -48,6 +47,7 @@ from granflow.plan.sum_units import SumUnits, liquid_unit, sum_units
 from granflow.plan.time_step import (
     STEP_SHARE,
     AdaptiveTimeStep,
+    ImpactVelocity,
     PairCase,
     TimeStep,
     shortest_phase,

@@ -12,7 +12,7 @@ from granflow.load import Scene, scene_of
 from granflow.particles.group import ParticleData, SceneGroup, groups_of
 from granflow.particles.insertion import initial_particles
 from granflow.plan.groups import diameter_range
-from granflow.plan.initial_overlaps import particle_warnings
+from granflow.plan.overlaps import particle_warnings
 from granflow.plan.plan import Plan
 
 # Initial particles of a new run from the last state of an earlier run: `start_from:` of a scene.

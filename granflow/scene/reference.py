@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 
 from granflow.io.files import example_paths
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.suggest import nearest
+from granflow.scene.messages import nearest
 from granflow.units import DIMENSIONS, Dimension
 
 # JSON Schema of scene files, for completion and validation in editors

@@ -11,7 +11,7 @@ from granflow.contact import registry
 from granflow.contact.law import SLOTS, Amount, Choice, ContactModel
 from granflow.device_functions import run_time_branches, source_lines
 from granflow.errors import GranflowError
-from granflow.scene import partial, reference
+from granflow.scene import checks, reference
 from granflow.scene.blocks import contact, materials
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.model import Model
@@ -108,5 +108,5 @@ def _use_registry() -> None:
     ]
     for block in blocks:
         block.model_rebuild(force=True)
-    partial.clear_schema()
+    checks.clear_schema()
     reference.clear_schema()

@@ -26,7 +26,7 @@ from granflow.fields import (
 )
 from granflow.load import identity_of
 from granflow.scene.blocks.output import METRIC_QUANTITIES_BY_KIND
-from granflow.scene.suggest import nearest
+from granflow.scene.messages import nearest
 from granflow.studies.run_process import RunInputs, RunRequest, source_digest
 from granflow.units import number_of
 

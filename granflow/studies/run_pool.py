@@ -24,7 +24,7 @@ from granflow.io.lock import holder_of
 from granflow.io.machine import worker_count
 from granflow.scene.blocks import quantities as q
 from granflow.scene.model import ListOf, Model, Text
-from granflow.scene.validated_file import validated_file
+from granflow.scene.reader import validated_file
 from granflow.studies.checked_run import CheckedRun
 from granflow.studies.run_process import (
     CRASHED,

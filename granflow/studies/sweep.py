@@ -12,7 +12,7 @@ from typing import Any
 from granflow.arguments import path_of, whole_number
 from granflow.errors import FileError, GranflowError, SceneError
 from granflow.io.lock import locked
-from granflow.scene.validated_file import validated_source
+from granflow.scene.reader import validated_source
 from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run, relocated
 from granflow.studies.figures import require_pandas
 from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for

@@ -11,8 +11,7 @@ import numpy as np
 from granflow.contact.cohesion.sjkr import Sjkr
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial, VelocityRestitution
-from granflow.contact.registry import models
-from granflow.contact.selected_laws import ContactLaws
+from granflow.contact.registry import ContactLaws, models
 from granflow.engine.pair import build_constants, build_normal_force, build_read_slots, build_slot_vector
 from granflow.kernel_language import ti
 

@@ -18,7 +18,7 @@ from contact.cases import (
 )
 
 from granflow.contact.material import VelocityRestitution
-from granflow.contact.selected_laws import ContactLaws
+from granflow.contact.registry import ContactLaws
 from granflow.kernel_language import ti
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)

@@ -14,7 +14,7 @@ from granflow.contact.law import Amount, ModelRequest, NormalLaw, RollingLaw, Ta
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.normal.zhou import Zhou
-from granflow.contact.selected_laws import ContactLaws
+from granflow.contact.registry import ContactLaws
 from granflow.engine import backend
 from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 

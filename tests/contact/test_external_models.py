@@ -25,7 +25,7 @@ from granflow.contact.law import (
 )
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal.hertz import Hertz
-from granflow.contact.selected_laws import ContactLaws
+from granflow.contact.registry import ContactLaws
 from granflow.device_functions import ti
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for

@@ -11,7 +11,7 @@ from subprocess_runner import each_in_subprocess, in_subprocess
 from granflow.engine import backend
 from granflow.engine import threads as workers
 from granflow.errors import GranflowError, RunError
-from granflow.geometry.quaternions import matrices
+from granflow.geometry.clump import matrices
 from granflow.particles.group import ParticleData
 from granflow.simulation import Simulation
 

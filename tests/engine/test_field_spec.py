@@ -10,7 +10,7 @@ from granflow import fields
 from granflow.engine.host import copy_to_host, particle_table
 from granflow.io.checkpoint import newest_checkpoint
 from granflow.plan.build import plan_for
-from granflow.plan.memory import estimate_memory
+from granflow.plan.cost import estimate_memory
 from granflow.simulation import Simulation
 
 ROOM, HOT = 293.15, 400.0

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 
-from granflow.geometry.clump import clump_shape
-from granflow.geometry.quaternions import matrices, of_matrix, product, random_orientations
+from granflow.geometry.clump import clump_shape, matrices, of_matrix, product, random_orientations
 
 
 def shape_of(centers, radii):

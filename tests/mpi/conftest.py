@@ -1,4 +1,4 @@
-"""Ranks work with Taichi only, see `granflow.parallel.refusals`."""
+"""Ranks work with Taichi only, see `granflow.parallel.communicator`."""
 
 import pytest
 

@@ -6,7 +6,7 @@ from threading import Barrier
 import numpy as np
 import pytest
 
-from granflow.parallel.decomposition import (
+from granflow.parallel.exchange import (
     CONTACT_WEIGHT,
     PARTICLE_WEIGHT,
     LoadBalance,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from granflow.geometry.periodic_box import ImageMotion, PeriodicBox
-from granflow.parallel.decomposition import bisected
-from granflow.parallel.exchange import box_of, within
+from granflow.parallel.exchange import bisected, box_of, within
 
 
 class AllParticles:

@@ -9,7 +9,7 @@ from granflow.particles import packing
 from granflow.particles.close_pairs import near_pairs
 from granflow.particles.insertion import initial_particles
 from granflow.particles.packing import Spheres
-from granflow.particles.regions import BoxSampler
+from granflow.particles.sampling import BoxSampler
 
 TOUCHING = -1e-12
 """Smallest gap [m] between touching particles, negative because of rounding."""

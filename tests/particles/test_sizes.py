@@ -5,7 +5,7 @@ import pytest
 from particles.scenes import BOX, scene_with
 from scipy import integrate, stats
 
-from granflow.particles.sizes import class_counts, draw_diameters
+from granflow.particles.sampling import class_counts, draw_diameters
 
 COUNT = 20_000
 

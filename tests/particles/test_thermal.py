@@ -7,7 +7,7 @@ from scipy.stats import kstest, maxwell
 
 from granflow.errors import SceneError
 from granflow.particles.insertion import initial_particles
-from granflow.plan.impact_velocity import initial_speeds
+from granflow.plan.time_step import initial_speeds
 
 RMS = 0.3
 

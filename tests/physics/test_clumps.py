@@ -6,8 +6,7 @@ from clumps import ROD, about, clump_group
 from scene_builders import build_scene, plane, run_and_sample
 from scipy.special import ellipj
 
-from granflow.geometry.clump import clump_shape
-from granflow.geometry.quaternions import matrices
+from granflow.geometry.clump import clump_shape, matrices
 from granflow.simulation import Simulation
 
 ASYMMETRIC = [[0.0, 0.0, 0.0], [4e-3, 0.0, 0.0], [0.0, 2.5e-3, 0.0]]

@@ -8,9 +8,9 @@ from plan.scenes import TEXT, scene_of
 from subprocess_runner import in_subprocess
 
 from granflow.plan.build import plan_for
+from granflow.plan.cost import estimate_memory
 from granflow.plan.explain import WIDTH, duration, explain, feature_label, size
 from granflow.plan.features import Features
-from granflow.plan.memory import estimate_memory
 
 
 @pytest.fixture(scope="module")

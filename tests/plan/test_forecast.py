@@ -14,8 +14,14 @@ from granflow.cli.run import scene_paths
 from granflow.errors import SceneError
 from granflow.particles.insertion import initial_particles
 from granflow.plan.build import plan_for
-from granflow.plan.initial_overlaps import particle_warnings, refuse_initial_overlaps
-from granflow.plan.overlaps import impact_overlap, impact_velocity, required_moduli, touching_pairs
+from granflow.plan.overlaps import (
+    impact_overlap,
+    impact_velocity,
+    particle_warnings,
+    refuse_initial_overlaps,
+    required_moduli,
+    touching_pairs,
+)
 from granflow.plan.walls import surface_speed
 
 SCENES = list(scene_paths().values())

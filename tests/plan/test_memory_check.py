@@ -14,7 +14,7 @@ from granflow.engine import backend as device_memory
 from granflow.engine.backend import VulkanDevice, free_device_memory
 from granflow.errors import SceneError
 from granflow.load import load_scene
-from granflow.plan import memory as memory_check
+from granflow.plan import cost as memory_check
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 

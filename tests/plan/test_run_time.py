@@ -6,7 +6,7 @@ from scene_builders import build_scene, particle_group
 
 from granflow.errors import SceneError
 from granflow.plan.build import plan_for
-from granflow.plan.run_time import YEAR, least_run_time, refuse_run_time
+from granflow.plan.cost import YEAR, least_run_time, refuse_run_time
 
 STEP = 1e-6
 

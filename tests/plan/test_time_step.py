@@ -8,13 +8,11 @@ import pytest
 from plan.scenes import TEXT, line_of, scene_of
 
 from granflow.contact.material import PairMaterial, Solid
-from granflow.contact.normal.linear import Linear
-from granflow.contact.normal.linear_spring import Spring
+from granflow.contact.normal.linear import Linear, Spring
 from granflow.contact.theory import damping_ratio_for
 from granflow.errors import SceneError
 from granflow.plan.build import plan_for
-from granflow.plan.impact_velocity import max_impact_velocity
-from granflow.plan.time_step import PairCase, stable_step
+from granflow.plan.time_step import PairCase, max_impact_velocity, stable_step
 
 RADIUS, DENSITY, YOUNG, POISSON, VELOCITY = 2e-3, 2500.0, 10e6, 0.23, 1.0
 MASS = 4 / 3 * math.pi * RADIUS**3 * DENSITY

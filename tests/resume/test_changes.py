@@ -16,8 +16,7 @@ from granflow.load import scene_of
 from granflow.particles.insertion import initial_particles
 from granflow.plan.build import plan_for
 from granflow.runs.initial_particles import particles_from_run
-from granflow.runs.resume import accepted_change
-from granflow.scene.differences import differences, forbidden
+from granflow.runs.resume import accepted_change, differences, forbidden
 from granflow.simulation import Simulation
 
 

@@ -8,14 +8,13 @@ from clumps import ROD, about, clump_group
 from scene_builders import SOFT, build_scene, particle_group, plane
 
 from granflow.errors import GranflowError, SceneError
-from granflow.geometry.clump import clump_shape
-from granflow.geometry.quaternions import matrices
+from granflow.geometry.clump import clump_shape, matrices
 from granflow.load import Scene
 from granflow.parallel.refusals import refuse_on_ranks
 from granflow.particles.insertion import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
-from granflow.plan.initial_overlaps import particle_warnings, refuse_initial_overlaps
+from granflow.plan.overlaps import particle_warnings, refuse_initial_overlaps
 
 REGION = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}}
 

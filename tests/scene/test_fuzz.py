@@ -20,7 +20,7 @@ from subprocess_runner import in_subprocess
 from granflow.cli.main import main
 from granflow.errors import SceneError
 from granflow.load import load_scene
-from granflow.plan import memory as memory_check
+from granflow.plan import cost as memory_check
 
 CPU_TIME_MAX, WALL_TIME_MAX = 20, 200
 """CPU time and wall time [s] above which one input counts as a hang; a shipped scene takes 0.02 s."""

@@ -12,9 +12,9 @@ from granflow.load import load_scene, scene_of
 from granflow.particles.group import groups_of
 from granflow.particles.insertion import initial_particles
 from granflow.particles.resolve import scaled
-from granflow.particles.sizes import draw_diameters
+from granflow.particles.sampling import draw_diameters
 from granflow.plan.build import plan_for
-from granflow.plan.impact_velocity import max_impact_velocity
+from granflow.plan.time_step import max_impact_velocity
 from granflow.scene.blocks.walls import MeshWall, Vibration
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0

@@ -16,16 +16,17 @@ from granflow.simulation import Simulation
 from granflow.studies.stability import cases as bed_cases
 from granflow.studies.stability import report
 from granflow.studies.stability.cases import (
+    POISSON,
     CaseResult,
     ParticlePair,
     StabilityCase,
     all_cases,
+    real_bounds,
     rebound,
     rebound_result,
     run_case,
 )
 from granflow.studies.stability.report import run_cases
-from granflow.studies.stability.time_step_bounds import POISSON, real_bounds
 
 
 def case_of(work, column="the column"):

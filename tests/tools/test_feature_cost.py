@@ -11,7 +11,7 @@ from subprocess_runner import in_subprocess
 from granflow.errors import SceneError
 from granflow.load import load_scene
 from granflow.plan.build import plan_for
-from granflow.plan.memory import estimate_memory
+from granflow.plan.cost import estimate_memory
 
 TEXT = """\
 title: Beads on a floor

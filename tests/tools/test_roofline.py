@@ -5,7 +5,7 @@ from benchmark.roofline import GPUS, bytes_per_particle_step, particle_steps_per
 from scene_builders import build_scene, particle_group
 
 from granflow.plan.build import plan_for
-from granflow.plan.memory import estimate_memory
+from granflow.plan.cost import estimate_memory
 
 
 def gas_plan(**pair):

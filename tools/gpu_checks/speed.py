@@ -22,7 +22,7 @@ MEMORY_SHARE = 0.7
 def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> tuple[int, int]:
     """Bytes of all fields, and of the largest one, of a bed of about `count` particles, before neighbor lists
     grow."""
-    from granflow.plan.memory import estimate_memory, largest_block
+    from granflow.plan.cost import estimate_memory, largest_block
 
     case = bed(bed_file, 0)
     plan = plan_of(case, precision, on_gpu)

@@ -97,7 +97,7 @@ REVIEW = (
     ),
     WrongModel(
         "Zhou, Eq. 19: stiffness times 1.25",
-        (("granflow/contact/normal/linear_spring.py", "return 0.8 * k * power(", "return 1.0 * k * power("),
+        (("granflow/contact/normal/linear.py", "return 0.8 * k * power(", "return 1.0 * k * power("),
          (THEORY, "return 0.8 * k * np.sqrt(overlap_max(k, mass, velocity))",
           "return 1.0 * k * np.sqrt(overlap_max(k, mass, velocity))")),
         ("collisions:stated_cases", "normal_models:normal_model_cases"),

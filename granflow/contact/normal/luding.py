@@ -22,7 +22,7 @@ from granflow.contact.law import (
     ModelRequest,
 )
 from granflow.contact.material import PairMaterial
-from granflow.contact.normal.linear_spring import STIFFNESS, Spring, SpringLaw, quarter_period
+from granflow.contact.normal.linear import STIFFNESS, Spring, SpringLaw, quarter_period
 from granflow.device_functions import ti
 
 # Closed forms of a binary collision

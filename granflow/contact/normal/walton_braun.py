@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from granflow.contact.law import Amount, Choice, ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.normal.linear_spring import STIFFNESS, Spring, SpringLaw, quarter_period
+from granflow.contact.normal.linear import STIFFNESS, Spring, SpringLaw, quarter_period
 from granflow.device_functions import ti
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 from granflow.contact.law import FRICTION, ContactModel, ModelRequest, SurfaceState
 from granflow.contact.material import PairMaterial
 from granflow.contact.tangential.mindlin import DAMPING
-from granflow.contact.twisting.torsion import TorsionLaw
+from granflow.contact.twisting.torsion_spring import TorsionLaw
 from granflow.device_functions import ti
 
 

@@ -1,11 +1,104 @@
-"""Torsion spring, dashpot and limit with given numbers; `twisting sds` of LAMMPS."""
+"""Torsion spring, dashpot and limit with given numbers; `twisting sds` of LAMMPS.
+
+`TorsionLaw` is also the base class of `marshall`. The twist angle is the integral of the relative angular
+velocity about the normal. If the partners are exchanged, the normal and the relative angular velocity change
+their signs, and the twist angle does not.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from granflow.contact.law import Amount, ContactModel, ModelRequest, PairOption, SurfaceState
-from granflow.contact.twisting.torsion import TorsionLaw
+import numpy as np
+
+from granflow.contact.law import (
+    Amount,
+    ContactModel,
+    HistoryField,
+    ModelRequest,
+    PairOption,
+    SurfaceState,
+    TwistingLaw,
+)
 from granflow.device_functions import ti
+
+
+@dataclass(frozen=True)
+class TorsionLaw(TwistingLaw):
+    """Torsion spring, whose stiffness k, dashpot c and limit T_max the models define.
+
+        T = -k theta - c w_n;   if |T| > T_max:   T <- T_max T / |T|,   theta <- -(T + c w_n) / k
+
+    dashpot:        whether the dashpot is compiled
+    energy_budget:  whether the torque of the dashpot is saved for the dissipated energy
+
+    If the stiffness increases, the torque is preserved; if it decreases, the angle is. The dashpot acts from
+    the second step on, as that of the tangential models.
+    """
+
+    dashpot: bool
+    energy_budget: bool
+
+    @property
+    def history(self) -> tuple[HistoryField, ...]:
+        """Elastic twist angle, stiffness, and with the energy budget the torque of the dashpot."""
+        saved = (HistoryField("dashpot", "torque of the twisting dashpot", "N m"),)
+        return (
+            HistoryField("angle", "elastic twist angle", "rad"),
+            HistoryField("stiffness", "twisting stiffness of the previous step", "N m/rad"),
+            *(saved if self.dashpot and self.energy_budget else ()),
+        )
+
+    @ti.func
+    def torsion(self, constants, contact):
+        """Stiffness [N m/rad], dashpot coefficient [N m s] and limit [N m]."""
+
+    def reference_torsion(self, contact: SurfaceState) -> tuple[float, float, float]:
+        """Reference implementation of `torsion`."""
+        raise NotImplementedError
+
+    @ti.func
+    def torque(self, constants, contact, history):
+        """Torque [N m] along the normal, history, and energy dissipated in this step [J]."""
+        history_new = history
+        stiffness, coefficient, limit = self.torsion(constants, contact)
+        rate = contact.rolling_rate.dot(contact.normal_half)
+        step = contact.time_step * rate
+        before = history.angle
+        angle = ti.min(history.stiffness / stiffness, 1.0) * before + step
+        dashpot = 0.0 * rate
+        if ti.static(self.dashpot):
+            dashpot = ti.select(before == 0.0, 0.0, -coefficient * rate)
+        trial = dashpot - stiffness * angle
+        torque = ti.max(ti.min(trial, limit), -limit)
+        angle = ti.select(ti.abs(trial) > limit, (dashpot - torque) / stiffness, angle)
+        work = 0.5 * (history.stiffness * before + stiffness * angle) * step
+        lost = work + 0.5 * history.stiffness * before * before - 0.5 * stiffness * angle * angle
+        if ti.static(self.dashpot and self.energy_budget):
+            lost += -0.5 * (history.dashpot + dashpot) * step
+            history_new.dashpot = dashpot
+        history_new.angle = angle
+        history_new.stiffness = stiffness
+        return torque * contact.normal, history_new, lost
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `torque` in numpy."""
+        stiffness, coefficient, limit = self.reference_torsion(contact)
+        rate = float(contact.rolling_rate @ contact.normal_half)
+        before = contact.history
+        angle = before.angle * min(before.stiffness / stiffness, 1.0) + contact.time_step * rate
+        dashpot = -coefficient * rate if self.dashpot and before.angle != 0.0 else 0.0
+        torque = dashpot - stiffness * angle
+        if abs(torque) > limit:
+            torque = float(np.copysign(limit, torque))
+            angle = (dashpot - torque) / stiffness
+        saved = {"dashpot": dashpot} if self.dashpot and self.energy_budget else {}
+        return torque * contact.normal, {"angle": angle, "stiffness": stiffness, **saved}
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Energy of the spring [J]."""
+        return 0.5 * history.stiffness * history.angle * history.angle
 
 
 @dataclass(frozen=True)

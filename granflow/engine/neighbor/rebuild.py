@@ -15,15 +15,13 @@ from granflow.engine.box import build_wrap
 from granflow.engine.clumps import index_phase
 from granflow.engine.codes import ABORT_FAR
 from granflow.engine.fields import components
-from granflow.engine.flags import DeviceFlags, read_flags
 from granflow.engine.history import build_save_history
 from granflow.engine.host import HistoryTable, HostParticles, copy_to_host, saved_particle_table
 from granflow.engine.liquid import build_prepare_films
-from granflow.engine.neighbor.deletion import find_farthest
 from granflow.engine.neighbor.list import TOO_LONG, fill_phase
 from granflow.engine.neighbor.phases import Phase, build_rebuild, granularity, is_count
-from granflow.engine.neighbor.sort import KEPT_REACH, bounds_phases, class_phases, sort_phases
-from granflow.engine.state import State
+from granflow.engine.neighbor.sort import KEPT_REACH, bounds_phases, class_phases, find_farthest, sort_phases
+from granflow.engine.state import DeviceFlags, State, read_flags
 from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.errors import GranflowError
 from granflow.kernel_language import ti

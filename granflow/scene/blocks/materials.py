@@ -16,8 +16,8 @@ from granflow.contact import registry
 from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.quantities import Number
 from granflow.scene.faults import value_error
+from granflow.scene.messages import suggestion_or_list
 from granflow.scene.model import Model, Text, choose_by, pair_list, required_unless
-from granflow.scene.suggest import suggestion_or_list
 
 # Block `materials`
 

@@ -16,8 +16,8 @@ from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.shapes import Box
 from granflow.scene.faults import Fault, missing, redundant, whole
+from granflow.scene.messages import suggestion_or_list
 from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, choose_by_key, pair_list
-from granflow.scene.suggest import suggestion_or_list
 
 # Keys `collision_energies` and `flow_meters`
 

@@ -17,7 +17,7 @@ from granflow.arguments import path_of, whole_number
 from granflow.errors import FileError, GranflowError
 from granflow.io.lock import locked
 from granflow.io.machine import worker_count
-from granflow.scene.validated_file import validated_source
+from granflow.scene.reader import validated_source
 from granflow.studies.calibration.results import (
     CalibrationResult,
     result_of,
