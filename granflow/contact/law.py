@@ -238,8 +238,11 @@ class NormalLaw(Law):
     tangential_stiffness_grows: ClassVar[bool] = True
     """True if the tangential stiffness is proportional to the square root of the overlap."""
     branch_free: ClassVar[bool] = True
-    """True if `force` has no branch, so that contacts can be evaluated in SIMD batches. Other models use full
-    neighbor lists."""
+    """True if `force` has no branch, so that a CPU can evaluate contacts in SIMD batches (`engine/batch.py`).
+
+    With another model each particle is a chunk: contacts are evaluated one at a time, and each pair twice,
+    because it is in the neighbor lists of both particles.
+    """
     has_dashpot: ClassVar[bool] = False
     """True for a model with `damping`."""
     limits_restitution: ClassVar[bool] = False

@@ -1,4 +1,4 @@
-"""Numbers that kernels and host share: why a run aborts, and limits that mark a value as not set."""
+"""Numbers that kernels and host share: why a run aborts, the phases of a step, and values for "none"."""
 
 ABORT_FORCE = 1
 """A contact force is above the range of the sums."""

@@ -1,8 +1,10 @@
 """One contact of a particle with another particle or a wall, evaluated on its own.
 
 `build_contact` gathers what `pair.py` needs, evaluates the force, writes the contact history and adds the
-losses of the contact to the accounting. All wall contacts take this path, and all particle contacts on a GPU;
-on a CPU, `batch.py` evaluates particle contacts many at a time and shares the parts of this file.
+losses of the contact to the accounting. All wall contacts take this path, and all particle contacts if each
+particle is a chunk: on a GPU, and on a CPU with up to 64 particles or a normal model that is not branch-free
+(`chunk_size` of the plan). Otherwise `batch.py` evaluates the particle contacts, many at a time, and shares
+the parts of this file.
 """
 
 from typing import Any

@@ -438,7 +438,7 @@ def normal_contact(bodies, kinematics, time_step):
 
 @ti.func
 def normal_time_step(dt, longest_time_step):
-    """Time step [s] of normal models: that of the run if the one of this force evaluation is 0, without
+    """Time step [s] of normal models: the longest of the run if that of this force evaluation is 0, without
     motion."""
     return ti.select(dt > 0.0, dt, longest_time_step)
 

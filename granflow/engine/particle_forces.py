@@ -1,9 +1,9 @@
-"""The total force on a particle: its contacts, its weight, external forces and damping.
+"""Forces on a particle alone: external forces, and damping of all motion; fixed particles.
 
-`build_set_forces` adds to the sum over the contacts what acts on the particle alone: external forces, which
-are device functions of a program, and the damping of all motion with which a scene settles. Both are
-evaluated with the contact forces, at the time of the positions, and are part of `force`: integration,
-synchronized velocities and snapshots need no other term.
+External forces are device functions of a program; with damping, a scene settles. Both are evaluated with the
+contact forces, at the time of the positions, and are part of `force`: integration, synchronized velocities
+and snapshots need no other term. `build_set_forces` adds them to the sums over the contacts, and below f64
+the weight; in f64 the sums contain the weight from the start (`step.build_forces`).
 
 Velocities are half a step behind the positions; where a force depends on the velocity, it is extrapolated
 by `lag`, half a step. The host writes it with the time of the forces (`write_force_inputs`).
@@ -236,7 +236,8 @@ def build_add_external_work(state: State) -> Any:
     @ti.func
     def add_work(chunk, i, force, velocity, dt):
         power = ti.cast(mobility(i), ti.f64) * ti.cast(force, ti.f64).dot(ti.cast(velocity, ti.f64))
-        # half of the work in a step, as energies are in units / SHARES
+        # Added once, this counts as half of the work of a step (`sums.SHARES` is 2): the other half is added
+        # with the force at the other end of the step.
         value = ti.cast(per_unit(), ti.f64) * ti.cast(dt, ti.f64) * power
         add_energy(control.external_work, chunk, 0, 1, 1, value)
 
@@ -362,7 +363,8 @@ def build_add_damping_loss(state: State) -> Any:
         if ti.static(features.rotation):
             angular_velocity = ti.cast(particles.angular_velocity[i], ti.f64)
             power += ti.cast(particles.damping_torque[i], ti.f64).dot(angular_velocity)
-        # half of the loss in a step, as energies are in units / SHARES
+        # Added once, this counts as half of the loss of a step (`sums.SHARES` is 2): the other half is added
+        # with the force at the other end of the step.
         value = -ti.cast(per_unit(), ti.f64) * ti.cast(dt, ti.f64) * power
         add_energy(control.losses, chunk, DAMPING, loss_count, 1, value)
 

@@ -70,7 +70,8 @@ def build_steps(state: State) -> Callable[..., None]:
 def build_integrate(state: State) -> Any:
     """Device function (chunk, count, pose, time_step): kick and drift the particles of one chunk.
 
-    Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
+    Reads:   parameters, position, velocity, angular_velocity, force, torque, mass, radius, fixed,
+             position_at_rebuild, reach
     Writes:  velocity, velocity_synchronized, angular_velocity, position, external_work, losses, impulses; as
              `_build_request`, `build_changed`, `build_wrap`, `build_save_film`, `build_integrate_clumps`
     """
@@ -206,8 +207,9 @@ def build_forces(state: State) -> Any:
     chunk, at the time of the positions.
 
     With batches, the wall contacts of all particles of the chunk are summed first, then the particle
-    contacts. External forces and damping need the sum of all others; below f64 the weight is also added at
-    the end.
+    contacts. External forces and damping need the sum of all others, and are added last by
+    `particle_forces.build_set_forces`, as is the weight below f64. In f64 without external forces and damping
+    there is nothing to add: the fields of force and torque already hold the total.
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
     Writes:  force, torque, history, losses, impulses, wall forces, abort

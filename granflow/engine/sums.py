@@ -1,7 +1,7 @@
 """Exact sums: terms are rounded to multiples of a unit before they are added, so that their order does not
 matter.
 
-Therefore the bits of a run do not depend on threads, chunks, neighbor lists or ranks. `plan/capacities.py`
+Therefore the bits of a run do not depend on threads, chunks, neighbor lists or ranks. `plan/sum_units.py`
 gives the units. Forces and torques are summed in f64 after rounding to a grid (`build_to_grid`). Energies and
 impulses are integers, converted with the parameter `per_unit`; they are summed over a whole run and have two
 words each: the low one in units, the high one in 2^CARRY_BITS units. The host adds up the chunks.
@@ -87,8 +87,11 @@ def energy_words(value):
 
 
 SHARES = 2
-"""Energies of a pair are in units and count once in each of two neighbor lists, SHARES times in a single
-one."""
+"""Number of times that a sum contains each energy: its value is the number of units over SHARES.
+
+A pair of two particles of one chunk is in one neighbor list: its energy is added once, times 2. A pair across
+two chunks is in the lists of both: each adds the energy times 1. A contact with a wall is in one list.
+"""
 
 
 def build_list_shares(state: State) -> Any:

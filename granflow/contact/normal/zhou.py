@@ -182,6 +182,20 @@ def reloading_force(constants, contact, overlap_max, tangent):
     return damping * rate, damping * rate * late
 
 
+@ti.func
+def half_step_rate(contact, force_before):
+    """Overlap rate [m/s] half a step before the present time level, from the one at that level.
+
+        d'(t - dt/2) = d'(t) + dt F / (2 M)
+
+    `overlap_rate` is at the time level t only if the law is rate-dependent; otherwise it is that of the half
+    step already.
+
+    force_before:  F [N], force on the isolated pair at the level t - dt
+    """
+    return contact.overlap_rate + 0.5 * contact.time_step * force_before / contact.mass_eff
+
+
 # The law
 
 RestitutionAt = Literal["impact", "max_overlap", "constant"]
@@ -271,7 +285,8 @@ class Zhou(NormalLaw):
 
     @property
     def rate_dependent(self) -> bool:
-        """Whether the contact has damping."""
+        """Whether the force needs the overlap rate at the time level: with `damping_ratio`, not with
+        `rest_damping`, which takes the rate of the half step."""
         return self.damping_ratio > 0.0
 
     @property
@@ -297,8 +312,8 @@ class Zhou(NormalLaw):
             stiffness = 4.0 / 3.0 * constants.modulus_eff
             largest_force = stiffness * ti.sqrt(contact.radius_eff * largest) * largest
             overlap_rate_half = contact.overlap_rate
-            if ti.static(self.rate_dependent):  # `overlap_rate` is at the time level, not half a step later
-                overlap_rate_half += 0.5 * contact.time_step * largest_force / mass
+            if ti.static(self.rate_dependent):
+                overlap_rate_half = half_step_rate(contact, largest_force)
             history_new.overlap_max = turning_point(
                 largest, largest_force, mass, contact.time_step, overlap_rate_half
             )
@@ -362,8 +377,8 @@ class Zhou(NormalLaw):
         if ti.static(self.has_inelastic):
             inelastic = inelastic_pair(constants)
             rate_half = rate
-            if ti.static(self.rate_dependent):  # `overlap_rate` is at the time level, half a step later
-                rate_half += 0.5 * contact.time_step * history.force_before / contact.mass_eff
+            if ti.static(self.rate_dependent):
+                rate_half = half_step_rate(contact, history.force_before)
             force, history_inelastic = inelastic_force(
                 contact, stiffness * ti.sqrt(radius), rate_half, history
             )

@@ -95,7 +95,7 @@ def _build_remains_at(state: State) -> Any:
     """Device function (position, radius, fixed): true if such a particle remains.
 
     Along periodic axes, and in an expanding domain, only the outlets delete. A position that is NaN is
-    outside; an outlet does not delete fixed particles. `changes.remove_particles` marks particles by a
+    outside; an outlet does not delete fixed particles. `host.remove_particles` marks particles by a
     negative radius.
     """
     in_one_outlet = [_build_in_one_outlet(state, index) for index in range(len(state.plan.outlets))]
