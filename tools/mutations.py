@@ -198,8 +198,8 @@ MUTATIONS = (
     Mutation(
         "overlap limit, batched",
         "granflow/engine/batch.py",
-        "check_overlap(i, square, reach, overlap_ratio * radius_min)",
-        "check_overlap(i, square, reach, 4.0 * overlap_ratio * radius_min)",
+        "check_overlap(i, distance_squared, contact_distance, overlap_ratio * radius_min)",
+        "check_overlap(i, distance_squared, contact_distance, 4.0 * overlap_ratio * radius_min)",
         (f"{OVERLAP}[batched-pair]",),
     ),
     Mutation(

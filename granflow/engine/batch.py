@@ -24,7 +24,7 @@ from granflow.engine.pair import (
     build_constants,
     build_contact_mass,
     build_effective,
-    build_in_contact,
+    build_overlaps,
     build_pair_constants,
     build_pair_force,
     build_pair_kinematics,
@@ -40,11 +40,21 @@ from granflow.engine.pair import (
 from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.sums import add_energy, build_list_shares, build_to_grid, holds_sums
 from granflow.kernel_language import ti
-from granflow.plan.sum_units import DAMPING, ENERGY, FORCE, FRICTION, LOSSES, ROLLING, TORQUE
+from granflow.plan.sum_units import (
+    LOSS_DAMPING,
+    LOSS_FRICTION,
+    LOSS_ROLLING,
+    LOSSES,
+    UNIT_ENERGY,
+    UNIT_FORCE,
+    UNIT_TORQUE,
+)
 
 
 def build_batched_forces(state: State) -> Any:
-    """Device function (worker, chunk, first, last, pose, time_step): add the contacts between particles.
+    """Device function (worker, chunk, first, end, pose, dt): add the contacts between particles.
+
+    first, end:  particles of the chunk, `end` exclusive
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
     Writes:  force, torque, history, losses, liquid_film, abort, batch of the worker
@@ -55,16 +65,16 @@ def build_batched_forces(state: State) -> Any:
     scatter = _build_scatter(state)
 
     @ti.func
-    def batched_forces(worker, chunk, first, last, pose, dt):
+    def batched_forces(worker, chunk, first, end, pose, dt):
         i = first
-        while i < last:
-            found = 0
-            while i < last and found < BATCH:
-                found = collect(worker, chunk, i, found, first, last, pose, dt)
+        while i < end:
+            entry_count = 0
+            while i < end and entry_count < BATCH:
+                entry_count = collect(worker, chunk, i, entry_count, first, end, pose, dt)
                 i += 1
-            gather(worker, chunk, found, pose, dt)
-            evaluate(worker, (found + LANES - 1) // LANES * LANES, dt)
-            scatter(worker, chunk, found, first, last, pose, dt)
+            gather(worker, chunk, entry_count, pose, dt)
+            evaluate(worker, (entry_count + LANES - 1) // LANES * LANES, dt)
+            scatter(worker, chunk, entry_count, first, end, pose, dt)
 
     return batched_forces
 
@@ -75,11 +85,9 @@ def build_batched_forces(state: State) -> Any:
 def _build_collect(state: State) -> Any:
     """Device function that adds the contacts of one neighbor list to the batch.
 
-    Arguments: worker, chunk, i, first entry of the batch, first and last particle of the chunk, pose, time
-    step.
-
-    Returns the end of the entries. Candidate pairs without contact are overwritten by the next entry; open
-    contacts end.
+    Arguments: worker, chunk, i, next entry of the batch, first and end of the particles of the chunk, pose,
+    dt. Returns the next entry after those of the list. Candidate pairs without contact are overwritten by the
+    next one; open contacts end.
 
     Reads:   position, radius, neighbor lists, in_contact
     Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort; with a model
@@ -91,7 +99,7 @@ def _build_collect(state: State) -> Any:
     batch = state.batch
     real = state.backend.real
     has_history = bool(neighbors.history)
-    in_contact = build_in_contact(real)
+    overlaps = build_overlaps(real)
     end_contact = build_end_contact(state)
     effective = build_effective(state, False)
     minimum_image = build_minimum_image(state)
@@ -107,41 +115,41 @@ def _build_collect(state: State) -> Any:
         add_plastic_loss(chunk, j, energy_lost)
 
     @ti.func
-    def check_overlap(i, square, reach, overlap_limit):
-        distance_limit = reach - overlap_limit
-        if square < distance_limit * distance_limit:
+    def check_overlap(i, distance_squared, contact_distance, overlap_limit):
+        distance_limit = contact_distance - overlap_limit
+        if distance_squared < distance_limit * distance_limit:
             ti.atomic_max(control.abort[0], ABORT_OVERLAP)
             ti.atomic_min(control.abort_particle[0], particles.id[i])
 
     @ti.func
-    def collect(worker, chunk, i, begin, first, last, pose, dt):
+    def collect(worker, chunk, i, entry_begin, first, end, pose, dt):
         position = particles.position[i]
         radius = particles.radius[i]
         overlap_ratio = max_overlap()
-        end = begin
+        entry = entry_begin
         for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
             j = neighbors.partner[list_index]
             branch = ti.cast(minimum_image(position, particles.position[j], pose), real)
             radius_partner = particles.radius[j]
-            batch.list_index[worker, end] = list_index
-            batch.owner[worker, end] = i
-            batch.partner[worker, end] = j
-            batch.radius_partner[worker, end] = radius_partner
+            batch.list_index[worker, entry] = list_index
+            batch.owner[worker, entry] = i
+            batch.partner[worker, entry] = j
+            batch.radius_partner[worker, entry] = radius_partner
             for axis in ti.static(range(3)):
-                batch.branch[axis][worker, end] = branch[axis]
-            square = branch.dot(branch)
-            reach = radius + radius_partner
-            near = in_contact(square, reach)
-            end += ti.cast(near, ti.i32)
+                batch.branch[axis][worker, entry] = branch[axis]
+            distance_squared = branch.dot(branch)
+            contact_distance = radius + radius_partner
+            is_contact = overlaps(distance_squared, contact_distance)
+            entry += ti.cast(is_contact, ti.i32)
             radius_min = ti.select(radius < radius_partner, radius, radius_partner)
-            check_overlap(i, square, reach, overlap_ratio * radius_min)
+            check_overlap(i, distance_squared, contact_distance, overlap_ratio * radius_min)
             if ti.static(acts_at_distance):
-                if not near:
-                    attract(worker, chunk, i, j, list_index, branch, reach, first, last, pose, dt)
+                if not is_contact:
+                    attract(worker, chunk, i, j, list_index, branch, contact_distance, first, end, pose, dt)
             elif ti.static(has_history):
-                if neighbors.in_contact[list_index] == IN_CONTACT and not near:
+                if neighbors.in_contact[list_index] == IN_CONTACT and not is_contact:
                     end_lost_contact(chunk, list_index, i, j, dt)
-        return end
+        return entry
 
     return collect
 
@@ -150,15 +158,15 @@ def _build_attract(state: State) -> Any:
     """Device function: attraction of a pair without overlap, one at a time; ends the contact beyond the
     range.
 
-    Arguments: worker, chunk, i, j, list index, branch vector and sum of the radii [m], first and last
-    particle of the chunk, pose, time step. The force is rounded for the exact sums.
+    Arguments: worker, chunk, i, j, list index, branch vector and sum of the radii [m], first and end of the
+    particles of the chunk, pose, dt. The force is rounded for the exact sums.
 
     Reads:   radius, mass, history, pair_constants, law_parameters
     Writes:  sums of the batch, history, in_contact, losses, boundary_work, liquid_film
     """
     features = state.plan.features
     to_grid = build_to_grid(state.backend.real)
-    shift = state.parameter("shift", FORCE)
+    shift = state.parameter("shift", UNIT_FORCE)
     add_to_sums = build_add_to_sums(state)
     liquid = features.liquid_transfer
     return_liquid = build_return_liquid(state) if liquid else None
@@ -171,7 +179,7 @@ def _build_attract(state: State) -> Any:
     has_history = bool(state.neighbors.history)
 
     @ti.func
-    def attract(worker, chunk, i, j, list_index, branch, contact_distance, first, last, pose, dt):
+    def attract(worker, chunk, i, j, list_index, branch, contact_distance, first, end, pose, dt):
         distance = ti.sqrt(branch.dot(branch))
         constants = pair_constants(i, j)
         if distance < contact_distance + constants.cohesion.range:
@@ -180,7 +188,7 @@ def _build_attract(state: State) -> Any:
             force = to_grid(-attraction / distance * branch, shift())
             added = ti.cast(force, ti.f64)
             add_to_sums(worker, i, first, 0, added)
-            if j >= first and j < last:
+            if j >= first and j < end:
                 add_to_sums(worker, j, first, 0, -added)
             if ti.static(features.energy_budget and features.lees_edwards):
                 add_boundary_work(chunk, i, j, force, pose, dt)
@@ -196,7 +204,7 @@ def _build_attract(state: State) -> Any:
 
 
 def _build_gather(state: State) -> Any:
-    """Device function (worker, chunk, end, pose, time_step): gather velocities, masses and histories into
+    """Device function (worker, chunk, entry_count, pose, dt): gather velocities, masses and histories into
     columns.
 
     Evaluates `NormalLaw.prepare` and forms bridges, which have branches, so that `evaluate` has none.
@@ -230,8 +238,8 @@ def _build_gather(state: State) -> Any:
             store_vector(batch.history[slot], worker, entry, vector)
 
     @ti.func
-    def gather(worker, chunk, end, pose, dt):
-        for entry in range(end):
+    def gather(worker, chunk, entry_count, pose, dt):
+        for entry in range(entry_count):
             i = batch.owner[worker, entry]
             j = batch.partner[worker, entry]
             list_index = batch.list_index[worker, entry]
@@ -332,12 +340,12 @@ def _build_with_bridge(state: State) -> Any:
 
 
 def _build_evaluate(state: State) -> Any:
-    """Function (worker, end, time_step): force and torque of all entries, column by column; results replace
-    the inputs.
+    """Function (worker, entry_count, dt): force and torque of all entries, column by column.
 
-    The force replaces the branch vector, the torques replace the angular velocities, the new histories the
-    old ones. Forces and torques are rounded for the exact sums, losses are in their units. It is a separate
-    function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
+    Results replace the inputs, so that a batch remains in the cache: the new histories replace the old ones,
+    forces and torques the columns that `_result_columns` names. Forces and torques are rounded for the exact
+    sums, losses are in their units. It is a separate function (`ti.real_func`), because the compiler does not
+    vectorize the loop inside a large kernel.
 
     Reads:   columns of the batch, pair_constants, law_parameters
     Writes:  columns of the batch
@@ -354,8 +362,8 @@ def _build_evaluate(state: State) -> Any:
     constants_of = build_constants(plan.laws)
     store_results = _build_store_results(state)
     longest_time_step = state.parameter("longest_time_step")
-    shift_of = state.parameter("shift")
-    per_unit = state.parameter("per_unit")
+    shift_parameter = state.parameter("shift")
+    per_unit_parameter = state.parameter("per_unit")
 
     @ti.func
     def kinematics_of(worker, entry, dt):
@@ -369,14 +377,14 @@ def _build_evaluate(state: State) -> Any:
         )
 
     @ti.real_func
-    def evaluate(worker: ti.i32, end: ti.i32, dt: real):
-        shared = control.pair_constants[0]
+    def evaluate(worker: ti.i32, entry_count: ti.i32, dt: real):
+        row_of_only_pair = control.pair_constants[0]  # with one material, all contacts have these constants
         parameters = control.law_parameters[0]
         longest = longest_time_step()
-        shift = shift_of()
-        units = per_unit()
-        for entry in range(end):
-            row = shared
+        shift = shift_parameter()
+        per_unit = per_unit_parameter()
+        for entry in range(entry_count):
+            row = row_of_only_pair
             if ti.static(not features.one_material):
                 row = load_vector(batch.constants, worker, entry, constant_count)
             found = pair_force(
@@ -388,9 +396,17 @@ def _build_evaluate(state: State) -> Any:
                 dt,
                 longest,
             )
-            store_results(worker, entry, found, shift, units)
+            store_results(worker, entry, found, shift, per_unit)
 
     return evaluate
+
+
+def _result_columns(batch: Any) -> tuple[Any, Any, Any]:
+    """Columns of the force on the owner and of the torques on owner and partner, after `evaluate`.
+
+    They are those of the branch vector and of the angular velocities, which nothing reads after it.
+    """
+    return batch.branch, batch.angular_velocity, batch.angular_velocity_partner
 
 
 def _build_load(state: State) -> Any:
@@ -447,20 +463,19 @@ def _build_store_results(state: State) -> Any:
     """
     plan = state.plan
     batch = state.batch
+    forces, torques, torques_partner = _result_columns(batch)
     to_grid = build_to_grid(state.backend.real)
     slots = [(slot, build_slot_vector(plan.laws, slot)) for slot in plan.history]
 
     @ti.func
-    def store_results(worker, entry, found, shift, units):
-        store_vector(batch.branch, worker, entry, to_grid(found.force, shift[FORCE]))
-        store_vector(batch.angular_velocity, worker, entry, to_grid(found.torque, shift[TORQUE]))
-        store_vector(
-            batch.angular_velocity_partner, worker, entry, to_grid(found.torque_partner, shift[TORQUE])
-        )
+    def store_results(worker, entry, found, shift, per_unit):
+        store_vector(forces, worker, entry, to_grid(found.force, shift[UNIT_FORCE]))
+        store_vector(torques, worker, entry, to_grid(found.torque, shift[UNIT_TORQUE]))
+        store_vector(torques_partner, worker, entry, to_grid(found.torque_partner, shift[UNIT_TORQUE]))
         for slot, vector_of in ti.static(slots):
             store_vector(batch.history[slot], worker, entry, vector_of(member(found.history, slot)))
         if ti.static(plan.features.energy_budget):
-            store_vector(batch.losses, worker, entry, units[ENERGY] * found.losses)
+            store_vector(batch.losses, worker, entry, per_unit[UNIT_ENERGY] * found.losses)
 
     return store_results
 
@@ -469,8 +484,7 @@ def _build_store_results(state: State) -> Any:
 
 
 def _build_scatter(state: State) -> Any:
-    """Device function (worker, chunk, end, first, last, pose, time_step): add forces and write the histories
-    back.
+    """Device function (worker, chunk, entry_count, first, end, pose, dt): add forces, write histories back.
 
     Forces are added to both partners, if the second is in this chunk.
 
@@ -481,6 +495,7 @@ def _build_scatter(state: State) -> Any:
     neighbors = state.neighbors
     control = state.control
     batch = state.batch
+    forces, torques, torques_partner = _result_columns(batch)
     features = plan.features
     history = neighbors.history
     slots = list(neighbors.history)
@@ -507,24 +522,23 @@ def _build_scatter(state: State) -> Any:
     @ti.func
     def add_losses(worker, chunk, j, entry):
         shares = list_shares(chunk, j)
-        for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
+        for k, loss in ti.static(enumerate((LOSS_FRICTION, LOSS_ROLLING, LOSS_DAMPING))):
             add_energy(control.losses, chunk, loss, loss_count, shares, batch.losses[k][worker, entry])
 
     @ti.func
-    def scatter(worker, chunk, end, first, last, pose, dt):
-        for entry in range(end):
+    def scatter(worker, chunk, entry_count, first, end, pose, dt):
+        for entry in range(entry_count):
             i = batch.owner[worker, entry]
             j = batch.partner[worker, entry]
-            force = ti.cast(vector_of(batch.branch, worker, entry), ti.f64)
+            force = ti.cast(vector_of(forces, worker, entry), ti.f64)
             add_to_sums(worker, i, first, 0, force)
             if ti.static(features.rotation):
-                add_to_sums(
-                    worker, i, first, 3, ti.cast(vector_of(batch.angular_velocity, worker, entry), ti.f64)
-                )
-            if j >= first and j < last:
+                torque = vector_of(torques, worker, entry)
+                add_to_sums(worker, i, first, 3, ti.cast(torque, ti.f64))
+            if j >= first and j < end:
                 add_to_sums(worker, j, first, 0, -force)
                 if ti.static(features.rotation):
-                    torque_partner = vector_of(batch.angular_velocity_partner, worker, entry)
+                    torque_partner = vector_of(torques_partner, worker, entry)
                     add_to_sums(worker, j, first, 3, ti.cast(torque_partner, ti.f64))
             if ti.static(features.collision_energies):
                 rate = pair_kinematics(i, j, pose, dt).overlap_rate_half
@@ -533,7 +547,7 @@ def _build_scatter(state: State) -> Any:
             if ti.static(features.energy_budget):
                 add_losses(worker, chunk, j, entry)
                 if ti.static(features.lees_edwards):
-                    add_boundary_work(chunk, i, j, vector_of(batch.branch, worker, entry), pose, dt)
+                    add_boundary_work(chunk, i, j, vector_of(forces, worker, entry), pose, dt)
 
     return scatter
 

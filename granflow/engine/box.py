@@ -15,7 +15,7 @@ from granflow.engine.sums import SHARES, add_energy
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
-from granflow.plan.sum_units import ENERGY
+from granflow.plan.sum_units import UNIT_ENERGY
 
 # Images
 
@@ -295,7 +295,7 @@ def build_add_energy_gain(state: State) -> Any:
     control = state.control
     sheared = state.plan.periodic_box.image_motion is not None
     gravity = state.parameter("gravity")
-    per_unit = state.parameter("per_unit", ENERGY)
+    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
 
     @ti.func
     def add_energy_gain(chunk, i, shift, velocity_shift, dt):
@@ -310,6 +310,7 @@ def build_add_energy_gain(state: State) -> Any:
                 0.5 * velocity_shift_f64.dot(velocity_shift_f64)
                 - velocity_synchronous.dot(velocity_shift_f64)
             )
-        add_energy(control.boundary_work, chunk, 0, 1, SHARES, ti.cast(per_unit(), ti.f64) * gained)
+        scale = ti.cast(high_words_per_joule(), ti.f64)
+        add_energy(control.boundary_work, chunk, 0, 1, SHARES, scale * gained)
 
     return add_energy_gain

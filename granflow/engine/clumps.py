@@ -44,23 +44,23 @@ def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> A
     particles = state.particles
     periodic = state.plan.features.periodic != "none"
     chunk_size = state.parameter("chunk_size")
-    step_limit = state.parameter("travel_limit_squared")
+    travel_limit_squared = state.parameter("travel_limit_squared")
     move_clump = build_move_clump(state)
     wrap = build_wrap(state) if periodic else None
-    per_unit = state.parameter("per_unit")
+    per_unit_parameter = state.parameter("per_unit")
 
     @ti.func
     def integrate_clumps(chunk, count, pose, dt):
         size = chunk_size()
-        step_squared_limit = step_limit()
-        units = per_unit()
+        limit_squared = travel_limit_squared()
+        per_unit = per_unit_parameter()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
             if particles.clump[i] >= 0:
-                step = move_clump(chunk, i, pose, dt).norm_sqr()
-                displacement = (particles.position[i] - particles.position_at_rebuild[i]).norm_sqr()
-                reach = particles.reach[i] * particles.reach[i]
-                sums = square_of_sums(particles.force[i], particles.torque[i], units)
-                request(i, displacement, reach, step, step_squared_limit, sums)
+                step_squared = move_clump(chunk, i, pose, dt).norm_sqr()
+                displacement_squared = (particles.position[i] - particles.position_at_rebuild[i]).norm_sqr()
+                reach_squared = particles.reach[i] * particles.reach[i]
+                sum_squared = square_of_sums(particles.force[i], particles.torque[i], per_unit)
+                request(i, displacement_squared, reach_squared, step_squared, limit_squared, sum_squared)
                 if ti.static(periodic):
                     wrap(chunk, i, pose, dt)
 

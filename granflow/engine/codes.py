@@ -31,8 +31,8 @@ FORCE_REASONS = frozenset({"force", "displacement", "not_finite", "overlap"})
 """Reasons that a force from Python can have caused."""
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that exceeds a limit."""
-INTEGRATION = 0
-FORCES = 1
+PHASE_INTEGRATION = 0
+PHASE_FORCES = 1
 """Phases of a step on a GPU that can halt the following launches: indices of `Control.halted_at`."""
 NOT_HALTED = 2**31 - 1
 """Larger than the number of any launch on a GPU."""

@@ -42,7 +42,15 @@ from granflow.engine.sums import SHARES, add_energy, build_list_shares, build_to
 from granflow.engine.wall_dynamics import build_add_impulse, build_add_wall_force
 from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.kernel_language import ti
-from granflow.plan.sum_units import DAMPING, ENERGY, FORCE, FRICTION, LOSSES, ROLLING, WALL_WORK
+from granflow.plan.sum_units import (
+    LOSS_DAMPING,
+    LOSS_FRICTION,
+    LOSS_ROLLING,
+    LOSS_WALL_WORK,
+    LOSSES,
+    UNIT_ENERGY,
+    UNIT_FORCE,
+)
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
@@ -303,7 +311,7 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
     control = state.control
     list_shares = build_list_shares(state)
     add_boundary_work = build_boundary_work(state)
-    per_unit = state.parameter("per_unit", ENERGY)
+    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
     longest_time_step = state.parameter("longest_time_step")
     moving = with_wall and features.moving_walls
     measured = with_wall and features.wall_forces
@@ -314,19 +322,19 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def add_losses(chunk, shares, found):
-        per_joule = per_unit()
-        for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            add_energy(control.losses, chunk, loss, loss_count, shares, per_joule * found.losses[k])
+        scale = high_words_per_joule()
+        for k, loss in ti.static(enumerate((LOSS_FRICTION, LOSS_ROLLING, LOSS_DAMPING))):
+            add_energy(control.losses, chunk, loss, loss_count, shares, scale * found.losses[k])
 
     @ti.func
     def add_wall_work(chunk, i, j, pose, normal, found, dt):
-        half = 0.5 * per_unit() * dt
-        half_ahead = 0.5 * per_unit() * normal_time_step(dt, longest_time_step())
+        half = 0.5 * high_words_per_joule() * dt
+        half_ahead = 0.5 * high_words_per_joule() * normal_time_step(dt, longest_time_step())
         shares = list_shares(chunk, j)
         work_ahead = half_ahead * wall_power(i, j, pose, pose + 1, normal, found)
         work = half * wall_power(i, j, pose, pose, normal, found)
-        add_energy(control.losses, chunk, WALL_WORK, loss_count, shares, work)
-        add_energy(control.losses, chunk, WALL_WORK, loss_count, shares, work_ahead)
+        add_energy(control.losses, chunk, LOSS_WALL_WORK, loss_count, shares, work)
+        add_energy(control.losses, chunk, LOSS_WALL_WORK, loss_count, shares, work_ahead)
         add_energy(control.wall_work_ahead, chunk, 0, 1, shares, work_ahead)
 
     @ti.func
@@ -382,14 +390,14 @@ def build_boundary_work(state: State) -> Any:
     list_shares = build_list_shares(state)
     image_velocity = build_image_velocity(state)
     control = state.control
-    per_unit = state.parameter("per_unit", ENERGY)
-    shift = state.parameter("shift", FORCE)
+    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
+    shift = state.parameter("shift", UNIT_FORCE)
     to_grid = build_to_grid(state.backend.real)
 
     @ti.func
     def add_boundary_work(chunk, i, j, force, pose, dt):
         rounded = to_grid(force, shift())
-        work = per_unit() * dt * rounded.dot(image_velocity(i, j, pose))
+        work = high_words_per_joule() * dt * rounded.dot(image_velocity(i, j, pose))
         add_energy(control.boundary_work, chunk, 0, 1, list_shares(chunk, j), work)
 
     return add_boundary_work
@@ -420,13 +428,13 @@ def build_end_wall_work(state: State) -> Any:
     """
     control = state.control
     chunks = state.capacities.chunks
-    high = len(LOSSES) + WALL_WORK
+    high = len(LOSSES) + LOSS_WALL_WORK
 
     @ti.func
     def end(chunk, withdraws):
         if withdraws == 1:
-            control.losses[chunk][WALL_WORK] = (
-                control.losses[chunk][WALL_WORK] - control.wall_work_ahead[chunk][0]
+            control.losses[chunk][LOSS_WALL_WORK] = (
+                control.losses[chunk][LOSS_WALL_WORK] - control.wall_work_ahead[chunk][0]
             )
             control.losses[chunk][high] = control.losses[chunk][high] - control.wall_work_ahead[chunk][1]
         control.wall_work_ahead[chunk] = ti.Vector.zero(ti.i64, 2)

@@ -17,7 +17,7 @@ from granflow.engine.state import State
 from granflow.engine.sums import add_energy, build_list_shares
 from granflow.engine.walls import WallGeometry
 from granflow.kernel_language import ti
-from granflow.plan.sum_units import ENERGY, LOSSES, PLASTIC
+from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES, UNIT_ENERGY
 
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)
 """State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this
@@ -165,14 +165,14 @@ def build_add_plastic_loss(state: State) -> Any:
     control = state.control
     list_shares = build_list_shares(state)
     energy_budget = state.plan.features.energy_budget
-    per_unit = state.parameter("per_unit", ENERGY)
+    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
     loss_count = len(LOSSES)
 
     @ti.func
     def add_plastic_loss(chunk, j, energy_lost):
         if ti.static(energy_budget):
-            value = per_unit() * energy_lost
-            add_energy(control.losses, chunk, PLASTIC, loss_count, list_shares(chunk, j), value)
+            value = high_words_per_joule() * energy_lost
+            add_energy(control.losses, chunk, LOSS_PLASTIC, loss_count, list_shares(chunk, j), value)
 
     return add_plastic_loss
 
@@ -214,10 +214,10 @@ def build_release_history(state: State) -> Any:
     def release_history(i, list_index, j, pose):
         released = 0
         if neighbors.in_contact[list_index] == IN_CONTACT:
-            reach = particles.radius[i]
+            largest_distance = particles.radius[i]
             if ti.static(acts_at_distance):
-                reach += pair_constants(i, j).cohesion.range
-            if geometry.from_surface(-1 - j, pose, particles.position[i]).norm() < reach:
+                largest_distance += pair_constants(i, j).cohesion.range
+            if geometry.from_surface(-1 - j, pose, particles.position[i]).norm() < largest_distance:
                 neighbors.in_contact[list_index] = RELEASED
                 released = 1
         return released
@@ -288,10 +288,10 @@ def vector_components(state: State, slot: str) -> list[bool]:
 
 
 def build_save_history(state: State) -> Any:
-    """Device function (chunk, first, last): copy history entries of a chunk to `saved` for `restore_history`.
+    """Device function (chunk, first, end): copy history entries of a chunk to `saved` for `restore_history`.
 
-    `list_length_needed`: largest number of history entries of a segment; entries beyond the capacity are not
-    saved, and the host repeats the rebuild with a larger capacity. If each particle is a chunk, it reserves
+    Entries beyond the capacity of a segment are not saved, and the host repeats the rebuild with a larger
+    capacity (`list_length_needed`, see `neighbor.list.TOO_LONG`). If each particle is a chunk, it reserves
     its entries by an atomic addition: their places depend on the threads, and nothing depends on their
     places.
 
@@ -326,7 +326,7 @@ def build_save_history(state: State) -> Any:
             neighbors.saved[name][saved_index] = neighbors.history[name][list_index]
 
     @ti.func
-    def save_history(chunk, first, last):
+    def save_history(chunk, first, end):
         begin = chunk * saved_capacity()
         limit = saved_capacity()
         if ti.static(one_segment):
@@ -335,7 +335,7 @@ def build_save_history(state: State) -> Any:
             limit += begin
         saved_index = begin
         i = first
-        while (i < last) & is_count(saved_index):
+        while (i < end) & is_count(saved_index):
             neighbors.list_begin_before[i] = saved_index
             list_index = neighbors.list_begin[i]
             while (list_index < neighbors.list_end[i]) & is_count(saved_index):
@@ -375,8 +375,9 @@ def build_restore_history(state: State) -> Any:
     @ti.func
     def restore_history(list_index, i, j):
         source, sign = source_of(i, j)
-        neighbors.in_contact[list_index] = ti.cast(source >= 0, ti.i32)
+        neighbors.in_contact[list_index] = NO_CONTACT
         if source >= 0:
+            neighbors.in_contact[list_index] = IN_CONTACT
             for name, k, changes_sign in ti.static(components):
                 value = neighbors.saved[name][source][k]
                 if ti.static(changes_sign):

@@ -51,7 +51,7 @@ def _build_particle_kinematics(state: State) -> Any:
     features = state.plan.features
     real = state.backend.real
     sphere_kinematics = build_sphere_kinematics(state.plan)
-    in_contact = build_in_contact(real)
+    overlaps = build_overlaps(real)
     minimum_image = build_minimum_image(state)
     image_velocity = build_image_velocity(state)
     acts_at_distance = state.plan.laws.acts_at_distance
@@ -62,7 +62,7 @@ def _build_particle_kinematics(state: State) -> Any:
         radius_partner = particles.radius[j]
         found = no_contact(-radius, particles.velocity[i])
         branch = ti.cast(minimum_image(particles.position[i], particles.position[j], pose), real)
-        if in_contact(branch.dot(branch), radius + radius_partner):
+        if overlaps(branch.dot(branch), radius + radius_partner):
             velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, pose)
             velocity_rel = velocity_rel_half
             if ti.static(features.rate_dependent):
@@ -157,18 +157,20 @@ ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
 is 0."""
 
 
-def build_in_contact(real: Any) -> Any:
+def build_overlaps(real: Any) -> Any:
     """Device function (squared distance [m2], sum of radii [m]): true if the overlap is above rounding.
+
+    The field `in_contact` is another thing: the state of a neighbor-list entry, see `history.py`.
 
     real:  Taichi type of the arguments
     """
     ratio = 1.0 - ROUNDING[real]
 
     @ti.func
-    def in_contact(square, contact_distance):
-        return square < ratio * (contact_distance * contact_distance)
+    def overlaps(distance_squared, contact_distance):
+        return distance_squared < ratio * (contact_distance * contact_distance)
 
-    return in_contact
+    return overlaps
 
 
 def build_sphere_kinematics(plan: Plan) -> Any:

@@ -22,7 +22,7 @@ from granflow.engine.state import State
 from granflow.engine.sums import add_energy, holds_sums
 from granflow.kernel_language import ti
 from granflow.plan.plan import ExternalForce
-from granflow.plan.sum_units import DAMPING, ENERGY, LOSSES
+from granflow.plan.sum_units import LOSS_DAMPING, LOSSES, UNIT_ENERGY
 
 
 def build_set_forces(state: State) -> Any:
@@ -42,13 +42,13 @@ def build_set_forces(state: State) -> Any:
     damped = build_damped(state) if features.damping != "none" else None
 
     @ti.func
-    def set_forces(chunk, i, force_sum, torque_sum, acceleration, dt):
+    def set_forces(chunk, i, force_sum, torque_sum, gravity, dt):
         particles.force[i] = ti.cast(force_sum, real)
         if ti.static(features.clumps and not exact):
             if particles.clump[i] < 0:  # the weight of a clump acts at its center of mass
-                particles.force[i] = particles.force[i] + particles.mass[i] * acceleration
+                particles.force[i] = particles.force[i] + particles.mass[i] * gravity
         elif ti.static(not exact):
-            particles.force[i] = particles.force[i] + particles.mass[i] * acceleration
+            particles.force[i] = particles.force[i] + particles.mass[i] * gravity
         if ti.static(features.external_forces):
             particles.force[i] = particles.force[i] + external_force(chunk, i, particles.force[i], dt)
         if ti.static(features.rotation):
@@ -230,7 +230,7 @@ def build_add_external_work(state: State) -> Any:
     Writes:  external_work
     """
     control = state.control
-    per_unit = state.parameter("per_unit", ENERGY)
+    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
     mobility = build_mobility(state)
 
     @ti.func
@@ -238,7 +238,7 @@ def build_add_external_work(state: State) -> Any:
         power = ti.cast(mobility(i), ti.f64) * ti.cast(force, ti.f64).dot(ti.cast(velocity, ti.f64))
         # Added once, this counts as half of the work of a step (`sums.SHARES` is 2): the other half is added
         # with the force at the other end of the step.
-        value = ti.cast(per_unit(), ti.f64) * ti.cast(dt, ti.f64) * power
+        value = ti.cast(high_words_per_joule(), ti.f64) * ti.cast(dt, ti.f64) * power
         add_energy(control.external_work, chunk, 0, 1, 1, value)
 
     return add_work
@@ -354,7 +354,7 @@ def build_add_damping_loss(state: State) -> Any:
     particles = state.particles
     control = state.control
     features = state.plan.features
-    per_unit = state.parameter("per_unit", ENERGY)
+    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
     loss_count = len(LOSSES)
 
     @ti.func
@@ -365,7 +365,7 @@ def build_add_damping_loss(state: State) -> Any:
             power += ti.cast(particles.damping_torque[i], ti.f64).dot(angular_velocity)
         # Added once, this counts as half of the loss of a step (`sums.SHARES` is 2): the other half is added
         # with the force at the other end of the step.
-        value = -ti.cast(per_unit(), ti.f64) * ti.cast(dt, ti.f64) * power
-        add_energy(control.losses, chunk, DAMPING, loss_count, 1, value)
+        value = -ti.cast(high_words_per_joule(), ti.f64) * ti.cast(dt, ti.f64) * power
+        add_energy(control.losses, chunk, LOSS_DAMPING, loss_count, 1, value)
 
     return add_loss

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from granflow.engine.backend import Backend
-from granflow.engine.codes import FORCES, INTEGRATION, NO_PARTICLE, NOT_HALTED
+from granflow.engine.codes import NO_PARTICLE, NOT_HALTED, PHASE_FORCES, PHASE_INTEGRATION
 from granflow.engine.fields import (
     FieldBlock,
     Fields,
@@ -735,8 +735,8 @@ def _build_flags(state: State) -> Callable[[], Any]:
     def flags() -> ti.types.vector(6, ti.i32):
         return ti.Vector(
             [
-                control.halted_at[INTEGRATION],
-                control.halted_at[FORCES],
+                control.halted_at[PHASE_INTEGRATION],
+                control.halted_at[PHASE_FORCES],
                 control.abort[0],
                 control.running[0],
                 control.list_length_needed[0],

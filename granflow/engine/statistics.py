@@ -39,7 +39,7 @@ from granflow.engine.sums import (
 )
 from granflow.engine.walls import WallGeometry, triangles_of, walls_of
 from granflow.kernel_language import ti
-from granflow.plan.sum_units import ENERGY
+from granflow.plan.sum_units import UNIT_ENERGY
 
 
 def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -375,7 +375,7 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
     pair_constants = build_pair_constants(state)
     in_range = build_in_range(state)
     stride = state.stride
-    per_unit = state.parameter("per_unit", ENERGY)
+    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
     with_film, with_bridge = _build_liquid_sums(state)
 
     @ti.kernel
@@ -391,7 +391,7 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                 overlap_largest = ti.cast(0.0, real)
                 low = ti.Vector.zero(ti.i64, 2)
                 high = ti.Vector.zero(ti.i64, 2)
-                per_joule = per_unit()
+                scale = high_words_per_joule()
                 size = chunk_size()
                 for k in range(particles_of_row(row, rows, chunks, size, count)):
                     chunk = row + k // size * rows
@@ -404,8 +404,8 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                         found = with_bridge(found, list_index, shares)
                         if in_range(i, j, contact.overlap):
                             elastic, plastic = energies(list_index, pair_constants(i, j), contact)
-                            elastic_low, elastic_high = energy_words(per_joule * elastic)
-                            plastic_low, plastic_high = energy_words(per_joule * plastic)
+                            elastic_low, elastic_high = energy_words(scale * elastic)
+                            plastic_low, plastic_high = energy_words(scale * plastic)
                             low += shares * ti.Vector([elastic_low, plastic_low])
                             high += shares * ti.Vector([elastic_high, plastic_high])
                         if contact.overlap > 0.0:

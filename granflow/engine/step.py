@@ -39,7 +39,13 @@ from typing import Any
 from granflow.engine.batch import build_batched_forces, build_load_sums, build_store_sums
 from granflow.engine.box import build_wrap
 from granflow.engine.clumps import build_integrate_clumps, build_kick_clump
-from granflow.engine.codes import ABORT_DISPLACEMENT, ABORT_FORCE, ABORT_NOT_FINITE, FORCES, INTEGRATION
+from granflow.engine.codes import (
+    ABORT_DISPLACEMENT,
+    ABORT_FORCE,
+    ABORT_NOT_FINITE,
+    PHASE_FORCES,
+    PHASE_INTEGRATION,
+)
 from granflow.engine.contact import build_carry_sums, build_clear_wall_work_ahead, build_contact
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.history import CONTACT_ORDER, transfers_history
@@ -55,7 +61,7 @@ from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest
 from granflow.engine.threads import arrive, release, wait
 from granflow.engine.wall_dynamics import build_carry_impulses, build_clear_wall_forces, build_move_walls
 from granflow.kernel_language import ti
-from granflow.plan.sum_units import FORCE, SUM_BITS, TORQUE
+from granflow.plan.sum_units import SUM_BITS, UNIT_FORCE, UNIT_TORQUE
 
 
 def build_steps(state: State) -> Callable[..., None]:
@@ -80,11 +86,11 @@ def build_integrate(state: State) -> Any:
     real = state.backend.real
     periodic = features.periodic != "none"
     counts_damping = features.damping != "none" and features.energy_budget
-    gravity = state.parameter("gravity")
-    shift = state.parameter("shift")
-    per_unit = state.parameter("per_unit")
+    gravity_parameter = state.parameter("gravity")
+    shift_parameter = state.parameter("shift")
+    per_unit_parameter = state.parameter("per_unit")
     chunk_size = state.parameter("chunk_size")
-    step_limit = state.parameter("travel_limit_squared")
+    travel_limit_squared = state.parameter("travel_limit_squared")
     mobility = build_mobility(state)
     weight_rest = build_weight_rest(state)
     changed_velocity = build_changed(state, "velocity")
@@ -104,10 +110,10 @@ def build_integrate(state: State) -> Any:
         if ti.static(carries_impulses):
             carry_impulses(chunk)
         size = chunk_size()
-        step_squared_limit = step_limit()
-        acceleration = ti.cast(gravity(), real)
-        shift_of_force = shift()[FORCE]
-        units = per_unit()
+        limit_squared = travel_limit_squared()
+        gravity = ti.cast(gravity_parameter(), real)
+        shift = shift_parameter()[UNIT_FORCE]
+        per_unit = per_unit_parameter()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
             if ti.static(features.clumps):
                 if particles.clump[i] >= 0:
@@ -117,7 +123,7 @@ def build_integrate(state: State) -> Any:
             mass = particles.mass[i]
             force = particles.force[i]
             torque = 0.0 * particles.force[i]
-            kick = mobility(i) * dt / mass * (force + weight_rest(mass * acceleration, shift_of_force))
+            kick = mobility(i) * dt / mass * (force + weight_rest(mass * gravity, shift))
             velocity = changed_velocity(i, kick)
             if ti.static(features.rate_dependent):
                 particles.velocity_synchronized[i] = velocity + 0.5 * kick
@@ -133,16 +139,18 @@ def build_integrate(state: State) -> Any:
                 particles.angular_velocity[i] = changed_rotation(i, mobility(i) * dt / inertia * torque)
             if ti.static(counts_damping):
                 add_damping_loss(chunk, i, dt)
-            displacement = (position - particles.position_at_rebuild[i]).norm_sqr()
-            reach = particles.reach[i]
-            step = step_displacement.norm_sqr()
-            sums = square_of_sums(force, torque, units)
+            displacement_squared = (position - particles.position_at_rebuild[i]).norm_sqr()
+            reach_squared = particles.reach[i] * particles.reach[i]
+            step_squared = step_displacement.norm_sqr()
+            sum_squared = square_of_sums(force, torque, per_unit)
             # One branch per particle: with one for each limit, the whole step takes 8 % longer.
             is_usual = (
-                (displacement <= reach * reach) & (step <= step_squared_limit) & (sums <= LIMIT_SQUARED)
+                (displacement_squared <= reach_squared)
+                & (step_squared <= limit_squared)
+                & (sum_squared <= LARGEST_SUM_SQUARED)
             )
             if not is_usual:
-                request(i, displacement, reach * reach, step, step_squared_limit, sums)
+                request(i, displacement_squared, reach_squared, step_squared, limit_squared, sum_squared)
             if ti.static(periodic):
                 wrap(chunk, i, pose, dt)
         if ti.static(features.clumps):
@@ -151,19 +159,21 @@ def build_integrate(state: State) -> Any:
     return integrate
 
 
-LIMIT_SQUARED = 2.0 ** (2 * SUM_BITS)
+LARGEST_SUM_SQUARED = 2.0 ** (2 * SUM_BITS)
 """Largest squared sum of forces or torques in units: below it, all sums are exact."""
 
 
 def _build_square_of_sums(state: State) -> Any:
-    """Device function (force, torque, per_unit): the larger of their squares in units, for LIMIT_SQUARED."""
+    """Device function (force, torque, per_unit): the larger of their squares in units of the sums."""
     rotation = state.plan.features.rotation
 
     @ti.func
-    def square_of_sums(force, torque, units):
-        square = (ti.cast(units[FORCE], ti.f64) * ti.cast(force, ti.f64)).norm_sqr()
+    def square_of_sums(force, torque, per_unit):
+        square = (ti.cast(per_unit[UNIT_FORCE], ti.f64) * ti.cast(force, ti.f64)).norm_sqr()
         if ti.static(rotation):
-            square = ti.max(square, (ti.cast(units[TORQUE], ti.f64) * ti.cast(torque, ti.f64)).norm_sqr())
+            square = ti.max(
+                square, (ti.cast(per_unit[UNIT_TORQUE], ti.f64) * ti.cast(torque, ti.f64)).norm_sqr()
+            )
         return square
 
     return square_of_sums
@@ -172,8 +182,8 @@ def _build_square_of_sums(state: State) -> Any:
 def _build_request(state: State) -> Any:
     """Device function: request a rebuild or an abort because of particle i.
 
-    Arguments: i, squares of the displacement since the last rebuild and of the reach [m^2], squares of the
-    displacement in this step and of its limit, `plan.travel_limit` [m^2], `square_of_sums`.
+    Arguments: i; the squares [m^2] of the displacement since the last rebuild, of the reach, of the
+    displacement in this step and of its limit, `plan.travel_limit`; and the result of `square_of_sums`.
 
     Writes:  rebuild_requested, abort, abort_particle
     """
@@ -181,16 +191,16 @@ def _build_request(state: State) -> Any:
     control = state.control
 
     @ti.func
-    def request(i, displacement, reach, step, step_squared_limit, sums):
+    def request(i, displacement_squared, reach_squared, step_squared, limit_squared, sum_squared):
         abort = 0
-        if displacement > reach:
+        if displacement_squared > reach_squared:
             control.rebuild_requested[0] = 1
-        elif not displacement <= reach:  # NaN fails both comparisons
+        elif not displacement_squared <= reach_squared:  # NaN fails both comparisons
             abort = ti.max(abort, ABORT_NOT_FINITE)
-        if sums > LIMIT_SQUARED:
+        if sum_squared > LARGEST_SUM_SQUARED:
             abort = ti.max(abort, ABORT_FORCE)
         # Above this limit a particle could pass another one, or a wall, between two force evaluations.
-        if step > step_squared_limit:
+        if step_squared > limit_squared:
             abort = ti.max(abort, ABORT_DISPLACEMENT)
         if abort > 0:
             ti.atomic_max(control.abort[0], abort)
@@ -219,7 +229,7 @@ def build_forces(state: State) -> Any:
     batched = state.batch is not None
     sets_forces_last = not holds_sums(state) or features.external_forces or features.damping != "none"
     chunk_size = state.parameter("chunk_size")
-    gravity = state.parameter("gravity")
+    gravity_parameter = state.parameter("gravity")
     sum_contacts = _build_sum_contacts(state)
     batched_forces = build_batched_forces(state) if batched else None
     store_sums = build_store_sums(state) if batched else None
@@ -233,31 +243,31 @@ def build_forces(state: State) -> Any:
     @ti.func
     def forces(worker, chunk, count, pose, dt):
         size = chunk_size()
-        acceleration = ti.cast(gravity(), real)
+        gravity = ti.cast(gravity_parameter(), real)
         first = chunk * size
-        last = ti.min((chunk + 1) * size, count)
+        end = ti.min((chunk + 1) * size, count)
         clear_wall_work_ahead(chunk)
         if ti.static(force_controlled):
             clear_wall_forces(chunk)
-        for i in range(first, last):
-            force_sum, torque_sum = sum_contacts(chunk, i, acceleration, pose, dt)
+        for i in range(first, end):
+            force_sum, torque_sum = sum_contacts(chunk, i, gravity, pose, dt)
             if ti.static(batched):
                 store_sums(worker, i, first, force_sum, torque_sum)
             else:
-                set_forces(chunk, i, force_sum, torque_sum, acceleration, dt)
+                set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
         if ti.static(batched):
-            batched_forces(worker, chunk, first, last, pose, dt)
+            batched_forces(worker, chunk, first, end, pose, dt)
         if ti.static(batched and sets_forces_last):
-            for i in range(first, last):
+            for i in range(first, end):
                 force_sum, torque_sum = load_sums(worker, i, first)
-                set_forces(chunk, i, force_sum, torque_sum, acceleration, dt)
+                set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
         carry_sums(chunk)
 
     return forces
 
 
 def _build_sum_contacts(state: State) -> Any:
-    """Device function (chunk, i, acceleration, pose, time_step): sums of force and torque on one particle.
+    """Device function (chunk, i, gravity, pose, time_step): sums of force and torque on one particle.
 
     Summed are the rounded weight in f64, the wall contacts and, without batches, the particle contacts. The
     kick adds what rounding has taken from the weight. (A further loop over the particles, which adds the
@@ -275,8 +285,8 @@ def _build_sum_contacts(state: State) -> Any:
     batched = state.batch is not None
     transfers = transfers_history(state)
     pass_count = len(CONTACT_ORDER) if transfers else 1
-    shift = state.parameter("shift", FORCE)
-    shift_torque = state.parameter("shift", TORQUE)
+    shift = state.parameter("shift", UNIT_FORCE)
+    shift_torque = state.parameter("shift", UNIT_TORQUE)
     to_grid = build_to_grid(state.backend.real)
     wall_contact = build_contact(state, True) if plan.has_walls else None
     particle_contact = None if batched else build_contact(state, False)
@@ -295,11 +305,11 @@ def _build_sum_contacts(state: State) -> Any:
         return force_sum + ti.cast(force_added, ti.f64), torque_sum + ti.cast(torque_added, ti.f64)
 
     @ti.func
-    def sum_contacts(chunk, i, acceleration, pose, dt):
+    def sum_contacts(chunk, i, gravity, pose, dt):
         force_sum = ti.Vector.zero(ti.f64, 3)
         torque_sum = ti.Vector.zero(ti.f64, 3)
         if ti.static(exact):
-            force_sum = to_grid(particles.mass[i] * acceleration, shift())
+            force_sum = to_grid(particles.mass[i] * gravity, shift())
             if ti.static(plan.features.clumps):  # the weight of a clump acts at its center of mass
                 force_sum *= ti.cast(particles.clump[i] < 0, ti.f64)
         if ti.static(plan.has_walls):
@@ -484,7 +494,7 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
     def record_halt(phase: ti.template(), number):
         """Record that this launch requests a rebuild or aborts; each task that does so sees its own
         request."""
-        if control.abort[0] != 0 or (phase == INTEGRATION and control.rebuild_requested[0] == 1):
+        if control.abort[0] != 0 or (phase == PHASE_INTEGRATION and control.rebuild_requested[0] == 1):
             if control.halted_at[phase] != number:
                 control.halted_at[phase] = number
 
@@ -495,12 +505,12 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
             if ti.static(force_controlled):
                 move_walls(launch.chunks, launch.pose, launch.dt)
         integrate(chunk, launch.count, launch.pose, launch.dt)
-        record_halt(INTEGRATION, launch.number)
+        record_halt(PHASE_INTEGRATION, launch.number)
 
     @ti.func
     def compute_forces_of_chunk(chunk, launch):
         forces(0, chunk, launch.count, launch.pose, launch.dt)
-        record_halt(FORCES, launch.number)
+        record_halt(PHASE_FORCES, launch.number)
 
     move = build_tasks_of_thread(move_chunk, most_chunks)
     compute_forces = build_tasks_of_thread(compute_forces_of_chunk, most_chunks)
@@ -517,14 +527,17 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
         forcing: ti.i32,
     ):
         for thread in range(threads):
-            if moving == 1 and ti.min(control.halted_at[INTEGRATION], control.halted_at[FORCES]) >= number:
+            if (
+                moving == 1
+                and ti.min(control.halted_at[PHASE_INTEGRATION], control.halted_at[PHASE_FORCES]) >= number
+            ):
                 launch = ti.Struct(
                     number=number, steps_before=steps_before, chunks=chunks, count=count, pose=pose, dt=dt
                 )
                 move(thread, chunks, launch)
         for thread in range(threads):
-            if forcing == 1 and control.halted_at[INTEGRATION] > number:
-                if control.halted_at[FORCES] >= number:
+            if forcing == 1 and control.halted_at[PHASE_INTEGRATION] > number:
+                if control.halted_at[PHASE_FORCES] >= number:
                     launch = ti.Struct(number=number, count=count, pose=pose, dt=dt)
                     compute_forces(thread, chunks, launch)
 

@@ -27,7 +27,7 @@ def build_to_grid(real: Any) -> Any:
         (f + s) - s,   s = 3/2 unit / eps        with the rounding eps of the type
 
     f + s and f - s have the same spacing as long as |f| < s / 3. In f64, forces are below s / 3 (see
-    `step.LIMIT_SQUARED`). In f32, a larger force is a multiple of half a unit anyway and remains as it
+    `step.LARGEST_SUM_SQUARED`). In f32, a larger force is a multiple of half a unit anyway and remains as it
     is; sums are in f64 there, too.
 
     real:  type of the argument

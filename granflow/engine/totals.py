@@ -29,7 +29,7 @@ from granflow.geometry.motion import pose
 from granflow.kernel_language import ti
 from granflow.plan.outlets import outlet_of
 from granflow.plan.plan import Plan
-from granflow.plan.sum_units import LOSSES, PLASTIC
+from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES
 from granflow.plan.time_step import stable_step
 from granflow.snapshot import WallPose
 
@@ -526,7 +526,7 @@ def ended_contacts_dissipation(state: State) -> float:
         return 0.0
     return float(
         exact_totals(state.ranks.total(chunk_words(state, losses)), state.plan.sum_units.energy / SHARES)[
-            PLASTIC
+            LOSS_PLASTIC
         ]
     )
 

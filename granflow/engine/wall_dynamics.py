@@ -25,7 +25,13 @@ from granflow.engine.state import State
 from granflow.engine.sums import carried, exact_totals, shares_rows, to_units
 from granflow.geometry.motion import is_running, pose
 from granflow.kernel_language import ti
-from granflow.plan.sum_units import ANGULAR_IMPULSE, CARRY_BITS, IMPULSE, IMPULSE_SIZE, WALL_FORCE
+from granflow.plan.sum_units import (
+    CARRY_BITS,
+    IMPULSE_SIZE,
+    UNIT_ANGULAR_IMPULSE,
+    UNIT_IMPULSE,
+    UNIT_WALL_FORCE,
+)
 
 # Force-controlled walls on the device
 
@@ -77,7 +83,7 @@ def build_add_wall_force(state: State) -> Any:
     """
     motions = _motions(state)
     fields = state.wall_dynamics
-    per_unit = state.parameter("per_unit", WALL_FORCE)
+    per_unit = state.parameter("per_unit", UNIT_WALL_FORCE)
     shared = shares_rows(state)
     rows = state.capacities.wall_rows
 
@@ -106,7 +112,7 @@ def build_move_walls(state: State) -> Any:
     control = state.control
     displacement_limit = state.parameter("wall_displacement_limit")
     travel_limit = state.parameter("wall_travel_limit")
-    per_unit = state.parameter("per_unit", WALL_FORCE)
+    per_unit = state.parameter("per_unit", UNIT_WALL_FORCE)
     shared = shares_rows(state)
     shared_rows = state.capacities.wall_rows
 
@@ -388,9 +394,9 @@ def build_add_impulse(state: State) -> Any:
             units = ti.cast(per_unit(), ti.f64)
             terms = ti.Vector.zero(ti.i64, 2 * IMPULSE_SIZE)
             for axis in ti.static(range(3)):
-                terms[axis] = to_units(units[IMPULSE] * impulse[axis])
-                terms[3 + axis] = to_units(units[ANGULAR_IMPULSE] * angular_impulse[axis])
-            terms[6] = -to_units(units[IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
+                terms[axis] = to_units(units[UNIT_IMPULSE] * impulse[axis])
+                terms[3 + axis] = to_units(units[UNIT_ANGULAR_IMPULSE] * angular_impulse[axis])
+            terms[6] = -to_units(units[UNIT_IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
             if ti.static(shared):
                 add_to_shared(chunk, row, terms)
             else:

@@ -24,7 +24,7 @@ from granflow.plan.capacities import (
 )
 from granflow.plan.outlets import PlannedOutlet
 from granflow.plan.plan import Plan
-from granflow.plan.sum_units import CARRY_BITS, ENERGY, IMPULSE_SIZE, LOSSES, TORQUE
+from granflow.plan.sum_units import CARRY_BITS, IMPULSE_SIZE, LOSSES, UNIT_ENERGY, UNIT_TORQUE
 from granflow.plan.wall_control import ControlledMotion
 from granflow.scene.blocks.run import Precision
 
@@ -292,20 +292,18 @@ def _vector(name: str, dtype: DeviceType, values: np.ndarray | tuple[float, ...]
 
 
 def _of_sums(plan: Plan) -> Iterator[Parameter]:
-    """Reciprocal units in the order of `sum_units`, and the numbers that round forces and torques to their
-    units.
+    """Two vectors: `per_unit` converts quantities to numbers of units, `shift` rounds forces and torques.
 
-    For energies, the reciprocal unit of the high word.
-
-    A number is rounded to multiples of a unit by adding 3/2 unit / eps, see
-    `engine.sums.build_to_grid`.
+    per_unit:  reciprocal units in the order of `sum_units.UNIT_FORCE` and so on; for energies, the reciprocal
+               unit of the high word, 2^CARRY_BITS units, see `engine.sums.energy_words`
+    shift:     3/2 unit / eps of forces and torques, see `engine.sums.build_to_grid`
     """
     units = np.array(astuple(plan.sum_units))
     eps = np.finfo(np.float64 if plan.precision == "f64" else np.float32).eps
     per_unit = 1.0 / units
-    per_unit[ENERGY] /= 2.0**CARRY_BITS
+    per_unit[UNIT_ENERGY] /= 2.0**CARRY_BITS
     yield _vector("per_unit", "real", per_unit)
-    yield _vector("shift", "real", 1.5 * units[: TORQUE + 1] / eps)
+    yield _vector("shift", "real", 1.5 * units[: UNIT_TORQUE + 1] / eps)
 
 
 def _of_outlet(prefix: str, outlet: PlannedOutlet) -> Iterator[Parameter]:

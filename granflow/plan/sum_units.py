@@ -37,7 +37,7 @@ LOSSES = (
     "wall_work",
 )
 """Terms of the energy budget that each chunk sums [J], with the names of the totals."""
-PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
+LOSS_PLASTIC, LOSS_FRICTION, LOSS_ROLLING, LOSS_DAMPING, LOSS_WALL_WORK = range(len(LOSSES))
 IMPULSE_SIZE = 7
 """Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force
 (1)."""
@@ -56,7 +56,7 @@ SUM_BITS = 50
 exactly in half units: partial sums can be larger than the sum."""
 CARRY_BITS = 40
 """Binary digits of the low word of a sum over a run; a high word counts the rest."""
-FORCE, TORQUE, ENERGY, IMPULSE, ANGULAR_IMPULSE, WALL_FORCE = range(6)
+UNIT_FORCE, UNIT_TORQUE, UNIT_ENERGY, UNIT_IMPULSE, UNIT_ANGULAR_IMPULSE, UNIT_WALL_FORCE = range(6)
 """Order of the units in device arrays."""
 
 

@@ -8,7 +8,7 @@ bits for any number of threads.
 from typing import Any
 
 from granflow.engine.box import build_image_index, build_minimum_image, build_shift_by_images
-from granflow.engine.codes import FORCES, INTEGRATION, NOT_HALTED
+from granflow.engine.codes import NOT_HALTED, PHASE_FORCES, PHASE_INTEGRATION
 from granflow.engine.history import build_restore_history
 from granflow.engine.neighbor.phases import Phase, is_count
 from granflow.engine.neighbor.sort import (
@@ -26,7 +26,18 @@ from granflow.kernel_language import ti
 # The phase, chunk by chunk or particle by particle
 
 TOO_LONG = 2**30
-"""Added to the length of a chunk in which the list of a particle is too long for a batch."""
+"""Added to the length of a chunk in which the list of a particle is too long for a batch.
+
+`Control.list_length_needed` is one number for two phases of a rebuild and for this flag:
+
+    1.  `history.build_save_history` raises it to the largest number of history entries of a segment. If the
+        saved histories do not fit, the rebuild ends there; otherwise it is set to 0 again
+        (`rebuild._chunk_phases`).
+    2.  `fill_phase` raises it to the largest number of list entries of a segment, plus TOO_LONG.
+
+The host tells the two by `running`, see `NeighborListRebuild._launch`. If each particle is a chunk, all
+particles share one segment, and the number is a sum instead of a maximum.
+"""
 NO_LIMIT = 2**31 - 1
 """Length of a list without batches."""
 
@@ -38,9 +49,8 @@ def fill_phase(state: State) -> Phase:
     Two particles are listed if their gap is less than their reaches, a particle and a wall if it is less than
     the reach plus half the skin, by which walls may move. The range of forces at a distance is added to both.
 
-    `list_length_needed`: largest number of entries of a segment; entries beyond the capacity are not stored,
-    and the host repeats this phase with a larger capacity. TOO_LONG is added if the batch is too short for
-    one of the lists.
+    Entries beyond the capacity of a segment are not stored, and the host repeats this phase with a larger
+    capacity, see `list_length_needed` at TOO_LONG.
 
     If each particle is a chunk, it counts its entries, reserves them by an atomic addition and then stores
     them. Their places depend on the threads; nothing depends on their places.
@@ -109,7 +119,7 @@ def _build_fill(state: State, present_count: Any) -> Any:
                 end=end,
                 limit=limit,
                 skin=rebuild.skin,
-                reach=sorting.reach_largest[0],
+                reach_largest=sorting.reach_largest[0],
                 pose=rebuild.pose,
             )
             list_index = lists.fill(owner, list_index)
@@ -145,7 +155,7 @@ def _build_fill_one(state: State) -> Any:
                 end=i + 1,
                 limit=limit,
                 skin=rebuild.skin,
-                reach=sorting.reach_largest[0],
+                reach_largest=sorting.reach_largest[0],
                 pose=rebuild.pose,
             )
             end = lists.fill(owner, begin)
@@ -171,7 +181,7 @@ def _build_finish(state: State, present_count: Any) -> Any:
         control.rebuild_due[0] = 0
         control.rebuild_requested[0] = 0
         if ti.static(can_halt):
-            for phase in ti.static((INTEGRATION, FORCES)):
+            for phase in ti.static((PHASE_INTEGRATION, PHASE_FORCES)):
                 control.halted_at[phase] = NOT_HALTED
 
     return finish
@@ -184,7 +194,7 @@ class NeighborListFill:
     """Device functions that append the entries of one neighbor list.
 
     `owner`, a struct: index `i` of the particle, `first` and `end` of its chunk, `limit` of the list indices
-    of the chunk, the `skin` [m], the largest `reach` [m] of all particles and the `pose` of the walls.
+    of the chunk, the `skin` [m], the `reach_largest` [m] of all particles and the `pose` of the walls.
     Each function takes the list index of the next entry and returns the one after its last entry.
     """
 
@@ -244,21 +254,21 @@ class NeighborListFill:
 
     @ti.func
     def _append_walls(self, owner: ti.template(), list_index):
-        """Append the walls, and the triangles of meshes, within reach."""
+        """Append the walls, and the triangles of meshes, within the search radius."""
         position = self.particles.position[owner.i]
         list_end = list_index
-        reach = self.particles.radius[owner.i] + self._slack(owner)
+        search_radius = self.particles.radius[owner.i] + self._slack(owner)
         for w in range(self.wall_count()):
             if self.state.walls.present[w] == 1 and self.can_touch(owner.i, -1 - w):
                 if ti.static(self.plan.features.mesh_walls):
                     list_end = self._append_triangles(owner, list_end, w)
-                if self.geometry.distance(w, owner.pose, position) < reach:
+                if self.geometry.distance(w, owner.pose, position) < search_radius:
                     list_end = self._append(owner, list_end, -1 - w)
         return list_end
 
     @ti.func
     def _append_triangles(self, owner: ti.template(), list_index, w):
-        """Append the triangles of a mesh that are within reach and may own a contact.
+        """Append the triangles of a mesh that are within the search radius and may own a contact.
 
         In a periodic box, also of a contact after the particle has crossed a boundary.
         """
@@ -282,14 +292,14 @@ class NeighborListFill:
         slack = self._slack(owner)
         number = 0
         found = last + 1
-        reach = self.particles.radius[owner.i] + slack
+        search_radius = self.particles.radius[owner.i] + slack
         while number <= last and found > last:
             image, is_near = self.geometry.near_image(position, number, slack)
             if is_near:
                 local = self.geometry.image_in_wall_frame(w, owner.pose, image)
                 if (
                     may_own(self.mesh, t, local, slack) == 1
-                    and from_nearest(self.mesh, t, local).norm() < reach
+                    and from_nearest(self.mesh, t, local).norm() < search_radius
                 ):
                     found = number
             number += 1
@@ -297,20 +307,21 @@ class NeighborListFill:
 
     @ti.func
     def _append_particles(self, owner: ti.template(), list_index):
-        """Append partners from the cells within reach, class by class; separately for each image along a
-        gradient."""
+        """Append partners from the cells within the search radius, class by class; separately for each image
+        along a gradient."""
         list_end = list_index
         position = self.particles.position[owner.i]
         if ti.static(self.by_class):
             for grid in range(self.class_count()):
-                reach = self.particles.radius[owner.i] + self.sorting.radius[grid] + self.force_range()
-                reach += self.particles.reach[owner.i] + owner.reach
+                search_radius = self.particles.radius[owner.i] + self.sorting.radius[grid]
+                search_radius += self.force_range()
+                search_radius += self.particles.reach[owner.i] + owner.reach_largest
                 if ti.static(self.sheared):
-                    reach += owner.skin
+                    search_radius += owner.skin
                 for image in range(-self.image_range, self.image_range + 1):
                     point = self.shift_by_images(position, image, owner.pose)
                     first, end = cells_within(
-                        self.sorting, self.periodic_unsheared, self.gradient, grid, point, reach
+                        self.sorting, self.periodic_unsheared, self.gradient, grid, point, search_radius
                     )
                     list_end = self._append_cells(owner, list_end, grid, first, end, image)
         else:
@@ -372,7 +383,7 @@ class NeighborListFill:
 
     @ti.func
     def _append_if_near(self, owner: ti.template(), list_index, j, image):
-        """Append a partner in another chunk, or behind `i` in this one, if it is within reach.
+        """Append a partner in another chunk, or behind `i` in this one, if it is within the search radius.
 
         Along a sheared gradient, append only partners whose nearest image is the given one.
         """
@@ -384,8 +395,8 @@ class NeighborListFill:
             position = self.particles.position[i]
             partner_position = self.particles.position[j]
             branch = self.minimum_image(position, partner_position, owner.pose)
-            reach = self.particles.radius[i] + self.particles.radius[j] + self.force_range()
-            reach += self.particles.reach[i] + self.particles.reach[j]
+            search_radius = self.particles.radius[i] + self.particles.radius[j] + self.force_range()
+            search_radius += self.particles.reach[i] + self.particles.reach[j]
             if ti.static(self.sheared):
                 is_nearest_image = self.image_index(position, partner_position) == image
                 # Up to the next rebuild the image moves by at most the skin, in addition to the particles.
@@ -394,8 +405,9 @@ class NeighborListFill:
                     or self._can_cross(position, owner.skin)
                     or self._can_cross(partner_position, owner.skin)
                 ):
-                    reach += owner.skin
-            if branch.dot(branch) < reach * reach and is_nearest_image and self.can_touch(i, j):
+                    search_radius += owner.skin
+            is_near = branch.dot(branch) < search_radius * search_radius
+            if is_near and is_nearest_image and self.can_touch(i, j):
                 list_end = self._append(owner, list_end, j)
         return list_end
 

@@ -213,15 +213,15 @@ def _chunk_phases(state: State) -> list[Phase]:
     def prepare(task: ti.template(), rebuild: ti.template()):
         chunk = task.index
         first = chunk * chunk_size()
-        last = ti.min((chunk + 1) * chunk_size(), rebuild.count)
+        end = ti.min((chunk + 1) * chunk_size(), rebuild.count)
         if ti.static(wraps):
-            for i in range(first, last):
+            for i in range(first, end):
                 wrap(chunk, i, rebuild.pose, rebuild.dt)
         if ti.static(liquid):
-            for i in range(first, last):
+            for i in range(first, end):
                 prepare_films(chunk, i)
         if ti.static(saves):
-            save_history(chunk, first, last)
+            save_history(chunk, first, end)
 
     @ti.func
     def check_capacity(rebuild: ti.template()):

@@ -561,13 +561,13 @@ ROUNDING = 1e-5
 
 @ti.func
 def cells_within(
-    sorting: ti.template(), periodic: ti.template(), gradient: ti.template(), grid, point, reach
+    sorting: ti.template(), periodic: ti.template(), gradient: ti.template(), grid, point, search_radius
 ):
     """Begin and end of the ranges of cells of a grid that a sphere intersects.
 
-    periodic:  axes that are periodic without shear
-    gradient:  axis of the gradient of a sheared box, or -1
-    reach:     radius of the sphere [m], enlarged by ROUNDING
+    periodic:       axes that are periodic without shear
+    gradient:       axis of the gradient of a sheared box, or -1
+    search_radius:  radius of the sphere [m], enlarged by ROUNDING
 
     Along a periodic axis the range may extend beyond the grid, but contains no cell twice. Images along a
     sheared gradient are searched separately, and the range ends at the grid.
@@ -575,10 +575,10 @@ def cells_within(
     Reads:  grid_low, cell_side, cells
     """
     middle = (point - sorting.grid_low[grid]) / sorting.cell_side[grid]
-    reach_in_cells = ti.static(1.0 + ROUNDING) * reach / sorting.cell_side[grid]
+    radius_in_cells = ti.static(1.0 + ROUNDING) * search_radius / sorting.cell_side[grid]
     last = ti.cast(sorting.cells[grid], sorting.cell_side.dtype) - 1.0
-    lowest = ti.floor(middle - reach_in_cells)
-    highest = ti.floor(middle + reach_in_cells)
+    lowest = ti.floor(middle - radius_in_cells)
+    highest = ti.floor(middle + radius_in_cells)
     for axis in ti.static(range(3)):
         if ti.static(axis in periodic):
             if highest[axis] - lowest[axis] >= last[axis]:
