@@ -275,7 +275,7 @@ def branch_of(batch: ti.template(), worker, entry):
 
 
 def _build_prepare(state: State) -> Any:
-    """Device function (worker, entry, i, j, relative velocity [m/s], normal history, time_step) -> normal
+    """Device function (worker, entry, i, j, relative velocity [m/s], normal history, dt) -> normal
     history.
 
     Evaluates the branches of the normal model.

@@ -185,7 +185,7 @@ def upload_offsets(state: State, step: int) -> None:
 
 
 def build_wrap(state: State) -> Any:
-    """Device function (chunk, i, pose, time_step): wrap a particle into the box; its energy gain is boundary
+    """Device function (chunk, i, pose, dt): wrap a particle into the box; its energy gain is boundary
     work.
 
         W = -m g . (x' - x) + m (v'^2 - v^2) / 2        at the time of the positions
@@ -284,7 +284,7 @@ def _build_cross_boundary(state: State) -> Any:
 
 
 def build_add_energy_gain(state: State) -> Any:
-    """Device function (chunk, i, shift [m], decrease of the velocity [m/s], time_step): add the energy gain.
+    """Device function (chunk, i, shift [m], decrease of the velocity [m/s], dt): add the energy gain.
 
     The gain of potential energy, and of kinetic energy at the time of the positions.
 

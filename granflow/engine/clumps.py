@@ -35,7 +35,7 @@ from granflow.kernel_language import ti
 
 
 def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> Any:
-    """Device function (chunk, count, pose, time_step): kick and drift the spheres of clumps of one chunk.
+    """Device function (chunk, count, pose, dt): kick and drift the spheres of clumps of one chunk.
 
     request, square_of_sums:  device functions of `step.build_integrate`
 
@@ -68,7 +68,7 @@ def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> A
 
 
 def build_move_clump(state: State) -> Any:
-    """Device function (i, pose, time_step) -> displacement [m] of sphere i: kick and drift of its copy of the
+    """Device function (i, pose, dt) -> displacement [m] of sphere i: kick and drift of its copy of the
     clump.
 
     The velocity of a sphere is its displacement over the time step; its angular velocity is that of the clump
@@ -147,7 +147,7 @@ def _build_set_position(state: State) -> Any:
     """Device function: move the center of mass, and place the sphere at an arm from it.
 
     Arguments: chunk, i, displacement of the center of mass [m], arm [m], displacement of the sphere [m],
-    pose, time_step. In a periodic box the sphere is placed at the image nearest to its displaced position.
+    pose, dt. In a periodic box the sphere is placed at the image nearest to its displaced position.
 
     Reads:   position, clump_position
     Writes:  position, clump_position, boundary_work

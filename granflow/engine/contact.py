@@ -54,7 +54,7 @@ from granflow.plan.sum_units import (
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, pose, time_step) -> (force [N], torque [N m]) on i of one
+    """Device function (chunk, i, list index, j, pose, dt) -> (force [N], torque [N m]) on i of one
     contact.
 
     with_wall:  True for walls (j < 0), False for particles
@@ -188,7 +188,7 @@ def _build_check_overlap(state: State, with_wall: bool) -> Any:
 
 
 def _build_distant_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, pose, kinematics, time_step): force [N] on i of a separated
+    """Device function (chunk, i, list index, j, pose, kinematics, dt): force [N] on i of a separated
     pair.
 
     Reads:   as `build_contact`
@@ -214,7 +214,7 @@ def _build_distant_contact(state: State, with_wall: bool) -> Any:
 
 
 def build_distant_force(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, overlap, time_step) -> attraction [N] of a pair without
+    """Device function (chunk, i, list index, j, overlap, dt) -> attraction [N] of a pair without
     overlap.
 
     with_wall:  True for walls (j < 0), False for particles
@@ -264,7 +264,7 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
 
 
 def _build_end_surface_contact(state: State) -> Any:
-    """Device function (list index, constants, bodies, time_step): end the contact of all models but cohesion.
+    """Device function (list index, constants, bodies, dt): end the contact of all models but cohesion.
 
     Returns the plastic work [J] of a contact whose overlap has ended in this step; 0 without the energy
     budget.
@@ -300,7 +300,7 @@ def _build_end_surface_contact(state: State) -> Any:
 
 
 def build_add_to_accounting(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, j, pose, normal, result of the pair force, time_step): losses, work and wall
+    """Device function (chunk, i, j, pose, normal, result of the pair force, dt): losses, work and wall
     forces.
 
     Writes:  losses, wall_work_ahead, boundary_work, impulses, wall_force
@@ -378,7 +378,7 @@ def _build_wall_power(state: State) -> Any:
 
 
 def build_boundary_work(state: State) -> Any:
-    """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a
+    """Device function (chunk, i, j, force on i, pose, dt): add the work of the moving image of j on a
     pair [J].
 
         W = F_ij . (velocity of the image relative to its original) dt, once per pair

@@ -67,7 +67,7 @@ def build_write_history(state: State) -> Any:
 
 
 def build_end_contact(state: State) -> Any:
-    """Device function (list index, constants, bodies, time_step): clear an open contact.
+    """Device function (list index, constants, bodies, dt): clear an open contact.
 
     Returns the plastic work [J] of a contact that has ended in this step; 0 without the energy budget.
 
@@ -109,7 +109,7 @@ def build_end_contact(state: State) -> Any:
 
 
 def build_normal_loss(state: State) -> Any:
-    """Device function (list index, constants, bodies, time_step) -> plastic work [J] of a contact whose
+    """Device function (list index, constants, bodies, dt) -> plastic work [J] of a contact whose
     overlap ends.
 
     A bond without overlap has an empty history of the normal model, of which models with stored stiffness

@@ -32,7 +32,7 @@ from granflow.plan.plan import Plan
 
 
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:
-    """Device function (i, j, pose, time_step) -> kinematics of a candidate pair, read from the state.
+    """Device function (i, j, pose, dt) -> kinematics of a candidate pair, read from the state.
 
     with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds
                 of partner
@@ -57,7 +57,7 @@ def _build_particle_kinematics(state: State) -> Any:
     acts_at_distance = state.plan.laws.acts_at_distance
 
     @ti.func
-    def particle_kinematics(i, j, pose, time_step):
+    def particle_kinematics(i, j, pose, dt):
         radius = particles.radius[i]
         radius_partner = particles.radius[j]
         found = no_contact(-radius, particles.velocity[i])
@@ -71,9 +71,7 @@ def _build_particle_kinematics(state: State) -> Any:
                     - particles.velocity_synchronized[j]
                     - image_velocity(i, j, pose)
                 )
-            found = sphere_kinematics(
-                radius, radius_partner, branch, velocity_rel_half, velocity_rel, time_step
-            )
+            found = sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, dt)
         elif ti.static(acts_at_distance):
             distance = ti.sqrt(branch.dot(branch))
             found.overlap = ti.min(radius + radius_partner - distance, 0.0)
@@ -98,7 +96,7 @@ def _build_wall_kinematics(state: State) -> Any:
     wall_contact = build_wall_contact(state, geometry)
 
     @ti.func
-    def wall_kinematics(i, j, pose, time_step):
+    def wall_kinematics(i, j, pose, dt):
         radius = particles.radius[i]
         face = -1 - j
         gap, direction = wall_contact(i, j, pose)
@@ -109,11 +107,11 @@ def _build_wall_kinematics(state: State) -> Any:
         if found.overlap > 0.0:
             position = particles.position[i]
             velocity = particles.velocity[i]
-            normal_half = geometry.normal_half(face, pose, position, velocity, direction, time_step)
+            normal_half = geometry.normal_half(face, pose, position, velocity, direction, dt)
             found.normal = ti.cast(direction, real)
             found.normal_half = ti.cast(normal_half, real)
             wall_velocity = geometry.velocity_half(
-                face, pose, position - found.arm * normal_half, velocity, time_step
+                face, pose, position - found.arm * normal_half, velocity, dt
             )
             found.velocity_rel_half = velocity - ti.cast(wall_velocity, real)
             found.overlap_rate_half = -found.velocity_rel_half.dot(found.normal_half)
@@ -125,7 +123,7 @@ def _build_wall_kinematics(state: State) -> Any:
                 found.overlap_rate = -(particles.velocity_synchronized[i] - wall_velocity_now).dot(
                     found.normal
                 )
-            found.arm_half = found.arm + 0.25 * time_step * found.overlap_rate_half
+            found.arm_half = found.arm + 0.25 * dt * found.overlap_rate_half
             if ti.static(features.surface_velocity):  # it does not turn the normal
                 found.velocity_rel_half -= geometry.surface_velocity(face, pose, found.normal_half)
         return found
@@ -177,7 +175,7 @@ def build_sphere_kinematics(plan: Plan) -> Any:
     """Device function: kinematics of two spheres in contact, relative to the first.
 
     Arguments: radii [m], `branch` vector b from the second to the first [m], relative velocity v at the half
-    step and now [m/s], time step [s]. Returns a struct of overlap [m]; normal n; normal_half p, see
+    step and now [m/s], dt [s]. Returns a struct of overlap [m]; normal n; normal_half p, see
     `contact/law.py`; relative velocity at the half step [m/s]; overlap rate at the half step and now
     [m/s] (positive if approaching); and the lever arms of both, now and at the half step [m]: the contact
     point halves the overlap.
@@ -357,7 +355,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
 
     Arguments: pair constants; bodies, a struct of the effective radius [m], mass [kg] and inertia [kg m2];
     kinematics of `build_sphere_kinematics`; angular_velocities, a struct of those of the first and the
-    partner [rad/s]; history; time step, and longest time step of the run [s].
+    partner [rad/s]; history; dt, and the longest time step of the run [s].
 
     Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses
     (friction, rolling and twisting, damping): energy [J] dissipated in this step.

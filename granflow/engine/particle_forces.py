@@ -26,7 +26,7 @@ from granflow.plan.sum_units import LOSS_DAMPING, LOSSES, UNIT_ENERGY
 
 
 def build_set_forces(state: State) -> Any:
-    """Device function (chunk, i, sums of contact forces and torques, gravity [m/s2], time_step): set total
+    """Device function (chunk, i, sums of contact forces and torques, gravity [m/s2], dt): set total
     forces.
 
     External forces and damping are added to the sums; also the weight, unless the sums contain it.
@@ -126,7 +126,7 @@ def mobility_mask(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def build_external_force(state: State) -> Any:
-    """Device function (chunk, i, force [N], time_step): external force [N] on particle i.
+    """Device function (chunk, i, force [N], dt): external force [N] on particle i.
 
     `force`: without external forces and damping
 
@@ -221,7 +221,7 @@ def check_vector(found: Any) -> None:
 
 
 def build_add_external_work(state: State) -> Any:
-    """Device function (chunk, i, force [N], velocity [m/s] at the half step, time_step): add the work of half
+    """Device function (chunk, i, force [N], velocity [m/s] at the half step, dt): add the work of half
     a step.
 
     Fixed particles do not move.
@@ -290,7 +290,7 @@ def write_damping(state: State, stage: str) -> None:
 
 
 def build_damped(state: State) -> Any:
-    """Device function (chunk, i, force [N], torque [N m], time_step): damping force and torque on a particle.
+    """Device function (chunk, i, force [N], torque [N m], dt): damping force and torque on a particle.
 
     Arguments are without damping. Adds the loss of half a step.
 
@@ -346,7 +346,7 @@ def build_damping_of(state: State) -> Any:
 
 
 def build_add_damping_loss(state: State) -> Any:
-    """Device function (chunk, i, time_step): add the loss of half a step with the present velocities.
+    """Device function (chunk, i, dt): add the loss of half a step with the present velocities.
 
     Reads:   velocity, angular_velocity, damping_force, damping_torque
     Writes:  losses

@@ -29,6 +29,10 @@ a force, a displacement or a position beyond its limit requests an abort. All la
 all later launches on a GPU, then do nothing until the host has reacted (`stepper.py`). No step
 transfers anything to the host.
 
+In all device functions, `dt` is the time step [s] of the integration or force evaluation; it is 0 in a force
+evaluation without motion. The member `time_step` of the structs for contact models is `dt`, or for normal
+models the longest time step of the run instead of 0.
+
 Device functions write `a[i] = a[i] + b`: Taichi compiles `a[i] += b` on a field to an atomic operation, which
 costs more than the whole contact model and is not needed within a chunk.
 """
@@ -74,7 +78,7 @@ def build_steps(state: State) -> Callable[..., None]:
 
 
 def build_integrate(state: State) -> Any:
-    """Device function (chunk, count, pose, time_step): kick and drift the particles of one chunk.
+    """Device function (chunk, count, pose, dt): kick and drift the particles of one chunk.
 
     Reads:   parameters, position, velocity, angular_velocity, force, torque, mass, radius, fixed,
              position_at_rebuild, reach
@@ -213,7 +217,7 @@ def _build_request(state: State) -> Any:
 
 
 def build_forces(state: State) -> Any:
-    """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one
+    """Device function (worker, chunk, count, pose, dt): force and torque on the particles of one
     chunk, at the time of the positions.
 
     With batches, the wall contacts of all particles of the chunk are summed first, then the particle
@@ -267,7 +271,7 @@ def build_forces(state: State) -> Any:
 
 
 def _build_sum_contacts(state: State) -> Any:
-    """Device function (chunk, i, gravity, pose, time_step): sums of force and torque on one particle.
+    """Device function (chunk, i, gravity, pose, dt): sums of force and torque on one particle.
 
     Summed are the rounded weight in f64, the wall contacts and, without batches, the particle contacts. The
     kick adds what rounding has taken from the weight. (A further loop over the particles, which adds the

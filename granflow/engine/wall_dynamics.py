@@ -102,7 +102,7 @@ def build_add_wall_force(state: State) -> Any:
 
 
 def build_move_walls(state: State) -> Any:
-    """Device function (chunks, pose, time_step): move all force-controlled walls by one step, on one thread.
+    """Device function (chunks, pose, dt): move all force-controlled walls by one step, on one thread.
 
     Reads:   was_active, active
     Writes:  wall_force, velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
@@ -357,7 +357,7 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def build_add_impulse(state: State) -> Any:
-    """Device function (chunk, wall, i, normal, force on i, torque on i, time_step): add one contact in one
+    """Device function (chunk, wall, i, normal, force on i, torque on i, dt): add one contact in one
     step.
 
         J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
