@@ -15,53 +15,6 @@ from granflow.fields import (
 )
 from granflow.visible_text import html_table, numbered, readable
 
-_T = TypeVar("_T")
-
-
-def _read_only(values: np.ndarray) -> np.ndarray:
-    """Read-only view of an array."""
-    # A view, so that the original array stays writable.
-    view = np.asarray(values).view()
-    view.flags.writeable = False
-    return view
-
-
-class _UnknownNameError(KeyError):
-    """KeyError whose message is a sentence."""
-
-    def __str__(self) -> str:
-        return str(self.args[0])
-
-
-class _Named(dict[str, _T]):
-    """Contents of one mapping of a snapshot, `kind`; an unknown name raises KeyError with the known ones."""
-
-    def __init__(self, kind: str, contents: Mapping[str, _T]) -> None:
-        super().__init__(contents)
-        self._kind = kind
-
-    def __missing__(self, name: str) -> _T:
-        remedy = f"the names are {', '.join(self)}" if self else "it is empty"
-        if self._kind == "totals" and name in ENERGY_BUDGET_QUANTITIES:
-            remedy = "set output.energy_budget to true"
-        raise _UnknownNameError(f"snapshot.{self._kind} has no {name}; {remedy}.")
-
-
-def _read_only_mapping(kind: str, contents: Mapping[str, _T]) -> Mapping[str, _T]:
-    return MappingProxyType(_Named(kind, contents))
-
-
-def _read_only_arrays(kind: str, arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    """Read-only mapping of read-only views."""
-    return _read_only_mapping(kind, {name: _read_only(values) for name, values in arrays.items()})
-
-
-def _range(values: np.ndarray) -> str:
-    """Smallest and largest number of an array; empty for an empty array or one of texts."""
-    if not values.size or values.dtype.kind not in "fiu":
-        return ""
-    return f", {values.min():.4g} to {values.max():.4g}"
-
 
 @dataclass(frozen=True, eq=False)
 class WallPose:
@@ -111,8 +64,7 @@ class Snapshot:
     impulses:   time integrals since the start for each measured wall (7,): force [N s], torque [N m s] and
                 normal force [N s] of the particles on the wall
     collisions: numbers of collisions since the start by energy class (classes + 2,), for contacts with a
-    "particle" and
-                a "wall"; empty without `output.collision_energies`
+                "particle" and a "wall"; empty without `output.collision_energies`
 
     All arrays and mappings are read-only; an unknown name raises KeyError with those that exist.
 
@@ -183,3 +135,51 @@ class Snapshot:
         sums = dict(self.impulses), dict(self.collisions)
         plain = (dict(self.particles), contacts, dict(self.walls), dict(self.totals), *sums)
         return Snapshot, (self.time, self.step, self.stage, *plain)
+
+
+_T = TypeVar("_T")
+
+
+class _UnknownNameError(KeyError):
+    """KeyError whose message is a sentence."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class _Named(dict[str, _T]):
+    """Contents of one mapping of a snapshot, `kind`; an unknown name raises KeyError with the known ones."""
+
+    def __init__(self, kind: str, contents: Mapping[str, _T]) -> None:
+        super().__init__(contents)
+        self._kind = kind
+
+    def __missing__(self, name: str) -> _T:
+        remedy = f"the names are {', '.join(self)}" if self else "it is empty"
+        if self._kind == "totals" and name in ENERGY_BUDGET_QUANTITIES:
+            remedy = "set output.energy_budget to true"
+        raise _UnknownNameError(f"snapshot.{self._kind} has no {name}; {remedy}.")
+
+
+def _read_only_mapping(kind: str, contents: Mapping[str, _T]) -> Mapping[str, _T]:
+    return MappingProxyType(_Named(kind, contents))
+
+
+def _read_only_arrays(kind: str, arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """Read-only mapping of read-only views."""
+    return _read_only_mapping(kind, {name: _read_only(values) for name, values in arrays.items()})
+
+
+def _read_only(values: np.ndarray) -> np.ndarray:
+    """Read-only view of an array."""
+    # A view, so that the original array stays writable.
+    view = np.asarray(values).view()
+    view.flags.writeable = False
+    return view
+
+
+def _range(values: np.ndarray) -> str:
+    """Smallest and largest number of an array; empty for an empty array or one of texts."""
+    if not values.size or values.dtype.kind not in "fiu":
+        return ""
+    return f", {values.min():.4g} to {values.max():.4g}"

@@ -42,49 +42,6 @@ class RankFileWriter(Protocol):
         OSError."""
 
 
-def rank_file_entries(engine: Engine, writer: RankFileWriter, kept: bool = False) -> list[dict[str, Any]]:
-    """Let all MPI ranks but the root write their particles; returns the entries of the checkpoint.
-
-    kept:    those of `keep_particles` instead of the present ones
-    Raises:  OSError
-    """
-    entries = engine.on_each_rank(partial(_write_rank_file, writer=writer, kept=kept))
-    return [entry for entry in entries if entry is not None]
-
-
-def _write_rank_file(engine: Engine, rank: int, writer: RankFileWriter, kept: bool) -> dict[str, Any] | None:
-    """Write the particles of this rank; the checkpoint itself contains those of the root."""
-    if not rank:
-        return None
-    saved = saved_particles(engine, kept)
-    return writer.write(rank, len(saved["particles"]["id"]), saved)
-
-
-def keep_particles(engine: Engine) -> None:
-    """Keep a copy of the particles on the host, on each MPI rank, for a later checkpoint of the present
-    state."""
-    engine.on_each_rank(_keep_particles)
-
-
-def _keep_particles(engine: Engine, _rank: int) -> None:
-    engine.kept_particles = engine.saved_particles()
-
-
-def saved_particles(engine: Engine, kept: bool = False) -> SavedState:
-    """Particles and contacts of this rank, in the order of the ids, as in `saved_state`.
-
-    kept:  those of `keep_particles` instead of the present ones
-    """
-    found = engine.kept_particles if kept else engine.saved_particles()
-    assert found is not None
-    particles = found.by_id()
-    contacts = particles.histories
-    return {
-        "particles": particles.arrays,
-        "contacts": {"count": contacts.count, "partner": contacts.partner, **contacts.values},
-    }
-
-
 def saved_state(engine: Engine) -> SavedState:
     """The state of the engine that determines how it continues, without the data of the scene.
 
@@ -110,6 +67,21 @@ def saved_sums_and_clocks(engine: Engine) -> SavedState:
     }
 
 
+def saved_particles(engine: Engine, kept: bool = False) -> SavedState:
+    """Particles and contacts of this rank, in the order of the ids, as in `saved_state`.
+
+    kept:  those of `keep_particles` instead of the present ones
+    """
+    found = engine.kept_particles if kept else engine.saved_particles()
+    assert found is not None
+    particles = found.by_id()
+    contacts = particles.histories
+    return {
+        "particles": particles.arrays,
+        "contacts": {"count": contacts.count, "partner": contacts.partner, **contacts.values},
+    }
+
+
 def restore_state(
     engine: Engine, saved: SavedState, motions: Sequence[Sequence[Motion]], files: RankFiles | None = None
 ) -> None:
@@ -125,6 +97,34 @@ def restore_state(
     engine.restore(rest, host_particles(engine.state, saved), motions, files)
     for name in CLOCKS:
         setattr(engine.timing, name, saved["clocks"][name])
+
+
+def keep_particles(engine: Engine) -> None:
+    """Keep a copy of the particles on the host, on each MPI rank, for a later checkpoint of the present
+    state."""
+    engine.on_each_rank(_keep_particles)
+
+
+def _keep_particles(engine: Engine, _rank: int) -> None:
+    engine.kept_particles = engine.saved_particles()
+
+
+def rank_file_entries(engine: Engine, writer: RankFileWriter, kept: bool = False) -> list[dict[str, Any]]:
+    """Let all MPI ranks but the root write their particles; returns the entries of the checkpoint.
+
+    kept:    those of `keep_particles` instead of the present ones
+    Raises:  OSError
+    """
+    entries = engine.on_each_rank(partial(_write_rank_file, writer=writer, kept=kept))
+    return [entry for entry in entries if entry is not None]
+
+
+def _write_rank_file(engine: Engine, rank: int, writer: RankFileWriter, kept: bool) -> dict[str, Any] | None:
+    """Write the particles of this rank; the checkpoint itself contains those of the root."""
+    if not rank:
+        return None
+    saved = saved_particles(engine, kept)
+    return writer.write(rank, len(saved["particles"]["id"]), saved)
 
 
 # Moves a run to an engine with another plan: larger capacity, more features, or other walls.

@@ -37,498 +37,9 @@ from granflow.plan.arrays import (
 from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
 from granflow.plan.plan import Plan, parameter_count
 
-# Simulated time, step by step.
-
-
-class Clock:
-    """Counts steps and computes their times [s]. A new time step applies from the present time on.
-
-    Times follow from step numbers and not from a running sum, so that they do not depend on the launches.
-    """
-
-    def __init__(self, time_step: float) -> None:
-        """Start at time 0 with a time step [s]."""
-        self.time_step = time_step
-        self.step_count = 0
-        self._since_step = 0
-        self._since_time = 0.0
-
-    @property
-    def time(self) -> float:
-        """Simulated time [s] now."""
-        return float(self.time_after(self.step_count))
-
-    def time_after(self, step: int | np.ndarray) -> float | np.ndarray:
-        """Simulated time [s] after step numbers, scalar or (k,); none may precede the last change of the time
-        step."""
-        return self._since_time + (step - self._since_step) * self.time_step
-
-    def change(self, time_step: float) -> None:
-        """Set the time step [s] of all further steps."""
-        self._since_time = self.time
-        self._since_step = self.step_count
-        self.time_step = time_step
-
-    def state_dict(self) -> dict[str, float]:
-        """The complete state of the clock, for a checkpoint."""
-        return {
-            "time_step": self.time_step,
-            "step_count": self.step_count,
-            "since_step": self._since_step,
-            "since_time": self._since_time,
-        }
-
-    def load_state_dict(self, saved: dict[str, float]) -> None:
-        """Restore a state that `state_dict` returned."""
-        self.time_step = saved["time_step"]
-        self.step_count = int(saved["step_count"])
-        self._since_step = int(saved["since_step"])
-        self._since_time = saved["since_time"]
-
-
-# Device flags, counters and constants that kernels and host share.
-
-CACHE_LINE = 16
-"""Integers per cache line; contended counters occupy separate lines."""
-
-
-class Control(Fields):
-    """Flags, counters and constants shared by kernels and host.
-
-    rebuild_requested:          set by the integration if a particle or wall has moved too far
-    rebuild_due:                copy of it at the end of the phase; all further phases of the launch do
-                                nothing
-    steps_done, running:        completed steps of a launch; 1 while it continues
-    worker_count:               workers that have not left the launch
-    started_count:              of them, those at the first barrier of the launch
-    halted_at:                  on a GPU, number of the launch whose integration, or forces, halted the
-                                following ones
-    patience:                   number of polls after which a worker leaves, and that of the first barrier of
-                                a launch
-    next_chunk:                 number of chunks that workers have taken in this phase
-    arrived, released:          counters of the barrier, see `engine.threads`
-    list_length_needed:         largest number of entries of a segment, plus TOO_LONG if a list exceeds the
-                                batch
-    abort, abort_particle:      abort code and smallest id above the limit
-    pair_constants:             row per pair of materials
-    law_parameters:             one row, the parameters of the contact laws
-    losses:                     terms LOSSES of each chunk, see `engine.sums`
-    impulses:                   time integrals of the wall forces of each chunk, see `engine.sums`
-    collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
-    wall_work_ahead:            part of the work of moving walls of each chunk that belongs to the next step,
-                                see `engine.contact`
-    boundary_work:              work at periodic boundaries of each chunk, see `engine.sums`
-    external_work:              work of external forces of each chunk, see `engine.sums`
-    force_parameters:           parameters of all external forces
-    force_clock:                since_time, time_step, steps since since_time of the next force evaluation,
-                                and the time by which velocities lag behind positions there [s]
-    damping:                    Cundall ratio and drag rate [1/s] of the present stage
-    image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        self.rebuild_due = block.scalar(ti.i32, 1)
-        self.rebuild_requested = block.scalar(ti.i32, 1)
-        self.steps_done, self.running = (block.scalar(ti.i32, 1) for _ in range(2))
-        self.worker_count, self.started_count = (block.scalar(ti.i32, 1) for _ in range(2))
-        self.patience = block.scalar(ti.i32, 2)
-        self.next_chunk, self.released = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(2))
-        self.arrived = block.scalar(ti.i32, 3 * CACHE_LINE)
-        self.list_length_needed = block.scalar(ti.i32, 1)
-        self.halted_at: Any = None if backend.on_cpu else block.scalar(ti.i32, 2)
-        self.abort = block.scalar(ti.i32, 1)
-        self.abort_particle = block.scalar(ti.i32, 1)
-        self.pair_constants = block.vector(
-            backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1]
-        )
-        self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
-        super().__init__(block.arrays(sum_arrays(plan), backend))
-        edges = max(plan.capacities.energy_classes - 1, 1)
-        self.collision_edges: Any = block.scalar(ti.f64, edges) if plan.features.collision_energies else None
-        external = plan.features.external_forces
-        parameters = parameter_count(plan.external_forces)
-        self.force_parameters: Any = block.scalar(ti.f64, max(parameters, 1)) if external else None
-        damped = plan.damping is not None
-        self.force_clock: Any = block.scalar(ti.f64, 4) if external or damped else None
-        self.damping: Any = block.scalar(ti.f64, 2) if damped else None
-        sheared = plan.features.lees_edwards
-        position_real = backend.position_real
-        self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
-        self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
-
-    def fill(self, plan: Plan) -> None:
-        """Write the constant arrays."""
-        write_padded(self.pair_constants, plan.pair_constants)
-        if plan.law_parameters:
-            write_padded(self.law_parameters, np.array([plan.law_parameters]))
-        if self.collision_edges is not None:
-            write_padded(self.collision_edges, plan.collision_edges)
-        self.abort_particle[0] = NO_PARTICLE
-        if self.halted_at is not None:
-            write_padded(self.halted_at, np.full(2, NOT_HALTED, np.int32))
-
-
-# Fills the device arrays of mesh walls, which `engine/walls.py` reads.
-#
-# The names are those of MeshAdjacency and MeshGrid; `wall` is the wall of each triangle, `first_cell` the
-# first cell of each wall. Triangles, points and cells are numbered consecutively over all meshes; edge k of
-# triangle t is 3 t + k. Lengths are in m, in the precision of positions.
-
-
-def fill_mesh(fields: Any, plan: Plan) -> None:
-    """Write all arrays; they do not change during a run."""
-    meshes = plan.meshes
-    arrays = _of_triangles([mesh.adjacency for mesh in meshes.values()]) | _of_grids(plan)
-    arrays["wall"] = np.repeat(list(meshes), [mesh.triangle_count for mesh in meshes.values()])
-    for name, values in arrays.items():
-        write_padded(getattr(fields, name), values)
-
-
-def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:
-    """Concatenated arrays of all meshes; indices are shifted by the number of preceding entries."""
-    triangles = np.cumsum([0, *(len(each.normal) for each in adjacency)])
-    points = np.cumsum([0, *(len(each.owner) for each in adjacency)])
-
-    def joined(name: str, *width: int) -> np.ndarray:
-        return np.concatenate([getattr(each, name).reshape(-1, *width) for each in adjacency])
-
-    def shifted(name: str, before: np.ndarray) -> np.ndarray:
-        return np.concatenate(
-            [getattr(each, name).reshape(-1) + n for each, n in zip(adjacency, before, strict=False)]
-        )
-
-    vectors = ("normal", "vertex", "edge_direction", "inward", "inward_other", "vertex_edge")
-    numbers = ("length", "base", "owns_tie", "role")
-    found = {name: joined(name, 3) for name in vectors} | {
-        name: joined(name) for name in (*numbers, "longest")
-    }
-    found["point"] = shifted("point", points)
-    found |= {name: shifted(name, triangles) for name in ("owner", "competitor")}
-    for name in ("vertex_edge_start", "competitor_start"):
-        found[name] = _starts([getattr(each, name) for each in adjacency])
-    return found
-
-
-def _starts(starts: list[np.ndarray]) -> np.ndarray:
-    """Row starts of concatenated tables; each given array has one entry more than rows."""
-    counts = np.concatenate([np.diff(each) for each in starts])
-    return np.concatenate([[0], np.cumsum(counts)])
-
-
-def _of_grids(plan: Plan) -> dict[str, np.ndarray]:
-    """Arrays of all grids; walls without a mesh have no cells."""
-    wall_count = len(plan.walls)
-    low = np.zeros((wall_count, 3))
-    side = np.ones(wall_count)
-    shape = np.zeros((wall_count, 3), np.int64)
-    first_cell = np.zeros(wall_count, np.int64)
-    cells = 0
-    triangles = 0
-    cell_triangles = []
-    for w, grid in plan.mesh_grids.items():
-        low[w], side[w], shape[w], first_cell[w] = grid.low, grid.side, grid.shape, cells
-        cell_triangles.append(grid.triangle + triangles)
-        cells = cells + len(grid.start) - 1
-        triangles = triangles + plan.meshes[w].triangle_count
-    start = _starts([grid.start for grid in plan.mesh_grids.values()])
-    return {
-        "low": low,
-        "side": side,
-        "shape": shape,
-        "first_cell": first_cell,
-        "cell_start": start,
-        "cell_triangles": np.concatenate(cell_triangles),
-    }
-
-
-# Columns in which each CPU thread collects the contacts that it evaluates together.
-
-BATCH = 128
-"""Number of contacts at which a batch is complete; no further neighbor list is added."""
-LANES = 16
-"""Batches are padded to a multiple of this number, so that the compiled loop has no scalar remainder."""
-STAGGER = 24
-"""Offset between columns: columns a multiple of 4096 bytes apart evict each other from the cache."""
-
-
-class PairBatch:
-    """Columns with an entry per contact of the present batch, and a part of each column per CPU thread.
-
-    longest_list:  largest number of candidate pairs of one particle for which a batch suffices
-    sums:          contact force and torque on each particle of the chunk of a worker; None in f64
-
-    The names are those of the variables in `engine.pair`; `evaluate` overwrites inputs with results.
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
-        features = plan.features
-        real = backend.real
-        page = 4096 // 8
-        self.capacity = -(-capacities.batch // page) * page + STAGGER
-        self.longest_list = self.capacity - BATCH - LANES
-        worker_parts = block.parts(rounded_capacity(backend.worker_count, WORKERS))
-
-        def columns(number: int, dtype: Any = real) -> list[Any]:
-            return [block.column(worker_parts, dtype, self.capacity) for _ in range(number)]
-
-        self.list_index, self.owner, self.partner = columns(3, ti.i32)
-        self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
-        self.branch = columns(3)
-        self.velocity_rel_half = columns(3)
-        self.velocity_rel = columns(3 * features.rate_dependent)
-        self.angular_velocity = columns(3 * features.rotation)
-        self.angular_velocity_partner = columns(3 * features.rotation)
-        self.history = {slot: columns(size) for slot, size in plan.history.items()}
-        self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
-        self.losses = columns(3 * features.energy_budget)
-        size = 6 if features.rotation else 3
-        workers = rounded_capacity(backend.worker_count, WORKERS)
-        self.sums = None
-        if real != ti.f64:  # otherwise the fields of forces and torques hold the sums
-            self.sums = block.vector(ti.f64, workers, plan.capacities.chunk_particles, count=size)
-
-
-# Numbers of the plan on the device; see `plan/arrays.py`.
-
-
-class Parameters:
-    """One field per type with the parameters one after the other; device functions read them by name."""
-
-    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
-        self._places: dict[str, tuple[str, int, int]] = {}
-        lengths: dict[str, int] = {}
-        for parameter in parameters_of(plan, capacities):
-            first = lengths.get(parameter.dtype, 0)
-            lengths[parameter.dtype] = first + len(parameter.values)
-            self._places[parameter.name] = parameter.dtype, first, lengths[parameter.dtype]
-        self._fields = {
-            dtype: block.scalar(backend.types[dtype], length) for dtype, length in lengths.items()
-        }
-
-    def write(self, plan: Plan, capacities: Capacities) -> None:
-        """Write all parameters of a plan with equal features and capacities."""
-        values = {
-            dtype: np.zeros(field.shape[0], ti.lang.util.to_numpy_type(field.dtype))
-            for dtype, field in self._fields.items()
-        }
-        for parameter in parameters_of(plan, capacities):
-            dtype, first, end = self._places[parameter.name]
-            values[dtype][first:end] = parameter.values
-        for dtype, field in self._fields.items():
-            field.from_numpy(values[dtype])
-
-    def reader(self, name: str, component: int | None = None) -> Any:
-        """Device function (): the value of a parameter, a number or a vector, or one component of a vector.
-
-        Loops read a parameter once, before they begin: the compiler cannot know that no store changes it.
-        """
-        dtype, first, end = self._places[name]
-        if component is not None:
-            first, end = first + component, first + component + 1
-        field = self._fields[dtype]
-        size = end - first
-
-        @ti.func
-        def number():
-            return field[first]
-
-        @ti.func
-        def vector():
-            return ti.Vector([field[first + k] for k in ti.static(range(size))])
-
-        return number if size == 1 else vector
-
-
-# How the data of all MPI ranks form the totals and arrays of a run; a process that is alone has all of
-# them.
-
-Arrays = dict[str, np.ndarray]
-"""Arrays by name, of the particles of one rank or of all."""
-NO_CHANGES = "Changes from Python do not work on MPI ranks: run without a communicator."
-"""Message of a change of particles, walls or forces during a run on ranks."""
-
-
-class Gathering(Protocol):
-    """Combines what each rank has. All ranks call each function."""
-
-    def total(self, words: np.ndarray) -> np.ndarray:
-        """Numbers (n, ...), summed over the first axis of all ranks if there are several; integers
-        exactly."""
-
-    def largest(self, value: float) -> float:
-        """Largest value of all ranks."""
-
-    def gathered(self, arrays: Arrays) -> Arrays:
-        """Arrays (n, ...) of all ranks, one rank after the other; complete on the root only."""
-
-
-class OneProcess:
-    """A run without MPI."""
-
-    def total(self, words: np.ndarray) -> np.ndarray:
-        """The integers."""
-        return words
-
-    def largest(self, value: float) -> float:
-        """The value."""
-        return value
-
-    def gathered(self, arrays: Arrays) -> Arrays:
-        """The arrays."""
-        return arrays
-
-
-ALONE = OneProcess()
-"""Without MPI, or for arrays that are those of all ranks already."""
-
-
-# Device fields of walls.
-
-NOT_MEASURED = -1
-"""Impulse row of walls whose forces are not measured."""
-
-
-class Walls:
-    """Shapes at rest, materials, and poses for the next WALL_BATCH steps.
-
-    kind:              code of the kind, see `catalog.surface_code`
-    parameters:        of the shape, PARAMETER_COUNT numbers
-    present:           1 for walls that are present
-    pivot:             [m], point of the rotation at rest
-    center, rotation:  [m], 3 x 3: pose after each step; None if no wall moves
-    velocity:          [m/s] of the center at the middle of each step, and of one more
-    angular_velocity:  [rad/s] likewise
-    surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane;
-                       None without belts
-    impulse_row:       row in `Control.impulses`, or NOT_MEASURED
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        count = plan.capacities.walls
-        self.kind = block.scalar(ti.i32, count)
-        self.parameters = block.vector(backend.position_real, count, count=PARAMETER_COUNT)
-        self.material = block.scalar(ti.i32, count)
-        self.present = block.scalar(ti.i32, count)
-        self.pivot = block.vector(backend.position_real, count)
-        self.joints = block.scalar(ti.i32, count) if plan.features.joined_walls else None
-        moving = plan.features.moving_walls
-        self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
-        self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
-        self.velocity = block.vector(backend.real, WALL_BATCH + 1, count) if moving else None
-        self.impulse_row = block.scalar(ti.i32, count) if plan.features.wall_forces else None
-        self.angular_velocity = block.vector(backend.real, WALL_BATCH + 1, count) if moving else None
-        has_belt = plan.features.surface_velocity
-        self.surface_velocity = block.vector(backend.real, WALL_BATCH + 1, count) if has_belt else None
-
-    def fill(self, plan: Plan) -> None:
-        """Write the constant arrays."""
-        for index, wall in enumerate(plan.walls):
-            self.kind[index] = surface_code(wall.shape)
-            self.material[index] = wall.material
-            if isinstance(wall.shape, Shape):
-                self.parameters[index] = wall.shape.parameters.tolist()
-            if self.impulse_row is not None:
-                measured = plan.measured_walls
-                self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
-        self.fill_joints(plan)
-
-    def fill_joints(self, plan: Plan) -> None:
-        """Write which walls touch; it changes if a program changes the motion of a wall."""
-        if self.joints is not None:
-            for index, joints in enumerate(plan.wall_joints):
-                self.joints[index] = joints
-
-
-class WallDynamicsFields(Fields):
-    """Force-controlled walls, an entry per motion, in float64 for every precision.
-
-    offset:             displacement along the direction of the motion [m]
-    offset_at_rebuild:  `offset` at the last neighbor-list rebuild [m]
-    velocity:           [m/s], half a step behind
-    active:             1 if the motion is active in the step that ends at a pose
-    was_active:         1 if it was active in the previous step
-    wall_force:         force of the particles along the direction, summed by each chunk, in units of
-                        `plan.sum_units`
-    work_on_particles:  work on the particles [J]
-    work:               work of all other forces on a free wall [J]
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        super().__init__(block.arrays(wall_dynamics_arrays(plan), backend))
-
-
 CPU_STRIDE = 512
 """Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
 Built = TypeVar("Built")
-
-
-class Particles(Fields):
-    """Fields of `PARTICLE_QUANTITIES`, in cell order; velocities are half a step behind the positions
-    (leapfrog)."""
-
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        super().__init__(block.arrays(particle_arrays(plan), backend))
-
-    def sorted_fields(self) -> list[Any]:
-        """Fields that are permuted with the particles at a neighbor-list rebuild."""
-        fields = [
-            getattr(self, spec.name) for spec in PARTICLE_QUANTITIES.values() if spec.dtype and spec.sorted
-        ]
-        return [field for field in fields if field is not None]
-
-
-class CellSort(Fields):
-    """Work arrays of the neighbor search: cells and the new order; one grid per size class if sizes differ
-    widely.
-
-    cell_start:   first particle of each cell in `order`
-    order:        previous index of each particle of the new order
-    grid_low:     low corner [m] of each grid
-    cell_side:    cell sides [m] of each grid
-    cells:        number of cells along each axis of each grid
-    class_order:  particles by class and cell, from `class_start` of a cell
-    first_cell:   first cell of each class
-    radius:       largest radius [m] of each class
-    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them;
-                       with `subpart_`, of the parts of these parts for the threads of a GPU
-    reach_largest:     largest reach [m] of all particles
-    cell_count:        cells of each grid, and of all size classes
-    present:           number of particles that are not deleted
-    owned_count:       number of particles of this MPI rank
-    ghost_first:       index of the first ghost, the begin of a chunk
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        super().__init__(block.arrays(cell_arrays(plan), backend))
-
-    def fill(self, plan: Plan) -> None:
-        """Write the radii of the size classes."""
-        radii = np.zeros(self.radius.shape[0], ti.lang.util.to_numpy_type(self.radius.dtype))
-        radii[: len(plan.size_classes)] = plan.size_classes
-        self.radius.from_numpy(radii)
-
-
-class NeighborList(Fields):
-    """Neighbor lists (Verlet lists), one per particle; each chunk of several particles has a separate
-    segment.
-
-    If each particle is a chunk, as on a GPU, the lists are in one segment without gaps, in any order.
-
-    list_begin, list_end:  range of the entries of each particle
-    list_walls_end:        end of its wall entries, which are first
-    partner:               index of a particle, -1 - wall, or -1 - wall count - triangle
-    history:               history of each entry by slot of the contact models
-    in_contact:            state of each entry, see `engine.history`; only with a history
-    saved:                 copy of the entries with a history while the particles are sorted
-
-    A pair within a chunk is in one list, a pair across two chunks in both.
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
-        fields = block.arrays(neighbor_arrays(plan, capacities), backend)
-        self.history = {name: fields.pop(f"history.{name}") for name in plan.history}
-        self.saved = {name: fields.pop(f"saved.{name}") for name in plan.history}
-        super().__init__(fields)
 
 
 class State:
@@ -697,6 +208,455 @@ class FreedState:
         raise GranflowError("This simulation has been freed. Read its results before, or create another one.")
 
 
+# Simulated time, step by step.
+
+
+class Clock:
+    """Counts steps and computes their times [s]. A new time step applies from the present time on.
+
+    Times follow from step numbers and not from a running sum, so that they do not depend on the launches.
+    """
+
+    def __init__(self, time_step: float) -> None:
+        """Start at time 0 with a time step [s]."""
+        self.time_step = time_step
+        self.step_count = 0
+        self._since_step = 0
+        self._since_time = 0.0
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s] now."""
+        return float(self.time_after(self.step_count))
+
+    def time_after(self, step: int | np.ndarray) -> float | np.ndarray:
+        """Simulated time [s] after step numbers, scalar or (k,); none may precede the last change of the time
+        step."""
+        return self._since_time + (step - self._since_step) * self.time_step
+
+    def change(self, time_step: float) -> None:
+        """Set the time step [s] of all further steps."""
+        self._since_time = self.time
+        self._since_step = self.step_count
+        self.time_step = time_step
+
+    def state_dict(self) -> dict[str, float]:
+        """The complete state of the clock, for a checkpoint."""
+        return {
+            "time_step": self.time_step,
+            "step_count": self.step_count,
+            "since_step": self._since_step,
+            "since_time": self._since_time,
+        }
+
+    def load_state_dict(self, saved: dict[str, float]) -> None:
+        """Restore a state that `state_dict` returned."""
+        self.time_step = saved["time_step"]
+        self.step_count = int(saved["step_count"])
+        self._since_step = int(saved["since_step"])
+        self._since_time = saved["since_time"]
+
+
+# Particles, their cells and neighbor lists.
+
+
+class Particles(Fields):
+    """Fields of `PARTICLE_QUANTITIES`, in cell order; velocities are half a step behind the positions
+    (leapfrog)."""
+
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
+        super().__init__(block.arrays(particle_arrays(plan), backend))
+
+    def sorted_fields(self) -> list[Any]:
+        """Fields that are permuted with the particles at a neighbor-list rebuild."""
+        fields = [
+            getattr(self, spec.name) for spec in PARTICLE_QUANTITIES.values() if spec.dtype and spec.sorted
+        ]
+        return [field for field in fields if field is not None]
+
+
+class NeighborList(Fields):
+    """Neighbor lists (Verlet lists), one per particle; each chunk of several particles has a separate
+    segment.
+
+    If each particle is a chunk, as on a GPU, the lists are in one segment without gaps, in any order.
+
+    list_begin, list_end:  range of the entries of each particle
+    list_walls_end:        end of its wall entries, which are first
+    partner:               index of a particle, -1 - wall, or -1 - wall count - triangle
+    history:               history of each entry by slot of the contact models
+    in_contact:            state of each entry, see `engine.history`; only with a history
+    saved:                 copy of the entries with a history while the particles are sorted
+
+    A pair within a chunk is in one list, a pair across two chunks in both.
+    """
+
+    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
+        fields = block.arrays(neighbor_arrays(plan, capacities), backend)
+        self.history = {name: fields.pop(f"history.{name}") for name in plan.history}
+        self.saved = {name: fields.pop(f"saved.{name}") for name in plan.history}
+        super().__init__(fields)
+
+
+class CellSort(Fields):
+    """Work arrays of the neighbor search: cells and the new order; one grid per size class if sizes differ
+    widely.
+
+    cell_start:   first particle of each cell in `order`
+    order:        previous index of each particle of the new order
+    grid_low:     low corner [m] of each grid
+    cell_side:    cell sides [m] of each grid
+    cells:        number of cells along each axis of each grid
+    class_order:  particles by class and cell, from `class_start` of a cell
+    first_cell:   first cell of each class
+    radius:       largest radius [m] of each class
+    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them;
+                       with `subpart_`, of the parts of these parts for the threads of a GPU
+    reach_largest:     largest reach [m] of all particles
+    cell_count:        cells of each grid, and of all size classes
+    present:           number of particles that are not deleted
+    owned_count:       number of particles of this MPI rank
+    ghost_first:       index of the first ghost, the begin of a chunk
+    """
+
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
+        super().__init__(block.arrays(cell_arrays(plan), backend))
+
+    def fill(self, plan: Plan) -> None:
+        """Write the radii of the size classes."""
+        radii = np.zeros(self.radius.shape[0], ti.lang.util.to_numpy_type(self.radius.dtype))
+        radii[: len(plan.size_classes)] = plan.size_classes
+        self.radius.from_numpy(radii)
+
+
+# Device fields of walls.
+
+NOT_MEASURED = -1
+"""Impulse row of walls whose forces are not measured."""
+
+
+class Walls:
+    """Shapes at rest, materials, and poses for the next WALL_BATCH steps.
+
+    kind:              code of the kind, see `catalog.surface_code`
+    parameters:        of the shape, PARAMETER_COUNT numbers
+    present:           1 for walls that are present
+    pivot:             [m], point of the rotation at rest
+    center, rotation:  [m], 3 x 3: pose after each step; None if no wall moves
+    velocity:          [m/s] of the center at the middle of each step, and of one more
+    angular_velocity:  [rad/s] likewise
+    surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane;
+                       None without belts
+    impulse_row:       row in `Control.impulses`, or NOT_MEASURED
+    """
+
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
+        count = plan.capacities.walls
+        self.kind = block.scalar(ti.i32, count)
+        self.parameters = block.vector(backend.position_real, count, count=PARAMETER_COUNT)
+        self.material = block.scalar(ti.i32, count)
+        self.present = block.scalar(ti.i32, count)
+        self.pivot = block.vector(backend.position_real, count)
+        self.joints = block.scalar(ti.i32, count) if plan.features.joined_walls else None
+        moving = plan.features.moving_walls
+        self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
+        self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
+        self.velocity = block.vector(backend.real, WALL_BATCH + 1, count) if moving else None
+        self.impulse_row = block.scalar(ti.i32, count) if plan.features.wall_forces else None
+        self.angular_velocity = block.vector(backend.real, WALL_BATCH + 1, count) if moving else None
+        has_belt = plan.features.surface_velocity
+        self.surface_velocity = block.vector(backend.real, WALL_BATCH + 1, count) if has_belt else None
+
+    def fill(self, plan: Plan) -> None:
+        """Write the constant arrays."""
+        for index, wall in enumerate(plan.walls):
+            self.kind[index] = surface_code(wall.shape)
+            self.material[index] = wall.material
+            if isinstance(wall.shape, Shape):
+                self.parameters[index] = wall.shape.parameters.tolist()
+            if self.impulse_row is not None:
+                measured = plan.measured_walls
+                self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
+        self.fill_joints(plan)
+
+    def fill_joints(self, plan: Plan) -> None:
+        """Write which walls touch; it changes if a program changes the motion of a wall."""
+        if self.joints is not None:
+            for index, joints in enumerate(plan.wall_joints):
+                self.joints[index] = joints
+
+
+class WallDynamicsFields(Fields):
+    """Force-controlled walls, an entry per motion, in float64 for every precision.
+
+    offset:             displacement along the direction of the motion [m]
+    offset_at_rebuild:  `offset` at the last neighbor-list rebuild [m]
+    velocity:           [m/s], half a step behind
+    active:             1 if the motion is active in the step that ends at a pose
+    was_active:         1 if it was active in the previous step
+    wall_force:         force of the particles along the direction, summed by each chunk, in units of
+                        `plan.sum_units`
+    work_on_particles:  work on the particles [J]
+    work:               work of all other forces on a free wall [J]
+    """
+
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
+        super().__init__(block.arrays(wall_dynamics_arrays(plan), backend))
+
+
+# Fills the device arrays of mesh walls, which `engine/walls.py` reads.
+#
+# The names are those of MeshAdjacency and MeshGrid; `wall` is the wall of each triangle, `first_cell` the
+# first cell of each wall. Triangles, points and cells are numbered consecutively over all meshes; edge k of
+# triangle t is 3 t + k. Lengths are in m, in the precision of positions.
+
+
+def fill_mesh(fields: Any, plan: Plan) -> None:
+    """Write all arrays; they do not change during a run."""
+    meshes = plan.meshes
+    arrays = _of_triangles([mesh.adjacency for mesh in meshes.values()]) | _of_grids(plan)
+    arrays["wall"] = np.repeat(list(meshes), [mesh.triangle_count for mesh in meshes.values()])
+    for name, values in arrays.items():
+        write_padded(getattr(fields, name), values)
+
+
+def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:
+    """Concatenated arrays of all meshes; indices are shifted by the number of preceding entries."""
+    triangles = np.cumsum([0, *(len(each.normal) for each in adjacency)])
+    points = np.cumsum([0, *(len(each.owner) for each in adjacency)])
+
+    def joined(name: str, *width: int) -> np.ndarray:
+        return np.concatenate([getattr(each, name).reshape(-1, *width) for each in adjacency])
+
+    def shifted(name: str, before: np.ndarray) -> np.ndarray:
+        return np.concatenate(
+            [getattr(each, name).reshape(-1) + n for each, n in zip(adjacency, before, strict=False)]
+        )
+
+    vectors = ("normal", "vertex", "edge_direction", "inward", "inward_other", "vertex_edge")
+    numbers = ("length", "base", "owns_tie", "role")
+    found = {name: joined(name, 3) for name in vectors} | {
+        name: joined(name) for name in (*numbers, "longest")
+    }
+    found["point"] = shifted("point", points)
+    found |= {name: shifted(name, triangles) for name in ("owner", "competitor")}
+    for name in ("vertex_edge_start", "competitor_start"):
+        found[name] = _starts([getattr(each, name) for each in adjacency])
+    return found
+
+
+def _of_grids(plan: Plan) -> dict[str, np.ndarray]:
+    """Arrays of all grids; walls without a mesh have no cells."""
+    wall_count = len(plan.walls)
+    low = np.zeros((wall_count, 3))
+    side = np.ones(wall_count)
+    shape = np.zeros((wall_count, 3), np.int64)
+    first_cell = np.zeros(wall_count, np.int64)
+    cells = 0
+    triangles = 0
+    cell_triangles = []
+    for w, grid in plan.mesh_grids.items():
+        low[w], side[w], shape[w], first_cell[w] = grid.low, grid.side, grid.shape, cells
+        cell_triangles.append(grid.triangle + triangles)
+        cells = cells + len(grid.start) - 1
+        triangles = triangles + plan.meshes[w].triangle_count
+    start = _starts([grid.start for grid in plan.mesh_grids.values()])
+    return {
+        "low": low,
+        "side": side,
+        "shape": shape,
+        "first_cell": first_cell,
+        "cell_start": start,
+        "cell_triangles": np.concatenate(cell_triangles),
+    }
+
+
+def _starts(starts: list[np.ndarray]) -> np.ndarray:
+    """Row starts of concatenated tables; each given array has one entry more than rows."""
+    counts = np.concatenate([np.diff(each) for each in starts])
+    return np.concatenate([[0], np.cumsum(counts)])
+
+
+# Columns in which each CPU thread collects the contacts that it evaluates together.
+
+BATCH = 128
+"""Number of contacts at which a batch is complete; no further neighbor list is added."""
+LANES = 16
+"""Batches are padded to a multiple of this number, so that the compiled loop has no scalar remainder."""
+STAGGER = 24
+"""Offset between columns: columns a multiple of 4096 bytes apart evict each other from the cache."""
+
+
+class PairBatch:
+    """Columns with an entry per contact of the present batch, and a part of each column per CPU thread.
+
+    longest_list:  largest number of candidate pairs of one particle for which a batch suffices
+    sums:          contact force and torque on each particle of the chunk of a worker; None in f64
+
+    The names are those of the variables in `engine.pair`; `evaluate` overwrites inputs with results.
+    """
+
+    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
+        features = plan.features
+        real = backend.real
+        page = 4096 // 8
+        self.capacity = -(-capacities.batch // page) * page + STAGGER
+        self.longest_list = self.capacity - BATCH - LANES
+        worker_parts = block.parts(rounded_capacity(backend.worker_count, WORKERS))
+
+        def columns(number: int, dtype: Any = real) -> list[Any]:
+            return [block.column(worker_parts, dtype, self.capacity) for _ in range(number)]
+
+        self.list_index, self.owner, self.partner = columns(3, ti.i32)
+        self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
+        self.branch = columns(3)
+        self.velocity_rel_half = columns(3)
+        self.velocity_rel = columns(3 * features.rate_dependent)
+        self.angular_velocity = columns(3 * features.rotation)
+        self.angular_velocity_partner = columns(3 * features.rotation)
+        self.history = {slot: columns(size) for slot, size in plan.history.items()}
+        self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
+        self.losses = columns(3 * features.energy_budget)
+        size = 6 if features.rotation else 3
+        workers = rounded_capacity(backend.worker_count, WORKERS)
+        self.sums = None
+        if real != ti.f64:  # otherwise the fields of forces and torques hold the sums
+            self.sums = block.vector(ti.f64, workers, plan.capacities.chunk_particles, count=size)
+
+
+# Numbers of the plan on the device; see `plan/arrays.py`.
+
+
+class Parameters:
+    """One field per type with the parameters one after the other; device functions read them by name."""
+
+    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
+        self._places: dict[str, tuple[str, int, int]] = {}
+        lengths: dict[str, int] = {}
+        for parameter in parameters_of(plan, capacities):
+            first = lengths.get(parameter.dtype, 0)
+            lengths[parameter.dtype] = first + len(parameter.values)
+            self._places[parameter.name] = parameter.dtype, first, lengths[parameter.dtype]
+        self._fields = {
+            dtype: block.scalar(backend.types[dtype], length) for dtype, length in lengths.items()
+        }
+
+    def write(self, plan: Plan, capacities: Capacities) -> None:
+        """Write all parameters of a plan with equal features and capacities."""
+        values = {
+            dtype: np.zeros(field.shape[0], ti.lang.util.to_numpy_type(field.dtype))
+            for dtype, field in self._fields.items()
+        }
+        for parameter in parameters_of(plan, capacities):
+            dtype, first, end = self._places[parameter.name]
+            values[dtype][first:end] = parameter.values
+        for dtype, field in self._fields.items():
+            field.from_numpy(values[dtype])
+
+    def reader(self, name: str, component: int | None = None) -> Any:
+        """Device function (): the value of a parameter, a number or a vector, or one component of a vector.
+
+        Loops read a parameter once, before they begin: the compiler cannot know that no store changes it.
+        """
+        dtype, first, end = self._places[name]
+        if component is not None:
+            first, end = first + component, first + component + 1
+        field = self._fields[dtype]
+        size = end - first
+
+        @ti.func
+        def number():
+            return field[first]
+
+        @ti.func
+        def vector():
+            return ti.Vector([field[first + k] for k in ti.static(range(size))])
+
+        return number if size == 1 else vector
+
+
+# Device flags, counters and constants that kernels and host share.
+
+CACHE_LINE = 16
+"""Integers per cache line; contended counters occupy separate lines."""
+
+
+class Control(Fields):
+    """Flags, counters and constants shared by kernels and host.
+
+    rebuild_requested:          set by the integration if a particle or wall has moved too far
+    rebuild_due:                copy of it at the end of the phase; all further phases of the launch do
+                                nothing
+    steps_done, running:        completed steps of a launch; 1 while it continues
+    worker_count:               workers that have not left the launch
+    started_count:              of them, those at the first barrier of the launch
+    halted_at:                  on a GPU, number of the launch whose integration, or forces, halted the
+                                following ones
+    patience:                   number of polls after which a worker leaves, and that of the first barrier of
+                                a launch
+    next_chunk:                 number of chunks that workers have taken in this phase
+    arrived, released:          counters of the barrier, see `engine.threads`
+    list_length_needed:         largest number of entries of a segment, plus TOO_LONG if a list exceeds the
+                                batch
+    abort, abort_particle:      abort code and smallest id above the limit
+    pair_constants:             row per pair of materials
+    law_parameters:             one row, the parameters of the contact laws
+    losses:                     terms LOSSES of each chunk, see `engine.sums`
+    impulses:                   time integrals of the wall forces of each chunk, see `engine.sums`
+    collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
+    wall_work_ahead:            part of the work of moving walls of each chunk that belongs to the next step,
+                                see `engine.contact`
+    boundary_work:              work at periodic boundaries of each chunk, see `engine.sums`
+    external_work:              work of external forces of each chunk, see `engine.sums`
+    force_parameters:           parameters of all external forces
+    force_clock:                since_time, time_step, steps since since_time of the next force evaluation,
+                                and the time by which velocities lag behind positions there [s]
+    damping:                    Cundall ratio and drag rate [1/s] of the present stage
+    image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
+    """
+
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
+        self.rebuild_due = block.scalar(ti.i32, 1)
+        self.rebuild_requested = block.scalar(ti.i32, 1)
+        self.steps_done, self.running = (block.scalar(ti.i32, 1) for _ in range(2))
+        self.worker_count, self.started_count = (block.scalar(ti.i32, 1) for _ in range(2))
+        self.patience = block.scalar(ti.i32, 2)
+        self.next_chunk, self.released = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(2))
+        self.arrived = block.scalar(ti.i32, 3 * CACHE_LINE)
+        self.list_length_needed = block.scalar(ti.i32, 1)
+        self.halted_at: Any = None if backend.on_cpu else block.scalar(ti.i32, 2)
+        self.abort = block.scalar(ti.i32, 1)
+        self.abort_particle = block.scalar(ti.i32, 1)
+        self.pair_constants = block.vector(
+            backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1]
+        )
+        self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
+        super().__init__(block.arrays(sum_arrays(plan), backend))
+        edges = max(plan.capacities.energy_classes - 1, 1)
+        self.collision_edges: Any = block.scalar(ti.f64, edges) if plan.features.collision_energies else None
+        external = plan.features.external_forces
+        parameters = parameter_count(plan.external_forces)
+        self.force_parameters: Any = block.scalar(ti.f64, max(parameters, 1)) if external else None
+        damped = plan.damping is not None
+        self.force_clock: Any = block.scalar(ti.f64, 4) if external or damped else None
+        self.damping: Any = block.scalar(ti.f64, 2) if damped else None
+        sheared = plan.features.lees_edwards
+        position_real = backend.position_real
+        self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
+        self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
+
+    def fill(self, plan: Plan) -> None:
+        """Write the constant arrays."""
+        write_padded(self.pair_constants, plan.pair_constants)
+        if plan.law_parameters:
+            write_padded(self.law_parameters, np.array([plan.law_parameters]))
+        if self.collision_edges is not None:
+            write_padded(self.collision_edges, plan.collision_edges)
+        self.abort_particle[0] = NO_PARTICLE
+        if self.halted_at is not None:
+            write_padded(self.halted_at, np.full(2, NOT_HALTED, np.int32))
+
+
 class DeviceFlags(NamedTuple):
     """See `Control` and `CellSort`; on a CPU, the launches at which a phase halted are 0."""
 
@@ -745,3 +705,46 @@ def _build_flags(state: State) -> Callable[[], Any]:
         )
 
     return flags
+
+
+# How the data of all MPI ranks form the totals and arrays of a run; a process that is alone has all of
+# them.
+
+Arrays = dict[str, np.ndarray]
+"""Arrays by name, of the particles of one rank or of all."""
+NO_CHANGES = "Changes from Python do not work on MPI ranks: run without a communicator."
+"""Message of a change of particles, walls or forces during a run on ranks."""
+
+
+class Gathering(Protocol):
+    """Combines what each rank has. All ranks call each function."""
+
+    def total(self, words: np.ndarray) -> np.ndarray:
+        """Numbers (n, ...), summed over the first axis of all ranks if there are several; integers
+        exactly."""
+
+    def largest(self, value: float) -> float:
+        """Largest value of all ranks."""
+
+    def gathered(self, arrays: Arrays) -> Arrays:
+        """Arrays (n, ...) of all ranks, one rank after the other; complete on the root only."""
+
+
+class OneProcess:
+    """A run without MPI."""
+
+    def total(self, words: np.ndarray) -> np.ndarray:
+        """The integers."""
+        return words
+
+    def largest(self, value: float) -> float:
+        """The value."""
+        return value
+
+    def gathered(self, arrays: Arrays) -> Arrays:
+        """The arrays."""
+        return arrays
+
+
+ALONE = OneProcess()
+"""Without MPI, or for arrays that are those of all ranks already."""

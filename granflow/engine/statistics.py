@@ -41,54 +41,6 @@ from granflow.engine.walls import WallGeometry, triangles_of, walls_of
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import UNIT_ENERGY
 
-
-def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All candidate pairs on the host; pairs across two chunks occur twice.
-
-    Returns:  owner (p,), list index (p,) and partner (p,), int64; a negative partner is a wall, see
-              `walls_of`
-    """
-    rows = state.built(list_table).take(slice(0, state.count))
-    begin = rows["begin"]
-    lengths = rows["end"] - begin
-    owner = np.repeat(np.arange(state.count), lengths)
-    list_index = consecutive(begin, lengths).astype(np.int64)
-    return owner, list_index, state.built(_partner_table).take(list_index)["partner"].astype(np.int64)
-
-
-def _partner_table(state: State) -> FieldTable:
-    """Table of the partners of all list entries."""
-    return FieldTable({"partner": state.neighbors.partner})
-
-
-def build_any_kinematics(state: State) -> Any:
-    """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not
-    matter.
-
-    Returns the normal, and the struct `contact` of the contact models.
-
-    Reads:  as `build_pair_kinematics`
-    """
-    has_walls = state.plan.has_walls
-    particle_kinematics = build_pair_kinematics(state, False)
-    particle_effective = build_effective(state, False)
-    wall_kinematics = build_pair_kinematics(state, True) if has_walls else particle_kinematics
-    wall_effective = build_effective(state, True)
-
-    @ti.func
-    def any_kinematics(i, j, pose, time_step):
-        bodies = wall_effective(i, j)
-        found = no_contact(0.0 * bodies.radius_eff, state.particles.velocity[i])
-        if j < 0:
-            found = wall_kinematics(i, j, pose, time_step)
-        else:
-            bodies = particle_effective(i, j)
-            found = particle_kinematics(i, j, pose, time_step)
-        return found.normal, normal_contact(bodies, found, time_step)
-
-    return any_kinematics
-
-
 # One record per contact
 
 
@@ -633,3 +585,53 @@ def _build_overlap_and_rate(state: State) -> Any:
         return overlap, rate
 
     return overlap_and_rate
+
+
+# Parts of several of them: the candidate pairs, and the kinematics of one.
+
+
+def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All candidate pairs on the host; pairs across two chunks occur twice.
+
+    Returns:  owner (p,), list index (p,) and partner (p,), int64; a negative partner is a wall, see
+              `walls_of`
+    """
+    rows = state.built(list_table).take(slice(0, state.count))
+    begin = rows["begin"]
+    lengths = rows["end"] - begin
+    owner = np.repeat(np.arange(state.count), lengths)
+    list_index = consecutive(begin, lengths).astype(np.int64)
+    return owner, list_index, state.built(_partner_table).take(list_index)["partner"].astype(np.int64)
+
+
+def _partner_table(state: State) -> FieldTable:
+    """Table of the partners of all list entries."""
+    return FieldTable({"partner": state.neighbors.partner})
+
+
+def build_any_kinematics(state: State) -> Any:
+    """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not
+    matter.
+
+    Returns the normal, and the struct `contact` of the contact models.
+
+    Reads:  as `build_pair_kinematics`
+    """
+    has_walls = state.plan.has_walls
+    particle_kinematics = build_pair_kinematics(state, False)
+    particle_effective = build_effective(state, False)
+    wall_kinematics = build_pair_kinematics(state, True) if has_walls else particle_kinematics
+    wall_effective = build_effective(state, True)
+
+    @ti.func
+    def any_kinematics(i, j, pose, time_step):
+        bodies = wall_effective(i, j)
+        found = no_contact(0.0 * bodies.radius_eff, state.particles.velocity[i])
+        if j < 0:
+            found = wall_kinematics(i, j, pose, time_step)
+        else:
+            bodies = particle_effective(i, j)
+            found = particle_kinematics(i, j, pose, time_step)
+        return found.normal, normal_contact(bodies, found, time_step)
+
+    return any_kinematics

@@ -147,6 +147,138 @@ SAVED_NUMBERS = {each.name: each.type for each in fields(Accounting) if each.typ
 """Type of each count, mass and energy of Accounting by name."""
 
 
+@dataclass(frozen=True)
+class ParticleSums:
+    """Sums over all particles at the time of the positions.
+
+    count:                number of particles
+    energies:             kinetic, rotational and gravitational energy [J]
+    speed:                largest speed [m/s]
+    coordination_number:  mean number of contacts with particles, of mobile particles
+    wall_contact_count:   number of contacts with walls
+    """
+
+    count: int
+    energies: tuple[float, float, float]
+    speed: float
+    coordination_number: float
+    wall_contact_count: float
+
+
+# The totals of a snapshot.
+
+
+def totals_of(
+    state: State,
+    accounting: Accounting,
+    sums: ParticleSums,
+    measured: Mapping[str, float],
+) -> dict[str, float]:
+    """Totals of the present state by name, SI units.
+
+    sums:      sums over the particles
+    measured:  totals of ContactStatistics
+    """
+    contacts = measured["contact_count"]
+    energies = sums.energies
+    plan = state.plan
+    totals = {
+        "particle_count": float(sums.count),
+        "inserted_count": float(accounting.inserted_count),
+        "deleted_count": float(accounting.deleted_count),
+        "deleted_mass": accounting.deleted_mass,
+        "contact_count": contacts,
+        "kinetic_energy": energies[0],
+        "rotational_energy": energies[1],
+        "overlap_mean": measured["overlap_sum"] / contacts if contacts else 0.0,
+        "overlap_largest": measured["overlap_largest"],
+        "coordination_number": sums.coordination_number,
+    }
+    if plan.features.liquid_transfer:
+        totals |= {name: measured[name] for name in LIQUID_SUMS}
+    if plan.features.walls:
+        totals["wall_contact_count"] = sums.wall_contact_count
+    if plan.features.lees_edwards:
+        totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
+    if accounting.queued_count is not None:
+        totals["queued_count"] = float(accounting.queued_count)
+    for name, (outlet_count, outlet_mass) in accounting.outlets.items():
+        totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
+    if plan.features.energy_budget:
+        totals |= energy_budget_totals(state, accounting, energies, measured)
+    return totals | controlled_totals(state)
+
+
+LARGEST_ERROR = 5e-3
+"""Magnitude of the energy error above which a run warns."""
+ROUNDING = {"f64": 1e-9, "mixed": 1e-6, "f32": 1e-5}
+"""Rounding error of the energy budget, relative to its potential energies, by precision.
+
+It results from the masses; in f32 also from the positions.
+"""
+
+
+def energy_budget_totals(
+    state: State, accounting: Accounting, energies: tuple[float, float, float], measured: Mapping[str, float]
+) -> dict[str, float]:
+    """The energy budget [J], and its error: the residual over the largest energy input of all observations
+    and now.
+
+        residual = K + U + E_elastic + E_dissipated + E_deleted - E_inserted - W
+        energy_error = residual / max(E_in so far and now, rounding / LARGEST_ERROR)
+
+    energies:  kinetic, rotational and gravitational energy [J]
+    measured:  totals of ContactStatistics
+    Returns:   totals by the names of TOTAL_QUANTITIES
+
+    The scale is the largest E_in, because the present E_in can be zero: a bouncing sphere at its highest
+    point has returned all of it. If E_in is below the rounding error of the potential energies, the rounding
+    error is the scale, so that rounding does not count as an energy error.
+    """
+    unit = state.plan.sum_units.energy / SHARES
+    words = state.ranks.total(chunk_words(state, state.control.losses))
+    losses = dict(zip(LOSSES, exact_totals(words, unit).tolist(), strict=True))
+    losses["plastic_dissipation"] += measured["plastic_dissipation"]
+    losses["wall_work"] += controlled_work(state)
+    if state.control.wall_work_ahead is not None:
+        ahead = state.ranks.total(chunk_words(state, state.control.wall_work_ahead))
+        losses["wall_work"] -= float(exact_totals(ahead, unit)[0])
+    sums = {"boundary_work": state.control.boundary_work, "external_work": state.control.external_work}
+    other_works = {
+        name: float(exact_totals(state.ranks.total(chunk_words(state, each)), unit)[0])
+        for name, each in sums.items()
+        if each is not None
+    }
+    works = (losses["wall_work"], *other_works.values())
+    dissipated = sum(losses[name] for name in LOSSES if name != "wall_work")
+    present_energy = sum(energies) + measured["elastic_energy"]
+    removed = accounting.removed_energy - accounting.inserted_energy
+    residual = present_energy + dissipated + removed - sum(works)
+    rounding = ROUNDING[state.backend.precision] * (abs(energies[2]) + abs(removed))
+    energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
+    scale = max(energy_put_in, rounding / LARGEST_ERROR)
+    return {
+        "gravitational_energy": energies[2],
+        "elastic_energy": measured["elastic_energy"],
+        **losses,
+        **other_works,
+        "removed_energy": removed,
+        "energy_error": residual / scale if scale > 0.0 else 0.0,
+    }
+
+
+def ended_contacts_dissipation(state: State) -> float:
+    """Plastic dissipation [J] of all ended contacts; 0 without the energy budget."""
+    losses = state.control.losses
+    if losses is None:
+        return 0.0
+    return float(
+        exact_totals(state.ranks.total(chunk_words(state, losses)), state.plan.sum_units.energy / SHARES)[
+            LOSS_PLASTIC
+        ]
+    )
+
+
 def mechanical_energy(
     arrays: Mapping[str, np.ndarray], gravity: np.ndarray, ranks: Gathering = ALONE
 ) -> tuple[float, float, float]:
@@ -201,55 +333,39 @@ def energy_input(accounting: Accounting, potential: float, works: Iterable[float
     return max(energy_supplied, 0.0) + sum(max(work, 0.0) for work in works)
 
 
-# Deleted particles: their arrays, and their part of the accounting.
-
-DELETED_FIELDS = tuple(
-    dict.fromkeys(
-        ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed", *CLUMP_MOTION)
-    )
-)
-"""Fields of deleted particles that their accounting needs."""
+# Arrays of snapshots.
 
 
-def deleted_particles(state: State, first: int, last: int) -> dict[str, np.ndarray]:
-    """DELETED_FIELDS of the particles with the indices `first` to `last`, exclusive, in the order of their
-    ids.
+def ordered_particles(arrays: dict[str, np.ndarray], accounting: Accounting) -> dict[str, np.ndarray]:
+    """Arrays of Snapshot.particles, ordered by id, from arrays (n,) or (n, 3) in device order.
 
-    Particles that a program has removed are left out: they are counted where it removes them.
+    Without rotation, angular velocity and torque are zero.
     """
-    arrays = copy_to_host(state, DELETED_FIELDS, first, last)
-    by_id = np.argsort(arrays["id"])
-    arrays = {name: values[by_id] for name, values in arrays.items()}
-    return {name: values[arrays["radius"] > REMOVED_BELOW] for name, values in arrays.items()}
+    order = np.argsort(arrays["id"], kind="stable")
+    found = {name: values[order] for name, values in arrays.items()}
+    found["id"] = found["id"].astype(np.int64)
+    for name in BY_ID:
+        found[name] = accounting.by_id(name, found["id"])
+    for name in ("angular_velocity", "torque"):
+        found.setdefault(name, np.zeros_like(found["velocity"]))
+    return found
 
 
-def account_deleted(state: State, accounting: Accounting, arrays: Mapping[str, np.ndarray]) -> None:
-    """Add deleted particles with the fields DELETED_FIELDS to the accounting.
-
-    With `on_exit: error`, sets the abort code if one of them left the domain.
-    """
-    position = of_clumps(arrays)["position"].astype(float)
-    outlet_index = _outlets_of(state.plan, position)
-    left_domain = outlet_index < 0
-    if state.plan.domain.on_exit == "error" and left_domain.any():
-        state.control.abort[0] = ABORT_LEFT_DOMAIN
-        state.control.abort_particle[0] = int(arrays["id"][left_domain].min())
-    accounting.delete(arrays, outlet_index, np.array(state.plan.gravity))
-    accounting.count_exits(_exit_faces(state.plan, position[left_domain]))
-
-
-def _exit_faces(plan: Plan, position: np.ndarray) -> np.ndarray:
-    """Index in EXIT_FACES (n,) of the face of the domain that is farthest behind each position (n, 3) [m]."""
-    beyond = np.concatenate([plan.domain_low - position, position - plan.domain_high], axis=1)
-    return np.asarray(beyond.argmax(axis=1))
-
-
-def _outlets_of(plan: Plan, position: np.ndarray) -> np.ndarray:
-    """Index of the outlet (n,) that deletes each particle at a position (n, 3) [m], -1 for none."""
-    checked_axes = [axis for axis in range(3) if plan.domain.on_exit != "expand"]
-    low, high = plan.domain_low[checked_axes], plan.domain_high[checked_axes]
-    in_domain = np.all((position[:, checked_axes] >= low) & (position[:, checked_axes] <= high), axis=1)
-    return outlet_of(plan.outlets, position, in_domain)
+def wall_poses(state: State) -> dict[str, WallPose]:
+    """Present pose of every wall by name."""
+    found = {}
+    displacements = controlled_displacements(state)
+    for index, wall in enumerate(state.plan.walls):
+        poses = pose(state.wall_motions[index], np.array([state.clock.time]))
+        present = bool(state.walls.present[index])
+        found[wall.name] = WallPose(
+            present,
+            poses.offset[0] + displacements[index],
+            poses.rotation[0],
+            poses.pivot,
+            poses.surface_velocity[0],
+        )
+    return found
 
 
 # Sums over the particles for the totals of a snapshot: on the host from its arrays, or on a GPU without
@@ -265,24 +381,6 @@ PARTICLE_CONTACTS, MOBILE, WALL_CONTACTS = range(ENERGY_COUNT, ENERGY_COUNT + 3)
 walls."""
 LARGEST_SPEED_SQUARED = ENERGY_COUNT
 """Column of the largest values."""
-
-
-@dataclass(frozen=True)
-class ParticleSums:
-    """Sums over all particles at the time of the positions.
-
-    count:                number of particles
-    energies:             kinetic, rotational and gravitational energy [J]
-    speed:                largest speed [m/s]
-    coordination_number:  mean number of contacts with particles, of mobile particles
-    wall_contact_count:   number of contacts with walls
-    """
-
-    count: int
-    energies: tuple[float, float, float]
-    speed: float
-    coordination_number: float
-    wall_contact_count: float
 
 
 def host_sums(
@@ -434,150 +532,55 @@ def _build_energy_terms(state: State) -> Any:
     return terms_of
 
 
-# Arrays of snapshots.
+# Deleted particles: their arrays, and their part of the accounting.
 
-
-def ordered_particles(arrays: dict[str, np.ndarray], accounting: Accounting) -> dict[str, np.ndarray]:
-    """Arrays of Snapshot.particles, ordered by id, from arrays (n,) or (n, 3) in device order.
-
-    Without rotation, angular velocity and torque are zero.
-    """
-    order = np.argsort(arrays["id"], kind="stable")
-    found = {name: values[order] for name, values in arrays.items()}
-    found["id"] = found["id"].astype(np.int64)
-    for name in BY_ID:
-        found[name] = accounting.by_id(name, found["id"])
-    for name in ("angular_velocity", "torque"):
-        found.setdefault(name, np.zeros_like(found["velocity"]))
-    return found
-
-
-def wall_poses(state: State) -> dict[str, WallPose]:
-    """Present pose of every wall by name."""
-    found = {}
-    displacements = controlled_displacements(state)
-    for index, wall in enumerate(state.plan.walls):
-        poses = pose(state.wall_motions[index], np.array([state.clock.time]))
-        present = bool(state.walls.present[index])
-        found[wall.name] = WallPose(
-            present,
-            poses.offset[0] + displacements[index],
-            poses.rotation[0],
-            poses.pivot,
-            poses.surface_velocity[0],
-        )
-    return found
-
-
-LARGEST_ERROR = 5e-3
-"""Magnitude of the energy error above which a run warns."""
-ROUNDING = {"f64": 1e-9, "mixed": 1e-6, "f32": 1e-5}
-"""Rounding error of the energy budget, relative to its potential energies, by precision.
-
-It results from the masses; in f32 also from the positions.
-"""
-
-
-def totals_of(
-    state: State,
-    accounting: Accounting,
-    sums: ParticleSums,
-    measured: Mapping[str, float],
-) -> dict[str, float]:
-    """Totals of the present state by name, SI units.
-
-    sums:      sums over the particles
-    measured:  totals of ContactStatistics
-    """
-    contacts = measured["contact_count"]
-    energies = sums.energies
-    plan = state.plan
-    totals = {
-        "particle_count": float(sums.count),
-        "inserted_count": float(accounting.inserted_count),
-        "deleted_count": float(accounting.deleted_count),
-        "deleted_mass": accounting.deleted_mass,
-        "contact_count": contacts,
-        "kinetic_energy": energies[0],
-        "rotational_energy": energies[1],
-        "overlap_mean": measured["overlap_sum"] / contacts if contacts else 0.0,
-        "overlap_largest": measured["overlap_largest"],
-        "coordination_number": sums.coordination_number,
-    }
-    if plan.features.liquid_transfer:
-        totals |= {name: measured[name] for name in LIQUID_SUMS}
-    if plan.features.walls:
-        totals["wall_contact_count"] = sums.wall_contact_count
-    if plan.features.lees_edwards:
-        totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
-    if accounting.queued_count is not None:
-        totals["queued_count"] = float(accounting.queued_count)
-    for name, (outlet_count, outlet_mass) in accounting.outlets.items():
-        totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
-    if plan.features.energy_budget:
-        totals |= energy_budget_totals(state, accounting, energies, measured)
-    return totals | controlled_totals(state)
-
-
-def ended_contacts_dissipation(state: State) -> float:
-    """Plastic dissipation [J] of all ended contacts; 0 without the energy budget."""
-    losses = state.control.losses
-    if losses is None:
-        return 0.0
-    return float(
-        exact_totals(state.ranks.total(chunk_words(state, losses)), state.plan.sum_units.energy / SHARES)[
-            LOSS_PLASTIC
-        ]
+DELETED_FIELDS = tuple(
+    dict.fromkeys(
+        ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed", *CLUMP_MOTION)
     )
+)
+"""Fields of deleted particles that their accounting needs."""
 
 
-def energy_budget_totals(
-    state: State, accounting: Accounting, energies: tuple[float, float, float], measured: Mapping[str, float]
-) -> dict[str, float]:
-    """The energy budget [J], and its error: the residual over the largest energy input of all observations
-    and now.
+def deleted_particles(state: State, first: int, last: int) -> dict[str, np.ndarray]:
+    """DELETED_FIELDS of the particles with the indices `first` to `last`, exclusive, in the order of their
+    ids.
 
-        residual = K + U + E_elastic + E_dissipated + E_deleted - E_inserted - W
-        energy_error = residual / max(E_in so far and now, rounding / LARGEST_ERROR)
-
-    energies:  kinetic, rotational and gravitational energy [J]
-    measured:  totals of ContactStatistics
-    Returns:   totals by the names of TOTAL_QUANTITIES
-
-    The scale is the largest E_in, because the present E_in can be zero: a bouncing sphere at its highest
-    point has returned all of it. If E_in is below the rounding error of the potential energies, the rounding
-    error is the scale, so that rounding does not count as an energy error.
+    Particles that a program has removed are left out: they are counted where it removes them.
     """
-    unit = state.plan.sum_units.energy / SHARES
-    words = state.ranks.total(chunk_words(state, state.control.losses))
-    losses = dict(zip(LOSSES, exact_totals(words, unit).tolist(), strict=True))
-    losses["plastic_dissipation"] += measured["plastic_dissipation"]
-    losses["wall_work"] += controlled_work(state)
-    if state.control.wall_work_ahead is not None:
-        ahead = state.ranks.total(chunk_words(state, state.control.wall_work_ahead))
-        losses["wall_work"] -= float(exact_totals(ahead, unit)[0])
-    sums = {"boundary_work": state.control.boundary_work, "external_work": state.control.external_work}
-    other_works = {
-        name: float(exact_totals(state.ranks.total(chunk_words(state, each)), unit)[0])
-        for name, each in sums.items()
-        if each is not None
-    }
-    works = (losses["wall_work"], *other_works.values())
-    dissipated = sum(losses[name] for name in LOSSES if name != "wall_work")
-    present_energy = sum(energies) + measured["elastic_energy"]
-    removed = accounting.removed_energy - accounting.inserted_energy
-    residual = present_energy + dissipated + removed - sum(works)
-    rounding = ROUNDING[state.backend.precision] * (abs(energies[2]) + abs(removed))
-    energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
-    scale = max(energy_put_in, rounding / LARGEST_ERROR)
-    return {
-        "gravitational_energy": energies[2],
-        "elastic_energy": measured["elastic_energy"],
-        **losses,
-        **other_works,
-        "removed_energy": removed,
-        "energy_error": residual / scale if scale > 0.0 else 0.0,
-    }
+    arrays = copy_to_host(state, DELETED_FIELDS, first, last)
+    by_id = np.argsort(arrays["id"])
+    arrays = {name: values[by_id] for name, values in arrays.items()}
+    return {name: values[arrays["radius"] > REMOVED_BELOW] for name, values in arrays.items()}
+
+
+def account_deleted(state: State, accounting: Accounting, arrays: Mapping[str, np.ndarray]) -> None:
+    """Add deleted particles with the fields DELETED_FIELDS to the accounting.
+
+    With `on_exit: error`, sets the abort code if one of them left the domain.
+    """
+    position = of_clumps(arrays)["position"].astype(float)
+    outlet_index = _outlets_of(state.plan, position)
+    left_domain = outlet_index < 0
+    if state.plan.domain.on_exit == "error" and left_domain.any():
+        state.control.abort[0] = ABORT_LEFT_DOMAIN
+        state.control.abort_particle[0] = int(arrays["id"][left_domain].min())
+    accounting.delete(arrays, outlet_index, np.array(state.plan.gravity))
+    accounting.count_exits(_exit_faces(state.plan, position[left_domain]))
+
+
+def _exit_faces(plan: Plan, position: np.ndarray) -> np.ndarray:
+    """Index in EXIT_FACES (n,) of the face of the domain that is farthest behind each position (n, 3) [m]."""
+    beyond = np.concatenate([plan.domain_low - position, position - plan.domain_high], axis=1)
+    return np.asarray(beyond.argmax(axis=1))
+
+
+def _outlets_of(plan: Plan, position: np.ndarray) -> np.ndarray:
+    """Index of the outlet (n,) that deletes each particle at a position (n, 3) [m], -1 for none."""
+    checked_axes = [axis for axis in range(3) if plan.domain.on_exit != "expand"]
+    low, high = plan.domain_low[checked_axes], plan.domain_high[checked_axes]
+    in_domain = np.all((position[:, checked_axes] >= low) & (position[:, checked_axes] <= high), axis=1)
+    return outlet_of(plan.outlets, position, in_domain)
 
 
 # Warnings during a run from values of the snapshots, without additional work in a step.

@@ -13,35 +13,14 @@ Surface = Shape | Mesh
 """Geometry of a wall in its rest pose."""
 
 
-def kind_code(kind: ShapeKind) -> int:
-    """Index of the kind in SHAPE_KINDS."""
-    return SHAPE_KINDS.index(kind)
-
-
-def area_of(surface: Surface) -> float | None:
-    """Area [m2] of one side of a surface; None if it is unbounded."""
-    return surface.area if isinstance(surface, Mesh) else surface.kind.area(surface.parameters)
-
-
 def surface_code(surface: Surface) -> int:
     """Code of the kind of a wall: that of its shape; all meshes have the next code."""
     return len(SHAPE_KINDS) if isinstance(surface, Mesh) else kind_code(surface.kind)
 
 
-def triangles(surface: Surface, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points (m, 3) [m] and triangles (k, 3) of a surface at rest, for visualization.
-
-    surface:  shape or mesh in its rest pose
-    center:   (3,) [m], center of the domain
-    extent:   half width [m] of the square that shows an unbounded shape, half the largest side of the domain
-    Returns:  points (m, 3) float64 [m]; triangles (k, 3) as indices of the points
-
-    An unbounded shape is shown as a square about the projection of `center`; other shapes are shown
-    completely.
-    """
-    if isinstance(surface, Mesh):
-        return surface.points, surface.corners
-    return surface.kind.triangles(surface.parameters, np.asarray(center, dtype=np.float64), extent)
+def kind_code(kind: ShapeKind) -> int:
+    """Index of the kind in SHAPE_KINDS."""
+    return SHAPE_KINDS.index(kind)
 
 
 def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndarray:
@@ -73,3 +52,24 @@ def reach_about(surface: Surface, point: np.ndarray, axis: np.ndarray, farthest:
     if isinstance(surface, Mesh):
         return min(surface.reach_about(point, axis), farthest)
     return min(surface.kind.reach_about(surface.parameters, point, axis), farthest)
+
+
+def area_of(surface: Surface) -> float | None:
+    """Area [m2] of one side of a surface; None if it is unbounded."""
+    return surface.area if isinstance(surface, Mesh) else surface.kind.area(surface.parameters)
+
+
+def triangles(surface: Surface, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (m, 3) [m] and triangles (k, 3) of a surface at rest, for visualization.
+
+    surface:  shape or mesh in its rest pose
+    center:   (3,) [m], center of the domain
+    extent:   half width [m] of the square that shows an unbounded shape, half the largest side of the domain
+    Returns:  points (m, 3) float64 [m]; triangles (k, 3) as indices of the points
+
+    An unbounded shape is shown as a square about the projection of `center`; other shapes are shown
+    completely.
+    """
+    if isinstance(surface, Mesh):
+        return surface.points, surface.corners
+    return surface.kind.triangles(surface.parameters, np.asarray(center, dtype=np.float64), extent)

@@ -102,26 +102,6 @@ class PeriodicBox:
             points, lambda axis, shifted: np.round((shifted - references[:, axis]) / self.width[axis])
         )[0]
 
-    def _shifted(
-        self, points: np.ndarray, image_counts_of: Callable[[int, np.ndarray], np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Points shifted by image counts along every axis, and the counts (n,) along the gradient axis.
-
-        `image_counts_of`: (axis, coordinates (n,)) -> number of widths (n,) by which the points move down.
-        The gradient axis comes first, because its shift changes the coordinate along the flow axis.
-        """
-        shifted = np.array(points)
-        gradient_counts = np.zeros(len(points))
-        for axis in sorted(
-            self.axes, key=lambda axis: self.image_motion is None or axis != self.image_motion.gradient
-        ):
-            image_counts = image_counts_of(axis, shifted[:, axis])
-            shifted[:, axis] -= image_counts * self.width[axis]
-            if self.image_motion is not None and axis == self.image_motion.gradient:
-                shifted[:, self.image_motion.flow] -= image_counts * self.offset
-                gradient_counts = image_counts
-        return shifted, gradient_counts
-
     def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic
         face."""
@@ -143,3 +123,23 @@ class PeriodicBox:
             radius = np.concatenate([radius, radius[below], radius[above]])
             index = np.concatenate([index, index[below], index[above]])
         return position, radius, index
+
+    def _shifted(
+        self, points: np.ndarray, image_counts_of: Callable[[int, np.ndarray], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Points shifted by image counts along every axis, and the counts (n,) along the gradient axis.
+
+        `image_counts_of`: (axis, coordinates (n,)) -> number of widths (n,) by which the points move down.
+        The gradient axis comes first, because its shift changes the coordinate along the flow axis.
+        """
+        shifted = np.array(points)
+        gradient_counts = np.zeros(len(points))
+        for axis in sorted(
+            self.axes, key=lambda axis: self.image_motion is None or axis != self.image_motion.gradient
+        ):
+            image_counts = image_counts_of(axis, shifted[:, axis])
+            shifted[:, axis] -= image_counts * self.width[axis]
+            if self.image_motion is not None and axis == self.image_motion.gradient:
+                shifted[:, self.image_motion.flow] -= image_counts * self.offset
+                gradient_counts = image_counts
+        return shifted, gradient_counts

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-# Evaluates the `expect:` block of a scene with the numbers of the completed run.
-
-
 class Expectation(Protocol):
     """One entry of the `expect:` block of a scene; exactly one of the four bounds is not None.
 
@@ -59,68 +56,6 @@ class ExpectationResult(NamedTuple):
     met: bool
 
 
-def evaluate(expectations: Iterable[Expectation], numbers: Mapping[str, float]) -> list[ExpectationResult]:
-    """Evaluate all expectations with the numbers of the completed run (`Result.numbers`), in the same order.
-
-    An expectation on NaN, or on a quantity that the run lacks, is not satisfied; the sentence then lists
-    similar names. Raises ValueError for an expectation without any bound.
-    """
-    return [_evaluate_one(expectation, numbers) for expectation in expectations]
-
-
-def _evaluate_one(expectation: Expectation, numbers: Mapping[str, float]) -> ExpectationResult:
-    """Evaluate one expectation; numbers in the sentence have six digits."""
-    name = expectation.quantity
-    if name not in numbers:
-        return ExpectationResult(_unknown(name, numbers), False)
-    number = numbers[name]
-    unit = f" {unit_of(name)}".rstrip()
-    met, requirement = _compare(expectation, number, unit)
-    relation = "as expected" if met else "but should be"
-    degrees = in_degrees(number, unit.strip())
-    return ExpectationResult(f"{name} is {number:.6g}{unit}{degrees}, {relation} {requirement}.", met)
-
-
-def _compare(expectation: Expectation, number: float, unit: str) -> tuple[bool, str]:
-    """Return whether the number satisfies the bound of the expectation, and the text of the bound.
-
-    `unit`: empty, or a space and the unit. `between` includes both ends, `below` and `above` exclude the
-    bound.
-    """
-    if expectation.between is not None:
-        low, high = expectation.between
-        return low <= number <= high, f"between {low:g} and {high:g}{unit}"
-    if expectation.below is not None:
-        return number < expectation.below, f"below {expectation.below:g}{unit}"
-    if expectation.above is not None:
-        return number > expectation.above, f"above {expectation.above:g}{unit}"
-    if expectation.equals is None:
-        raise ValueError(f"The expectation on {expectation.quantity} has no bound.")
-    return _compare_equal(number, expectation.equals, expectation.tolerance or 0.0, unit)
-
-
-def _compare_equal(number: float, target: float, tolerance: float, unit: str) -> tuple[bool, str]:
-    """Return whether |number - target| <= tolerance |target|, and the text of the requirement."""
-    within = f" within {100.0 * tolerance:g} %" if tolerance else ""
-    return abs(number - target) <= tolerance * abs(target), f"equal to {target:.10g}{unit}{within}"
-
-
-def _unknown(name: str, numbers: Mapping[str, float]) -> str:
-    """Return a sentence for a quantity that the run lacks, with at most three similar names, or else with all
-    names."""
-    suggestions = difflib.get_close_matches(name, numbers, n=3)
-    if suggestions:
-        return f"{name} is not a number of this run. Did you mean {' or '.join(suggestions)}?"
-    return f"{name} is not a number of this run. It has {', '.join(sorted(numbers))}."
-
-
-_COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
-_TOTAL = "wall_clock"
-_STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
-_WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
-"""Totals and wall forces in the closing table; `result.json` contains all of them."""
-
-
 @dataclass(frozen=True, repr=False)
 class Result:
     """Numbers of a completed run, in SI units.
@@ -130,8 +65,7 @@ class Result:
     on MPI ranks), output, compile.
     `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the
     meter. `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric.
-    `insertion`:
-    inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
+    `insertion`: inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
 
     >>> result = gf.read_run("out/two").result
     >>> result.totals["particle_count"], result.numbers["simulated_time"] == result.run["simulated_time"]
@@ -202,9 +136,7 @@ class Result:
         return named
 
 
-def _plain(value: Any) -> Any:
-    """A value with mappings as dictionaries."""
-    return {key: _plain(each) for key, each in value.items()} if isinstance(value, Mapping) else value
+# Written to and read from result.json.
 
 
 def write_result(directory: Path, result: Result) -> Path:
@@ -272,6 +204,32 @@ def _numbers(readings: Mapping[str, float | None]) -> dict[str, float]:
     return {name: math.nan if number is None else number for name, number in readings.items()}
 
 
+def _plain(value: Any) -> Any:
+    """A value with mappings as dictionaries."""
+    return {key: _plain(each) for key, each in value.items()} if isinstance(value, Mapping) else value
+
+
+def _finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
+    # The module json writes NaN as invalid JSON and does not accept numpy numbers.
+    return {name: _json_number(number) for name, number in numbers.items()}
+
+
+def _json_number(number: float) -> float | None:
+    """Return a Python number for JSON: an int if it is whole and below 2^53, None if it is not finite."""
+    if not math.isfinite(number):
+        return None
+    return int(number) if float(number).is_integer() and abs(number) < 2**53 else float(number)
+
+
+# The table at the end of a run.
+
+_COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
+_TOTAL = "wall_clock"
+_STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
+_WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
+"""Totals and wall forces in the closing table; `result.json` contains all of them."""
+
+
 def closing_table(result: Result, title: str = "Result") -> "Table":
     """Return the table printed at the end of a run: timings, counts, energies, flow meters, wall forces,
     insertion."""
@@ -334,11 +292,6 @@ def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str,
     ]
 
 
-def _unit_text(name: str, number: float) -> str:
-    """Return the unit of a number, followed by the number in degrees if it is an angle."""
-    return unit_of(name) + in_degrees(number, unit_of(name))
-
-
 def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:
     """Return the rows of force magnitudes and pressures; result.json also contains the components."""
     shown = {
@@ -348,17 +301,68 @@ def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:
     return _part_rows(shown)
 
 
+def _unit_text(name: str, number: float) -> str:
+    """Return the unit of a number, followed by the number in degrees if it is an angle."""
+    return unit_of(name) + in_degrees(number, unit_of(name))
+
+
 def _label(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
-    # The module json writes NaN as invalid JSON and does not accept numpy numbers.
-    return {name: _json_number(number) for name, number in numbers.items()}
+# Evaluates the `expect:` block of a scene with the numbers of the completed run.
 
 
-def _json_number(number: float) -> float | None:
-    """Return a Python number for JSON: an int if it is whole and below 2^53, None if it is not finite."""
-    if not math.isfinite(number):
-        return None
-    return int(number) if float(number).is_integer() and abs(number) < 2**53 else float(number)
+def evaluate(expectations: Iterable[Expectation], numbers: Mapping[str, float]) -> list[ExpectationResult]:
+    """Evaluate all expectations with the numbers of the completed run (`Result.numbers`), in the same order.
+
+    An expectation on NaN, or on a quantity that the run lacks, is not satisfied; the sentence then lists
+    similar names. Raises ValueError for an expectation without any bound.
+    """
+    return [_evaluate_one(expectation, numbers) for expectation in expectations]
+
+
+def _evaluate_one(expectation: Expectation, numbers: Mapping[str, float]) -> ExpectationResult:
+    """Evaluate one expectation; numbers in the sentence have six digits."""
+    name = expectation.quantity
+    if name not in numbers:
+        return ExpectationResult(_unknown(name, numbers), False)
+    number = numbers[name]
+    unit = f" {unit_of(name)}".rstrip()
+    met, requirement = _compare(expectation, number, unit)
+    relation = "as expected" if met else "but should be"
+    degrees = in_degrees(number, unit.strip())
+    return ExpectationResult(f"{name} is {number:.6g}{unit}{degrees}, {relation} {requirement}.", met)
+
+
+def _compare(expectation: Expectation, number: float, unit: str) -> tuple[bool, str]:
+    """Return whether the number satisfies the bound of the expectation, and the text of the bound.
+
+    `unit`: empty, or a space and the unit. `between` includes both ends, `below` and `above` exclude the
+    bound.
+    """
+    if expectation.between is not None:
+        low, high = expectation.between
+        return low <= number <= high, f"between {low:g} and {high:g}{unit}"
+    if expectation.below is not None:
+        return number < expectation.below, f"below {expectation.below:g}{unit}"
+    if expectation.above is not None:
+        return number > expectation.above, f"above {expectation.above:g}{unit}"
+    if expectation.equals is None:
+        raise ValueError(f"The expectation on {expectation.quantity} has no bound.")
+    return _compare_equal(number, expectation.equals, expectation.tolerance or 0.0, unit)
+
+
+def _compare_equal(number: float, target: float, tolerance: float, unit: str) -> tuple[bool, str]:
+    """Return whether |number - target| <= tolerance |target|, and the text of the requirement."""
+    within = f" within {100.0 * tolerance:g} %" if tolerance else ""
+    return abs(number - target) <= tolerance * abs(target), f"equal to {target:.10g}{unit}{within}"
+
+
+def _unknown(name: str, numbers: Mapping[str, float]) -> str:
+    """Return a sentence for a quantity that the run lacks, with at most three similar names, or else with all
+    names."""
+    suggestions = difflib.get_close_matches(name, numbers, n=3)
+    if suggestions:
+        return f"{name} is not a number of this run. Did you mean {' or '.join(suggestions)}?"
+    return f"{name} is not a number of this run. It has {', '.join(sorted(numbers))}."

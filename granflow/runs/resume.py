@@ -28,6 +28,312 @@ from granflow.runs.checkpoint_checks import check_engine, check_run
 from granflow.runs.observer_list import ObserverList
 from granflow.scene.blocks.scene import SceneInput
 
+
+class Difference(NamedTuple):
+    """A key whose value differs; None if the key is missing.
+
+    `key`: path with dots, such as walls.floor.material. `str()` is the beginning of a sentence.
+    """
+
+    key: str
+    before: Any
+    now: Any
+
+    @property
+    def is_allowed(self) -> bool:
+        """Whether a run can be resumed with this change."""
+        return any(re.fullmatch(pattern, self.key) for pattern in ALLOWED_CHANGES)
+
+    def __str__(self) -> str:
+        shown = ["not given" if value is None else _shown(value) for value in (self.before, self.now)]
+        return f"{self.key} was {shown[0]} and is {shown[1]}"
+
+
+@dataclass(frozen=True)
+class Change:
+    """Differences between the scene of a checkpoint and the scene that continues the run."""
+
+    differences: tuple[Difference, ...]
+
+    @property
+    def affects_contacts(self) -> bool:
+        """Whether walls or pairs differ, so that forces must be recomputed before the next step."""
+        return any(each.key.startswith(("walls.", "pairs.")) for each in self.differences)
+
+    @property
+    def keeps_course(self) -> bool:
+        """Whether all events and conditions are those of the run so far: only limits and texts differ."""
+        return all(
+            re.match(r"(title|description|expect|numerics|output\.checkpoint)\b", each.key)
+            for each in self.differences
+        )
+
+    def moves_stage_end(self, index: int) -> bool:
+        """Return whether the end of the stage with this index has changed."""
+        return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
+
+
+def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_changes: bool) -> Change:
+    """Check the checkpoint and return the differences between its scene and the present one, whose plan is
+    `plan`.
+
+    `allow_changes`: accept differences in keys that must normally not change when a run continues.
+
+    Raises GranflowError with all differences that are not permitted, unless `allow_changes`; and always if
+    the numbers of the plan differ, if a wall would jump by more than MAX_JUMP of the smallest radius, or if
+    the present stage would have ended before. Raises CheckpointError if the state does not match its scene or
+    the plan.
+    """
+    saved = checkpoint.saved
+    other_engine = engine_difference(checkpoint)
+    if other_engine and not allow_changes:
+        raise GranflowError(
+            f"{other_engine} Resume with that version, or continue despite the difference with "
+            "--allow-changes."
+        )
+    # Both scenes are read from text, so that only differences of the text count.
+    before, now = (
+        scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, copied_scene(scene).to_yaml())
+    )
+    try:
+        check_run(checkpoint, before, plan_fingerprint(plan))
+    except CheckpointError as error:
+        raise _without_damage(error, other_engine) from None
+    stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
+    refused = forbidden(before, now, stages_over)
+    if refused and not allow_changes:
+        named = " ".join(
+            f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused
+        )
+        raise GranflowError(
+            f"{named} Run the scene from the start, or continue despite the change with --allow-changes."
+        )
+    _refuse_other_numbers(checkpoint, plan)
+    _refuse_jumps(before, plan, saved, checkpoint.time)
+    if before.run.precision != now.run.precision:
+        _change_remainders(saved["engine"]["particles"], plan)
+    try:
+        check_engine(checkpoint, plan, before)
+    except CheckpointError as error:
+        raise _without_damage(error, other_engine) from None
+    change = Change(differences(before, now))
+    _refuse_past_end(checkpoint, now, change)
+    return change
+
+
+PLAN_NUMBERS = ("time_step", "skin", "velocity_max")
+"""Numbers of a plan that must not change when a run continues: positions and contact history depend on
+them."""
+FEATURE_SWITCHES = (
+    "friction",
+    "rolling",
+    "twisting",
+    "rotation",
+    "rate_dependent",
+    "cohesion",
+    "one_material",
+    "energy_budget",
+    "wall_forces",
+    "damping",
+    "fixed_particles",
+)
+"""Features that determine which arrays exist."""
+
+
+def plan_fingerprint(plan: Plan) -> dict[str, Any]:
+    """Return the numbers and features of a plan that checkpoints contain, by name.
+
+    PLAN_NUMBERS in SI units, FEATURE_SWITCHES, and `mesh_digest`. A run continues only if all are equal.
+    """
+    numbers = {name: getattr(plan, name) for name in PLAN_NUMBERS} | {"mesh_digest": mesh_digest(plan)}
+    return numbers | {name: getattr(plan.features, name) for name in FEATURE_SWITCHES}
+
+
+def mesh_digest(plan: Plan) -> str:
+    """Return the SHA-256 of the triangles of all mesh walls, their order included; empty without mesh walls.
+
+    The digest covers points and corners at rest, after scaling, rotation and translation.
+    """
+    digest = hashlib.sha256(str(len(plan.walls)).encode())
+    for index, mesh in plan.meshes.items():
+        digest.update(
+            f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes()
+        )
+    return digest.hexdigest() if plan.meshes else ""
+
+
+def engine_difference(checkpoint: Checkpoint) -> str:
+    """Sentences on an engine other than that of the run so far; empty for the same sources."""
+    if checkpoint.engine == engine_digest():
+        return ""
+    return (
+        f"{checkpoint.path} was written by granflow {checkpoint.version} with the engine "
+        f"{checkpoint.engine:.12}, and this is granflow {version_of('granflow')} with the engine "
+        f"{engine_digest()}: their results can differ."
+    )
+
+
+def _without_damage(error: CheckpointError, other_engine: str) -> CheckpointError:
+    """The error of a check, or the difference of the engines if that is its likely cause."""
+    if not other_engine:
+        return error
+    return CheckpointError(f"{other_engine} Its state does not fit this version: resume with that version.")
+
+
+def _change_remainders(particles: dict[str, Any], plan: Plan) -> None:
+    """Add remainders of velocities, which are zero, or remove them, as the precision of the plan needs."""
+    wanted = saved_arrays(particle_arrays(plan))
+    for name in ("velocity", "angular_velocity"):
+        remainder = f"{name}_remainder"
+        if remainder not in wanted:
+            particles.pop(remainder, None)
+        elif name in particles:
+            particles[remainder] = np.zeros_like(particles[name])
+
+
+def _refuse_past_end(checkpoint: Checkpoint, scene: Scene, change: Change) -> None:
+    """Raise GranflowError if `scene` changes the duration of the present stage to one that it has already
+    exceeded."""
+    stage_times = checkpoint.saved["stage_progress"]["stage_times"]
+    index, (name, (began, _)) = len(stage_times) - 1, list(stage_times.items())[-1]
+    keys = ("run.duration", f"stages.{index}.duration", f"stages.{index}.max_duration")
+    lasted = checkpoint.time - began
+    step = checkpoint.saved["engine"]["clock"]["time_step"]
+    for each in change.differences:
+        if each.key in keys and each.now is not None and each.now < lasted - step:
+            raise GranflowError(
+                f"{each.key} is {each.now:.6g} s, but at {checkpoint.path} stage {name} has already lasted "
+                f"{lasted:.6g} s: give at least this duration."
+            )
+
+
+def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
+    """Raise GranflowError for the first number or feature of the plan that differs from that of the
+    checkpoint."""
+    for name, before in checkpoint.saved["plan"].items():
+        now = plan_fingerprint(plan)[name]
+        if now != before and name == "mesh_digest":
+            raise GranflowError(
+                f"{checkpoint.path}: the triangles of the mesh walls differ from those of the run, but must "
+                "not change when a run continues; restore the mesh files."
+            )
+        if now != before:
+            remedy = "; give the old value with --set" if name in PLAN_NUMBERS else ""
+            raise GranflowError(
+                f"{checkpoint.path}: {name} was {before!r} and would be {now!r} with this scene, but must "
+                f"not change when a run continues{remedy}."
+            )
+
+
+MAX_JUMP = 1e-3
+"""Largest displacement of a wall by a change of its motion, over the smallest radius."""
+
+
+def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: float) -> None:
+    """Raise GranflowError if a motion that the scene changes displaces a wall at `time` [s].
+
+    `before`: scene of the checkpoint; `saved`: its state, with the start and end [s] of the stages, and the
+    walls that follow Python instead of the scene. The displacement is that of the corners of the domain.
+    """
+    stage_times: StageTimes = saved["stage_progress"]["stage_times"]
+    corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
+    motions_before = [planned_motions(wall.motion, before.gravity) for wall in before.walls.values()]
+    motions = [
+        wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])
+    ]
+    for wall, first, second in zip(plan.walls, *motions, strict=False):
+        moved = np.linalg.norm(
+            _positions(first, time, corners) - _positions(second, time, corners), axis=1
+        ).max()
+        if wall.name not in saved["changes"]["walls"] and moved > MAX_JUMP * plan.radius_min:
+            raise GranflowError(
+                f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. "
+                "Terminate the old motion at this time (end:) and add another motion from this time (start:)."
+            )
+
+
+def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np.ndarray:
+    """Return the positions (n, 3) [m] at `time` [s] of points (n, 3) [m] at rest that move with a wall."""
+    pose_at_time = pose(motions, np.array([time]))
+    return (
+        (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T
+        + pose_at_time.pivot
+        + pose_at_time.offset[0]
+    )
+
+
+# Comparison of two scenes, key by key.
+
+ALLOWED_CHANGES: dict[str, str] = {
+    r"title|description|expect(\.|$).*": "title, description and expectations",
+    r"output\.((timeseries_)?interval|particles|contacts|walls)": "selection and interval of output",
+    r"output\.(frames_per_rank|compression)": "files of frames",
+    r"output\.checkpoint\..*": "interval and number of checkpoints",
+    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|(min|max)_duration|until.*)": (
+        "end of run or stage"
+    ),
+    r"walls\.\w+(\.\w+)?\.(stages|appears_at|vanishes_at)": "presence of a wall, such as opening a gate",
+    r"walls\.\w+(\.\w+)?\.motion(\.|$).*": "motion of a wall from now on",
+    r"pairs\.[\w-]+\.(friction|rolling_friction)": "friction, if it is above 0 before and after",
+    r"numerics\.max_overlap": "overlap limit at which the run is aborted",
+    r"run\.(time_step|velocity_max)|numerics\.(skin|chunk_size)": "only to the values used by the run so far",
+}
+"""Keys that may change when a run is resumed, with a description. Changes of all other keys are rejected."""
+
+
+def differences(before: SceneInput, now: SceneInput) -> tuple[Difference, ...]:
+    """All keys that differ, in the order of the scenes, with defaults included.
+
+    Lists of numbers are compared as a whole, lists of mappings entry by entry.
+    """
+    first = dict(_leaves(before.model_dump(by_alias=True, exclude_none=True)))
+    second = dict(_leaves(now.model_dump(by_alias=True, exclude_none=True)))
+    keys = dict.fromkeys([*first, *second])
+    return tuple(
+        Difference(key, first.get(key), second.get(key)) for key in keys if first.get(key) != second.get(key)
+    )
+
+
+def forbidden(before: SceneInput, now: SceneInput, stages_over: int) -> tuple[Difference, ...]:
+    """Differences that prevent a resume of a run whose first `stages_over` stages have ended.
+
+    A difference is permitted if its key is in ALLOWED_CHANGES and not in an ended stage, or adds a stage.
+    """
+    return tuple(
+        each for each in differences(before, now) if not _allowed(each, len(before.stages), stages_over)
+    )
+
+
+def _allowed(difference: Difference, stages_before: int, stages_over: int) -> bool:
+    """Whether a run can be resumed with a difference.
+
+    `stages_before`: number of stages in the earlier scene; `stages_over`: number of those that have ended.
+    """
+    stage = re.match(r"stages\.(\d+)\.", difference.key)
+    if stage and int(stage[1]) >= stages_before:
+        return True
+    return difference.is_allowed and not (stage and int(stage[1]) < stages_over)
+
+
+def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Path and value of each entry that is neither a mapping nor a list of mappings."""
+    if isinstance(value, dict) and value:
+        for key, each in value.items():
+            yield from _leaves(each, f"{path}.{key}".lstrip("."))
+    elif isinstance(value, list | tuple) and any(isinstance(each, dict) for each in value):
+        for index, each in enumerate(value):
+            yield from _leaves(each, f"{path}.{index}")
+    else:
+        yield path, value
+
+
+def _shown(value: Any) -> str:
+    """The value as text; lists as in a scene file."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_shown, value))}]"
+    return str(value)
+
+
 # Changes from Python that checkpoints contain: capacity, walls, parameters of forces, removed observers,
 # functions.
 #
@@ -182,304 +488,3 @@ def _restored(part: Part) -> Motion:
             values[name] = _numbers(part[name], 1 if field_type is float else 3)
     motion: Motion = kind(**values)
     return motion
-
-
-PLAN_NUMBERS = ("time_step", "skin", "velocity_max")
-"""Numbers of a plan that must not change when a run continues: positions and contact history depend on
-them."""
-FEATURE_SWITCHES = (
-    "friction",
-    "rolling",
-    "twisting",
-    "rotation",
-    "rate_dependent",
-    "cohesion",
-    "one_material",
-    "energy_budget",
-    "wall_forces",
-    "damping",
-    "fixed_particles",
-)
-"""Features that determine which arrays exist."""
-MAX_JUMP = 1e-3
-"""Largest displacement of a wall by a change of its motion, over the smallest radius."""
-
-
-def plan_fingerprint(plan: Plan) -> dict[str, Any]:
-    """Return the numbers and features of a plan that checkpoints contain, by name.
-
-    PLAN_NUMBERS in SI units, FEATURE_SWITCHES, and `mesh_digest`. A run continues only if all are equal.
-    """
-    numbers = {name: getattr(plan, name) for name in PLAN_NUMBERS} | {"mesh_digest": mesh_digest(plan)}
-    return numbers | {name: getattr(plan.features, name) for name in FEATURE_SWITCHES}
-
-
-def mesh_digest(plan: Plan) -> str:
-    """Return the SHA-256 of the triangles of all mesh walls, their order included; empty without mesh walls.
-
-    The digest covers points and corners at rest, after scaling, rotation and translation.
-    """
-    digest = hashlib.sha256(str(len(plan.walls)).encode())
-    for index, mesh in plan.meshes.items():
-        digest.update(
-            f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes()
-        )
-    return digest.hexdigest() if plan.meshes else ""
-
-
-class Difference(NamedTuple):
-    """A key whose value differs; None if the key is missing.
-
-    `key`: path with dots, such as walls.floor.material. `str()` is the beginning of a sentence.
-    """
-
-    key: str
-    before: Any
-    now: Any
-
-    @property
-    def is_allowed(self) -> bool:
-        """Whether a run can be resumed with this change."""
-        return any(re.fullmatch(pattern, self.key) for pattern in ALLOWED_CHANGES)
-
-    def __str__(self) -> str:
-        shown = ["not given" if value is None else _shown(value) for value in (self.before, self.now)]
-        return f"{self.key} was {shown[0]} and is {shown[1]}"
-
-
-@dataclass(frozen=True)
-class Change:
-    """Differences between the scene of a checkpoint and the scene that continues the run."""
-
-    differences: tuple[Difference, ...]
-
-    @property
-    def affects_contacts(self) -> bool:
-        """Whether walls or pairs differ, so that forces must be recomputed before the next step."""
-        return any(each.key.startswith(("walls.", "pairs.")) for each in self.differences)
-
-    @property
-    def keeps_course(self) -> bool:
-        """Whether all events and conditions are those of the run so far: only limits and texts differ."""
-        return all(
-            re.match(r"(title|description|expect|numerics|output\.checkpoint)\b", each.key)
-            for each in self.differences
-        )
-
-    def moves_stage_end(self, index: int) -> bool:
-        """Return whether the end of the stage with this index has changed."""
-        return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
-
-
-def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_changes: bool) -> Change:
-    """Check the checkpoint and return the differences between its scene and the present one, whose plan is
-    `plan`.
-
-    `allow_changes`: accept differences in keys that must normally not change when a run continues.
-
-    Raises GranflowError with all differences that are not permitted, unless `allow_changes`; and always if
-    the numbers of the plan differ, if a wall would jump by more than MAX_JUMP of the smallest radius, or if
-    the present stage would have ended before. Raises CheckpointError if the state does not match its scene or
-    the plan.
-    """
-    saved = checkpoint.saved
-    other_engine = engine_difference(checkpoint)
-    if other_engine and not allow_changes:
-        raise GranflowError(
-            f"{other_engine} Resume with that version, or continue despite the difference with "
-            "--allow-changes."
-        )
-    # Both scenes are read from text, so that only differences of the text count.
-    before, now = (
-        scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, copied_scene(scene).to_yaml())
-    )
-    try:
-        check_run(checkpoint, before, plan_fingerprint(plan))
-    except CheckpointError as error:
-        raise _without_damage(error, other_engine) from None
-    stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
-    refused = forbidden(before, now, stages_over)
-    if refused and not allow_changes:
-        named = " ".join(
-            f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused
-        )
-        raise GranflowError(
-            f"{named} Run the scene from the start, or continue despite the change with --allow-changes."
-        )
-    _refuse_other_numbers(checkpoint, plan)
-    _refuse_jumps(before, plan, saved, checkpoint.time)
-    if before.run.precision != now.run.precision:
-        _change_remainders(saved["engine"]["particles"], plan)
-    try:
-        check_engine(checkpoint, plan, before)
-    except CheckpointError as error:
-        raise _without_damage(error, other_engine) from None
-    change = Change(differences(before, now))
-    _refuse_past_end(checkpoint, now, change)
-    return change
-
-
-def engine_difference(checkpoint: Checkpoint) -> str:
-    """Sentences on an engine other than that of the run so far; empty for the same sources."""
-    if checkpoint.engine == engine_digest():
-        return ""
-    return (
-        f"{checkpoint.path} was written by granflow {checkpoint.version} with the engine "
-        f"{checkpoint.engine:.12}, and this is granflow {version_of('granflow')} with the engine "
-        f"{engine_digest()}: their results can differ."
-    )
-
-
-def _without_damage(error: CheckpointError, other_engine: str) -> CheckpointError:
-    """The error of a check, or the difference of the engines if that is its likely cause."""
-    if not other_engine:
-        return error
-    return CheckpointError(f"{other_engine} Its state does not fit this version: resume with that version.")
-
-
-def _change_remainders(particles: dict[str, Any], plan: Plan) -> None:
-    """Add remainders of velocities, which are zero, or remove them, as the precision of the plan needs."""
-    wanted = saved_arrays(particle_arrays(plan))
-    for name in ("velocity", "angular_velocity"):
-        remainder = f"{name}_remainder"
-        if remainder not in wanted:
-            particles.pop(remainder, None)
-        elif name in particles:
-            particles[remainder] = np.zeros_like(particles[name])
-
-
-def _refuse_past_end(checkpoint: Checkpoint, scene: Scene, change: Change) -> None:
-    """Raise GranflowError if `scene` changes the duration of the present stage to one that it has already
-    exceeded."""
-    stage_times = checkpoint.saved["stage_progress"]["stage_times"]
-    index, (name, (began, _)) = len(stage_times) - 1, list(stage_times.items())[-1]
-    keys = ("run.duration", f"stages.{index}.duration", f"stages.{index}.max_duration")
-    lasted = checkpoint.time - began
-    step = checkpoint.saved["engine"]["clock"]["time_step"]
-    for each in change.differences:
-        if each.key in keys and each.now is not None and each.now < lasted - step:
-            raise GranflowError(
-                f"{each.key} is {each.now:.6g} s, but at {checkpoint.path} stage {name} has already lasted "
-                f"{lasted:.6g} s: give at least this duration."
-            )
-
-
-def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
-    """Raise GranflowError for the first number or feature of the plan that differs from that of the
-    checkpoint."""
-    for name, before in checkpoint.saved["plan"].items():
-        now = plan_fingerprint(plan)[name]
-        if now != before and name == "mesh_digest":
-            raise GranflowError(
-                f"{checkpoint.path}: the triangles of the mesh walls differ from those of the run, but must "
-                "not change when a run continues; restore the mesh files."
-            )
-        if now != before:
-            remedy = "; give the old value with --set" if name in PLAN_NUMBERS else ""
-            raise GranflowError(
-                f"{checkpoint.path}: {name} was {before!r} and would be {now!r} with this scene, but must "
-                f"not change when a run continues{remedy}."
-            )
-
-
-def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: float) -> None:
-    """Raise GranflowError if a motion that the scene changes displaces a wall at `time` [s].
-
-    `before`: scene of the checkpoint; `saved`: its state, with the start and end [s] of the stages, and the
-    walls that follow Python instead of the scene. The displacement is that of the corners of the domain.
-    """
-    stage_times: StageTimes = saved["stage_progress"]["stage_times"]
-    corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
-    motions_before = [planned_motions(wall.motion, before.gravity) for wall in before.walls.values()]
-    motions = [
-        wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])
-    ]
-    for wall, first, second in zip(plan.walls, *motions, strict=False):
-        moved = np.linalg.norm(
-            _positions(first, time, corners) - _positions(second, time, corners), axis=1
-        ).max()
-        if wall.name not in saved["changes"]["walls"] and moved > MAX_JUMP * plan.radius_min:
-            raise GranflowError(
-                f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. "
-                "Terminate the old motion at this time (end:) and add another motion from this time (start:)."
-            )
-
-
-def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np.ndarray:
-    """Return the positions (n, 3) [m] at `time` [s] of points (n, 3) [m] at rest that move with a wall."""
-    pose_at_time = pose(motions, np.array([time]))
-    return (
-        (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T
-        + pose_at_time.pivot
-        + pose_at_time.offset[0]
-    )
-
-
-ALLOWED_CHANGES: dict[str, str] = {
-    r"title|description|expect(\.|$).*": "title, description and expectations",
-    r"output\.((timeseries_)?interval|particles|contacts|walls)": "selection and interval of output",
-    r"output\.(frames_per_rank|compression)": "files of frames",
-    r"output\.checkpoint\..*": "interval and number of checkpoints",
-    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|(min|max)_duration|until.*)": (
-        "end of run or stage"
-    ),
-    r"walls\.\w+(\.\w+)?\.(stages|appears_at|vanishes_at)": "presence of a wall, such as opening a gate",
-    r"walls\.\w+(\.\w+)?\.motion(\.|$).*": "motion of a wall from now on",
-    r"pairs\.[\w-]+\.(friction|rolling_friction)": "friction, if it is above 0 before and after",
-    r"numerics\.max_overlap": "overlap limit at which the run is aborted",
-    r"run\.(time_step|velocity_max)|numerics\.(skin|chunk_size)": "only to the values used by the run so far",
-}
-"""Keys that may change when a run is resumed, with a description. Changes of all other keys are rejected."""
-
-
-def differences(before: SceneInput, now: SceneInput) -> tuple[Difference, ...]:
-    """All keys that differ, in the order of the scenes, with defaults included.
-
-    Lists of numbers are compared as a whole, lists of mappings entry by entry.
-    """
-    first = dict(_leaves(before.model_dump(by_alias=True, exclude_none=True)))
-    second = dict(_leaves(now.model_dump(by_alias=True, exclude_none=True)))
-    keys = dict.fromkeys([*first, *second])
-    return tuple(
-        Difference(key, first.get(key), second.get(key)) for key in keys if first.get(key) != second.get(key)
-    )
-
-
-def forbidden(before: SceneInput, now: SceneInput, stages_over: int) -> tuple[Difference, ...]:
-    """Differences that prevent a resume of a run whose first `stages_over` stages have ended.
-
-    A difference is permitted if its key is in ALLOWED_CHANGES and not in an ended stage, or adds a stage.
-    """
-    return tuple(
-        each for each in differences(before, now) if not _allowed(each, len(before.stages), stages_over)
-    )
-
-
-def _allowed(difference: Difference, stages_before: int, stages_over: int) -> bool:
-    """Whether a run can be resumed with a difference.
-
-    `stages_before`: number of stages in the earlier scene; `stages_over`: number of those that have ended.
-    """
-    stage = re.match(r"stages\.(\d+)\.", difference.key)
-    if stage and int(stage[1]) >= stages_before:
-        return True
-    return difference.is_allowed and not (stage and int(stage[1]) < stages_over)
-
-
-def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Path and value of each entry that is neither a mapping nor a list of mappings."""
-    if isinstance(value, dict) and value:
-        for key, each in value.items():
-            yield from _leaves(each, f"{path}.{key}".lstrip("."))
-    elif isinstance(value, list | tuple) and any(isinstance(each, dict) for each in value):
-        for index, each in enumerate(value):
-            yield from _leaves(each, f"{path}.{index}")
-    else:
-        yield path, value
-
-
-def _shown(value: Any) -> str:
-    """The value as text; lists as in a scene file."""
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_shown, value))}]"
-    return str(value)

@@ -32,219 +32,13 @@ from granflow.observers.observer import Checkpointable, Schedule
 from granflow.runs.result import Result, write_result
 from granflow.scene.blocks.output import Checkpoints
 
-# Schedule of the checkpoints of a run.
-
-SavedBy = Callable[[RankFileWriter], dict[str, Any]]
-"""Returns the state for a checkpoint, after the writer has written the files of the other MPI ranks."""
-
-
-class CheckpointWriter:
-    """Schedules and writes the checkpoints of one run, and keeps the newest few.
-
-    `scene_text`: YAML of the resolved scene, part of each checkpoint. `settings`: `interval` [s] of simulated
-    time, or None; `wall_clock` [s]; `keep`: number of files. The wall clock is monotonic: a change of the
-    system time has no effect. `last_time` [s]: of the last checkpoint, None before it.
-    """
-
-    def __init__(self, directory: Path, settings: Checkpoints, scene_text: str) -> None:
-        self.directory = directory
-        self._settings = settings
-        self._scene_text = scene_text
-        self._schedule = Schedule(settings.interval) if settings.interval else None
-        self._written_at = clock.monotonic()
-        engine_digest()  # of the sources at the start of the run
-        self.last_time: float | None = None
-
-    def start(self, time: float) -> None:
-        """Start the schedule at `time` [s]."""
-        self._written_at = clock.monotonic()
-        if self._schedule is not None:
-            self._schedule.mark_done(time)
-
-    def next_time(self) -> float:
-        """Return the simulated time of the next scheduled checkpoint [s], regardless of the wall clock."""
-        return inf if self._schedule is None else self._schedule.next_time()
-
-    def due(self, time: float) -> bool:
-        """Return whether a checkpoint is due, by the simulated `time` [s] or by the wall clock."""
-        return time >= self.next_time() or clock.monotonic() - self._written_at >= self._settings.wall_clock
-
-    def write(self, time: float, step: int, state: SavedBy) -> None:
-        """Write a checkpoint and remove old ones; after an error the next one is due as after a success.
-
-        `time` [s], `step`: of the state, as in `write_checkpoint`. Raises OSError if a file cannot be
-        written.
-        """
-        self.start(time)
-        writer = RankFileWriter.of(self.directory, step)
-        write_checkpoint(self.directory, self._scene_text, time, step, state(writer))
-        writer.remove_replaced()
-        remove_old_checkpoints(self.directory, self._settings.keep)
-        self.last_time = time
-
-
-# Copies the input files of a scene to the output directory, so that a run can be continued on any machine.
-
-
-def copy_inputs(directory: Path, inputs: Iterable[tuple[Path, str]]) -> None:
-    """Copy meshes, tables of motions and particle files to the paths that the resolved scene in the directory
-    contains.
-
-    A different file at that path is not overwritten: `.before` is appended to its name. Subdirectories are
-    created. `inputs`: as from `inputs_of`. Raises OSError if a file cannot be copied.
-    """
-    for source, name in inputs:
-        target = Path(directory) / name
-        if target.exists() and (source == resolved(target) or cmp(source, target, shallow=False)):
-            continue
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if target.exists():
-            target.replace(target.with_name(target.name + ".before"))
-        with replacing(target) as temporary:
-            shutil.copyfile(source, temporary)
-
-
-def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
-    """Yield the key and the path of each input file of the scene: meshes, tables of motions and of particles.
-
-    The key is that of the scene, such as `walls.hopper.file`; the path starts with the folder of the scene.
-    The file need not exist.
-    """
-    return ((key, scene.folder / name) for key, name in scene.input_names())
-
-
-def inputs_of(scene: Scene, copied: Scene) -> Iterator[tuple[Path, str]]:
-    """Yield the absolute paths of the input files of a scene, and those of their copies in `copied_scene`.
-
-    Files that a continued run no longer has are left out.
-    """
-    for (_, name), (_, copy) in zip(scene.input_names(), copied.input_names(), strict=True):
-        source = resolved(scene.folder / name)
-        if source.exists():
-            yield source, copy
-
-
-# The previous run in an output directory: a new run replaces it only once the new run has begun.
-#
-# The results move to `previous_run/` in the directory (on the same file system) and are deleted after the
-# first frame of the new run. An earlier error moves them back. A killed process leaves one of the following
-# states, which `restore_previous_run` recognizes:
-#
-#     .previous_run.part/   some results moved, the others in place; no new file exists
-#     previous_run/         all results moved; new files may exist
-#     .discarded_run/       the new run has begun; deletion is incomplete
-
-RESULT_FILES = (
-    "particles.pvd",
-    "contacts.pvd",
-    "walls.pvd",
-    "particles_*.vtu",
-    "particles_*.pvtu",
-    "contacts_*.vtu",
-    "walls_*.vtu",
-    "fields_*.pvd",
-    "fields_*.vtu",
-    "analysis/fields_*.pvd",
-    "analysis/fields_*.vtu",
-    "analysis/metrics.csv",
-    "timeseries.csv",
-    "result.json",
-    "scene_as_run.yaml",
-    "run.log",
-    "checkpoint_*.npz",
-    "rank_*.npz",
-    "report.html",
-    "pictures/picture_*.png",
-    "pictures/film_*.mp4",
-)
-"""Patterns of the result files of a run, which distinguish an earlier run from other files."""
-PREVIOUS, MOVING, DISCARDED = "previous_run", ".previous_run.part", ".discarded_run"
-"""Names of the directories for the three states in the module docstring."""
-
-
-def results_in(directory: Path) -> list[Path]:
-    """Return the result files of a run in the directory; empty if it does not exist."""
-    return [path for pattern in RESULT_FILES for path in directory.glob(pattern)]
-
-
-def refuse_inputs_inside(scene: Scene, directory: Path, only_results: bool = False) -> None:
-    """Raise GranflowError if `start_from` or an input file of the scene is in the directory.
-
-    With `only_results`, only if the new run would delete it: result files, or the directory itself.
-    """
-    folder = directory.resolve()
-    lost = {folder, *(path.resolve() for path in results_in(directory))}
-    start = [] if scene.start_from is None else [("start_from", Path(scene.start_from))]
-    for key, path in ((key, path.resolve()) for key, path in [*start, *input_files(scene)]):
-        if path in lost or (path.is_relative_to(folder) and not only_results):
-            raise GranflowError(
-                f"{key} is {path}, which is in the output directory {directory} of the run to be replaced: "
-                "give another directory with --out."
-            )
-
-
-def restore_previous_run(directory: Path) -> list[str]:
-    """Move the results of the previous run back if the new run did not begin; return a sentence in that case.
-
-    The caller must have locked the directory. The function may be interrupted at any point and called again.
-    Result files of the new run are deleted. Raises OSError if a file cannot be moved.
-    """
-    previous = directory / PREVIOUS
-    moving = directory / MOVING
-    shutil.rmtree(directory / DISCARDED, ignore_errors=True)
-    if previous.is_dir():
-        for path in results_in(directory):
-            path.unlink()
-        os.replace(previous, moving)
-    if not moving.is_dir():
-        return []
-    for path in [path for path in moving.rglob("*") if not path.is_dir()]:
-        _move(path, directory / path.relative_to(moving))
-    shutil.rmtree(moving)
-    return [
-        f"{directory} holds the previous run again: the run that was to replace it ended before its first "
-        "frame."
-    ]
-
-
-@contextmanager
-def replaced_run(directory: Path) -> Iterator[Callable[[], None]]:
-    """Move the results in the directory away; yield a function that deletes them, to be called after the
-    first frame.
-
-    If the block raises before that call, the results move back and those of the new run are deleted.
-    """
-    restore_previous_run(directory)
-    results = results_in(directory)
-    for path in results:
-        _move(path, directory / MOVING / path.relative_to(directory))
-    if results:
-        os.replace(directory / MOVING, directory / PREVIOUS)
-
-    def delete_previous() -> None:
-        if (directory / PREVIOUS).is_dir():
-            os.replace(directory / PREVIOUS, directory / DISCARDED)
-            shutil.rmtree(directory / DISCARDED, ignore_errors=True)
-
-    try:
-        yield delete_previous
-    except BaseException:
-        with suppress(OSError):
-            restore_previous_run(directory)
-        raise
-    delete_previous()
-
-
-def _move(path: Path, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    os.replace(path, target)
-
-
 POSITION = re.compile(r" \((?:[^()]*:\d+(?::\d+)?|--set [^()]*)\)|^\S+:\d+:\d+: ")
 """Position of a value in a warning: `(scene.yaml:31)`, `(--set KEY=VALUE)`, or `scene.yaml:31:5: ` at its
 begin."""
 CONTINUED = ("timeseries.csv", COLLISION_FILE, "run.log")
 """Files to which a resumed run appends."""
+SavedBy = Callable[[RankFileWriter], dict[str, Any]]
+"""Returns the state for a checkpoint, after the writer has written the files of the other MPI ranks."""
 
 
 class RunDirectory:
@@ -578,3 +372,208 @@ def _refuse_special_files(path: Path) -> None:
                 f"{file} is not a regular file, and the run cannot append to it: restore the file, or move "
                 "this away and continue with --allow-changes."
             )
+
+
+# Schedule of the checkpoints of a run.
+
+
+class CheckpointWriter:
+    """Schedules and writes the checkpoints of one run, and keeps the newest few.
+
+    `scene_text`: YAML of the resolved scene, part of each checkpoint. `settings`: `interval` [s] of simulated
+    time, or None; `wall_clock` [s]; `keep`: number of files. The wall clock is monotonic: a change of the
+    system time has no effect. `last_time` [s]: of the last checkpoint, None before it.
+    """
+
+    def __init__(self, directory: Path, settings: Checkpoints, scene_text: str) -> None:
+        self.directory = directory
+        self._settings = settings
+        self._scene_text = scene_text
+        self._schedule = Schedule(settings.interval) if settings.interval else None
+        self._written_at = clock.monotonic()
+        engine_digest()  # of the sources at the start of the run
+        self.last_time: float | None = None
+
+    def start(self, time: float) -> None:
+        """Start the schedule at `time` [s]."""
+        self._written_at = clock.monotonic()
+        if self._schedule is not None:
+            self._schedule.mark_done(time)
+
+    def next_time(self) -> float:
+        """Return the simulated time of the next scheduled checkpoint [s], regardless of the wall clock."""
+        return inf if self._schedule is None else self._schedule.next_time()
+
+    def due(self, time: float) -> bool:
+        """Return whether a checkpoint is due, by the simulated `time` [s] or by the wall clock."""
+        return time >= self.next_time() or clock.monotonic() - self._written_at >= self._settings.wall_clock
+
+    def write(self, time: float, step: int, state: SavedBy) -> None:
+        """Write a checkpoint and remove old ones; after an error the next one is due as after a success.
+
+        `time` [s], `step`: of the state, as in `write_checkpoint`. Raises OSError if a file cannot be
+        written.
+        """
+        self.start(time)
+        writer = RankFileWriter.of(self.directory, step)
+        write_checkpoint(self.directory, self._scene_text, time, step, state(writer))
+        writer.remove_replaced()
+        remove_old_checkpoints(self.directory, self._settings.keep)
+        self.last_time = time
+
+
+# Copies the input files of a scene to the output directory, so that a run can be continued on any machine.
+
+
+def copy_inputs(directory: Path, inputs: Iterable[tuple[Path, str]]) -> None:
+    """Copy meshes, tables of motions and particle files to the paths that the resolved scene in the directory
+    contains.
+
+    A different file at that path is not overwritten: `.before` is appended to its name. Subdirectories are
+    created. `inputs`: as from `inputs_of`. Raises OSError if a file cannot be copied.
+    """
+    for source, name in inputs:
+        target = Path(directory) / name
+        if target.exists() and (source == resolved(target) or cmp(source, target, shallow=False)):
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.exists():
+            target.replace(target.with_name(target.name + ".before"))
+        with replacing(target) as temporary:
+            shutil.copyfile(source, temporary)
+
+
+def inputs_of(scene: Scene, copied: Scene) -> Iterator[tuple[Path, str]]:
+    """Yield the absolute paths of the input files of a scene, and those of their copies in `copied_scene`.
+
+    Files that a continued run no longer has are left out.
+    """
+    for (_, name), (_, copy) in zip(scene.input_names(), copied.input_names(), strict=True):
+        source = resolved(scene.folder / name)
+        if source.exists():
+            yield source, copy
+
+
+def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
+    """Yield the key and the path of each input file of the scene: meshes, tables of motions and of particles.
+
+    The key is that of the scene, such as `walls.hopper.file`; the path starts with the folder of the scene.
+    The file need not exist.
+    """
+    return ((key, scene.folder / name) for key, name in scene.input_names())
+
+
+# The previous run in an output directory: a new run replaces it only once the new run has begun.
+#
+# The results move to `previous_run/` in the directory (on the same file system) and are deleted after the
+# first frame of the new run. An earlier error moves them back. A killed process leaves one of the following
+# states, which `restore_previous_run` recognizes:
+#
+#     .previous_run.part/   some results moved, the others in place; no new file exists
+#     previous_run/         all results moved; new files may exist
+#     .discarded_run/       the new run has begun; deletion is incomplete
+
+RESULT_FILES = (
+    "particles.pvd",
+    "contacts.pvd",
+    "walls.pvd",
+    "particles_*.vtu",
+    "particles_*.pvtu",
+    "contacts_*.vtu",
+    "walls_*.vtu",
+    "fields_*.pvd",
+    "fields_*.vtu",
+    "analysis/fields_*.pvd",
+    "analysis/fields_*.vtu",
+    "analysis/metrics.csv",
+    "timeseries.csv",
+    "result.json",
+    "scene_as_run.yaml",
+    "run.log",
+    "checkpoint_*.npz",
+    "rank_*.npz",
+    "report.html",
+    "pictures/picture_*.png",
+    "pictures/film_*.mp4",
+)
+"""Patterns of the result files of a run, which distinguish an earlier run from other files."""
+PREVIOUS, MOVING, DISCARDED = "previous_run", ".previous_run.part", ".discarded_run"
+"""Names of the directories for the three states."""
+
+
+@contextmanager
+def replaced_run(directory: Path) -> Iterator[Callable[[], None]]:
+    """Move the results in the directory away; yield a function that deletes them, to be called after the
+    first frame.
+
+    If the block raises before that call, the results move back and those of the new run are deleted.
+    """
+    restore_previous_run(directory)
+    results = results_in(directory)
+    for path in results:
+        _move(path, directory / MOVING / path.relative_to(directory))
+    if results:
+        os.replace(directory / MOVING, directory / PREVIOUS)
+
+    def delete_previous() -> None:
+        if (directory / PREVIOUS).is_dir():
+            os.replace(directory / PREVIOUS, directory / DISCARDED)
+            shutil.rmtree(directory / DISCARDED, ignore_errors=True)
+
+    try:
+        yield delete_previous
+    except BaseException:
+        with suppress(OSError):
+            restore_previous_run(directory)
+        raise
+    delete_previous()
+
+
+def restore_previous_run(directory: Path) -> list[str]:
+    """Move the results of the previous run back if the new run did not begin; return a sentence in that case.
+
+    The caller must have locked the directory. The function may be interrupted at any point and called again.
+    Result files of the new run are deleted. Raises OSError if a file cannot be moved.
+    """
+    previous = directory / PREVIOUS
+    moving = directory / MOVING
+    shutil.rmtree(directory / DISCARDED, ignore_errors=True)
+    if previous.is_dir():
+        for path in results_in(directory):
+            path.unlink()
+        os.replace(previous, moving)
+    if not moving.is_dir():
+        return []
+    for path in [path for path in moving.rglob("*") if not path.is_dir()]:
+        _move(path, directory / path.relative_to(moving))
+    shutil.rmtree(moving)
+    return [
+        f"{directory} holds the previous run again: the run that was to replace it ended before its first "
+        "frame."
+    ]
+
+
+def results_in(directory: Path) -> list[Path]:
+    """Return the result files of a run in the directory; empty if it does not exist."""
+    return [path for pattern in RESULT_FILES for path in directory.glob(pattern)]
+
+
+def refuse_inputs_inside(scene: Scene, directory: Path, only_results: bool = False) -> None:
+    """Raise GranflowError if `start_from` or an input file of the scene is in the directory.
+
+    With `only_results`, only if the new run would delete it: result files, or the directory itself.
+    """
+    folder = directory.resolve()
+    lost = {folder, *(path.resolve() for path in results_in(directory))}
+    start = [] if scene.start_from is None else [("start_from", Path(scene.start_from))]
+    for key, path in ((key, path.resolve()) for key, path in [*start, *input_files(scene)]):
+        if path in lost or (path.is_relative_to(folder) and not only_results):
+            raise GranflowError(
+                f"{key} is {path}, which is in the output directory {directory} of the run to be replaced: "
+                "give another directory with --out."
+            )
+
+
+def _move(path: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    os.replace(path, target)

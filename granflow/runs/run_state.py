@@ -34,9 +34,8 @@ from granflow.runs.timings import WallClock
 class RunState:
     """Engine, stages, insertion, observers and wall clock of a run.
 
-    `earlier`: names of the groups whose particles do not come from the scene. `original`: plan of the scene;
-    `plan`: of the next step; changes from
-    Python replace it, and `prepare` applies it.
+    `earlier`: names of the groups whose particles do not come from the scene. `original`: plan of the scene.
+    `plan`: of the next step; changes from Python replace it, and `prepare` applies it.
     """
 
     def __init__(

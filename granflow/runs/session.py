@@ -20,8 +20,7 @@ class RunSession:
     """Opens the files of a run before its first step and keeps them open between its parts.
 
     `loop`: of the run; `files`: its directory; `resumed`: checkpoint from which it continues, or None.
-    `warnings`:
-    sentences on the scene, for the log. `is_open`: whether the files are open.
+    `warnings`: sentences on the scene, for the log. `is_open`: whether the files are open.
     """
 
     def __init__(
