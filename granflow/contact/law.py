@@ -513,13 +513,15 @@ and `history` by name."""
 
 @ti.func
 def in_contact_plane(vector, normal, normal_half):
-    """Component of a vector in the contact plane at the half step, rotated with the plane to the present one.
+    """A vector brought into the present contact plane: a projection along the normal p of the half step.
 
-        u - (u . n) p
+        u - (u . n) p        n: present normal,  p . n = 1
 
-    The rotation from the plane at the half step, whose normal is p, to that of n is a projection along p,
-    with a relative error of the square of the angle between them; the component along p vanishes in it as
-    well.
+    A relative velocity is that of the half step: its component along p vanishes, and the rest is rotated from
+    the plane at the half step to the present one, with a relative error of the square of the angle between
+    them. The displacement of a spring is in the previous contact plane, whose angle p halves: it is rotated
+    from that plane to the present one. Rotation of the pair about its normal does not rotate the spring;
+    other DEM codes neglect it as well, and it costs a cross product.
     """
     return vector - vector.dot(normal) * normal_half
 

@@ -21,6 +21,7 @@ from granflow.engine.contact import build_boundary_work, build_count_collision, 
 from granflow.engine.history import IN_CONTACT, build_add_plastic_loss, build_end_contact
 from granflow.engine.liquid import build_form_bridge, build_return_liquid
 from granflow.engine.pair import (
+    PAIR_LOSSES,
     build_constants,
     build_contact_mass,
     build_effective,
@@ -33,17 +34,14 @@ from granflow.engine.pair import (
     build_slot_history,
     build_slot_vector,
     build_sphere_kinematics,
-    effective_value,
     member,
     normal_time_step,
+    sphere_bodies,
 )
 from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.sums import add_energy, build_list_shares, build_to_grid, holds_sums
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
-    LOSS_DAMPING,
-    LOSS_FRICTION,
-    LOSS_ROLLING,
     LOSSES,
     UNIT_ENERGY,
     UNIT_FORCE,
@@ -289,20 +287,19 @@ def _build_prepare(state: State) -> Any:
     pair_constants = build_pair_constants(state)
     history_of = build_slot_history(plan.laws, "normal")
     vector_of = build_slot_vector(plan.laws, "normal")
-    contact_mass = build_contact_mass(state)
+    effective = build_effective(state, False)
     longest_time_step = state.parameter("longest_time_step")
 
     @ti.func
     def prepare(worker, entry, i, j, velocity_rel, vector, dt):
         branch = branch_of(batch, worker, entry)
         distance = ti.sqrt(branch.dot(branch))
-        radius = particles.radius[i]
-        radius_partner = particles.radius[j]
+        bodies = effective(i, j)
         contact = ti.Struct(
-            radius_eff=effective_value(radius, radius_partner),
-            mass_eff=effective_value(contact_mass(i), contact_mass(j)),
+            radius_eff=bodies.radius_eff,
+            mass_eff=bodies.mass_eff,
             time_step=normal_time_step(dt, longest_time_step()),
-            overlap=radius + radius_partner - distance,
+            overlap=particles.radius[i] + particles.radius[j] - distance,
             overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
         )
         return vector_of(law.prepare(pair_constants(i, j).normal, contact, history_of(vector)))
@@ -429,16 +426,11 @@ def _build_load(state: State) -> Any:
 
     @ti.func
     def load_bodies(worker, entry):
-        radius = batch.radius[worker, entry]
-        radius_partner = batch.radius_partner[worker, entry]
-        mass = batch.mass[worker, entry]
-        mass_partner = batch.mass_partner[worker, entry]
-        inertia = 0.4 * mass * radius * radius
-        inertia_partner = 0.4 * mass_partner * radius_partner * radius_partner
-        return ti.Struct(
-            radius_eff=effective_value(radius, radius_partner),
-            mass_eff=effective_value(mass, mass_partner),
-            inertia_eff=effective_value(inertia, inertia_partner),
+        return sphere_bodies(
+            batch.radius[worker, entry],
+            batch.mass[worker, entry],
+            batch.radius_partner[worker, entry],
+            batch.mass_partner[worker, entry],
         )
 
     @ti.func
@@ -522,7 +514,7 @@ def _build_scatter(state: State) -> Any:
     @ti.func
     def add_losses(worker, chunk, j, entry):
         shares = list_shares(chunk, j)
-        for k, loss in ti.static(enumerate((LOSS_FRICTION, LOSS_ROLLING, LOSS_DAMPING))):
+        for k, loss in ti.static(enumerate(PAIR_LOSSES)):
             add_energy(control.losses, chunk, loss, loss_count, shares, batch.losses[k][worker, entry])
 
     @ti.func

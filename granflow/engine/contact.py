@@ -29,6 +29,7 @@ from granflow.engine.history import (
 )
 from granflow.engine.liquid import build_form_bridge, build_return_liquid
 from granflow.engine.pair import (
+    PAIR_LOSSES,
     build_effective,
     build_in_range,
     build_pair_constants,
@@ -43,9 +44,6 @@ from granflow.engine.wall_dynamics import build_add_impulse, build_add_wall_forc
 from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
-    LOSS_DAMPING,
-    LOSS_FRICTION,
-    LOSS_ROLLING,
     LOSS_WALL_WORK,
     LOSSES,
     UNIT_ENERGY,
@@ -323,7 +321,7 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
     @ti.func
     def add_losses(chunk, shares, found):
         scale = high_words_per_joule()
-        for k, loss in ti.static(enumerate((LOSS_FRICTION, LOSS_ROLLING, LOSS_DAMPING))):
+        for k, loss in ti.static(enumerate(PAIR_LOSSES)):
             add_energy(control.losses, chunk, loss, loss_count, shares, scale * found.losses[k])
 
     @ti.func

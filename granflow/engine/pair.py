@@ -27,6 +27,7 @@ from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_contact, build_wall_of
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
+from granflow.plan.sum_units import LOSS_DAMPING, LOSS_FRICTION, LOSS_ROLLING
 
 # Kinematics
 
@@ -234,18 +235,26 @@ def build_effective(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def effective(i, j):
-        radius_eff = particles.radius[i]
-        mass_eff = contact_mass(i)
-        inertia_eff = 0.4 * mass_eff * radius_eff * radius_eff
+        radius = particles.radius[i]
+        mass = contact_mass(i)
+        bodies = ti.Struct(radius_eff=radius, mass_eff=mass, inertia_eff=0.4 * mass * radius * radius)
         if ti.static(not with_wall):
-            radius = particles.radius[j]
-            mass = contact_mass(j)
-            radius_eff = effective_value(radius_eff, radius)
-            mass_eff = effective_value(mass_eff, mass)
-            inertia_eff = effective_value(inertia_eff, 0.4 * mass * radius * radius)
-        return ti.Struct(radius_eff=radius_eff, mass_eff=mass_eff, inertia_eff=inertia_eff)
+            bodies = sphere_bodies(radius, mass, particles.radius[j], contact_mass(j))
+        return bodies
 
     return effective
+
+
+@ti.func
+def sphere_bodies(radius, mass, radius_partner, mass_partner):
+    """Struct `bodies` of two spheres."""
+    inertia = 0.4 * mass * radius * radius
+    inertia_partner = 0.4 * mass_partner * radius_partner * radius_partner
+    return ti.Struct(
+        radius_eff=effective_value(radius, radius_partner),
+        mass_eff=effective_value(mass, mass_partner),
+        inertia_eff=effective_value(inertia, inertia_partner),
+    )
 
 
 @ti.func
@@ -347,6 +356,9 @@ def build_in_range(state: State) -> Any:
 
 # Force
 
+PAIR_LOSSES = (LOSS_FRICTION, LOSS_ROLLING, LOSS_DAMPING)
+"""Terms of the energy budget that a pair force adds to, in the order of its vector `losses`."""
+
 
 def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     """Device function: force and torques of one contact in a step.
@@ -357,8 +369,9 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     kinematics of `build_sphere_kinematics`; angular_velocities, a struct of those of the first and the
     partner [rad/s]; history; dt, and the longest time step of the run [s].
 
-    Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses
-    (friction, rolling and twisting, damping): energy [J] dissipated in this step.
+    Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses: a
+    vector of the energies [J] dissipated in this step by friction, by rolling and twisting, and by damping
+    (PAIR_LOSSES).
     """
     features = plan.features
     laws = plan.laws

@@ -4,6 +4,7 @@ springs."""
 import numpy as np
 import pytest
 
+from granflow.contact.law import in_contact_plane
 from granflow.contact.rolling.bounded_torque import STOPPED_SHARE, bounded_torque
 from granflow.contact.tangential import spring
 from granflow.kernel_language import ti
@@ -34,7 +35,7 @@ def rotate(displacement: VECTORS, normal: VECTORS, middle: VECTORS, rotated: VEC
         s = ti.Vector([displacement[i, 0], displacement[i, 1], displacement[i, 2]])
         n = ti.Vector([normal[i, 0], normal[i, 1], normal[i, 2]])
         m = ti.Vector([middle[i, 0], middle[i, 1], middle[i, 2]])
-        result = spring.rotated_displacement(s, n, m)
+        result = in_contact_plane(s, n, m)
         for k in ti.static(range(3)):
             rotated[i, k] = result[k]
 

@@ -20,9 +20,7 @@ from granflow.contact.law import (
 )
 from granflow.contact.tangential.spring import (
     elastic_plastic_spring,
-    reference_rotation,
     reference_spring,
-    rotated_displacement,
     spring_loss,
 )
 from granflow.device_functions import ti
@@ -59,7 +57,7 @@ class Epsd(RollingLaw):
         history_new = history
         ratio = contact.stiffness_ratio
         rate = contact.rolling_rate
-        rotated = rotated_displacement(history.angle, contact.normal, contact.normal_half)
+        rotated = in_contact_plane(history.angle, contact.normal, contact.normal_half)
         step = contact.time_step * in_contact_plane(rate, contact.normal, contact.normal_half)
         spring = contact.stiffness * contact.radius_eff * contact.radius_eff
         limit = constants.rolling_friction * contact.radius_eff * contact.normal_load
@@ -74,8 +72,7 @@ class Epsd(RollingLaw):
         torque, angle = reference_spring(
             contact.stiffness * contact.radius_eff**2,
             contact.constants.rolling_friction * contact.radius_eff * contact.normal_load,
-            min(contact.stiffness_ratio, 1.0)
-            * reference_rotation(contact.history.angle, contact.normal, contact.normal_half),
+            min(contact.stiffness_ratio, 1.0) * reference_in_contact_plane(contact.history.angle, contact),
             contact.time_step * tangential_rate,
         )
         return torque, {"angle": angle}

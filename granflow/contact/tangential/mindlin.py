@@ -19,14 +19,14 @@ from granflow.contact.law import (
     ModelRequest,
     SurfaceState,
     TangentialLaw,
+    in_contact_plane,
+    reference_in_contact_plane,
 )
 from granflow.contact.material import PairMaterial
 from granflow.contact.tangential.spring import (
     elastic_plastic_spring,
     limit_ratio,
-    reference_rotation,
     reference_spring,
-    rotated_displacement,
     spring_loss,
 )
 from granflow.device_functions import ti
@@ -135,7 +135,7 @@ class Mindlin(TangentialLaw):
         history_new = history
         stiffness = self.stiffness(constants, contact)
         ratio = self.stiffness_ratio(contact)
-        rotated = rotated_displacement(history.displacement, contact.normal, contact.normal_half)
+        rotated = in_contact_plane(history.displacement, contact.normal, contact.normal_half)
         factor = self.displacement_ratio(ratio)
         limit = self.limit(constants, contact)
         spring = 0.0 * rotated
@@ -172,9 +172,7 @@ class Mindlin(TangentialLaw):
         preserved = ratio if self.force_increments else 1.0  # by which the displacement changes
         if self.rescaled and ratio > 1.0:
             preserved /= ratio
-        carried = preserved * reference_rotation(
-            contact.history.displacement, contact.normal, contact.normal_half
-        )
+        carried = preserved * reference_in_contact_plane(contact.history.displacement, contact)
         limit = contact.constants.friction * contact.normal_load
         if not self.damped:
             force, displacement = reference_spring(stiffness, limit, carried, contact.slip)

@@ -11,23 +11,6 @@ from granflow.device_functions import ti
 
 
 @ti.func
-def rotated_displacement(displacement, normal, normal_half):
-    """Tangential displacement [m] rotated with the contact plane over one step.
-
-        s' = s - (s . n) p
-
-    normal:       unit normal n now
-    normal_half:  normal p at the half step, p . n = 1: it halves the angle between the previous and the
-                  present normal
-
-    Rotation of the pair about its normal does not rotate the spring; other DEM codes neglect it as well, and
-    it costs a cross product. The projection along p is the rotation from the previous to the present contact
-    plane.
-    """
-    return displacement - displacement.dot(normal) * normal_half
-
-
-@ti.func
 def limit_ratio(force, cap):
     """Factor that limits a force [N] to `cap` [N]; 1 below the limit."""
     square = force.dot(force)
@@ -76,8 +59,3 @@ def reference_spring(
     size = stiffness * float(np.sqrt(trial @ trial))
     displacement_new = trial if size <= cap else trial * (cap / size)
     return -stiffness * displacement_new, displacement_new
-
-
-def reference_rotation(displacement: np.ndarray, normal: np.ndarray, normal_half: np.ndarray) -> np.ndarray:
-    """Reference implementation of `rotated_displacement` in numpy, with vectors (3,)."""
-    return displacement - np.vdot(displacement, normal) * normal_half
