@@ -4,7 +4,7 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 
-from granflow.contact.device import exponential_f64, power_f64
+from granflow.device_functions import exponential_f64, power_f64
 from granflow.kernel_language import ti
 
 ULPS = 2.0

@@ -179,7 +179,7 @@ def powers(arch):
     """Largest differences of x^0.4 and e^x from numpy, in units of the last place."""
     import numpy as np
 
-    from granflow.contact.device import exponential_f64, power_f64
+    from granflow.device_functions import exponential_f64, power_f64
 
     ti = started(arch)
     rng = np.random.default_rng(3)

@@ -23,10 +23,9 @@ from granflow.contact.cohesion.capillary import (
     reference_attraction,
     rupture_factor,
 )
-from granflow.contact.device import power
 from granflow.contact.law import Amount, CohesionLaw, ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.device_functions import ti
+from granflow.device_functions import power, ti
 
 
 @dataclass(frozen=True)

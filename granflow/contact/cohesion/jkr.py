@@ -20,10 +20,9 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.cohesion.bond import BondLaw
-from granflow.contact.device import power
 from granflow.contact.law import WORK_OF_ADHESION, ContactModel, ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.device_functions import ti
+from granflow.device_functions import power, ti
 
 SNAP_OFF = 0.75 * 0.25 ** (1.0 / 3.0)
 """Distance over d_s at which the contact snaps off: y - y^4 at y^3 = 1/4."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import build_step_mean, reference_step_mean
 from granflow.contact.law import ContactModel, ContactState, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
+from granflow.contact.step_corrections import build_step_mean, reference_step_mean
 from granflow.device_functions import ti
 
 DAMPING_POWER = 0.25

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from functools import cache
 
 from granflow.contact import theory
-from granflow.contact.device import build_step_mean, power, reference_step_mean
 from granflow.contact.law import Amount, ContactModel, ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal.hertz import HertzSpring
-from granflow.device_functions import ti
+from granflow.contact.step_corrections import build_step_mean, reference_step_mean
+from granflow.device_functions import power, ti
 
 DAMPING_POWER = 0.5
 """Exponent of the overlap in the dissipative force."""

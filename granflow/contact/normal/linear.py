@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import build_step_mean, power, reference_step_mean
 from granflow.contact.law import (
     Amount,
     Choice,
@@ -21,7 +20,8 @@ from granflow.contact.law import (
     NormalLaw,
 )
 from granflow.contact.material import PairMaterial
-from granflow.device_functions import DeviceObject, ti
+from granflow.contact.step_corrections import build_step_mean, reference_step_mean
+from granflow.device_functions import DeviceObject, power, ti
 
 STIFFNESS = Choice(
     "spring stiffness: onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), "

@@ -31,16 +31,6 @@ from typing import Literal
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import (
-    build_step_mean,
-    exponential,
-    mean_above,
-    power,
-    reference_mean_above,
-    reference_step_mean,
-    reference_turning_point,
-    turning_point,
-)
 from granflow.contact.law import (
     Amount,
     Choice,
@@ -51,7 +41,15 @@ from granflow.contact.law import (
     NormalLaw,
 )
 from granflow.contact.material import PairMaterial, VelocityRestitution
-from granflow.device_functions import ti
+from granflow.contact.step_corrections import (
+    build_step_mean,
+    mean_above,
+    reference_mean_above,
+    reference_step_mean,
+    reference_turning_point,
+    turning_point,
+)
+from granflow.device_functions import exponential, power, ti
 
 # The unloading curve and its parameters (Zhou 2011, Eqs. 4, 7, 8 and 12)
 
