@@ -18,11 +18,17 @@ from typing import Any
 from granflow.engine.box import build_image_velocity, build_minimum_image
 from granflow.engine.codes import ABORT_OVERLAP
 from granflow.engine.contact import build_boundary_work, build_count_collision, build_distant_force
+from granflow.engine.contact_structs import (
+    build_constants,
+    build_read_slots,
+    build_slot_history,
+    build_slot_vector,
+    member,
+)
 from granflow.engine.history import IN_CONTACT, build_add_plastic_loss, build_end_contact
 from granflow.engine.liquid import build_form_bridge, build_return_liquid
 from granflow.engine.pair import (
     PAIR_LOSSES,
-    build_constants,
     build_contact_mass,
     build_effective,
     build_overlaps,
@@ -30,11 +36,7 @@ from granflow.engine.pair import (
     build_pair_force,
     build_pair_kinematics,
     build_pair_number,
-    build_read_slots,
-    build_slot_history,
-    build_slot_vector,
     build_sphere_kinematics,
-    member,
     normal_time_step,
     sphere_bodies,
 )

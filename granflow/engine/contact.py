@@ -13,6 +13,7 @@ import numpy as np
 
 from granflow.engine.box import build_image_velocity
 from granflow.engine.codes import ABORT_OVERLAP
+from granflow.engine.contact_structs import build_slot_vector
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.history import (
     IN_CONTACT,
@@ -35,7 +36,6 @@ from granflow.engine.pair import (
     build_pair_constants,
     build_pair_force,
     build_pair_kinematics,
-    build_slot_vector,
     normal_time_step,
 )
 from granflow.engine.state import State

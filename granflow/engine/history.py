@@ -1,7 +1,7 @@
 """Contact history: what the contact models remember of a contact from one step to the next.
 
 It is stored per neighbor-list entry, by slot (normal, tangential, rolling, twisting, cohesion) as a vector of
-components; the models get it as structs (`pair.build_read_slots`). `in_contact` is the state of the entry. A
+components; the models get it as structs (`contact_structs.py`). `in_contact` is the state of the entry. A
 step reads the history, writes the new one, and ends the contact if the pair has separated.
 
 A history outlives its entry in two cases: a contact that slides from one face of the walls to another takes
@@ -11,8 +11,9 @@ the new lists.
 
 from typing import Any
 
+from granflow.engine.contact_structs import build_read_slots, build_slot_vector, member
 from granflow.engine.neighbor.phases import is_count
-from granflow.engine.pair import build_pair_constants, build_read_slots, build_slot_vector, member
+from granflow.engine.pair import build_pair_constants
 from granflow.engine.state import State
 from granflow.engine.sums import add_energy, build_list_shares
 from granflow.engine.walls import WallGeometry

@@ -16,8 +16,8 @@ import numpy as np
 
 from granflow.device_functions import at_compile_time
 from granflow.engine.backend import Backend
+from granflow.engine.contact_structs import number_at, vector_at
 from granflow.engine.fields import FieldBlock
-from granflow.engine.pair import number_at, vector_at
 from granflow.engine.state import State
 from granflow.engine.sums import add_energy, holds_sums
 from granflow.kernel_language import ti

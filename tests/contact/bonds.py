@@ -10,7 +10,7 @@ from contact.surface_paths import SurfaceLaws
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.registry import models
-from granflow.engine.pair import build_constants, build_slot_history, build_slot_vector
+from granflow.engine.contact_structs import build_constants, build_slot_history, build_slot_vector
 from granflow.kernel_language import ti
 
 RADIUS, MODULUS = 1e-4, 1e7

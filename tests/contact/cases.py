@@ -12,7 +12,8 @@ from granflow.contact.cohesion.sjkr import Sjkr
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.registry import ContactLaws, models
-from granflow.engine.pair import build_constants, build_normal_force, build_read_slots, build_slot_vector
+from granflow.engine.contact_structs import build_constants, build_read_slots, build_slot_vector
+from granflow.engine.pair import build_normal_force
 from granflow.kernel_language import ti
 
 

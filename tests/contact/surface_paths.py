@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from granflow.contact.law import TangentialLaw
-from granflow.engine.pair import build_constants, build_slot_history, build_slot_vector
+from granflow.engine.contact_structs import build_constants, build_slot_history, build_slot_vector
 from granflow.kernel_language import ti
 
 NUMBERS = (
