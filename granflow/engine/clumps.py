@@ -88,30 +88,30 @@ def build_move_clump(state: State) -> Any:
 
     @ti.func
     def move_clump(chunk, i, pose, dt):
-        step = ti.cast(dt, exact)
+        exact_dt = ti.cast(dt, exact)
         offset = particles.clump_offset[i]
         q = particles.orientation[i]
         rotation = scaled_rotation(q)
         force, torque = clump_sums(i, rotation)
         inertia = ti.cast(particles.clump_inertia[i], exact)
-        kick = step * (force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact))
+        kick = exact_dt * (force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact))
         velocity = particles.clump_velocity[i] + kick
-        momentum = particles.clump_angular_momentum[i] + step * torque
-        q_half = half_turned(q, momentum, inertia, step, (2, 1, 0))
-        q_new = half_turned(q_half, momentum, inertia, step, (0, 1, 2))
+        momentum = particles.clump_angular_momentum[i] + exact_dt * torque
+        q_half = half_turned(q, momentum, inertia, exact_dt, (2, 1, 0))
+        q_new = half_turned(q_half, momentum, inertia, exact_dt, (0, 1, 2))
         rotation_half = scaled_rotation(q_half)
         rotation_new = scaled_rotation(q_new)
         arm = rotation_new @ offset
-        displacement = step * velocity + (arm - rotation @ offset)
+        displacement = exact_dt * velocity + (arm - rotation @ offset)
         particles.clump_velocity[i] = velocity
         particles.clump_angular_momentum[i] = momentum
         particles.orientation[i] = q_new
-        particles.velocity[i] = ti.cast(displacement / step, real)
+        particles.velocity[i] = ti.cast(displacement / exact_dt, real)
         particles.angular_velocity[i] = ti.cast(angular_velocity_of(rotation_half, momentum, inertia), real)
         if ti.static(features.rate_dependent):
-            spin = angular_velocity_of(rotation_new, momentum + 0.5 * step * torque, inertia)
+            spin = angular_velocity_of(rotation_new, momentum + 0.5 * exact_dt * torque, inertia)
             particles.velocity_synchronized[i] = ti.cast(velocity + 0.5 * kick + spin.cross(arm), real)
-        set_position(chunk, i, step * velocity, arm, displacement, pose, dt)
+        set_position(chunk, i, exact_dt * velocity, arm, displacement, pose, dt)
         return displacement
 
     return move_clump
@@ -160,8 +160,8 @@ def _build_set_position(state: State) -> Any:
     add_energy_gain = build_add_energy_gain(state)
 
     @ti.func
-    def set_position(chunk, i, step, arm, displacement, pose, dt):
-        center = particles.clump_position[i] + step
+    def set_position(chunk, i, center_displacement, arm, displacement, pose, dt):
+        center = particles.clump_position[i] + center_displacement
         if ti.static(periodic):
             expected = particles.position[i] + displacement
             particles.position[i] = expected - minimum_image(expected, center + arm, pose)

@@ -175,9 +175,9 @@ def _build_total_force(state: State) -> Any:
     @ti.func
     def total_force(i, velocity):
         since = control.force_clock[0]
-        step = control.force_clock[1]
+        time_step = control.force_clock[1]
         count = control.force_clock[2]
-        time = since + (count + ti.cast(control.steps_done[0], ti.f64)) * step
+        time = since + (count + ti.cast(control.steps_done[0], ti.f64)) * time_step
         total = ti.Vector.zero(real, 3)
         for call in ti.static(forces):
             found = call(particles.position[i], velocity, particles.radius[i], particles.mass[i], time)
