@@ -341,10 +341,10 @@ def _build_with_bridge(state: State) -> Any:
 def _build_evaluate(state: State) -> Any:
     """Function (worker, entry_count, dt): force and torque of all entries, column by column.
 
-    Results replace the inputs, so that a batch remains in the cache: the new histories replace the old ones,
-    forces and torques the columns that `_result_columns` names. Forces and torques are rounded for the exact
-    sums, losses are in their units. It is a separate function (`ti.real_func`), because the compiler does not
-    vectorize the loop inside a large kernel.
+    Results replace the inputs: the new histories replace the old ones, forces and torques the columns that
+    `_result_columns` names. Forces and torques are rounded for the exact sums, losses are in their units. It
+    is a separate function (`ti.real_func`), because the compiler does not vectorize the loop inside a large
+    kernel.
 
     Reads:   columns of the batch, pair_constants, law_parameters
     Writes:  columns of the batch
