@@ -17,10 +17,10 @@ from granflow.engine.fields import (
     write_field,
     write_padded,
 )
+from granflow.engine.mesh import fill_mesh
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.catalog import surface_code
-from granflow.geometry.mesh_contact import MeshAdjacency
 from granflow.geometry.motion import Motion
 from granflow.geometry.shape import PARAMETER_COUNT, Shape
 from granflow.kernel_language import ti
@@ -55,7 +55,7 @@ class State:
     neighbors:      neighbor lists and contact histories
     batch:          columns of the batched contacts; None on a GPU and with one particle per chunk
     wall_dynamics:  force-controlled walls; None without
-    mesh:           mesh walls, see `fill_mesh`; None without
+    mesh:           mesh walls, see `engine.mesh`; None without
     ranks:          combines the data of MPI ranks
     """
 
@@ -402,79 +402,6 @@ class WallDynamicsFields(Fields):
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(wall_dynamics_arrays(plan), backend))
-
-
-# Fills the device arrays of mesh walls, which `engine/walls.py` reads.
-#
-# The names are those of MeshAdjacency and MeshGrid; `wall` is the wall of each triangle, `first_cell` the
-# first cell of each wall. Triangles, points and cells are numbered consecutively over all meshes; edge k of
-# triangle t is 3 t + k. Lengths are in m, in the precision of positions.
-
-
-def fill_mesh(fields: Any, plan: Plan) -> None:
-    """Write all arrays; they do not change during a run."""
-    meshes = plan.meshes
-    arrays = _of_triangles([mesh.adjacency for mesh in meshes.values()]) | _of_grids(plan)
-    arrays["wall"] = np.repeat(list(meshes), [mesh.triangle_count for mesh in meshes.values()])
-    for name, values in arrays.items():
-        write_padded(getattr(fields, name), values)
-
-
-def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:
-    """Concatenated arrays of all meshes; indices are shifted by the number of preceding entries."""
-    triangles = np.cumsum([0, *(len(each.normal) for each in adjacency)])
-    points = np.cumsum([0, *(len(each.owner) for each in adjacency)])
-
-    def joined(name: str, *width: int) -> np.ndarray:
-        return np.concatenate([getattr(each, name).reshape(-1, *width) for each in adjacency])
-
-    def shifted(name: str, before: np.ndarray) -> np.ndarray:
-        return np.concatenate(
-            [getattr(each, name).reshape(-1) + n for each, n in zip(adjacency, before, strict=False)]
-        )
-
-    vectors = ("normal", "vertex", "edge_direction", "inward", "inward_other", "vertex_edge")
-    numbers = ("length", "base", "owns_tie", "role")
-    found = {name: joined(name, 3) for name in vectors} | {
-        name: joined(name) for name in (*numbers, "longest")
-    }
-    found["point"] = shifted("point", points)
-    found |= {name: shifted(name, triangles) for name in ("owner", "competitor")}
-    for name in ("vertex_edge_start", "competitor_start"):
-        found[name] = _starts([getattr(each, name) for each in adjacency])
-    return found
-
-
-def _of_grids(plan: Plan) -> dict[str, np.ndarray]:
-    """Arrays of all grids; walls without a mesh have no cells."""
-    wall_count = len(plan.walls)
-    low = np.zeros((wall_count, 3))
-    side = np.ones(wall_count)
-    shape = np.zeros((wall_count, 3), np.int64)
-    first_cell = np.zeros(wall_count, np.int64)
-    cells = 0
-    triangles = 0
-    cell_triangles = []
-    for w, grid in plan.mesh_grids.items():
-        low[w], side[w], shape[w], first_cell[w] = grid.low, grid.side, grid.shape, cells
-        cell_triangles.append(grid.triangle + triangles)
-        cells = cells + len(grid.start) - 1
-        triangles = triangles + plan.meshes[w].triangle_count
-    start = _starts([grid.start for grid in plan.mesh_grids.values()])
-    return {
-        "low": low,
-        "side": side,
-        "shape": shape,
-        "first_cell": first_cell,
-        "cell_start": start,
-        "cell_triangles": np.concatenate(cell_triangles),
-    }
-
-
-def _starts(starts: list[np.ndarray]) -> np.ndarray:
-    """Row starts of concatenated tables; each given array has one entry more than rows."""
-    counts = np.concatenate([np.diff(each) for each in starts])
-    return np.concatenate([[0], np.cumsum(counts)])
 
 
 # Columns in which each CPU thread collects the contacts that it evaluates together.

@@ -2,7 +2,7 @@
 
 The host uploads the poses of prescribed motions for many steps in advance (`upload_poses`); force-controlled
 motions are added to them (`wall_dynamics.py`). `WallGeometry` evaluates one face: a wall of one of the shapes
-in `geometry/`, or a triangle of a mesh.
+in `geometry/`, or a triangle of a mesh (`mesh.py`).
 
 A contact with a surface made of several faces has one owner. Of the triangles of a mesh, `triangle_contact`
 finds it; where several walls touch or overlap, `build_wall_contact`, which the contact kinematics call.
@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.box import build_near_image, build_wrap_position
+from granflow.engine.box import build_near_image, build_wrap_position, upload_offsets
+from granflow.engine.mesh import SAME_DIRECTION, from_nearest, normal_near, triangle_contact
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
-from granflow.geometry.mesh_contact import NOT_OWNED, OPEN_EDGE, ROUNDING
 from granflow.geometry.motion import pose
 from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.revolved import REVOLVED
@@ -24,579 +24,6 @@ from granflow.geometry.shape import FAR_AWAY, Shape
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 from granflow.plan.joined_walls import ITSELF, OTHERS
-
-
-def upload_poses(state: State, step: int) -> None:
-    """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each
-    step.
-
-    Velocities have one more row, for the work in the step that follows the last pose.
-
-    Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles
-    of the steps are evaluated together, and a wall without motion once.
-
-    Writes:  center, rotation, velocity, angular_velocity, surface_velocity of walls; active
-    """
-    walls = state.walls
-    clock = state.clock
-    ends = np.asarray(clock.time_after(step + np.arange(WALL_BATCH + 1)))
-    times = ends[:WALL_BATCH]
-    middles = ends - 0.5 * clock.time_step
-    at_rest = pose((), ends)
-    both = [
-        pose(motions, np.concatenate([times, middles])) if motions else at_rest
-        for motions in state.wall_motions
-    ]
-    # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
-    real = np.float64 if state.backend.precision == "f64" else np.float32
-    position_real = np.float32 if state.backend.precision == "f32" else np.float64
-
-    def upload(field: Any, arrays: list[np.ndarray], dtype: Any) -> None:
-        padded = np.zeros((len(arrays[0]), state.plan.capacities.walls, *arrays[0].shape[1:]), dtype)
-        padded[:, : len(arrays)] = np.stack(arrays, axis=1)
-        field.from_numpy(padded)
-
-    upload_running(state, middles[:WALL_BATCH])
-    upload(walls.center, [p.offset[:WALL_BATCH] + p.pivot for p in both], position_real)
-    upload(walls.rotation, [p.rotation[:WALL_BATCH] for p in both], position_real)
-    upload(walls.velocity, [p.velocity[-len(middles) :] for p in both], real)
-    upload(walls.angular_velocity, [p.angular_velocity[-len(middles) :] for p in both], real)
-    if state.plan.features.surface_velocity:
-        upload(walls.surface_velocity, [p.surface_velocity[-len(middles) :] for p in both], real)
-
-
-# Faces and their numbers
-
-
-def build_wall_of(state: State) -> Any:
-    """Device function (j): the wall of a partner j < 0.
-
-    Partner -1 - p is the wall p, or the triangle p - wall count, numbered over all meshes.
-
-    Reads:  wall of the mesh triangles
-    """
-    wall_count = state.parameter("wall_count")
-    mesh = state.mesh
-    has_mesh = state.mesh is not None
-
-    @ti.func
-    def wall_of(j):
-        w = -1 - j
-        if ti.static(has_mesh):
-            if w >= wall_count():
-                w = mesh.wall[w - wall_count()]
-        return w
-
-    return wall_of
-
-
-def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
-    """Wall index (n,) of each partner (n,) below 0; see `build_wall_of`."""
-    walls = np.arange(len(state.plan.walls))
-    if state.mesh is not None:
-        walls = np.concatenate([walls, state.mesh.wall.to_numpy()])
-    return walls[-1 - partner].astype(np.int64)
-
-
-def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
-    """Triangle index (n,) within its wall of each partner (n,) below 0; -1 if the wall is not a mesh."""
-    plan = state.plan
-    first = np.array([plan.first_triangle(index) for index in range(len(plan.walls))])
-    triangle = -1 - partner - len(plan.walls)
-    return np.where(triangle < 0, -1, triangle - first[walls_of(state, partner)])
-
-
-# One face
-
-
-class WallGeometry:
-    """Device functions of a wall or triangle at a point, for the shapes of a plan; motion only if a wall
-    moves.
-
-    Points are in m in the frame of the scene; in a periodic box they are wrapped into the box first. A face
-    is a wall index, or wall count + triangle index; `pose` is the index of the poses uploaded by
-    `upload_poses`.
-
-    Reads:  kind, parameters, pivot, center, rotation, velocity, angular_velocity and surface_velocity of
-            walls; wall dynamics; mesh
-    """
-
-    def __init__(self, state: State) -> None:
-        shapes = [wall.shape for wall in state.plan.walls if isinstance(wall.shape, Shape)]
-        self.state = state
-        self.walls = state.walls
-        self.features = state.plan.features
-        self.wall_count = state.parameter("wall_count")
-        self.wall_of = build_wall_of(state)
-        self.kinds = sorted({SHAPE_KINDS.index(shape.kind) for shape in shapes})
-        self.real = state.backend.position_real
-        self.is_flat = not self.features.mesh_walls and all(shape.kind is HALF_SPACE for shape in shapes)
-        self.wrap_position = build_wrap_position(state)
-        self.near_image = build_near_image(state)
-        self.image_count = 3 ** len(state.plan.periodic_box.axes)
-        fields = state.wall_dynamics
-        if self.features.force_controlled_walls:
-            self.controlled_offset = build_controlled_vector(state, fields.offset)
-            self.controlled_velocity = build_controlled_vector(state, fields.velocity)
-
-    @ti.func
-    def to_wall_frame(self, w, pose, point):
-        """The point in the frame of the wall at rest."""
-        return self.image_in_wall_frame(w, pose, self.wrap_position(point))
-
-    @ti.func
-    def image_in_wall_frame(self, w, pose, point):
-        """A point that may be outside of a periodic box, in the frame of the wall at rest."""
-        local = point
-        if ti.static(self.features.moving_walls):
-            rotation = self.walls.rotation[pose, w]
-            local = rotation.transpose() @ (local - self._center(w, pose)) + self.walls.pivot[w]
-        return local
-
-    @ti.func
-    def distance(self, w, pose, point):
-        """Distance [m] to the surface of a wall that is not a mesh, for the neighbor list."""
-        local = self.to_wall_frame(w, pose, point)
-        parameters = self.walls.parameters[w]
-        result = 0.0 * point[0] + FAR_AWAY
-        for code in ti.static(self.kinds):
-            if self.walls.kind[w] == code:
-                result = SHAPE_KINDS[code].surface_distance(local, parameters)
-        return result
-
-    @ti.func
-    def closest(self, face, pose, point):
-        """Distance [m] and normal of the contact with a face."""
-        w = self.wall_of(-1 - face)
-        local = self.to_wall_frame(w, pose, point)
-        parameters = self.walls.parameters[w]
-        gap = 0.0 * point[0]
-        normal = 0.0 * point
-        for code in ti.static(self.kinds):
-            if self.walls.kind[w] == code:
-                gap, normal = SHAPE_KINDS[code].closest(local, parameters)
-        if ti.static(self.features.mesh_walls):
-            if face >= self.wall_count():
-                gap, normal = triangle_contact(self.state.mesh, face - self.wall_count(), local)
-        if ti.static(self.features.moving_walls):
-            normal = self.walls.rotation[pose, w] @ normal
-        return gap, normal
-
-    @ti.func
-    def normal_half(self, face, pose, point, velocity, normal, dt):
-        """Normal p at the half step, p . n = 1, of a contact with a particle at the point.
-
-        velocity:  of the particle at the half step [m/s]
-        normal:    n, normal of the contact now
-
-        It is the normal where the particle was half a step ago in the frame of the wall, turned back with the
-        wall.
-        """
-        half = ti.cast(0.5 * dt, self.real)
-        found = normal
-        if ti.static(not self.is_flat):
-            velocity_rel = ti.cast(velocity, self.real) - self.velocity(face, pose, point)
-            found = self._normal_near(face, pose, point, point - half * velocity_rel, normal)
-        if ti.static(self.features.moving_walls):
-            angular_velocity = ti.cast(self.walls.angular_velocity[pose, self.wall_of(-1 - face)], self.real)
-            found -= half * angular_velocity.cross(found)
-        return found + (1.0 - found.dot(normal)) * normal
-
-    @ti.func
-    def _normal_near(self, face, pose, point, point_half, normal):
-        """Unit normal of a wall or triangle at `point_half`, near a contact at `point` with this normal.
-
-        On the face it is that of the face, extended beyond its edges: another wall may have had the contact
-        there, and the direction from the edge would be integrated as slip. Near an edge it is the direction
-        from the wall.
-        """
-        w = self.wall_of(-1 - face)
-        local = self.to_wall_frame(w, pose, point)
-        local_half = self.to_wall_frame(w, pose, point_half)
-        found = normal
-        if ti.static(self.features.moving_walls):
-            found = self.walls.rotation[pose, w].transpose() @ normal
-        if face < self.wall_count():
-            parameters = self.walls.parameters[w]
-            for code in ti.static(self.kinds):
-                if self.walls.kind[w] == code:
-                    of_face = SHAPE_KINDS[code].face_normal(local, parameters)
-                    if found.cross(of_face).norm_sqr() <= ti.static(SAME_DIRECTION * SAME_DIRECTION):
-                        side = ti.select(found.dot(of_face) < 0.0, -1.0, 1.0)
-                        found = side * SHAPE_KINDS[code].face_normal(local_half, parameters)
-                    else:
-                        _gap, found = SHAPE_KINDS[code].closest(local_half, parameters)
-        elif ti.static(self.features.mesh_walls):
-            found = normal_near(self.state.mesh, face - self.wall_count(), local_half, found)
-        if ti.static(self.features.moving_walls):
-            found = self.walls.rotation[pose, w] @ found
-        return found
-
-    @ti.func
-    def velocity_half(self, face, pose, point, velocity, dt):
-        """Velocity [m/s] of the wall at the half step, where a point was that now is at `point`.
-
-        velocity:  of the point at the half step [m/s]
-
-            V + w x (x - dt/2 v - (c - dt/2 V))        c: pivot of the wall, V: its velocity
-        """
-        found = self.velocity(face, pose, point)
-        if ti.static(self.features.moving_walls):
-            w = self.wall_of(-1 - face)
-            of_pivot = self.velocity(face, pose, self._center(w, pose))
-            angular_velocity = ti.cast(self.walls.angular_velocity[pose, w], self.real)
-            found -= ti.cast(0.5 * dt, self.real) * angular_velocity.cross(
-                ti.cast(velocity, self.real) - of_pivot
-            )
-        return found
-
-    @ti.func
-    def surface_distance(self, face, pose, point):
-        """Distance [m] of a point from a face, without regard to shared edges; negative behind a half
-        space."""
-        w = self.wall_of(-1 - face)
-        result = self.distance(w, pose, point)
-        if ti.static(self.features.mesh_walls):
-            if face >= self.wall_count():
-                result = from_nearest(
-                    self.state.mesh, face - self.wall_count(), self.to_wall_frame(w, pose, point)
-                ).norm()
-        return result
-
-    @ti.func
-    def from_surface(self, face, pose, point):
-        """Vector [m] to a point from the nearest point of a face, without regard to shared edges.
-
-        In a periodic box, the nearest of the images of the point counts: an image is outside of the box by up
-        to the distance from a boundary.
-        """
-        w = self.wall_of(-1 - face)
-        _, direction = self.closest(face, pose, point)
-        found = self.distance(w, pose, point) * direction
-        if ti.static(self.features.mesh_walls):
-            if face >= self.wall_count():
-                wrapped = self.wrap_position(point)
-                nearest = ti.cast(FAR_AWAY, self.real)
-                for number in range(self.image_count):
-                    image, is_near = self.near_image(wrapped, number, FAR_AWAY)
-                    if is_near:
-                        local = self.image_in_wall_frame(w, pose, image)
-                        separation = from_nearest(self.state.mesh, face - self.wall_count(), local)
-                        if separation.norm() < nearest:
-                            nearest = separation.norm()
-                            found = separation
-                if ti.static(self.features.moving_walls):
-                    found = self.walls.rotation[pose, w] @ found
-        return found
-
-    @ti.func
-    def prescribed_velocity(self, face, pose, step, point):
-        """Velocity [m/s] of the wall at the point by prescribed motions, without force-controlled motions.
-
-        step:  index of the step at whose middle it is: `pose` for the one that ends at the pose, pose + 1 for
-               the next
-        """
-        velocity = 0.0 * point
-        if ti.static(self.features.moving_walls):
-            w = self.wall_of(-1 - face)
-            arm = point - self._center(w, pose)
-            velocity = self.walls.velocity[step, w] + self.walls.angular_velocity[step, w].cross(arm)
-        return velocity
-
-    @ti.func
-    def velocity(self, face, pose, point):
-        """Velocity [m/s] of the wall at the point."""
-        velocity = self.prescribed_velocity(face, pose, pose, point)
-        if ti.static(self.features.force_controlled_walls):
-            velocity += self.controlled_velocity(self.wall_of(-1 - face))
-        return velocity
-
-    @ti.func
-    def surface_velocity(self, face, pose, normal):
-        """Velocity [m/s] of the surface relative to the wall, in the contact plane with this normal.
-
-            u = v - (v . n) n
-
-        so that the normal force does no work.
-        """
-        velocity = 0.0 * normal
-        if ti.static(self.features.surface_velocity):
-            given = self.walls.surface_velocity[pose, self.wall_of(-1 - face)]
-            velocity = given - given.dot(normal) * normal
-        return velocity
-
-    @ti.func
-    def _center(self, w, pose):
-        """Position [m] of the pivot of a wall at a pose."""
-        center = self.walls.center[pose, w]
-        if ti.static(self.features.force_controlled_walls):
-            center += self.controlled_offset(w)
-        return center
-
-
-# Meshes: nearby triangles, and the triangle that owns a contact
-#
-# `geometry/mesh_contact.py` defines the owner of a contact and has the numpy reference implementation. All
-# coordinates are in the frame of the mesh at rest; triangles are numbered consecutively over all meshes.
-
-
-@ti.func
-def triangle_range(mesh: ti.template(), w, point):
-    """Range of the triangles near the point in `MeshFields.cell_triangles`; empty outside the grid of wall w.
-
-    Reads:  low, side, shape, first_cell, cell_start
-    """
-    cell_position = ti.floor((point - mesh.low[w]) / mesh.side[w])
-    begin = 0
-    end = 0
-    shape = mesh.shape[w]
-    inside = (cell_position[0] >= 0.0) & (cell_position[1] >= 0.0) & (cell_position[2] >= 0.0)
-    inside = (
-        inside & (cell_position[0] < shape[0]) & (cell_position[1] < shape[1]) & (cell_position[2] < shape[2])
-    )
-    if inside:
-        x = ti.cast(cell_position[0], ti.i32)
-        y = ti.cast(cell_position[1], ti.i32)
-        z = ti.cast(cell_position[2], ti.i32)
-        number = mesh.first_cell[w] + (z * shape[1] + y) * shape[0] + x
-        begin = mesh.cell_start[number]
-        end = mesh.cell_start[number + 1]
-    return begin, end
-
-
-@ti.func
-def may_own(mesh: ti.template(), t, point, slack):
-    """0 if triangle t owns no contact of any point within `slack` [m] of this point.
-
-    This is `triangle_contact` with all comparisons relaxed by `slack`: each length that it compares changes
-    by at most the displacement of the point. Without this test the neighbor list of a sphere would contain
-    all triangles within its radius, although only one or two can own a contact.
-
-    Reads:  edges, vertices and their adjacency
-    """
-    possible = _may_be_over_face(mesh, t, point, slack)
-    k = 0
-    while possible == 0 and k < 3:
-        possible = ti.max(
-            _may_be_in_edge_region(mesh, t, k, point, slack), _may_be_above_vertex(mesh, t, k, point, slack)
-        )
-        k += 1
-    return possible
-
-
-@ti.func
-def _may_be_over_face(mesh: ti.template(), t, point, slack):
-    over = 1
-    for k in range(3):
-        edge = 3 * t + k
-        if (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge]) < -slack:
-            over = 0
-    return over
-
-
-@ti.func
-def _may_be_in_edge_region(mesh: ti.template(), t, k, point, slack):
-    edge = 3 * t + k
-    possible = 0
-    if mesh.role[edge] != NOT_OWNED:
-        from_vertex = point - mesh.vertex[edge]
-        along = from_vertex.dot(mesh.edge_direction[edge])
-        length = mesh.length[edge]
-        beyond = from_vertex.dot(mesh.inward[edge]) <= slack
-        beyond = beyond and (
-            mesh.role[edge] == OPEN_EDGE or from_vertex.dot(mesh.inward_other[edge]) <= slack
-        )
-        possible = ti.cast(beyond and along > -slack and along < length + slack, ti.i32)
-    return possible
-
-
-@ti.func
-def _may_be_above_vertex(mesh: ti.template(), t, k, point, slack):
-    vertex_index = mesh.point[3 * t + k]
-    above = 0
-    if mesh.owner[vertex_index] == t:
-        above = _is_before_edges(mesh, vertex_index, point - mesh.vertex[3 * t + k], slack)
-    return above
-
-
-@ti.func
-def _is_before_edges(mesh: ti.template(), vertex_index, from_vertex, slack):
-    """1 if the vector from a vertex points along none of the edges that begin there, up to the slack [m]."""
-    before = 1
-    vertex_edge = mesh.vertex_edge_start[vertex_index]
-    while before == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
-        if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
-            before = 0
-        vertex_edge += 1
-    return before
-
-
-@ti.func
-def triangle_contact(mesh: ti.template(), t, point):
-    """Gap [m] and normal of the contact of a point with triangle t; FAR_AWAY if another triangle owns the
-    contact.
-
-    Reads:  faces, edges, vertices and their adjacency, competitor_start, competitor
-    """
-    gap = ti.cast(FAR_AWAY, mesh.length.dtype)
-    gap_alone = ti.cast(FAR_AWAY, mesh.length.dtype)
-    normal = 0.0 * point
-    row = 2 * t + ti.cast(_height(mesh, t, point) < 0.0, ti.i32)
-    begin = mesh.competitor_start[row]
-    entry = -1
-    end = mesh.competitor_start[row + 1] - mesh.competitor_start[row]
-    # This triangle, then its competitors: one loop, so that `_contact_alone` is compiled once.
-    while entry < end:
-        candidate = t
-        if entry >= 0:
-            candidate = mesh.competitor[begin + entry]
-        if entry < 0 or ti.abs(_height(mesh, candidate, point)) <= gap_alone:
-            found, direction = _contact_alone(mesh, candidate, point)
-            if entry < 0:
-                gap = found
-                gap_alone = found
-                normal = direction
-                if not found < FAR_AWAY:
-                    end = 0
-            elif found < gap_alone or (found == gap_alone and candidate < t):
-                gap = ti.cast(FAR_AWAY, mesh.length.dtype)
-                end = 0
-        entry += 1
-    return gap, normal
-
-
-@ti.func
-def _contact_alone(mesh: ti.template(), t, point):
-    """As `triangle_contact`, before the comparison with competing faces."""
-    height = (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
-    normal = ti.select(height < 0.0, -1.0, 1.0) * mesh.normal[t]
-    gap = ti.cast(FAR_AWAY, mesh.length.dtype)
-    near = 0.0 * normal
-    over_count = 0
-    is_vertex = 0
-    for k in range(3):
-        over_count += _over_edge(mesh, t, k, point)
-        if _above_vertex(mesh, t, k, point) == 1:
-            is_vertex = 1
-            if mesh.owner[mesh.point[3 * t + k]] == t:
-                near = point - mesh.vertex[3 * t + k]
-                gap = near.norm()
-    if is_vertex == 0 and over_count == 3:
-        gap = ti.abs(height)
-    elif is_vertex == 0:
-        for k in range(3):
-            owns, from_nearest = _in_edge_region(mesh, t, k, point)
-            if owns == 1:
-                near = from_nearest
-                gap = from_nearest.norm()
-    if over_count < 3 or is_vertex == 1:
-        if gap > 0.0 and gap < FAR_AWAY:
-            normal = near / gap
-    return gap, normal
-
-
-EPSILON = {ti.f64: float(np.finfo(np.float64).eps), ti.f32: float(np.finfo(np.float32).eps)}
-"""Relative rounding error of each type."""
-
-
-@ti.func
-def _height(mesh: ti.template(), t, point):
-    return (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
-
-
-@ti.func
-def _over_edge(mesh: ti.template(), t, k, point):
-    """1 if the point is over the face at edge k, or exactly above an edge whose ties the triangle owns."""
-    edge = 3 * t + k
-    s = (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge])
-    return ti.cast(s > 0.0 or (s == 0.0 and mesh.owns_tie[edge] == 1), ti.i32)
-
-
-@ti.func
-def _in_edge_region(mesh: ti.template(), t, k, point):
-    """Whether the triangle owns a contact at edge k, and the vector [m] from the edge."""
-    edge = 3 * t + k
-    from_nearest = point - mesh.vertex[edge]
-    owns = 0
-    if mesh.role[edge] != NOT_OWNED:
-        along = from_nearest.dot(mesh.edge_direction[edge])
-        from_base = point - mesh.vertex[3 * t + mesh.base[edge]]
-        beyond = from_base.dot(mesh.inward[edge]) <= 0.0
-        beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_base.dot(mesh.inward_other[edge]) <= 0.0)
-        owns = ti.cast(beyond and along > 0.0 and along < mesh.length[edge], ti.i32)
-        from_nearest -= along * mesh.edge_direction[edge]
-    return owns, from_nearest
-
-
-@ti.func
-def _above_vertex(mesh: ti.template(), t, k, point):
-    """1 if no edge at corner k is nearer to the point than the corner."""
-    vertex_index = mesh.point[3 * t + k]
-    from_vertex = point - mesh.vertex[3 * t + k]
-    slack = ti.static(ROUNDING * EPSILON[mesh.length.dtype]) * (
-        mesh.longest[vertex_index] + from_vertex.norm()
-    )
-    above = 1
-    if (
-        from_vertex.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
-        or from_vertex.dot(mesh.edge_direction[3 * t + (k + 2) % 3]) < -2.0 * slack
-    ):
-        above = 0
-    if above == 1:
-        above = _is_before_edges(mesh, vertex_index, from_vertex, slack)
-    return above
-
-
-@ti.func
-def from_nearest(mesh: ti.template(), t, point):
-    """Vector [m] to the point from the nearest point of triangle t, on its face, an edge or a vertex.
-
-    Reads:  normal, vertex, edge_direction, length
-    """
-    normal = mesh.normal[t]
-    found = (point - mesh.vertex[3 * t]).dot(normal) * normal
-    over = 1
-    nearest = ti.cast(FAR_AWAY, mesh.length.dtype)
-    from_edge_nearest = found
-    for k in range(3):
-        from_corner = point - mesh.vertex[3 * t + k]
-        edge_direction = mesh.edge_direction[3 * t + k]
-        if normal.cross(edge_direction).dot(from_corner) <= 0.0:
-            over = 0
-        from_edge = (
-            from_corner
-            - ti.min(ti.max(from_corner.dot(edge_direction), 0.0), mesh.length[3 * t + k]) * edge_direction
-        )
-        if from_edge.norm() < nearest:
-            nearest = from_edge.norm()
-            from_edge_nearest = from_edge
-    if over == 0:
-        found = from_edge_nearest
-    return found
-
-
-SAME_DIRECTION = 1e-6
-"""Largest sine of the angle between two normals that count as equal; above rounding in float32."""
-
-
-@ti.func
-def normal_near(mesh: ti.template(), t, point, normal):
-    """Unit normal at a point near a contact of triangle t with this normal.
-
-    On the face it is that of the contact, although the triangle may own no contact of the point: the next
-    triangle of a flat surface has the same normal. Near an edge or a vertex it is the direction from the
-    triangle.
-
-    Reads:  as `from_nearest`
-    """
-    found = normal
-    if normal.cross(mesh.normal[t]).norm_sqr() > ti.static(SAME_DIRECTION * SAME_DIRECTION):
-        separation = from_nearest(mesh, t, point)
-        distance = separation.norm()
-        if distance > 0.0:
-            found = separation / distance
-    return found
-
 
 # Joined walls: the contact of a particle with one face, unless it is found on another face as well
 #
@@ -622,7 +49,7 @@ LEAST_COSINE = 0.5
 """Cosine of the angle between two directions above which they can belong to one contact."""
 
 
-def build_wall_contact(state: State, geometry: WallGeometry) -> Any:
+def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
     """Device function (i, j, pose) -> (gap [m], direction) of particle i and partner j < 0, see
     `WallGeometry.closest`.
 
@@ -641,8 +68,7 @@ def build_wall_contact(state: State, geometry: WallGeometry) -> Any:
 
     @ti.func
     def is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
-        """Whether the contact with face j at `gap` is that with another face at `other_gap`, and this one has
-        it."""
+        """Whether partner j at `gap` has the same contact as another one at `other_gap`, which keeps it."""
         unit = SAME_DISTANCE * radius
         same = False
         rank = ti.floor(gap / unit)
@@ -719,3 +145,401 @@ def build_wall_contact(state: State, geometry: WallGeometry) -> Any:
         return gap, direction
 
     return wall_contact
+
+
+# One face
+
+
+class WallGeometry:
+    """Device functions of a wall or triangle at a point, for the shapes of a plan; motion only if a wall
+    moves.
+
+    Points are in m in the frame of the scene; in a periodic box they are wrapped into the box first. A face
+    is a wall index, or wall count + index of a triangle, numbered over all meshes; the partner of a contact
+    with it is -1 - face. `pose` is the index of the poses uploaded by `upload_poses`.
+
+    Reads:  kind, parameters, pivot, center, rotation, velocity, angular_velocity and surface_velocity of
+            walls; wall dynamics; mesh
+    """
+
+    def __init__(self, state: State) -> None:
+        shapes = [wall.shape for wall in state.plan.walls if isinstance(wall.shape, Shape)]
+        self.state = state
+        self.walls = state.walls
+        self.features = state.plan.features
+        self.wall_count = state.parameter("wall_count")
+        self.wall_of_face = build_wall_of_face(state)
+        self.kinds = sorted({SHAPE_KINDS.index(shape.kind) for shape in shapes})
+        self.real = state.backend.position_real
+        self.is_flat = not self.features.mesh_walls and all(shape.kind is HALF_SPACE for shape in shapes)
+        self.wrap_position = build_wrap_position(state)
+        self.near_image = build_near_image(state)
+        self.image_count = 3 ** len(state.plan.periodic_box.axes)
+        fields = state.wall_dynamics
+        if self.features.force_controlled_walls:
+            self.controlled_offset = build_controlled_vector(state, fields.offset)
+            self.controlled_velocity = build_controlled_vector(state, fields.velocity)
+
+    @ti.func
+    def to_wall_frame(self, w, pose, point):
+        """The point in the frame of the wall at rest."""
+        return self.image_in_wall_frame(w, pose, self.wrap_position(point))
+
+    @ti.func
+    def image_in_wall_frame(self, w, pose, point):
+        """A point that may be outside of a periodic box, in the frame of the wall at rest."""
+        local = point
+        if ti.static(self.features.moving_walls):
+            rotation = self.walls.rotation[pose, w]
+            local = rotation.transpose() @ (local - self._center(w, pose)) + self.walls.pivot[w]
+        return local
+
+    @ti.func
+    def distance(self, w, pose, point):
+        """Distance [m] to the surface of a wall that is not a mesh, for the neighbor list."""
+        local = self.to_wall_frame(w, pose, point)
+        parameters = self.walls.parameters[w]
+        result = 0.0 * point[0] + FAR_AWAY
+        for code in ti.static(self.kinds):
+            if self.walls.kind[w] == code:
+                result = SHAPE_KINDS[code].surface_distance(local, parameters)
+        return result
+
+    @ti.func
+    def closest(self, face, pose, point):
+        """Distance [m] and normal of the contact with a face."""
+        w = self.wall_of_face(face)
+        local = self.to_wall_frame(w, pose, point)
+        parameters = self.walls.parameters[w]
+        gap = 0.0 * point[0]
+        normal = 0.0 * point
+        for code in ti.static(self.kinds):
+            if self.walls.kind[w] == code:
+                gap, normal = SHAPE_KINDS[code].closest(local, parameters)
+        if ti.static(self.features.mesh_walls):
+            if face >= self.wall_count():
+                gap, normal = triangle_contact(self.state.mesh, face - self.wall_count(), local)
+        if ti.static(self.features.moving_walls):
+            normal = self.walls.rotation[pose, w] @ normal
+        return gap, normal
+
+    @ti.func
+    def normal_half(self, face, pose, point, velocity, normal, dt):
+        """Normal p at the half step, p . n = 1, of a contact with a particle at the point.
+
+        velocity:  of the particle at the half step [m/s]
+        normal:    n, normal of the contact now
+
+        It is the normal where the particle was half a step ago in the frame of the wall, turned back with the
+        wall.
+        """
+        half = ti.cast(0.5 * dt, self.real)
+        found = normal
+        if ti.static(not self.is_flat):
+            velocity_rel = ti.cast(velocity, self.real) - self.velocity(face, pose, point)
+            found = self._normal_near(face, pose, point, point - half * velocity_rel, normal)
+        if ti.static(self.features.moving_walls):
+            angular_velocity = ti.cast(self.walls.angular_velocity[pose, self.wall_of_face(face)], self.real)
+            found -= half * angular_velocity.cross(found)
+        return found + (1.0 - found.dot(normal)) * normal
+
+    @ti.func
+    def _normal_near(self, face, pose, point, point_half, normal):
+        """Unit normal of a wall or triangle at `point_half`, near a contact at `point` with this normal.
+
+        On the face it is that of the face, extended beyond its edges: another wall may have had the contact
+        there, and the direction from the edge would be integrated as slip. Near an edge it is the direction
+        from the wall.
+        """
+        w = self.wall_of_face(face)
+        local = self.to_wall_frame(w, pose, point)
+        local_half = self.to_wall_frame(w, pose, point_half)
+        found = normal
+        if ti.static(self.features.moving_walls):
+            found = self.walls.rotation[pose, w].transpose() @ normal
+        if face < self.wall_count():
+            parameters = self.walls.parameters[w]
+            for code in ti.static(self.kinds):
+                if self.walls.kind[w] == code:
+                    of_face = SHAPE_KINDS[code].face_normal(local, parameters)
+                    if found.cross(of_face).norm_sqr() <= ti.static(SAME_DIRECTION * SAME_DIRECTION):
+                        side = ti.select(found.dot(of_face) < 0.0, -1.0, 1.0)
+                        found = side * SHAPE_KINDS[code].face_normal(local_half, parameters)
+                    else:
+                        _gap, found = SHAPE_KINDS[code].closest(local_half, parameters)
+        elif ti.static(self.features.mesh_walls):
+            found = normal_near(self.state.mesh, face - self.wall_count(), local_half, found)
+        if ti.static(self.features.moving_walls):
+            found = self.walls.rotation[pose, w] @ found
+        return found
+
+    @ti.func
+    def velocity_half(self, face, pose, point, velocity, dt):
+        """Velocity [m/s] of the wall at the half step, where a point was that now is at `point`.
+
+        velocity:  of the point at the half step [m/s]
+
+            V + w x (x - dt/2 v - (c - dt/2 V))        c: pivot of the wall, V: its velocity
+        """
+        found = self.velocity(face, pose, point)
+        if ti.static(self.features.moving_walls):
+            w = self.wall_of_face(face)
+            of_pivot = self.velocity(face, pose, self._center(w, pose))
+            angular_velocity = ti.cast(self.walls.angular_velocity[pose, w], self.real)
+            found -= ti.cast(0.5 * dt, self.real) * angular_velocity.cross(
+                ti.cast(velocity, self.real) - of_pivot
+            )
+        return found
+
+    @ti.func
+    def surface_distance(self, face, pose, point):
+        """Distance [m] of a point from a face, without regard to shared edges; negative behind a half
+        space."""
+        w = self.wall_of_face(face)
+        result = self.distance(w, pose, point)
+        if ti.static(self.features.mesh_walls):
+            if face >= self.wall_count():
+                result = from_nearest(
+                    self.state.mesh, face - self.wall_count(), self.to_wall_frame(w, pose, point)
+                ).norm()
+        return result
+
+    @ti.func
+    def from_surface(self, face, pose, point):
+        """Vector [m] to a point from the nearest point of a face, without regard to shared edges.
+
+        In a periodic box, the nearest of the images of the point counts: an image is outside of the box by up
+        to the distance from a boundary.
+        """
+        w = self.wall_of_face(face)
+        _, direction = self.closest(face, pose, point)
+        found = self.distance(w, pose, point) * direction
+        if ti.static(self.features.mesh_walls):
+            if face >= self.wall_count():
+                wrapped = self.wrap_position(point)
+                nearest = ti.cast(FAR_AWAY, self.real)
+                for number in range(self.image_count):
+                    image, is_near = self.near_image(wrapped, number, FAR_AWAY)
+                    if is_near:
+                        local = self.image_in_wall_frame(w, pose, image)
+                        separation = from_nearest(self.state.mesh, face - self.wall_count(), local)
+                        if separation.norm() < nearest:
+                            nearest = separation.norm()
+                            found = separation
+                if ti.static(self.features.moving_walls):
+                    found = self.walls.rotation[pose, w] @ found
+        return found
+
+    @ti.func
+    def prescribed_velocity(self, face, pose, step, point):
+        """Velocity [m/s] of the wall at the point by prescribed motions, without force-controlled motions.
+
+        step:  index of the step at whose middle it is: `pose` for the one that ends at the pose, pose + 1 for
+               the next
+        """
+        velocity = 0.0 * point
+        if ti.static(self.features.moving_walls):
+            w = self.wall_of_face(face)
+            arm = point - self._center(w, pose)
+            velocity = self.walls.velocity[step, w] + self.walls.angular_velocity[step, w].cross(arm)
+        return velocity
+
+    @ti.func
+    def velocity(self, face, pose, point):
+        """Velocity [m/s] of the wall at the point."""
+        velocity = self.prescribed_velocity(face, pose, pose, point)
+        if ti.static(self.features.force_controlled_walls):
+            velocity += self.controlled_velocity(self.wall_of_face(face))
+        return velocity
+
+    @ti.func
+    def surface_velocity(self, face, pose, normal):
+        """Velocity [m/s] of the surface relative to the wall, in the contact plane with this normal.
+
+            u = v - (v . n) n
+
+        so that the normal force does no work.
+        """
+        velocity = 0.0 * normal
+        if ti.static(self.features.surface_velocity):
+            given = self.walls.surface_velocity[pose, self.wall_of_face(face)]
+            velocity = given - given.dot(normal) * normal
+        return velocity
+
+    @ti.func
+    def _center(self, w, pose):
+        """Position [m] of the pivot of a wall at a pose."""
+        center = self.walls.center[pose, w]
+        if ti.static(self.features.force_controlled_walls):
+            center += self.controlled_offset(w)
+        return center
+
+
+# Faces and their numbers
+
+
+def build_wall_of(state: State) -> Any:
+    """Device function (j): the wall of a partner j < 0, whose face is -1 - j.
+
+    Reads:  wall of the mesh triangles
+    """
+    wall_of_face = build_wall_of_face(state)
+
+    @ti.func
+    def wall_of(j):
+        return wall_of_face(-1 - j)
+
+    return wall_of
+
+
+def build_wall_of_face(state: State) -> Any:
+    """Device function (face): the wall of a face, see `WallGeometry`.
+
+    Reads:  wall of the mesh triangles
+    """
+    wall_count = state.parameter("wall_count")
+    mesh = state.mesh
+    has_mesh = state.mesh is not None
+
+    @ti.func
+    def wall_of_face(face):
+        w = face
+        if ti.static(has_mesh):
+            if w >= wall_count():
+                w = mesh.wall[w - wall_count()]
+        return w
+
+    return wall_of_face
+
+
+def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
+    """Wall index (n,) of each partner (n,) below 0; see `build_wall_of`."""
+    walls = np.arange(len(state.plan.walls))
+    if state.mesh is not None:
+        walls = np.concatenate([walls, state.mesh.wall.to_numpy()])
+    return walls[-1 - partner].astype(np.int64)
+
+
+def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
+    """Triangle index (n,) within its wall of each partner (n,) below 0; -1 if the wall is not a mesh."""
+    plan = state.plan
+    first = np.array([plan.first_triangle(index) for index in range(len(plan.walls))])
+    triangle = -1 - partner - len(plan.walls)
+    return np.where(triangle < 0, -1, triangle - first[walls_of(state, partner)])
+
+
+# Poses of the walls, and offsets of the images of a sheared box, on the device for WALL_BATCH steps in
+# advance.
+
+
+class WallPoses:
+    """The poses on the device.
+
+    `next`: index of the poses of the next step; WALL_BATCH if they must be uploaded, 0 without poses.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+        self.discard()
+
+    def discard(self) -> None:
+        """Upload the poses again before their next use, because motions or the time step have changed."""
+        self.next = WALL_BATCH if self._state.plan.has_poses else 0
+        self._first_step: int | None = None
+
+    def index_at(self, step: int) -> int:
+        """Index of the poses after step number `step`; uploads them unless they are on the device."""
+        if not self._state.plan.has_poses:
+            return 0
+        first = self._first_step
+        if first is None or not 0 <= step - first < WALL_BATCH:
+            self._upload(step)
+            self.next = 1
+            first = step
+        return step - first
+
+    def prepare(self, step: int, steps_since_rebuild: int) -> int:
+        """Upload the poses of the steps after number `step` if necessary; returns the number of steps that
+        they allow.
+
+        If a wall may move too far in the next step, requests a rebuild: walls are not in the displacement
+        check of the particles. The rebuild follows the integration of the next step, as all others: forces
+        are not computed again for it.
+        """
+        if not self._state.plan.has_poses:
+            return WALL_BATCH
+        allowed = self._steps_to_displacement_limit(steps_since_rebuild)
+        if allowed < 1:
+            self._state.control.rebuild_requested[0] = 1
+        if self.next == WALL_BATCH:
+            self._upload(step + 1)
+            self.next = 0
+        return min(WALL_BATCH - self.next, max(allowed, 1))
+
+    def advance(self, steps: int) -> None:
+        """Continue after a number of completed steps."""
+        if self._state.plan.has_poses:
+            self.next += steps
+
+    def _upload(self, step: int) -> None:
+        """Upload the poses of walls and images from step number `step`."""
+        self._first_step = step
+        if self._state.plan.features.moving_walls:
+            upload_poses(self._state, step)
+        if self._state.plan.features.lees_edwards:
+            upload_offsets(self._state, step)
+
+    def _steps_to_displacement_limit(self, steps_since_rebuild: int) -> int:
+        """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the
+        skin.
+
+        Force-controlled walls request their rebuilds on the device. WALL_BATCH if nothing moves.
+        """
+        plan = self._state.plan
+        displacement_limit, speed = (
+            (plan.wall_displacement_limit, plan.wall_speed)
+            if not plan.features.lees_edwards
+            else (plan.skin, plan.image_speed)
+        )
+        if speed == 0.0:
+            return WALL_BATCH
+        return int(displacement_limit / (speed * plan.longest_time_step)) - steps_since_rebuild
+
+
+def upload_poses(state: State, step: int) -> None:
+    """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each
+    step.
+
+    Velocities have one more row, for the work in the step that follows the last pose.
+
+    Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles
+    of the steps are evaluated together, and a wall without motion once.
+
+    Writes:  center, rotation, velocity, angular_velocity, surface_velocity of walls; active
+    """
+    walls = state.walls
+    clock = state.clock
+    ends = np.asarray(clock.time_after(step + np.arange(WALL_BATCH + 1)))
+    times = ends[:WALL_BATCH]
+    middles = ends - 0.5 * clock.time_step
+    at_rest = pose((), ends)
+    both = [
+        pose(motions, np.concatenate([times, middles])) if motions else at_rest
+        for motions in state.wall_motions
+    ]
+    # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
+    real = np.float64 if state.backend.precision == "f64" else np.float32
+    position_real = np.float32 if state.backend.precision == "f32" else np.float64
+
+    def upload(field: Any, arrays: list[np.ndarray], dtype: Any) -> None:
+        padded = np.zeros((len(arrays[0]), state.plan.capacities.walls, *arrays[0].shape[1:]), dtype)
+        padded[:, : len(arrays)] = np.stack(arrays, axis=1)
+        field.from_numpy(padded)
+
+    upload_running(state, middles[:WALL_BATCH])
+    upload(walls.center, [p.offset[:WALL_BATCH] + p.pivot for p in both], position_real)
+    upload(walls.rotation, [p.rotation[:WALL_BATCH] for p in both], position_real)
+    upload(walls.velocity, [p.velocity[-len(middles) :] for p in both], real)
+    upload(walls.angular_velocity, [p.angular_velocity[-len(middles) :] for p in both], real)
+    if state.plan.features.surface_velocity:
+        upload(walls.surface_velocity, [p.surface_velocity[-len(middles) :] for p in both], real)

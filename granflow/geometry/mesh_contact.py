@@ -45,7 +45,7 @@ class MeshAdjacency:
     """Arrays over triangles (t, ...), over their edges and corners (t, 3, ...), and over points (n, ...).
 
     Edge k of a triangle runs from corner k to the next corner. Lengths are in m, real arrays float64. The
-    arrays are computed once; the kernels read the same ones (`engine/state.py`) as the reference
+    arrays are computed once; the kernels read the same ones (`engine/mesh.py`) as the reference
     implementation.
     """
 
@@ -261,7 +261,7 @@ def neighbors_of(corners: np.ndarray, point_count: int) -> tuple[np.ndarray, np.
     return pairs // len(corners), pairs % len(corners)
 
 
-# Distance and contact of a point with a triangle: reference implementation of `engine/walls.py`.
+# Distance and contact of a point with a triangle: reference implementation of `engine/mesh.py`.
 
 ROUNDING = 16.0
 """Tolerance, in units in the last place of the lengths at a vertex, for a center above the vertex."""
@@ -299,7 +299,7 @@ def reference_contact_alone(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Same as `reference_contact`, without the comparison with competing triangles.
 
-    Device equivalent: `contact_alone` in `engine/walls.py`.
+    Device equivalent: `_contact_alone` in `engine/mesh.py`.
     """
     gap = np.full(len(points), FAR_AWAY)
     normal = adjacency.normal[triangles].copy()

@@ -13,8 +13,8 @@ from subprocess_runner import each_in_subprocess
 
 from granflow.engine import backend
 from granflow.engine import threads as workers
+from granflow.engine.mesh import from_nearest, may_own, triangle_contact
 from granflow.engine.state import State
-from granflow.engine.walls import from_nearest, may_own, triangle_contact
 from granflow.geometry.mesh_contact import reference_contact, triangle_distances
 from granflow.geometry.shape import FAR_AWAY
 from granflow.io.checkpoint import read_checkpoint

@@ -3,7 +3,7 @@
 import numpy as np
 from scene_builders import SOFT, build_scene, particle_group, plane
 
-from granflow.engine import stepper as wall_poses
+from granflow.engine import walls as wall_poses
 from granflow.plan.capacities import WALL_BATCH
 from granflow.simulation import Simulation
 

@@ -10,6 +10,7 @@ from typing import Any
 from granflow.engine.box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.codes import NOT_HALTED, PHASE_FORCES, PHASE_INTEGRATION
 from granflow.engine.history import build_restore_history
+from granflow.engine.mesh import from_nearest, may_own, triangle_range
 from granflow.engine.neighbor.phases import Phase, is_count
 from granflow.engine.neighbor.sort import (
     BLOCK_SIDE,
@@ -20,7 +21,7 @@ from granflow.engine.neighbor.sort import (
     wrapped_cell,
 )
 from granflow.engine.state import State
-from granflow.engine.walls import WallGeometry, from_nearest, may_own, triangle_range
+from granflow.engine.walls import WallGeometry
 from granflow.kernel_language import ti
 
 # The phase, chunk by chunk or particle by particle
