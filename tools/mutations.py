@@ -305,8 +305,8 @@ MUTATIONS = (
     Mutation(
         "radius of a cylinder",
         "granflow/geometry/revolved.py",
-        "outward = r - parameters[6]",
-        "outward = r - 0.5 * parameters[6]",
+        "outward = r - parameters[START_R]",
+        "outward = r - 0.5 * parameters[START_R]",
         (SHAPES,),
     ),
 )

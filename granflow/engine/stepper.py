@@ -1,8 +1,8 @@
 """The phases of a time step, in order: integration, neighbor-list rebuild if it is due, contact forces.
 
-One launch takes many steps on a CPU and one on a GPU, see `GpuStepper`. If a particle has moved by half the
-skin, all further phases of the launch do nothing until the host has rebuilt the neighbor list, so that no
-step needs a transfer to the host. If the list capacity is too small, the host reallocates the fields and
+One launch takes many steps on a CPU and one on a GPU, see `GpuStepper`. If a particle has moved by more than
+its reach, all further phases of the launch do nothing until the host has rebuilt the neighbor list, so that
+no step needs a transfer to the host. If the list capacity is too small, the host reallocates the fields and
 repeats the rebuild.
 """
 
@@ -26,56 +26,6 @@ from granflow.engine.walls import WallPoses
 from granflow.kernel_language import ti
 from granflow.plan.capacities import Capacities
 from granflow.plan.cost import estimate_memory, refuse_growth
-
-# Wall-clock time of a run by phase.
-
-
-@dataclass
-class Timing:
-    """Wall-clock time [s] by phase, and counts.
-
-    neighbor_list:        neighbor-list rebuilds
-    advance:              all other phases of the steps
-    sampled_forces:       forces of the sampled steps
-    sampled_integration:  integration of the sampled steps; the ratio of both divides `advance`
-    rebuild_count:        number of neighbor-list rebuilds
-    step_count:           number of completed steps
-    particle_steps:       sum of the particle counts of all steps
-    growth_count:         number of reallocations with a larger list capacity
-    compile:              compilation of kernels
-    exchange:             part of `advance`: messages between MPI ranks
-    waiting:              part of `advance`: agreement of MPI ranks on each step, which waits for the slowest
-                          rank
-    """
-
-    neighbor_list: float = 0.0
-    advance: float = 0.0
-    sampled_forces: float = 0.0
-    sampled_integration: float = 0.0
-    rebuild_count: int = 0
-    step_count: int = 0
-    particle_steps: int = 0
-    growth_count: int = 0
-    compile: float = 0.0
-    exchange: float = 0.0
-    waiting: float = 0.0
-
-    @property
-    def _computing(self) -> float:
-        """Wall-clock time [s] of forces and integration."""
-        return self.advance - self.exchange - self.waiting
-
-    @property
-    def forces(self) -> float:
-        """Wall-clock time [s] of contact forces."""
-        sampled = self.sampled_forces + self.sampled_integration
-        return self._computing * self.sampled_forces / sampled if sampled else self._computing
-
-    @property
-    def integration(self) -> float:
-        """Wall-clock time [s] of time integration."""
-        return self._computing - self.forces
-
 
 SAMPLE_EVERY = 256
 """Interval in steps between sampled steps, whose phases are timed separately."""
@@ -115,8 +65,8 @@ class Stepper:
         began = clock.perf_counter()
         state = self.state
         self._rebuild.compile()
-        self._step = state.built(build_steps)
-        self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
+        self._take_steps = state.built(build_steps)
+        self._take_steps(0, 1, 0, 0, 0, 0.0, 1, 1)
         self.timing.compile += clock.perf_counter() - began
 
     def _prepare_workers(self) -> None:
@@ -186,11 +136,11 @@ class Stepper:
         history_step:  time step [s] by which contact displacements change; 0: no change; None: the time step
         """
         self._prepare_workers()
-        step = self.state.clock.time_step if history_step is None else history_step
+        time_step = self.state.clock.time_step if history_step is None else history_step
         self._begin_count()
         if self.state.wall_dynamics is not None and shares_rows(self.state):
             self.state.wall_dynamics.wall_force.fill(0)  # otherwise cleared when the walls move
-        self._launch_step(1, pose, step, moving=0, forcing=1)
+        self._launch_step(1, pose, time_step, moving=0, forcing=1)
 
     def refresh(self, step: int, velocities_lag: bool) -> None:
         """Rebuild the neighbor lists and compute forces after step number `step`, after particles or walls
@@ -299,26 +249,28 @@ class Stepper:
             self._workers.record(done, clock.perf_counter() - began)
         return done
 
-    def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
+    def _launch_step(
+        self, steps: int, pose: int, time_step: float, moving: int = 1, forcing: int = 1
+    ) -> None:
         """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other
         phase."""
         state = self.state
         workers = self._workers.count
         self._workers.place(workers)
-        self._step(steps, workers, state.chunk_count, state.count, pose, step, moving, forcing)
+        self._take_steps(steps, workers, state.chunk_count, state.count, pose, time_step, moving, forcing)
 
     def _sampled_step(self) -> int:
         """Take one step and time its phases separately."""
-        step = self.state.clock.time_step
+        time_step = self.state.clock.time_step
         began = clock.perf_counter()
         self._since_sample = 0
-        self._launch_step(1, self.poses.next, step, forcing=0)
+        self._launch_step(1, self.poses.next, time_step, forcing=0)
         ti.sync()
         integrated = clock.perf_counter()
         if self._is_rebuild_due or self.abort_code:
             return 0
         forces_began = clock.perf_counter()
-        self._launch_step(1, self.poses.next, step, moving=0)
+        self._launch_step(1, self.poses.next, time_step, moving=0)
         ti.sync()
         self.timing.sampled_integration += integrated - began
         self.timing.sampled_forces += clock.perf_counter() - forces_began
@@ -408,10 +360,64 @@ class GpuStepper(Stepper):
             self._launch_step(1, self.poses.next + index, self.state.clock.time_step)
         return self._steps_done
 
-    def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
+    def _launch_step(
+        self, steps: int, pose: int, time_step: float, moving: int = 1, forcing: int = 1
+    ) -> None:
         """Launch one step. If `moving` or `forcing` is 0, only the other phase."""
         state = self.state
         before = self._launches - self._first_launch
-        self._step(self._launches, before, state.chunk_count, state.count, pose, step, moving, forcing)
+        self._take_steps(
+            self._launches, before, state.chunk_count, state.count, pose, time_step, moving, forcing
+        )
         self._launches += forcing
         self._read = None
+
+
+# Wall-clock time of a run by phase.
+
+
+@dataclass
+class Timing:
+    """Wall-clock time [s] by phase, and counts.
+
+    neighbor_list:        neighbor-list rebuilds
+    advance:              all other phases of the steps
+    sampled_forces:       forces of the sampled steps
+    sampled_integration:  integration of the sampled steps; the ratio of both divides `advance`
+    rebuild_count:        number of neighbor-list rebuilds
+    step_count:           number of completed steps
+    particle_steps:       sum of the particle counts of all steps
+    growth_count:         number of reallocations with a larger list capacity
+    compile:              compilation of kernels
+    exchange:             part of `advance`: messages between MPI ranks
+    waiting:              part of `advance`: agreement of MPI ranks on each step, which waits for the slowest
+                          rank
+    """
+
+    neighbor_list: float = 0.0
+    advance: float = 0.0
+    sampled_forces: float = 0.0
+    sampled_integration: float = 0.0
+    rebuild_count: int = 0
+    step_count: int = 0
+    particle_steps: int = 0
+    growth_count: int = 0
+    compile: float = 0.0
+    exchange: float = 0.0
+    waiting: float = 0.0
+
+    @property
+    def _computing(self) -> float:
+        """Wall-clock time [s] of forces and integration."""
+        return self.advance - self.exchange - self.waiting
+
+    @property
+    def forces(self) -> float:
+        """Wall-clock time [s] of contact forces."""
+        sampled = self.sampled_forces + self.sampled_integration
+        return self._computing * self.sampled_forces / sampled if sampled else self._computing
+
+    @property
+    def integration(self) -> float:
+        """Wall-clock time [s] of time integration."""
+        return self._computing - self.forces

@@ -89,52 +89,6 @@ class MeshAdjacency:
     """Number of edges with more than two triangles."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Edges:
-    """The 3 t edges of all triangles, numbered 3 triangle + edge, with their roles as in MeshAdjacency."""
-
-    inward: np.ndarray
-    owns_tie: np.ndarray
-    role: np.ndarray
-    inward_other: np.ndarray
-
-    def share(self, first: np.ndarray, second: np.ndarray) -> None:
-        """Assign edges of two triangles, (p,) and (p,), to the first; edges of coplanar triangles have no
-        contact."""
-        coplanar = is_coplanar(self.inward[first], self.inward[second])
-        self.make_coplanar(first[coplanar], second[coplanar])
-        first = first[~coplanar]
-        second = second[~coplanar]
-        self.role[first] = SHARED_EDGE
-        self.inward_other[first] = self.inward[second]
-
-    def share_nonmanifold(self, edges: np.ndarray) -> None:
-        """Assign an edge of k > 2 triangles (k,) to the two at the widest free angle, if it exceeds 180
-        degrees."""
-        for position, one in enumerate(edges):
-            for other in edges[position + 1 :]:
-                if is_coplanar(self.inward[one], self.inward[other]) and not self.owns_tie[edges].any():
-                    self.make_coplanar(np.array([one]), np.array([other]))
-        inward = self.inward[edges]
-        first = inward[0]
-        non_parallel = [each for each in inward if np.linalg.norm(np.cross(first, each)) > COPLANAR_ANGLE]
-        axis = unit(np.cross(first, [*non_parallel, np.roll(first, 1) + 0.5 * np.roll(first, 2)][0]))
-        angle = np.arctan2(inward @ np.cross(axis, first), inward @ first) % (2 * np.pi)
-        ordered = edges[np.argsort(angle, kind="stable")]
-        gaps = np.diff(np.sort(angle), append=np.sort(angle)[0] + 2 * np.pi)
-        widest = int(np.argmax(gaps))
-        if gaps[widest] > np.pi + COPLANAR_ANGLE:
-            one, other = sorted((ordered[widest], ordered[(widest + 1) % len(ordered)]))
-            self.role[one], self.inward_other[one] = SHARED_EDGE, self.inward[other]
-
-    def make_coplanar(self, first: np.ndarray, second: np.ndarray) -> None:
-        """Make `inward` of both triangles of each edge exactly opposite; ties on the edge belong to the
-        first."""
-        mean = normalized(self.inward[first] - self.inward[second])
-        self.inward[first], self.inward[second] = mean, -mean
-        self.owns_tie[first] = True
-
-
 def adjacency_of(points: np.ndarray, corners: np.ndarray) -> MeshAdjacency:
     """Adjacency of a mesh.
 
@@ -179,6 +133,52 @@ def adjacency_of(points: np.ndarray, corners: np.ndarray) -> MeshAdjacency:
         open_count=len(open_edges),
         nonmanifold_count=len(nonmanifold),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """The 3 t edges of all triangles, numbered 3 triangle + edge, with their roles as in MeshAdjacency."""
+
+    inward: np.ndarray
+    owns_tie: np.ndarray
+    role: np.ndarray
+    inward_other: np.ndarray
+
+    def share(self, first: np.ndarray, second: np.ndarray) -> None:
+        """Assign edges of two triangles, (p,) and (p,), to the first; edges of coplanar triangles have no
+        contact."""
+        coplanar = is_coplanar(self.inward[first], self.inward[second])
+        self.make_coplanar(first[coplanar], second[coplanar])
+        first = first[~coplanar]
+        second = second[~coplanar]
+        self.role[first] = SHARED_EDGE
+        self.inward_other[first] = self.inward[second]
+
+    def share_nonmanifold(self, edges: np.ndarray) -> None:
+        """Assign an edge of k > 2 triangles (k,) to the two at the widest free angle, if it exceeds 180
+        degrees."""
+        for position, one in enumerate(edges):
+            for other in edges[position + 1 :]:
+                if is_coplanar(self.inward[one], self.inward[other]) and not self.owns_tie[edges].any():
+                    self.make_coplanar(np.array([one]), np.array([other]))
+        inward = self.inward[edges]
+        first = inward[0]
+        non_parallel = [each for each in inward if np.linalg.norm(np.cross(first, each)) > COPLANAR_ANGLE]
+        axis = unit(np.cross(first, [*non_parallel, np.roll(first, 1) + 0.5 * np.roll(first, 2)][0]))
+        angle = np.arctan2(inward @ np.cross(axis, first), inward @ first) % (2 * np.pi)
+        ordered = edges[np.argsort(angle, kind="stable")]
+        gaps = np.diff(np.sort(angle), append=np.sort(angle)[0] + 2 * np.pi)
+        widest = int(np.argmax(gaps))
+        if gaps[widest] > np.pi + COPLANAR_ANGLE:
+            one, other = sorted((ordered[widest], ordered[(widest + 1) % len(ordered)]))
+            self.role[one], self.inward_other[one] = SHARED_EDGE, self.inward[other]
+
+    def make_coplanar(self, first: np.ndarray, second: np.ndarray) -> None:
+        """Make `inward` of both triangles of each edge exactly opposite; ties on the edge belong to the
+        first."""
+        mean = normalized(self.inward[first] - self.inward[second])
+        self.inward[first], self.inward[second] = mean, -mean
+        self.owns_tie[first] = True
 
 
 def normalized(vectors: np.ndarray) -> np.ndarray:

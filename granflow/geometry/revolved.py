@@ -1,10 +1,9 @@
 """Surfaces of revolution: a straight segment in the (r, z) half plane revolved about an axis.
 
 Cylinder, cone frustum and disc (with or without a round hole) are surfaces of this kind. The surface is thin
-and two-sided. Each end of the segment is a circular edge; `join_shared_edges` assigns shared
-edges to owners.
+and two-sided. Each end of the segment is a circular edge; `join_shared_edges` assigns shared edges to owners.
 
-The parameters are those of REVOLVED: origin, axis, radius at the start, length and direction (r, z) of the
+The parameters are PARAMETER_NAMES: origin, axis, radius at the start, length and direction (r, z) of the
 segment, and for each end the direction (r, z) of the competing face and 1 if this surface owns the edge.
 """
 
@@ -24,245 +23,52 @@ from granflow.geometry.shape import (
     unit,
 )
 
+PARAMETER_NAMES = (
+    "origin_x",
+    "origin_y",
+    "origin_z",
+    "axis_x",
+    "axis_y",
+    "axis_z",
+    "start_r",
+    "length",
+    "direction_r",
+    "direction_z",
+    "start_neighbor_r",
+    "start_neighbor_z",
+    "start_owned",
+    "end_neighbor_r",
+    "end_neighbor_z",
+    "end_owned",
+)
+"""Parameters of a surface of revolution, in this order: lengths [m], unit vectors, and 1 or 0."""
+(
+    ORIGIN_X,
+    ORIGIN_Y,
+    ORIGIN_Z,
+    AXIS_X,
+    AXIS_Y,
+    AXIS_Z,
+    START_R,
+    LENGTH,
+    DIRECTION_R,
+    DIRECTION_Z,
+    START_NEIGHBOR_R,
+    START_NEIGHBOR_Z,
+    START_OWNED,
+    END_NEIGHBOR_R,
+    END_NEIGHBOR_Z,
+    END_OWNED,
+) = range(len(PARAMETER_NAMES))
+"""Indices of the parameters."""
+ORIGIN = slice(ORIGIN_X, ORIGIN_Z + 1)
+AXIS = slice(AXIS_X, AXIS_Z + 1)
+DIRECTION = slice(DIRECTION_R, DIRECTION_Z + 1)
+START_EDGE = slice(START_NEIGHBOR_R, START_OWNED + 1)
+END_EDGE = slice(END_NEIGHBOR_R, END_OWNED + 1)
+"""Parts of the parameters on the host."""
 FACET_COUNT = 64
 """Number of facets around the axis, for visualization."""
-
-
-@ti.func
-def half_plane_coordinates(point, parameters):
-    """Coordinates (r, z) of the point in its half plane, and the radial unit vector.
-
-        radial = axis x (offset x axis)
-
-    r is the distance from the axis [m], z the height above the start of the segment [m]. On the axis the
-    radial direction is a fixed vector. The double cross product keeps the radial vector perpendicular to the
-    axis even if it consists of rounding errors only.
-    """
-    offset = ti.Vector([point[0] - parameters[0], point[1] - parameters[1], point[2] - parameters[2]])
-    axis = ti.Vector([parameters[3], parameters[4], parameters[5]])
-    z = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2]
-    radial = axis.cross(offset.cross(axis))
-    r = radial.norm()
-    on_axis = r == 0.0
-    near_z = ti.abs(axis[2]) > 0.5
-    zero = axis[0] * 0.0
-    any_radial = ti.select(near_z, ti.Vector([axis[2], zero, -axis[0]]), ti.Vector([-axis[1], axis[0], zero]))
-    direction = ti.select(on_axis, any_radial, radial)
-    divisor = ti.select(on_axis, any_radial.norm(), r)
-    return r, z, direction / divisor
-
-
-@ti.func
-def segment_coordinates(r, z, parameters):
-    """Position along the segment, distance beyond the nearer end (0 above the face), and height above it [m].
-
-    t = (r - r0) ur + z uz,    h = (r - r0) uz - z ur        (ur, uz) direction of the segment, r0 its start
-    """
-    outward = r - parameters[6]
-    along = outward * parameters[8] + z * parameters[9]
-    height = outward * parameters[9] - z * parameters[8]
-    beyond = along - ti.min(ti.max(along, 0.0), parameters[7])
-    return along, beyond, height
-
-
-@ti.func
-def revolved_normal(point, parameters):
-    """Normal of the face in the half plane of the point (ShapeKind.face_normal)."""
-    _, _, radial = half_plane_coordinates(point, parameters)
-    return parameters[9] * radial - parameters[8] * ti.Vector([parameters[3], parameters[4], parameters[5]])
-
-
-@ti.func
-def revolved_distance(point, parameters):
-    """Distance from the surface [m], at least 0, without regard to shared edges
-    (ShapeKind.surface_distance)."""
-    r, z, _ = half_plane_coordinates(point, parameters)
-    _, beyond, height = segment_coordinates(r, z, parameters)
-    return ti.sqrt(beyond * beyond + height * height)
-
-
-@ti.func
-def owns_contact(along, height, parameters):
-    """Whether this surface owns the contact.
-
-    True on its face. On an edge true only if the surface owns the edge and the point lies beyond the end of
-    the competing face as well; otherwise that face is nearer.
-
-    along, height:  of `segment_coordinates` [m]
-    """
-    before_start = along <= 0.0
-    after_end = along >= parameters[7]
-    from_start = along
-    from_end = along - parameters[7]
-    r_start = from_start * parameters[8] + height * parameters[9]
-    z_start = from_start * parameters[9] - height * parameters[8]
-    r_end = from_end * parameters[8] + height * parameters[9]
-    z_end = from_end * parameters[9] - height * parameters[8]
-    owns_start = (parameters[12] > 0.0) & (r_start * parameters[10] + z_start * parameters[11] <= 0.0)
-    owns_end = (parameters[15] > 0.0) & (r_end * parameters[13] + z_end * parameters[14] <= 0.0)
-    return ((not before_start) | owns_start) & ((not after_end) | owns_end)
-
-
-@ti.func
-def closest_on_revolved(point, parameters):
-    """Distance [m] from the surface and unit vector from its nearest point to the point (ShapeKind.closest).
-
-    The distance is FAR_AWAY if the nearest point is on an edge that another wall owns. On the surface the
-    unit vector is the face normal.
-    """
-    r, z, radial = half_plane_coordinates(point, parameters)
-    along, beyond, height = segment_coordinates(r, z, parameters)
-    gap = ti.sqrt(beyond * beyond + height * height)
-    on_surface = gap == 0.0
-    divisor = ti.select(on_surface, 1.0, gap)
-    tangential = beyond / divisor
-    perpendicular = ti.select(on_surface, 1.0, height / divisor)
-    normal_r = tangential * parameters[8] + perpendicular * parameters[9]
-    normal_z = tangential * parameters[9] - perpendicular * parameters[8]
-    normal = normal_r * radial + normal_z * ti.Vector([parameters[3], parameters[4], parameters[5]])
-    distance = ti.select(owns_contact(along, height, parameters), gap, FAR_AWAY)
-    return distance, normal
-
-
-def reference_closest_on_revolved(
-    points: np.ndarray, parameters: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the
-    point.
-
-    points:   (n, 3) [m]
-    Returns:  distance (n,) [m] or FAR_AWAY, unit vector (n, 3)
-    """
-    axis = parameters[3:6]
-    start, end = profile(parameters)
-    from_origin = points - parameters[0:3]
-    radial = radial_directions(from_origin, axis)
-    edge_start = start[0] * radial + start[1] * axis
-    chord = (end[0] - start[0]) * radial + (end[1] - start[1]) * axis
-    fraction = np.sum((from_origin - edge_start) * chord, axis=1) / np.sum(chord * chord, axis=1)
-    foot = edge_start + np.clip(fraction, 0.0, 1.0)[:, None] * chord
-    from_surface = from_origin - foot
-    distance = np.linalg.norm(from_surface, axis=1)
-    on_surface = distance == 0.0
-    face_normal = np.cross(chord, np.cross(axis, radial)) / np.linalg.norm(chord, axis=1)[:, None]
-    normal = from_surface / np.where(on_surface, 1.0, distance)[:, None]
-    normal[on_surface] = face_normal[on_surface]
-    not_owned = (fraction <= 0) & ~reference_owns_edge(from_surface, radial, axis, parameters[10:13])
-    not_owned |= (fraction >= 1) & ~reference_owns_edge(from_surface, radial, axis, parameters[13:16])
-    return np.where(not_owned, FAR_AWAY, distance), normal
-
-
-def reference_owns_edge(
-    from_surface: np.ndarray, radial: np.ndarray, axis: np.ndarray, edge: np.ndarray
-) -> np.ndarray:
-    """Whether a surface owns the contacts of points beyond one of its edges.
-
-    from_surface:  (n, 3) [m], from the edge to the points
-    radial:        (n, 3) radial unit vectors
-    axis:          (3,) unit vector
-    edge:          (3,), direction r, z of the competing face, owner flag
-    Returns:       (n,) bool
-    """
-    neighbor = edge[0] * radial + edge[1] * axis
-    return (edge[2] > 0) & (np.sum(from_surface * neighbor, axis=1) <= 0)
-
-
-def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 3) from the axis to points at `offsets` (n, 3) [m] from a point on the axis.
-
-    A fixed vector for points on the axis. The projection is repeated, because near the axis the first result
-    is mostly rounding error.
-    """
-    radial = offsets - np.outer(offsets @ axis, axis)
-    on_axis = np.linalg.norm(radial, axis=1) <= 1e-12 * np.linalg.norm(offsets, axis=1)
-    radial[on_axis] = np.cross(np.eye(3)[1 if abs(axis[2]) > 0.5 else 2], axis)
-    radial /= np.linalg.norm(radial, axis=1)[:, None]
-    radial -= np.outer(radial @ axis, axis)
-    return radial / np.linalg.norm(radial, axis=1)[:, None]
-
-
-def profile(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the segment as (r, z), each (2,) [m], in the frame of the shape; the start has z = 0."""
-    start = np.array([parameters[6], 0.0])
-    return start, start + parameters[7] * parameters[8:10]
-
-
-def revolved_triangles(
-    parameters: np.ndarray, center: np.ndarray, extent: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of the surface as facets around the
-    axis.
-
-    `center` and `extent` are unused. One of the edges may have the radius 0.
-    """
-    axis = parameters[3:6]
-    angle = 2 * np.pi * np.arange(FACET_COUNT) / FACET_COUNT
-    radial = radial_directions(np.zeros((1, 3)), axis)[0]
-    around = np.outer(np.cos(angle), radial) + np.outer(np.sin(angle), np.cross(axis, radial))
-    rings = [parameters[0:3] + r * around + z * axis for r, z in profile(parameters)]
-    index = np.arange(FACET_COUNT)
-    next_index = (index + 1) % FACET_COUNT
-    lower = np.stack([index, next_index, next_index + FACET_COUNT], axis=1)
-    upper = np.stack([index, next_index + FACET_COUNT, index + FACET_COUNT], axis=1)
-    return np.concatenate(rings), np.concatenate([lower, upper])
-
-
-def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
-    """Distance [m] of the farthest point of both edges from the axis; 0 for rotation about its own axis.
-
-    point:    (3,) [m], a point on the axis of the motion
-    axis:     (3,) unit vector along the axis of the motion
-    Returns:  an upper bound if the two axes are not parallel
-    """
-    origin = parameters[0:3]
-    axis_of_shape = parameters[3:6]
-    radius = max(end[0] for end in profile(parameters))
-    centers = np.array([origin + end[1] * axis_of_shape for end in profile(parameters)])
-    from_surface = distance_from_axis(centers, point, axis).max()
-    size = radius + parameters[7]
-    if is_parallel(axis_of_shape, axis) and from_surface <= 1e-9 * size:
-        return 0.0
-    return float(from_surface + radius)
-
-
-def revolved_area(parameters: np.ndarray) -> float:
-    """Area [m2]: length of the segment times the path of its midpoint about the axis (Pappus).
-
-    A = pi (r_start + r_end) length
-    """
-    start, end = profile(parameters)
-    return float(np.pi * (start[0] + end[0]) * parameters[7])
-
-
-REVOLVED = ShapeKind(
-    name="revolved",
-    parameter_names=(
-        "origin_x",
-        "origin_y",
-        "origin_z",
-        "axis_x",
-        "axis_y",
-        "axis_z",
-        "start_r",
-        "length",
-        "direction_r",
-        "direction_z",
-        "start_neighbor_r",
-        "start_neighbor_z",
-        "start_owned",
-        "end_neighbor_r",
-        "end_neighbor_z",
-        "end_owned",
-    ),
-    closest=closest_on_revolved,
-    face_normal=revolved_normal,
-    surface_distance=revolved_distance,
-    reference_closest=reference_closest_on_revolved,
-    triangles=revolved_triangles,
-    reach_about=revolved_reach,
-    area=revolved_area,
-)
-"""Kind of all surfaces of revolution."""
 
 
 def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: float) -> Shape:
@@ -313,6 +119,241 @@ def disc(center: object, normal: object, radius: float, hole_radius: float = 0.0
     return revolved(center, normal, hole_radius, radius, 0.0)
 
 
+# Device functions
+
+
+@ti.func
+def closest_on_revolved(point, parameters):
+    """Distance [m] from the surface and unit vector from its nearest point to the point (ShapeKind.closest).
+
+    The distance is FAR_AWAY if the nearest point is on an edge that another wall owns. On the surface the
+    unit vector is the face normal.
+    """
+    r, z, radial = half_plane_coordinates(point, parameters)
+    along, beyond, height = segment_coordinates(r, z, parameters)
+    gap = ti.sqrt(beyond * beyond + height * height)
+    on_surface = gap == 0.0
+    divisor = ti.select(on_surface, 1.0, gap)
+    tangential = beyond / divisor
+    perpendicular = ti.select(on_surface, 1.0, height / divisor)
+    normal_r = tangential * parameters[DIRECTION_R] + perpendicular * parameters[DIRECTION_Z]
+    normal_z = tangential * parameters[DIRECTION_Z] - perpendicular * parameters[DIRECTION_R]
+    normal = normal_r * radial + normal_z * ti.Vector(
+        [parameters[AXIS_X], parameters[AXIS_Y], parameters[AXIS_Z]]
+    )
+    distance = ti.select(owns_contact(along, height, parameters), gap, FAR_AWAY)
+    return distance, normal
+
+
+@ti.func
+def owns_contact(along, height, parameters):
+    """Whether this surface owns the contact.
+
+    True on its face. On an edge true only if the surface owns the edge and the point lies beyond the end of
+    the competing face as well; otherwise that face is nearer.
+
+    along, height:  of `segment_coordinates` [m]
+    """
+    before_start = along <= 0.0
+    after_end = along >= parameters[LENGTH]
+    from_start = along
+    from_end = along - parameters[LENGTH]
+    r_start = from_start * parameters[DIRECTION_R] + height * parameters[DIRECTION_Z]
+    z_start = from_start * parameters[DIRECTION_Z] - height * parameters[DIRECTION_R]
+    r_end = from_end * parameters[DIRECTION_R] + height * parameters[DIRECTION_Z]
+    z_end = from_end * parameters[DIRECTION_Z] - height * parameters[DIRECTION_R]
+    owns_start = (parameters[START_OWNED] > 0.0) & (
+        r_start * parameters[START_NEIGHBOR_R] + z_start * parameters[START_NEIGHBOR_Z] <= 0.0
+    )
+    owns_end = (parameters[END_OWNED] > 0.0) & (
+        r_end * parameters[END_NEIGHBOR_R] + z_end * parameters[END_NEIGHBOR_Z] <= 0.0
+    )
+    return ((not before_start) | owns_start) & ((not after_end) | owns_end)
+
+
+@ti.func
+def revolved_distance(point, parameters):
+    """Distance from the surface [m], at least 0, without regard to shared edges
+    (ShapeKind.surface_distance)."""
+    r, z, _ = half_plane_coordinates(point, parameters)
+    _, beyond, height = segment_coordinates(r, z, parameters)
+    return ti.sqrt(beyond * beyond + height * height)
+
+
+@ti.func
+def revolved_normal(point, parameters):
+    """Normal of the face in the half plane of the point (ShapeKind.face_normal)."""
+    _, _, radial = half_plane_coordinates(point, parameters)
+    return parameters[DIRECTION_Z] * radial - parameters[DIRECTION_R] * ti.Vector(
+        [parameters[AXIS_X], parameters[AXIS_Y], parameters[AXIS_Z]]
+    )
+
+
+@ti.func
+def half_plane_coordinates(point, parameters):
+    """Coordinates (r, z) of the point in its half plane, and the radial unit vector.
+
+        radial = axis x (offset x axis)
+
+    r is the distance from the axis [m], z the height above the start of the segment [m]. On the axis the
+    radial direction is a fixed vector. The double cross product keeps the radial vector perpendicular to the
+    axis even if it consists of rounding errors only.
+    """
+    offset = ti.Vector(
+        [point[0] - parameters[ORIGIN_X], point[1] - parameters[ORIGIN_Y], point[2] - parameters[ORIGIN_Z]]
+    )
+    axis = ti.Vector([parameters[AXIS_X], parameters[AXIS_Y], parameters[AXIS_Z]])
+    z = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2]
+    radial = axis.cross(offset.cross(axis))
+    r = radial.norm()
+    on_axis = r == 0.0
+    near_z = ti.abs(axis[2]) > 0.5
+    zero = axis[0] * 0.0
+    any_radial = ti.select(near_z, ti.Vector([axis[2], zero, -axis[0]]), ti.Vector([-axis[1], axis[0], zero]))
+    direction = ti.select(on_axis, any_radial, radial)
+    divisor = ti.select(on_axis, any_radial.norm(), r)
+    return r, z, direction / divisor
+
+
+@ti.func
+def segment_coordinates(r, z, parameters):
+    """Position along the segment, distance beyond the nearer end (0 above the face), and height above it [m].
+
+    t = (r - r0) ur + z uz,    h = (r - r0) uz - z ur        (ur, uz) direction of the segment, r0 its start
+    """
+    outward = r - parameters[START_R]
+    along = outward * parameters[DIRECTION_R] + z * parameters[DIRECTION_Z]
+    height = outward * parameters[DIRECTION_Z] - z * parameters[DIRECTION_R]
+    beyond = along - ti.min(ti.max(along, 0.0), parameters[LENGTH])
+    return along, beyond, height
+
+
+# The kind of these shapes: reference implementation, triangles, reach and area
+
+
+def reference_closest_on_revolved(
+    points: np.ndarray, parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the
+    point.
+
+    points:   (n, 3) [m]
+    Returns:  distance (n,) [m] or FAR_AWAY, unit vector (n, 3)
+    """
+    axis = parameters[AXIS]
+    start, end = profile(parameters)
+    from_origin = points - parameters[ORIGIN]
+    radial = radial_directions(from_origin, axis)
+    edge_start = start[0] * radial + start[1] * axis
+    chord = (end[0] - start[0]) * radial + (end[1] - start[1]) * axis
+    fraction = np.sum((from_origin - edge_start) * chord, axis=1) / np.sum(chord * chord, axis=1)
+    foot = edge_start + np.clip(fraction, 0.0, 1.0)[:, None] * chord
+    from_surface = from_origin - foot
+    distance = np.linalg.norm(from_surface, axis=1)
+    on_surface = distance == 0.0
+    face_normal = np.cross(chord, np.cross(axis, radial)) / np.linalg.norm(chord, axis=1)[:, None]
+    normal = from_surface / np.where(on_surface, 1.0, distance)[:, None]
+    normal[on_surface] = face_normal[on_surface]
+    not_owned = (fraction <= 0) & ~reference_owns_edge(from_surface, radial, axis, parameters[START_EDGE])
+    not_owned |= (fraction >= 1) & ~reference_owns_edge(from_surface, radial, axis, parameters[END_EDGE])
+    return np.where(not_owned, FAR_AWAY, distance), normal
+
+
+def reference_owns_edge(
+    from_surface: np.ndarray, radial: np.ndarray, axis: np.ndarray, edge: np.ndarray
+) -> np.ndarray:
+    """Whether a surface owns the contacts of points beyond one of its edges.
+
+    from_surface:  (n, 3) [m], from the edge to the points
+    radial:        (n, 3) radial unit vectors
+    axis:          (3,) unit vector
+    edge:          (3,), direction r, z of the competing face, owner flag
+    Returns:       (n,) bool
+    """
+    neighbor = edge[0] * radial + edge[1] * axis
+    return (edge[2] > 0) & (np.sum(from_surface * neighbor, axis=1) <= 0)
+
+
+def revolved_triangles(
+    parameters: np.ndarray, center: np.ndarray, extent: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of the surface as facets around the
+    axis.
+
+    `center` and `extent` are unused. One of the edges may have the radius 0.
+    """
+    axis = parameters[AXIS]
+    angle = 2 * np.pi * np.arange(FACET_COUNT) / FACET_COUNT
+    radial = radial_directions(np.zeros((1, 3)), axis)[0]
+    around = np.outer(np.cos(angle), radial) + np.outer(np.sin(angle), np.cross(axis, radial))
+    rings = [parameters[ORIGIN] + r * around + z * axis for r, z in profile(parameters)]
+    index = np.arange(FACET_COUNT)
+    next_index = (index + 1) % FACET_COUNT
+    lower = np.stack([index, next_index, next_index + FACET_COUNT], axis=1)
+    upper = np.stack([index, next_index + FACET_COUNT, index + FACET_COUNT], axis=1)
+    return np.concatenate(rings), np.concatenate([lower, upper])
+
+
+def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
+    """Distance [m] of the farthest point of both edges from the axis; 0 for rotation about its own axis.
+
+    point:    (3,) [m], a point on the axis of the motion
+    axis:     (3,) unit vector along the axis of the motion
+    Returns:  an upper bound if the two axes are not parallel
+    """
+    origin = parameters[ORIGIN]
+    axis_of_shape = parameters[AXIS]
+    radius = max(end[0] for end in profile(parameters))
+    centers = np.array([origin + end[1] * axis_of_shape for end in profile(parameters)])
+    from_surface = distance_from_axis(centers, point, axis).max()
+    size = radius + parameters[LENGTH]
+    if is_parallel(axis_of_shape, axis) and from_surface <= 1e-9 * size:
+        return 0.0
+    return float(from_surface + radius)
+
+
+def revolved_area(parameters: np.ndarray) -> float:
+    """Area [m2]: length of the segment times the path of its midpoint about the axis (Pappus).
+
+    A = pi (r_start + r_end) length
+    """
+    start, end = profile(parameters)
+    return float(np.pi * (start[0] + end[0]) * parameters[LENGTH])
+
+
+def profile(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the segment as (r, z), each (2,) [m], in the frame of the shape; the start has z = 0."""
+    start = np.array([parameters[START_R], 0.0])
+    return start, start + parameters[LENGTH] * parameters[DIRECTION]
+
+
+def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) from the axis to points at `offsets` (n, 3) [m] from a point on the axis.
+
+    A fixed vector for points on the axis. The projection is repeated, because near the axis the first result
+    is mostly rounding error.
+    """
+    radial = offsets - np.outer(offsets @ axis, axis)
+    on_axis = np.linalg.norm(radial, axis=1) <= 1e-12 * np.linalg.norm(offsets, axis=1)
+    radial[on_axis] = np.cross(np.eye(3)[1 if abs(axis[2]) > 0.5 else 2], axis)
+    radial /= np.linalg.norm(radial, axis=1)[:, None]
+    radial -= np.outer(radial @ axis, axis)
+    return radial / np.linalg.norm(radial, axis=1)[:, None]
+
+
+REVOLVED = ShapeKind(
+    name="revolved",
+    parameter_names=PARAMETER_NAMES,
+    closest=closest_on_revolved,
+    face_normal=revolved_normal,
+    surface_distance=revolved_distance,
+    reference_closest=reference_closest_on_revolved,
+    triangles=revolved_triangles,
+    reach_about=revolved_reach,
+    area=revolved_area,
+)
+"""Kind of all surfaces of revolution."""
+
 # Circular edges shared by several surfaces of revolution: a single contact instead of one per surface.
 #
 # Where a cone joins its outlet tube, both segments end in the same circle. For a particle outside that
@@ -342,25 +383,6 @@ Profile = tuple[np.ndarray, np.ndarray]
 """Ends (2,) of a segment as (r, z) [m]."""
 
 
-@dataclass(frozen=True)
-class Ray:
-    """Direction of a segment from an edge, in the (r, z) frame of the shape that has the edge.
-
-    index:      index of the shape of the segment
-    end:        "start" or "end" if the segment ends at the edge, None if it passes through
-    direction:  (2,) unit vector (r, z)
-    """
-
-    index: int
-    end: str | None
-    direction: np.ndarray
-
-    @property
-    def angle(self) -> float:
-        """Angle [rad] in [0, 2 pi) from the outward radial direction toward the axis direction."""
-        return float(np.arctan2(self.direction[1], self.direction[0]) % (2 * np.pi))
-
-
 def join_shared_edges(shapes: Sequence[Shape], groups: Sequence[Hashable]) -> list[Shape]:
     """The same shapes with each shared edge of surfaces of revolution assigned to one owner.
 
@@ -385,16 +407,35 @@ def is_coaxial(shape: Shape, other: Shape) -> bool:
     """Whether the other shape is a surface of revolution about the same line, in either direction."""
     if other.kind is not REVOLVED:
         return False
-    origin_offset = other.parameters[0:3] - shape.parameters[0:3]
-    axis = shape.parameters[3:6]
+    origin_offset = other.parameters[ORIGIN] - shape.parameters[ORIGIN]
+    axis = shape.parameters[AXIS]
     off_axis = np.linalg.norm(np.cross(origin_offset, axis))
     size = profile_size(shape) + profile_size(other)
-    return is_parallel(axis, other.parameters[3:6], TOLERANCE) and bool(off_axis <= TOLERANCE * size)
+    return is_parallel(axis, other.parameters[AXIS], TOLERANCE) and bool(off_axis <= TOLERANCE * size)
 
 
 def profile_size(shape: Shape) -> float:
     """Length scale [m] of a segment, for relative tolerances."""
     return float(np.abs(np.array(profile(shape.parameters))).max())
+
+
+@dataclass(frozen=True)
+class Ray:
+    """Direction of a segment from an edge, in the (r, z) frame of the shape that has the edge.
+
+    index:      index of the shape of the segment
+    end:        "start" or "end" if the segment ends at the edge, None if it passes through
+    direction:  (2,) unit vector (r, z)
+    """
+
+    index: int
+    end: str | None
+    direction: np.ndarray
+
+    @property
+    def angle(self) -> float:
+        """Angle [rad] in [0, 2 pi) from the outward radial direction toward the axis direction."""
+        return float(np.arctan2(self.direction[1], self.direction[0]) % (2 * np.pi))
 
 
 def rays_at_edge(shapes: Sequence[Shape], index: int, end: str, partners: Sequence[int]) -> list[Ray]:
@@ -415,9 +456,9 @@ def rays_at_edge(shapes: Sequence[Shape], index: int, end: str, partners: Sequen
 
 def profile_in_frame_of(shape: Shape, other: Shape) -> Profile:
     """Ends of the segment of `other` as (r, z) [m] in the frame of `shape`."""
-    axis = shape.parameters[3:6]
-    shift = np.array([0.0, (other.parameters[0:3] - shape.parameters[0:3]) @ axis])
-    flip = np.array([1.0, np.sign(other.parameters[3:6] @ axis)])
+    axis = shape.parameters[AXIS]
+    shift = np.array([0.0, (other.parameters[ORIGIN] - shape.parameters[ORIGIN]) @ axis])
+    flip = np.array([1.0, np.sign(other.parameters[AXIS] @ axis)])
     start, end = profile(other.parameters)
     return start * flip + shift, end * flip + shift
 

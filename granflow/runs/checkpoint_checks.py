@@ -1,8 +1,8 @@
 """Checks the state in a checkpoint against the scene and the plan before it is copied to the device.
 
 A checkpoint with a valid checksum can still have been written for another scene or be edited. Each section
-checks a part of it: clumps, contacts, observers and inserters, the state of the run, and the files of MPI
-ranks. All raise CheckpointError with the key of the value.
+checks a part of it: the state of the run (`check_run`, `check_engine`), the files of MPI ranks, contacts,
+clumps, observers and inserters. All raise CheckpointError with the key of the value.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -28,232 +28,6 @@ from granflow.load import Scene, scene_of
 from granflow.plan.arrays import DeviceArray, particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
 from granflow.runs.stages import STATE
-
-CLUMP_ROUNDING = 1e-5
-"""Relative tolerance of masses, moments, lengths and norms: rounding in single precision."""
-
-
-def check_clumps(
-    particles: Part, ids: np.ndarray, group: np.ndarray, density: np.ndarray, plan: Plan
-) -> np.ndarray:
-    """Check the clumps of particles with these ids, groups and densities [kg/m3], all (n,); returns the
-    masses (n,).
-
-    The device reads the spheres of a clump by their ids, which follow each other: each must exist. Raises
-    CheckpointError.
-    """
-    count = len(ids)
-    clump = particles["clump"].integers(count, low=-1).astype(np.int64)
-    shapes = [each.clump for each in plan.groups]
-    size = np.array([1 if shape is None else len(shape) for shape in shapes])[group]
-    if np.any((clump >= 0) != np.array([shape is not None for shape in shapes])[group]):
-        raise particles["clump"].error("differs from the groups in accounting")
-    if np.any(particles["clump_size"].integers(count) != size):
-        raise particles["clump_size"].error("differs from the number of spheres in the scene")
-    member = np.where(clump >= 0, ids - clump, 0)
-    of_clump, found = np.unique(clump[clump >= 0], return_counts=True)
-    sizes = size[np.searchsorted(ids, of_clump)] if np.isin(of_clump, ids).all() else np.zeros(len(of_clump))
-    if np.any((member < 0) | (member >= size)) or np.any(found != sizes):
-        raise particles["clump"].error("describes a clump without some of its spheres")
-    return _check_shapes(particles, group, density, member, plan)
-
-
-def _check_shapes(
-    particles: Part, group: np.ndarray, density: np.ndarray, member: np.ndarray, plan: Plan
-) -> np.ndarray:
-    """Check masses, moments and spheres of the clumps; returns the masses (n,) [kg] of all spheres."""
-    count = len(group)
-    radius = particles["radius"].floats(len(group)).astype(float)
-    mass = sphere_mass(radius, density)
-    inertia = np.zeros((count, 3))
-    offset = np.zeros((count, 3))
-    of_body = mass.copy()
-    for number, shape in enumerate(each.clump for each in plan.groups):
-        rows = group == number
-        if shape is not None:
-            of_body[rows] = density[rows] * shape.volume
-            mass[rows] = of_body[rows] * shape.volume_share[member[rows]]
-            inertia[rows], offset[rows] = density[rows, None] * shape.moments, shape.offset[member[rows]]
-    expected = {"clump_mass": of_body, "clump_inertia": inertia, "clump_offset": offset}
-    for name, values in expected.items():
-        scale = np.abs(values).max(axis=tuple(range(1, values.ndim)), keepdims=True)
-        if np.any(np.abs(particles[name].floats(*values.shape) - values) > CLUMP_ROUNDING * scale):
-            raise particles[name].error("differs from the clumps of the scene")
-    norm = np.linalg.norm(particles["orientation"].floats(count, 4).astype(float), axis=1)
-    if np.any(np.abs(norm - 1.0) > CLUMP_ROUNDING):
-        raise particles["orientation"].error("is not a unit quaternion")
-    return mass
-
-
-# Checks the contacts of a checkpoint: valid partners, and each contact between two particles at both of
-# them.
-
-
-def check_contacts(contacts: Part, ids: np.ndarray, plan: Plan, complete: bool = True) -> None:
-    """Check the contact histories of the particles with these ids (n,). Raises CheckpointError.
-
-    `complete`: whether these are all particles; otherwise partners can be in the files of other ranks.
-    `count` (n,): contacts per particle. `partner` (contacts,): id of a particle, or a negative number for a
-    wall or triangle. The histories (contacts, components) exist if the contact models have some.
-    """
-    names = set(contacts.mapping()) - {"count", "partner"}
-    contacts.mapping(("count", "partner", *(plan.history if names else ())))
-    total = len(contacts["partner"].value) if isinstance(contacts["partner"].value, np.ndarray) else 0
-    if total and not names:
-        raise contacts.error("has no histories")
-    count = contacts["count"].integers(len(ids), high=total).astype(np.int64)
-    if count.sum() != total:
-        raise contacts["count"].error(f"adds up to {count.sum()}, but partner has {total} entries")
-    surfaces = len(plan.walls) + sum(mesh.triangle_count for mesh in plan.meshes.values())
-    partner = contacts["partner"].integers(total, low=-surfaces).astype(np.int64)
-    for name in names:
-        contacts[name].floats(total, plan.history[name])
-    _check_pairs(contacts["partner"], np.repeat(ids.astype(np.int64), count), partner, ids, complete)
-
-
-def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, ids: np.ndarray, complete: bool) -> None:
-    """Check that each contact occurs once at each of its particles, which have the ids (n,). Raises
-    CheckpointError."""
-    particles = partner >= 0
-    if complete and not np.isin(partner[particles], ids).all():
-        raise part.error("names a particle that does not exist")
-    if np.any(owner == partner):
-        raise part.error("lists a particle as in contact with itself")
-    pairs = np.stack([owner, partner], axis=1)
-    if len(np.unique(pairs, axis=0)) < len(pairs):
-        raise part.error("lists a contact twice for one particle")
-    forward = pairs[particles]
-    back = pairs[particles][:, ::-1]
-    if complete and not np.array_equal(_in_order(forward), _in_order(back)):
-        raise part.error("lists a contact between two particles at one of them only")
-
-
-def _in_order(pairs: np.ndarray) -> np.ndarray:
-    """The rows of an array (n, 2) in lexicographic order."""
-    found: np.ndarray = pairs[np.lexsort(pairs.T)]
-    return found
-
-
-# Checks the saved state of observers and inserters against the structure of the state of new ones.
-
-LIST_TYPES: dict[str, tuple[str, ...]] = {
-    "frames": ("number", "text"),
-    "history": ("number", "text", "number"),
-    "columns": ("text",),
-}
-"""Lists that grow during a run, by key, with the types of the values of each entry."""
-SAMPLE_ARRAYS = ("id", "mass", "position", "distance", "insertion_time", "part")
-"""Arrays of the previous sample of a flow meter."""
-
-
-def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]) -> None:
-    """Check the state of each saved observer against that of a new one.
-
-    `fresh`: state of each new observer by name, which defines the keys and types; saved observers that are
-    not in `fresh` are ignored. Raises CheckpointError.
-    """
-    observers = Part.of(checkpoint)["observers"]
-    for name, template in fresh.items():
-        if name in observers.mapping():
-            _check_like(observers[name], template)
-
-
-def check_streams(
-    checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]
-) -> None:
-    """Check the state of each inserter by group.
-
-    `fresh`: states of new inserters by group; `counts`: number of particles of each group, an upper bound of
-    the particles due. Raises CheckpointError.
-    """
-    insertion = Part.of(checkpoint)["insertion"]
-    insertion.mapping(fresh)
-    for name, template in fresh.items():
-        insertion[name].mapping(template)
-        due = insertion[name]["due_count"].integer(0, counts[name])
-        queued = insertion[name]["queued"]
-        size = queued.value.size if isinstance(queued.value, np.ndarray) else 0
-        queued.distinct(size, high=due - 1)
-        insertion[name]["batch_count"].integer()
-        insertion[name]["next_time"].number(0.0)
-
-
-def _check_like(part: Part, template: Any) -> None:
-    """Check for the keys and types of `template`; values that are empty or None there may have grown.
-
-    Lists, the previous sample of a flow meter and accumulated fields grow during a run and have separate
-    checks. Raises CheckpointError.
-    """
-    key = part.key.rsplit("/", 1)[-1]
-    if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in SAMPLE_ARRAYS):
-        _check_sample(part)
-    elif key == "total":
-        _check_sums(part)
-    elif isinstance(template, dict) and template:
-        for each in part.parts(template):
-            _check_like(each, template[each.key.rsplit("/", 1)[-1]])
-    elif isinstance(template, dict):
-        for each in part.parts():
-            each.plain()
-    elif isinstance(template, list):
-        for row in part.items():
-            _check_row(row, LIST_TYPES.get(key, ()))
-    elif isinstance(template, np.ndarray) and template.dtype.kind == "i":
-        part.integers(*template.shape, high=LARGEST_COUNT)
-    elif isinstance(template, np.ndarray):
-        part.floats(*template.shape)
-    elif template is None:
-        part.plain()
-    else:
-        _check_plain(part, template)
-
-
-def _check_row(row: Part, kinds: tuple[str, ...]) -> None:
-    """Check one entry of a list: a value, or a list with one value for each of `kinds` ("number" or
-    "text")."""
-    cells = [row] if len(kinds) == 1 else row.items(len(kinds))
-    for cell, kind in zip(cells, kinds, strict=True):
-        check: Callable[[], object] = cell.number if kind == "number" else cell.text
-        check()
-
-
-def _check_plain(part: Part, template: Any) -> None:
-    """Check a value that is not a container; `count` may be negative: the net number of particles of a flow
-    meter."""
-    if isinstance(template, bool):
-        part.flag()
-    elif isinstance(template, int):
-        part.integer(-(2**53) if part.key.endswith("/count") else 0)
-    elif isinstance(template, float):
-        part.plain()
-    else:
-        part.text()
-
-
-def _check_sample(part: Part) -> None:
-    """Check the previous sample of a flow meter: arrays (n,), `position` (n, 3)."""
-    part.mapping(SAMPLE_ARRAYS)
-    ids = part["id"].value
-    count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
-    part["id"].distinct(count)
-    part["part"].integers(count)
-    for name in ("mass", "distance", "insertion_time"):
-        part[name].floats(count)
-    part["position"].floats(count, 3)
-
-
-def _check_sums(part: Part) -> None:
-    """Check the accumulated fields: arrays (cells, numbers) for the cells of one grid."""
-    lengths = {
-        len(each.value) if isinstance(each.value, np.ndarray) and each.value.ndim else -1
-        for each in part.parts()
-    }
-    for each in part.parts():
-        width = each.value.shape[-1] if isinstance(each.value, np.ndarray) and each.value.ndim else 0
-        each.floats(*(lengths if len(lengths) == 1 else (0,)), width, high=LARGEST_REAL)
-
-
-# Checks a checkpoint against the plan of the run before it is copied to the device; see `io.checkpoint.Part`.
 
 SIZE_ROUNDING = 1e-5
 """Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
@@ -601,3 +375,229 @@ def rank_files_of(checkpoint: Checkpoint) -> CheckedRankFiles | None:
     return CheckedRankFiles(
         checkpoint.rank_files, densities(scene_of(checkpoint.scene, str(checkpoint.path)))
     )
+
+
+# Checks the contacts of a checkpoint: valid partners, and each contact between two particles at both of
+# them.
+
+
+def check_contacts(contacts: Part, ids: np.ndarray, plan: Plan, complete: bool = True) -> None:
+    """Check the contact histories of the particles with these ids (n,). Raises CheckpointError.
+
+    `complete`: whether these are all particles; otherwise partners can be in the files of other ranks.
+    `count` (n,): contacts per particle. `partner` (contacts,): id of a particle, or a negative number for a
+    wall or triangle. The histories (contacts, components) exist if the contact models have some.
+    """
+    names = set(contacts.mapping()) - {"count", "partner"}
+    contacts.mapping(("count", "partner", *(plan.history if names else ())))
+    total = len(contacts["partner"].value) if isinstance(contacts["partner"].value, np.ndarray) else 0
+    if total and not names:
+        raise contacts.error("has no histories")
+    count = contacts["count"].integers(len(ids), high=total).astype(np.int64)
+    if count.sum() != total:
+        raise contacts["count"].error(f"adds up to {count.sum()}, but partner has {total} entries")
+    surfaces = len(plan.walls) + sum(mesh.triangle_count for mesh in plan.meshes.values())
+    partner = contacts["partner"].integers(total, low=-surfaces).astype(np.int64)
+    for name in names:
+        contacts[name].floats(total, plan.history[name])
+    _check_pairs(contacts["partner"], np.repeat(ids.astype(np.int64), count), partner, ids, complete)
+
+
+def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, ids: np.ndarray, complete: bool) -> None:
+    """Check that each contact occurs once at each of its particles, which have the ids (n,). Raises
+    CheckpointError."""
+    particles = partner >= 0
+    if complete and not np.isin(partner[particles], ids).all():
+        raise part.error("names a particle that does not exist")
+    if np.any(owner == partner):
+        raise part.error("lists a particle as in contact with itself")
+    pairs = np.stack([owner, partner], axis=1)
+    if len(np.unique(pairs, axis=0)) < len(pairs):
+        raise part.error("lists a contact twice for one particle")
+    forward = pairs[particles]
+    back = pairs[particles][:, ::-1]
+    if complete and not np.array_equal(_in_order(forward), _in_order(back)):
+        raise part.error("lists a contact between two particles at one of them only")
+
+
+def _in_order(pairs: np.ndarray) -> np.ndarray:
+    """The rows of an array (n, 2) in lexicographic order."""
+    found: np.ndarray = pairs[np.lexsort(pairs.T)]
+    return found
+
+
+# Checks the clumps of a checkpoint.
+
+CLUMP_ROUNDING = 1e-5
+"""Relative tolerance of masses, moments, lengths and norms: rounding in single precision."""
+
+
+def check_clumps(
+    particles: Part, ids: np.ndarray, group: np.ndarray, density: np.ndarray, plan: Plan
+) -> np.ndarray:
+    """Check the clumps of particles with these ids, groups and densities [kg/m3], all (n,); returns the
+    masses (n,).
+
+    The device reads the spheres of a clump by their ids, which follow each other: each must exist. Raises
+    CheckpointError.
+    """
+    count = len(ids)
+    clump = particles["clump"].integers(count, low=-1).astype(np.int64)
+    shapes = [each.clump for each in plan.groups]
+    size = np.array([1 if shape is None else len(shape) for shape in shapes])[group]
+    if np.any((clump >= 0) != np.array([shape is not None for shape in shapes])[group]):
+        raise particles["clump"].error("differs from the groups in accounting")
+    if np.any(particles["clump_size"].integers(count) != size):
+        raise particles["clump_size"].error("differs from the number of spheres in the scene")
+    member = np.where(clump >= 0, ids - clump, 0)
+    of_clump, found = np.unique(clump[clump >= 0], return_counts=True)
+    sizes = size[np.searchsorted(ids, of_clump)] if np.isin(of_clump, ids).all() else np.zeros(len(of_clump))
+    if np.any((member < 0) | (member >= size)) or np.any(found != sizes):
+        raise particles["clump"].error("describes a clump without some of its spheres")
+    return _check_shapes(particles, group, density, member, plan)
+
+
+def _check_shapes(
+    particles: Part, group: np.ndarray, density: np.ndarray, member: np.ndarray, plan: Plan
+) -> np.ndarray:
+    """Check masses, moments and spheres of the clumps; returns the masses (n,) [kg] of all spheres."""
+    count = len(group)
+    radius = particles["radius"].floats(len(group)).astype(float)
+    mass = sphere_mass(radius, density)
+    inertia = np.zeros((count, 3))
+    offset = np.zeros((count, 3))
+    of_body = mass.copy()
+    for number, shape in enumerate(each.clump for each in plan.groups):
+        rows = group == number
+        if shape is not None:
+            of_body[rows] = density[rows] * shape.volume
+            mass[rows] = of_body[rows] * shape.volume_share[member[rows]]
+            inertia[rows], offset[rows] = density[rows, None] * shape.moments, shape.offset[member[rows]]
+    expected = {"clump_mass": of_body, "clump_inertia": inertia, "clump_offset": offset}
+    for name, values in expected.items():
+        scale = np.abs(values).max(axis=tuple(range(1, values.ndim)), keepdims=True)
+        if np.any(np.abs(particles[name].floats(*values.shape) - values) > CLUMP_ROUNDING * scale):
+            raise particles[name].error("differs from the clumps of the scene")
+    norm = np.linalg.norm(particles["orientation"].floats(count, 4).astype(float), axis=1)
+    if np.any(np.abs(norm - 1.0) > CLUMP_ROUNDING):
+        raise particles["orientation"].error("is not a unit quaternion")
+    return mass
+
+
+# Checks the saved state of observers and inserters against the structure of the state of new ones.
+
+LIST_TYPES: dict[str, tuple[str, ...]] = {
+    "frames": ("number", "text"),
+    "history": ("number", "text", "number"),
+    "columns": ("text",),
+}
+"""Lists that grow during a run, by key, with the types of the values of each entry."""
+SAMPLE_ARRAYS = ("id", "mass", "position", "distance", "insertion_time", "part")
+"""Arrays of the previous sample of a flow meter."""
+
+
+def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]) -> None:
+    """Check the state of each saved observer against that of a new one.
+
+    `fresh`: state of each new observer by name, which defines the keys and types; saved observers that are
+    not in `fresh` are ignored. Raises CheckpointError.
+    """
+    observers = Part.of(checkpoint)["observers"]
+    for name, template in fresh.items():
+        if name in observers.mapping():
+            _check_like(observers[name], template)
+
+
+def check_streams(
+    checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]
+) -> None:
+    """Check the state of each inserter by group.
+
+    `fresh`: states of new inserters by group; `counts`: number of particles of each group, an upper bound of
+    the particles due. Raises CheckpointError.
+    """
+    insertion = Part.of(checkpoint)["insertion"]
+    insertion.mapping(fresh)
+    for name, template in fresh.items():
+        insertion[name].mapping(template)
+        due = insertion[name]["due_count"].integer(0, counts[name])
+        queued = insertion[name]["queued"]
+        size = queued.value.size if isinstance(queued.value, np.ndarray) else 0
+        queued.distinct(size, high=due - 1)
+        insertion[name]["batch_count"].integer()
+        insertion[name]["next_time"].number(0.0)
+
+
+def _check_like(part: Part, template: Any) -> None:
+    """Check for the keys and types of `template`; values that are empty or None there may have grown.
+
+    Lists, the previous sample of a flow meter and accumulated fields grow during a run and have separate
+    checks. Raises CheckpointError.
+    """
+    key = part.key.rsplit("/", 1)[-1]
+    if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in SAMPLE_ARRAYS):
+        _check_sample(part)
+    elif key == "total":
+        _check_sums(part)
+    elif isinstance(template, dict) and template:
+        for each in part.parts(template):
+            _check_like(each, template[each.key.rsplit("/", 1)[-1]])
+    elif isinstance(template, dict):
+        for each in part.parts():
+            each.plain()
+    elif isinstance(template, list):
+        for row in part.items():
+            _check_row(row, LIST_TYPES.get(key, ()))
+    elif isinstance(template, np.ndarray) and template.dtype.kind == "i":
+        part.integers(*template.shape, high=LARGEST_COUNT)
+    elif isinstance(template, np.ndarray):
+        part.floats(*template.shape)
+    elif template is None:
+        part.plain()
+    else:
+        _check_plain(part, template)
+
+
+def _check_row(row: Part, kinds: tuple[str, ...]) -> None:
+    """Check one entry of a list: a value, or a list with one value for each of `kinds` ("number" or
+    "text")."""
+    cells = [row] if len(kinds) == 1 else row.items(len(kinds))
+    for cell, kind in zip(cells, kinds, strict=True):
+        check: Callable[[], object] = cell.number if kind == "number" else cell.text
+        check()
+
+
+def _check_plain(part: Part, template: Any) -> None:
+    """Check a value that is not a container; `count` may be negative: the net number of particles of a flow
+    meter."""
+    if isinstance(template, bool):
+        part.flag()
+    elif isinstance(template, int):
+        part.integer(-(2**53) if part.key.endswith("/count") else 0)
+    elif isinstance(template, float):
+        part.plain()
+    else:
+        part.text()
+
+
+def _check_sample(part: Part) -> None:
+    """Check the previous sample of a flow meter: arrays (n,), `position` (n, 3)."""
+    part.mapping(SAMPLE_ARRAYS)
+    ids = part["id"].value
+    count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
+    part["id"].distinct(count)
+    part["part"].integers(count)
+    for name in ("mass", "distance", "insertion_time"):
+        part[name].floats(count)
+    part["position"].floats(count, 3)
+
+
+def _check_sums(part: Part) -> None:
+    """Check the accumulated fields: arrays (cells, numbers) for the cells of one grid."""
+    lengths = {
+        len(each.value) if isinstance(each.value, np.ndarray) and each.value.ndim else -1
+        for each in part.parts()
+    }
+    for each in part.parts():
+        width = each.value.shape[-1] if isinstance(each.value, np.ndarray) and each.value.ndim else 0
+        each.floats(*(lengths if len(lengths) == 1 else (0,)), width, high=LARGEST_REAL)

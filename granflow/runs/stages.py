@@ -1,4 +1,8 @@
-"""Ends of stages on a quantity: the conditions of a stage, evaluated at each row of the time series."""
+"""Progress of a run through its stages: how each of them ends, and warnings at its end.
+
+`StageProgress` is the subject. A stage ends at its duration, at rest, or on a quantity: its conditions are
+evaluated at each row of the time series (`StageConditions`).
+"""
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
@@ -122,6 +126,8 @@ def _sentence(
         f"{remedy}" + (", start it closer to the bed, or approach by a translation." if is_away else ".")
     )
 
+
+# Ends of stages on a quantity
 
 ROUNDING = 1e-9
 """Relative tolerance for the rounding of times."""
