@@ -1,8 +1,7 @@
-"""The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and
-forces."""
+"""The simulation of a scene: runs, steps, snapshots, and live access to particles, walls and forces."""
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import inf, isfinite
@@ -58,82 +57,6 @@ from granflow.visible_text import html_table, readable, visible_line
 
 if TYPE_CHECKING:
     from granflow.parallel.communicator import Communicator
-
-
-# What precedes a run: its plan with changes and forces from Python, its particles, its engine, and
-# refusals.
-
-
-@dataclass(frozen=True)
-class RunStart:
-    """All decisions on a run before files are written and arrays allocated.
-
-    plan:       of the run, with changes from Python
-    original:   of the scene
-    initial:    particles to insert; None for a resumed run
-    earlier:    names of the groups whose particles do not come from the scene
-    change:     differences of the scene from that of the checkpoint; None without one
-    insertion:  inserters of the scene
-    warnings:   sentences on the scene
-    """
-
-    plan: Plan
-    original: Plan
-    initial: ParticleData | None
-    earlier: list[str]
-    change: Change | None
-    insertion: ParticleInsertion
-    warnings: list[str]
-
-
-def run_start(
-    scene: Scene,
-    backend: Backend,
-    given: ParticleData | None,
-    resume: Checkpoint | None,
-    forces: Sequence[ParticleForce],
-    observers: Iterable[str],
-    plan: Plan | None = None,
-    communicator: "Communicator | None" = None,
-    allow_changes: bool = False,
-    allow_long: bool = False,
-) -> RunStart:
-    """Decide on a run; arguments as for `Simulation`, but the names of its observers.
-
-    Raises the errors of `Simulation`.
-    """
-    original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
-    plan = original if resume is None else changed_plan(original, resume)
-    plan = plan_with_forces(plan, forces, backend)
-    refuse_run_time(plan, allow_long)
-    _refuse_size(plan if communicator is None else rank_plan(plan, communicator.size), backend)
-    change = None if resume is None else accepted_change(resume, scene, plan, allow_changes)
-    if resume is not None:
-        refuse_other_functions(resume, plan.external_forces, [*observers], allow_changes)
-    initial, earlier = initial_state(scene, plan, given, resume)
-    warnings = warnings_before(scene, plan, initial)
-    if resume is not None:
-        warnings += filter(None, [engine_difference(resume)])
-    return RunStart(plan, original, initial, earlier, change, ParticleInsertion(scene, earlier), warnings)
-
-
-def engine_for(plan: Plan, backend: Backend, communicator: "Communicator | None", scene: Scene) -> Engine:
-    """The engine of a run; with a communicator that of the root, and only such runs import it."""
-    if communicator is None:
-        return Engine(plan, backend)
-    from granflow.parallel.rank_engine import RankEngine
-
-    return RankEngine(plan, backend, communicator, scene)
-
-
-def _refuse_size(plan: Plan, backend: Backend) -> None:
-    """Raise SceneError if the particles of this process exceed the range of indices or the memory."""
-    refuse_too_many(plan)
-    if backend.on_cpu:
-        refuse_without_memory(plan)
-    else:
-        refuse_without_device_memory(plan, free_device_memory(backend.arch), backend.largest_buffer)
-
 
 REMEDIES = {
     "forces": "use simulation.forces.append and remove",
@@ -205,12 +128,7 @@ class Simulation:
         overwrite: bool = False,
     ) -> None:
         wall_clock = WallClock()
-        refuse_other_object(scene)
-        refuse_other("particles", particles, (ParticleData, NoneType), "arrays of granflow.ParticleData")
-        refuse_other("plan", plan, (Plan, NoneType), "a plan of granflow.plan_for")
-        refuse_other(
-            "resume", resume, (Checkpoint, str, os.PathLike, NoneType), 'a directory, such as "out/hopper"'
-        )
+        refuse_other_types(scene, particles, plan, resume)
         out = None if out is None else path_of("out", out)
         observers = items_of(
             "observers", observers, "observers, such as granflow.on_interval(interval, function)"
@@ -218,53 +136,54 @@ class Simulation:
         forces = items_of("forces", forces, "granflow.ParticleForce")
         if communicator is not None:
             refuse_on_ranks(arch, forces, scene)
-        if resume is not None and not isinstance(resume, Checkpoint):
-            resume = checkpoint_at(path_of("resume", resume), "all" if communicator is None else "root")
+        checkpoint = checkpoint_given(resume, on_ranks=communicator is not None)
         scene = scene.with_precision(precision)
         with _CREATION:
             backend = start(arch, scene.run.precision, threads)
-            self.files = RunDirectory(out, scene, resume, overwrite)
-            names = map(name_of, observers)
+            self.files = RunDirectory(out, scene, checkpoint, overwrite)
             begin = run_start(
                 scene,
                 backend,
-                particles,
-                resume,
-                forces,
-                names,
-                plan,
-                communicator,
-                allow_changes,
-                allow_long,
+                checkpoint,
+                given_particles=particles,
+                given_plan=plan,
+                forces=forces,
+                observers=observers,
+                communicator=communicator,
+                allow_changes=allow_changes,
+                allow_long=allow_long,
             )
-            self.warnings = begin.warnings
-            plan = begin.plan
             self.files.create()
-            engine = engine_for(plan, backend, communicator, scene)
+            engine = engine_for(begin.plan, backend, communicator, scene)
+        self.warnings = begin.warnings
         from_scene = observers_for(
-            plan, self.files.path, progress, self.files.writer, None if communicator is None else engine
+            begin.plan, self.files.path, progress, self.files.writer, None if communicator is None else engine
         )
         self.observers = ObserverList(from_scene, observers)
         self._state = RunState(
             engine, begin.insertion, self.observers, wall_clock, begin.earlier, begin.original
         )
         self._loop = TimeLoop(self._state, self.files)
+        self._session = RunSession(self._loop, self.files, checkpoint, lambda: self.warnings)
         self._in_block = False
-        self.is_stopped = False
         self._is_running = False
-        self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
+        self.is_stopped = False
         if begin.initial is not None:
             engine.insert(begin.initial)
-        if resume is not None and begin.change is not None:
-            self.observers.remove_named(resume.saved["changes"]["removed_observers"])
-            for force in forces:
-                force.parameters.update(saved_parameters(resume, force.planned))
-            self._state.load_state_dict(resume, begin.change)
+        if checkpoint is not None and begin.change is not None:
+            self._restore(checkpoint, begin.change, forces)
         self.particles = LiveParticles(self._state)
         self.walls = LiveWalls(self._state)
         self.forces = Forces(self._state, forces)
         wall_clock.set_up(engine.timing.compile)
         self._is_created = True
+
+    def _restore(self, checkpoint: Checkpoint, change: Change, forces: Sequence[ParticleForce]) -> None:
+        """Continue from a checkpoint, with the saved observers and parameters of forces."""
+        self.observers.remove_named(checkpoint.saved["changes"]["removed_observers"])
+        for force in forces:
+            force.parameters.update(saved_parameters(checkpoint, force.planned))
+        self._state.load_state_dict(checkpoint, change)
 
     def __setattr__(self, name: str, value: object) -> None:
         """Set an attribute of the simulation itself. Raises AttributeError for others, which would have no
@@ -479,6 +398,105 @@ class Simulation:
             ("files", str(self.files.shown or "none")),
         ]
         return html_table(self.plan.title, rows)
+
+
+# What precedes a run: refusals, its checkpoint, its plan with changes from Python, its particles, its engine
+
+
+def refuse_other_types(scene: object, particles: object, plan: object, resume: object) -> None:
+    """Raise GranflowError for arguments of `Simulation` of other types than theirs."""
+    refuse_other_object(scene)
+    refuse_other("particles", particles, (ParticleData, NoneType), "arrays of granflow.ParticleData")
+    refuse_other("plan", plan, (Plan, NoneType), "a plan of granflow.plan_for")
+    refuse_other(
+        "resume", resume, (Checkpoint, str, os.PathLike, NoneType), 'a directory, such as "out/hopper"'
+    )
+
+
+@dataclass(frozen=True)
+class RunStart:
+    """All decisions on a run before files are written and arrays allocated.
+
+    plan:       of the run, with changes from Python
+    original:   of the scene
+    initial:    particles to insert; None for a resumed run
+    earlier:    names of the groups whose particles do not come from the scene
+    change:     differences of the scene from that of the checkpoint; None without one
+    insertion:  inserters of the scene
+    warnings:   sentences on the scene
+    """
+
+    plan: Plan
+    original: Plan
+    initial: ParticleData | None
+    earlier: list[str]
+    change: Change | None
+    insertion: ParticleInsertion
+    warnings: list[str]
+
+
+def run_start(
+    scene: Scene,
+    backend: Backend,
+    checkpoint: Checkpoint | None,
+    *,
+    given_particles: ParticleData | None,
+    given_plan: Plan | None,
+    forces: Sequence[ParticleForce],
+    observers: Sequence[Observer],
+    communicator: "Communicator | None",
+    allow_changes: bool,
+    allow_long: bool,
+) -> RunStart:
+    """Decide on a run from the arguments of `Simulation`, whose errors it raises."""
+    original = given_plan or plan_for(scene, on_gpu=not backend.on_cpu)
+    plan = original if checkpoint is None else changed_plan(original, checkpoint)
+    plan = plan_with_forces(plan, forces, backend)
+    refuse_run_time(plan, allow_long)
+    refuse_size(plan if communicator is None else rank_plan(plan, communicator.size), backend)
+    change = None
+    if checkpoint is not None:
+        change = accepted_change(checkpoint, scene, plan, allow_changes)
+        names = [name_of(observer) for observer in observers]
+        refuse_other_functions(checkpoint, plan.external_forces, names, allow_changes)
+    initial, earlier = initial_state(scene, plan, given_particles, checkpoint)
+    warnings = warnings_before(scene, plan, initial)
+    if checkpoint is not None:
+        warnings += filter(None, [engine_difference(checkpoint)])
+    return RunStart(
+        plan=plan,
+        original=original,
+        initial=initial,
+        earlier=earlier,
+        change=change,
+        insertion=ParticleInsertion(scene, earlier),
+        warnings=warnings,
+    )
+
+
+def checkpoint_given(resume: Checkpoint | Path | str | None, on_ranks: bool) -> Checkpoint | None:
+    """The checkpoint of the argument `resume` of `Simulation`; on ranks without the particles of others."""
+    if resume is None or isinstance(resume, Checkpoint):
+        return resume
+    return checkpoint_at(path_of("resume", resume), "root" if on_ranks else "all")
+
+
+def refuse_size(plan: Plan, backend: Backend) -> None:
+    """Raise SceneError if the particles of this process exceed the range of indices or the memory."""
+    refuse_too_many(plan)
+    if backend.on_cpu:
+        refuse_without_memory(plan)
+    else:
+        refuse_without_device_memory(plan, free_device_memory(backend.arch), backend.largest_buffer)
+
+
+def engine_for(plan: Plan, backend: Backend, communicator: "Communicator | None", scene: Scene) -> Engine:
+    """The engine of a run; with a communicator that of the root, and only such runs import it."""
+    if communicator is None:
+        return Engine(plan, backend)
+    from granflow.parallel.rank_engine import RankEngine
+
+    return RankEngine(plan, backend, communicator, scene)
 
 
 def end_of_run(

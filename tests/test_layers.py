@@ -31,7 +31,6 @@ LAYERS = (
     "observers",
     "runs",
     "live",
-    "run_start",
     "simulation",
     "studies",
     "cli",

@@ -94,25 +94,41 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
         scene = load_runnable(options)
         out = options.out or Path("out") / scene.path.stem
         printed = prepare_output(out, scene, options.overwrite)
-        # After the checks of scene and directory, because this import of Taichi takes most of the time.
         from granflow.io.lock import locked
-        from granflow.simulation import Simulation
 
-        simulation = Simulation(
-            scene,
-            arch=options.arch,
-            threads=options.threads,
-            out=out,
-            progress=True,
-            allow_long=options.allow_long,
-            communicator=communicator,
-            overwrite=options.overwrite,
-        )
+        # After the checks of scene and directory, because its import of Taichi takes most of the time.
+        simulation = simulation_of(scene, options, out, communicator, overwrite=options.overwrite)
         simulation.warnings.extend(restitution_warnings(scene, simulation.plan))
     with locked(out):
         # Another process may have used the directory in the meantime.
         printed += prepare_output(out, scene, options.overwrite)
         return run_to_end(simulation, scene, out, options.until, printed)
+
+
+def simulation_of(
+    scene: "Scene",
+    options: argparse.Namespace,
+    out: Path,
+    communicator: "Communicator | None",
+    overwrite: bool,
+    resume: "Checkpoint | None" = None,
+    allow_changes: bool = False,
+) -> "Simulation":
+    """The simulation of `granflow run` and of `granflow resume`; arguments as those of `Simulation`."""
+    from granflow.simulation import Simulation
+
+    return Simulation(
+        scene,
+        arch=options.arch,
+        threads=options.threads,
+        out=out,
+        progress=True,
+        resume=resume,
+        allow_changes=allow_changes,
+        allow_long=options.allow_long,
+        communicator=communicator,
+        overwrite=overwrite,
+    )
 
 
 def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
@@ -294,23 +310,18 @@ def resume_locked(options: argparse.Namespace, communicator: "Communicator | Non
 
 def _resume(options: argparse.Namespace, communicator: "Communicator | None") -> int:
     """Raises GranflowError if rows of the time series are missing, unless --allow-changes is given."""
-    from granflow.simulation import Simulation
-
     out: Path = options.directory
     printed: list[str] = []
     checkpoint = checkpoint_to_resume(out, options.from_start, printed, communicator is not None)
     scene = scene_to_resume(options, checkpoint)
-    simulation = Simulation(
+    simulation = simulation_of(
         scene,
-        arch=options.arch,
-        threads=options.threads,
-        out=out,
-        progress=True,
+        options,
+        out,
+        communicator,
+        overwrite=True,
         resume=checkpoint,
         allow_changes=options.allow_changes,
-        allow_long=options.allow_long,
-        overwrite=True,
-        communicator=communicator,
     )
     if not (simulation.observers.rows_intact or options.allow_changes):
         raise GranflowError(

@@ -1,5 +1,7 @@
 """Workers of a CPU launch: the barrier between their phases, their number, and the cores of their threads.
 
+The first section is device code that the kernels of steps and rebuilds call; all others are of the host.
+
 Workers wait for each other after each phase of a step. The barrier is one that a worker can leave, so that no
 launch blocks on a core that another process uses: a worker that polls it more than `control.patience` times
 leaves the launch; the others complete the step without it, and the launch ends (if it leaves the first
@@ -22,7 +24,7 @@ from granflow.engine.backend import Backend
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, Control, State
 from granflow.kernel_language import ti
 
-# The barrier, in kernels
+# In kernels: the barrier between the phases of a step, and of a rebuild
 
 ARRIVAL_BITS = 16
 LEAVE = 1 << ARRIVAL_BITS
@@ -36,8 +38,7 @@ def arrive(control: ti.template(), number):
     """Count the worker in; returns 1 for the last worker, which then calls `release`. The others call `wait`.
 
     The last worker subtracts the workers that left and clears the next counter. Barriers of a launch are
-    numbered from
-    1. Two counters alternate, so that a late departure never changes the next barrier.
+    numbered from 1. Two counters alternate, so that a late departure never changes the next barrier.
 
     Reads:   arrived, worker_count
     Writes:  arrived, worker_count
@@ -88,7 +89,103 @@ def _counter(number):
     return CACHE_LINE * (1 + number % 2)
 
 
-# Number of workers
+# On the host: the workers of each launch
+
+BARRIER_CONTENTION_LIMIT = 3e-4
+PATIENCE_CHUNKS = 4.0
+"""A worker leaves the launch after waiting for BARRIER_CONTENTION_LIMIT [s] plus the time of PATIENCE_CHUNKS
+chunks: longer than the differences in cost between chunks, and shorter than the time for which an operating
+system preempts a thread."""
+START_PATIENCE = 3e-3
+"""Additional waiting time at the first barrier of a launch [s], for the start of the threads."""
+SINGLE_WORKER_PARTICLES = 512
+"""Particle count up to which one worker processes all chunks: barriers would cost more time than more workers
+save."""
+
+
+@dataclass(frozen=True)
+class ThreadPool:
+    """Measured properties of Taichi's pool: cores of its threads, and time of one poll of a barrier [s]."""
+
+    affinity: "WorkerAffinity"
+    seconds_per_poll: float
+
+
+_pools: "WeakKeyDictionary[Backend, ThreadPool]" = WeakKeyDictionary()
+"""The pool of each start of Taichi, once a launch has used several workers."""
+
+
+class Workers:
+    """Chooses the workers of each launch on a CPU and how long they wait at a barrier, from the previous
+    launches."""
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+        self._tuner = WorkerTuner(state.backend.worker_count)
+        self._chunk_seconds = self._patience = 0.0
+
+    @property
+    def count(self) -> int:
+        """Number of workers of the next launch."""
+        return 1 if self._state.count <= SINGLE_WORKER_PARTICLES else self._tuner.next_size
+
+    def prepare(self) -> None:
+        """Measure the pool of this process before the first launch with several workers, and set the initial
+        patience.
+
+        A single worker never waits, so that most small scenes do not compile and run the kernel of the
+        measurement.
+        """
+        if self.count == 1 or self._patience:
+            return
+        backend = self._state.backend
+        if backend not in _pools:
+            _pools[backend] = _measure_pool(self._state)
+        self._set_patience(_pools[backend], BARRIER_CONTENTION_LIMIT)
+
+    def place(self, count: int) -> None:
+        """Pin the threads for a launch with `count` workers, or let the scheduler place them."""
+        pool = _pools.get(self._state.backend)
+        if pool is not None:
+            pool.affinity.set_workers(count)
+
+    def record(self, steps: int, seconds: float) -> None:
+        """Choose workers and patience of the next launch from the wall-clock time [s] of a launch of `steps`
+        steps."""
+        state = self._state
+        workers = self._tuner.next_size
+        pool = _pools.get(state.backend)
+        if state.count <= SINGLE_WORKER_PARTICLES or pool is None:
+            return
+        contended = int(state.control.worker_count[0]) < workers
+        self._tuner.record(steps * state.count, seconds, contended)
+        if contended:
+            return  # the time contains the waiting time of the workers that left
+        chunk_seconds = workers * seconds / steps / state.chunk_count
+        # A single slow launch, interrupted by another process, shall not raise the patience by much.
+        self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
+        patience = BARRIER_CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds
+        # Small changes are ignored, so that the patience does not follow every fluctuation.
+        if not 0.8 * self._patience < patience < 1.25 * self._patience:
+            self._set_patience(pool, patience)
+
+    def _set_patience(self, pool: ThreadPool, seconds: float) -> None:
+        """Set the time [s] after which a worker leaves a barrier."""
+        self._patience = seconds
+        patience = self._state.control.patience
+        patience[0] = int(seconds / pool.seconds_per_poll)
+        patience[1] = int((seconds + START_PATIENCE) / pool.seconds_per_poll)
+
+
+def _measure_pool(state: State) -> ThreadPool:
+    """Measure the pool with a kernel on the control fields of this state."""
+    seconds_of = build_poll(state.control)
+    workers = state.backend.worker_count
+    affinity = WorkerAffinity(workers, lambda: seconds_of(CALIBRATION_POLLS, workers))
+    return ThreadPool(affinity, seconds_per_poll(seconds_of))
+
+
+# On the host: the number of workers
 
 WINDOW = 0.02
 """Launch time [s] over which a rate is measured; also the length of a trial."""
@@ -198,7 +295,7 @@ class WorkerTuner:
         return contended or self._since_down >= self._down_interval
 
 
-# Cores of the threads
+# On the host: the cores of the threads
 
 PER_THREAD_CPU_CLOCK = 6
 """Low bits of the number of a Linux clock that measures the CPU time of one thread; the others are ~id."""
@@ -269,7 +366,7 @@ def thread_seconds() -> dict[int, float]:
     return found
 
 
-# Time of one poll of the barrier
+# On the host: the time of one poll of the barrier, which a kernel measures
 
 CALIBRATION_POLLS = 50_000
 """Number of polls of one measurement of `seconds_per_poll`."""
@@ -310,99 +407,3 @@ def seconds_per_poll(seconds_of: Callable[[int, int], float]) -> float:
     launch = min(seconds_of(1, 1) for _ in range(3))
     launch_and_polls = min(seconds_of(CALIBRATION_POLLS + 1, 1) for _ in range(3))
     return max(launch_and_polls - launch, SHORTEST_POLL * CALIBRATION_POLLS) / CALIBRATION_POLLS
-
-
-# Workers of each launch
-
-BARRIER_CONTENTION_LIMIT = 3e-4
-PATIENCE_CHUNKS = 4.0
-"""A worker leaves the launch after waiting for BARRIER_CONTENTION_LIMIT [s] plus the time of PATIENCE_CHUNKS
-chunks: longer than the differences in cost between chunks, and shorter than the time for which an operating
-system preempts a thread."""
-START_PATIENCE = 3e-3
-"""Additional waiting time at the first barrier of a launch [s], for the start of the threads."""
-SINGLE_WORKER_PARTICLES = 512
-"""Particle count up to which one worker processes all chunks: barriers would cost more time than more workers
-save."""
-
-
-@dataclass(frozen=True)
-class ThreadPool:
-    """Measured properties of Taichi's pool: cores of its threads, and time of one poll of a barrier [s]."""
-
-    affinity: WorkerAffinity
-    seconds_per_poll: float
-
-
-_pools: "WeakKeyDictionary[Backend, ThreadPool]" = WeakKeyDictionary()
-"""The pool of each start of Taichi, once a launch has used several workers."""
-
-
-def _measure_pool(state: State) -> ThreadPool:
-    """Measure the pool with a kernel on the control fields of this state."""
-    seconds_of = build_poll(state.control)
-    workers = state.backend.worker_count
-    affinity = WorkerAffinity(workers, lambda: seconds_of(CALIBRATION_POLLS, workers))
-    return ThreadPool(affinity, seconds_per_poll(seconds_of))
-
-
-class Workers:
-    """Chooses the workers of each launch on a CPU and how long they wait at a barrier, from the previous
-    launches."""
-
-    def __init__(self, state: State) -> None:
-        self._state = state
-        self._tuner = WorkerTuner(state.backend.worker_count)
-        self._chunk_seconds = self._patience = 0.0
-
-    @property
-    def count(self) -> int:
-        """Number of workers of the next launch."""
-        return 1 if self._state.count <= SINGLE_WORKER_PARTICLES else self._tuner.next_size
-
-    def prepare(self) -> None:
-        """Measure the pool of this process before the first launch with several workers, and set the initial
-        patience.
-
-        A single worker never waits, so that most small scenes do not compile and run the kernel of the
-        measurement.
-        """
-        if self.count == 1 or self._patience:
-            return
-        backend = self._state.backend
-        if backend not in _pools:
-            _pools[backend] = _measure_pool(self._state)
-        self._set_patience(_pools[backend], BARRIER_CONTENTION_LIMIT)
-
-    def place(self, count: int) -> None:
-        """Pin the threads for a launch with `count` workers, or let the scheduler place them."""
-        pool = _pools.get(self._state.backend)
-        if pool is not None:
-            pool.affinity.set_workers(count)
-
-    def record(self, steps: int, seconds: float) -> None:
-        """Choose workers and patience of the next launch from the wall-clock time [s] of a launch of `steps`
-        steps."""
-        state = self._state
-        workers = self._tuner.next_size
-        pool = _pools.get(state.backend)
-        if state.count <= SINGLE_WORKER_PARTICLES or pool is None:
-            return
-        contended = int(state.control.worker_count[0]) < workers
-        self._tuner.record(steps * state.count, seconds, contended)
-        if contended:
-            return  # the time contains the waiting time of the workers that left
-        chunk_seconds = workers * seconds / steps / state.chunk_count
-        # A single slow launch, interrupted by another process, shall not raise the patience by much.
-        self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
-        patience = BARRIER_CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds
-        # Small changes are ignored, so that the patience does not follow every fluctuation.
-        if not 0.8 * self._patience < patience < 1.25 * self._patience:
-            self._set_patience(pool, patience)
-
-    def _set_patience(self, pool: ThreadPool, seconds: float) -> None:
-        """Set the time [s] after which a worker leaves a barrier."""
-        self._patience = seconds
-        patience = self._state.control.patience
-        patience[0] = int(seconds / pool.seconds_per_poll)
-        patience[1] = int((seconds + START_PATIENCE) / pool.seconds_per_poll)

@@ -1,9 +1,9 @@
 """The time loop of a run: takes steps to the next event, handles it, and repeats.
 
-`TimeLoop._next_steps` is the only place that decides how many steps come next. `Engine.advance` takes exactly
-these steps, and `engine.stepper` splits them into launches where the device requires it. The rest of the
-file is the begin and the end of a run, stop requests, checkpoints and aborts, and the warning on particles
-that left the domain.
+`TimeLoop._next_steps` is the only place that decides how many steps come next. `Engine.advance` takes at most
+these steps (fewer after an abort, for example), and `engine.stepper` splits them into launches where the
+device requires it. The rest of the file is the begin and the end of a run, stop requests, checkpoints and
+aborts, and the warning on particles that left the domain.
 """
 
 import logging
