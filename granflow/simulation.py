@@ -186,8 +186,10 @@ class Simulation:
         self._state.load_state_dict(checkpoint, change)
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Set an attribute of the simulation itself. Raises AttributeError for others, which would have no
-        effect."""
+        """Set an attribute of the simulation itself.
+
+        Raises AttributeError for others, which would have no effect.
+        """
         if not (name.startswith("_") or name == "is_stopped" or "_is_created" not in vars(self)):
             remedy = REMEDIES.get(
                 name,
@@ -299,8 +301,9 @@ class Simulation:
             self._loop.save()
 
     def close(self) -> Result | None:
-        """Finish all files: last frames and rows, checkpoint, result. The simulation cannot continue to write
-        files.
+        """Finish all files: last frames and rows, checkpoint, result.
+
+        The simulation cannot continue to write files.
 
         Returns the numbers of the run; None if no step was taken since the files were finished.
         """

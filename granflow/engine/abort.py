@@ -96,8 +96,10 @@ class ContactPair:
 
 @dataclass(frozen=True)
 class Change:
-    """Insertion, or change of walls, during a run. `stage`: name of the stage; `appeared`: names of the new
-    walls."""
+    """Insertion, or change of walls, during a run.
+
+    `stage`: name of the stage; `appeared`: names of the new walls.
+    """
 
     stage: str
     appeared: tuple[str, ...]

@@ -38,8 +38,10 @@ class RankFileWriter(Protocol):
     """Writes the particles of MPI ranks; each rank has a copy."""
 
     def write(self, rank: int, count: int, saved: SavedState) -> dict[str, Any]:
-        """Write `saved_particles` of a rank, which are `count`; returns the entry of the checkpoint. Raises
-        OSError."""
+        """Write `saved_particles` of a rank, which are `count`; returns the entry of the checkpoint.
+
+        Raises OSError.
+        """
 
 
 def saved_state(engine: Engine) -> SavedState:

@@ -252,8 +252,10 @@ class Stepper:
     def _launch_step(
         self, steps: int, pose: int, time_step: float, moving: int = 1, forcing: int = 1
     ) -> None:
-        """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other
-        phase."""
+        """One launch: `steps` steps on a CPU, one on a GPU.
+
+        If `moving` or `forcing` is 0, only the other phase.
+        """
         state = self.state
         workers = self._workers.count
         self._workers.place(workers)

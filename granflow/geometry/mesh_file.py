@@ -92,8 +92,10 @@ def read_triangles(path: Path) -> RawTriangles:
 
 
 def _is_text_stl(raw: bytes) -> bool:
-    """Whether an STL file is text. Binary files may begin with "solid" as well, but have the declared
-    length."""
+    """Whether an STL file is text.
+
+    Binary files may begin with "solid" as well, but have the declared length.
+    """
     if not raw.lstrip()[:5].lower() == b"solid" or b"\0" in raw[:STL_HEADER]:
         return False
     return len(raw) != STL_HEADER + STL_RECORD.itemsize * _stl_count(raw)
@@ -105,8 +107,10 @@ def _stl_count(raw: bytes) -> int:
 
 
 def _binary_stl(raw: bytes) -> RawTriangles:
-    """Triangles of a binary STL file, three points each. Raises FormatError if it has more or fewer than
-    declared."""
+    """Triangles of a binary STL file, three points each.
+
+    Raises FormatError if it has more or fewer than declared.
+    """
     count = _stl_count(raw)
     capacity = (len(raw) - STL_HEADER) // STL_RECORD.itemsize
     if count < 0:
@@ -166,8 +170,10 @@ def _by_meshio(path: Path, kind: str) -> "Mesh":
 
 
 def _raw_triangles(mesh: "Mesh | VtuMesh") -> RawTriangles:
-    """Triangles and split quadrilaterals of a mesh; 2-D points get z = 0. Raises FormatError for other
-    cells."""
+    """Triangles and split quadrilaterals of a mesh; 2-D points get z = 0.
+
+    Raises FormatError for other cells.
+    """
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))

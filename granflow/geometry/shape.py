@@ -99,8 +99,10 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 def unit(vector: object) -> np.ndarray:
-    """Vector (3,) scaled to length 1, float64. Raises ValueError for another shape or a vector of length
-    0."""
+    """Vector (3,) scaled to length 1, float64.
+
+    Raises ValueError for another shape or a vector of length 0.
+    """
     array = np.asarray(vector, dtype=np.float64)
     length = np.linalg.norm(array)
     if array.shape != (3,) or not length > 0:

@@ -336,8 +336,10 @@ def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
 
 @dataclass(frozen=True)
 class CheckedRankFiles:
-    """As `engine.engine.RankFiles`. `density_by_name` [kg/m3]: of the materials of the
-    checkpoint."""
+    """As `engine.engine.RankFiles`.
+
+    `density_by_name` [kg/m3]: of the materials of the checkpoint.
+    """
 
     files: tuple[RankFile, ...]
     density_by_name: Mapping[str, float]
@@ -404,8 +406,10 @@ def check_contacts(contacts: Part, ids: np.ndarray, plan: Plan, complete: bool =
 
 
 def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, ids: np.ndarray, complete: bool) -> None:
-    """Check that each contact occurs once at each of its particles, which have the ids (n,). Raises
-    CheckpointError."""
+    """Check that each contact occurs once at each of its particles, which have the ids (n,).
+
+    Raises CheckpointError.
+    """
     particles = partner >= 0
     if complete and not np.isin(partner[particles], ids).all():
         raise part.error("names a particle that does not exist")

@@ -46,8 +46,10 @@ class ObserverList(GuardedList[Observer]):
         self._raised: BaseException | None = None
 
     def _begin(self, observer: Observer) -> None:
-        """Take an observer into this run. Raises GranflowError if it belongs to another one, which has not
-        ended."""
+        """Take an observer into this run.
+
+        Raises GranflowError if it belongs to another one, which has not ended.
+        """
         if isinstance(observer, ScheduledObserver) and not observer.begin(self):
             raise GranflowError(
                 f"{name_of(observer)} is an observer of another simulation, which has not been freed: create "

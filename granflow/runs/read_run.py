@@ -171,8 +171,10 @@ class Columns(Mapping[str, np.ndarray]):
         )
 
     def to_pandas(self) -> "DataFrame":
-        """The columns as a pandas DataFrame; `attrs["units"]` has the units. Raises GranflowError without
-        pandas."""
+        """The columns as a pandas DataFrame; `attrs["units"]` has the units.
+
+        Raises GranflowError without pandas.
+        """
         try:
             import pandas
         except ImportError:
@@ -311,8 +313,10 @@ class Run:
 
     @cached_property
     def timeseries_arrays(self) -> Columns:
-        """Columns of `timeseries.csv` by name without unit, (rows,) each; `stage` is text. Empty without
-        rows."""
+        """Columns of `timeseries.csv` by name without unit, (rows,) each; `stage` is text.
+
+        Empty without rows.
+        """
         if self.series is None:
             return Columns({}, {})
         arrays = {each.name: each.values for each in self.series.columns}

@@ -164,8 +164,10 @@ def write_result(directory: Path, result: Result) -> Path:
 
 
 def read_sections(path: Path) -> dict[str, Any]:
-    """The sections of `result.json`; empty if it does not exist. Raises GranflowError if it cannot be
-    read."""
+    """The sections of `result.json`; empty if it does not exist.
+
+    Raises GranflowError if it cannot be read.
+    """
     if not path.exists():
         return {}
     try:

@@ -433,8 +433,10 @@ def refuse_other_functions(
 
 
 def saved_parameters(checkpoint: Checkpoint, force: ExternalForce) -> dict[str, Any]:
-    """Return the values of the parameters of a force in a checkpoint. Raises CheckpointError for other
-    parameters."""
+    """Return the values of the parameters of a force in a checkpoint.
+
+    Raises CheckpointError for other parameters.
+    """
     part = Part.of(checkpoint)["changes"]["forces"][force.name]
     part.mapping([name for name, _ in force.layout])
     return {name: _numbers(part[name], width) for name, width in force.layout}

@@ -42,8 +42,9 @@ SavedBy = Callable[[RankFileWriter], dict[str, Any]]
 
 
 class RunDirectory:
-    """Files of one run, except those of observers. Without a path nothing is written, and all methods have no
-    effect.
+    """Files of one run, except those of observers.
+
+    Without a path nothing is written, and all methods have no effect.
 
     `resumed`: checkpoint from which the run continues, or None. `path`: absolute, so that it does not depend
     on the working directory. `writer`: writes the frames of observers, in a thread while the directory is
@@ -206,8 +207,10 @@ class RunDirectory:
         return list(found.values())
 
     def save(self, time: float, step: int, state: SavedBy) -> None:
-        """Write a checkpoint of the state at `time` [s], with the warnings. Raises OSError if it cannot be
-        written."""
+        """Write a checkpoint of the state at `time` [s], with the warnings.
+
+        Raises OSError if it cannot be written.
+        """
         if self._checkpoints is not None:
             began = clock.perf_counter()
             self._check_unless_rescued()

@@ -61,8 +61,10 @@ class RunState:
 
     @property
     def engine(self) -> Engine:
-        """The engine of the run. Raises GranflowError in another thread than its own, or in a forked
-        process."""
+        """The engine of the run.
+
+        Raises GranflowError in another thread than its own, or in a forked process.
+        """
         refuse_other_thread(self.owner)
         return self._engine
 

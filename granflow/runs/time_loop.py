@@ -275,14 +275,18 @@ class TimeLoop:
             self.files.save(self.engine.time, self.engine.step_count, self.state.state_dict)
 
     def save_last_good(self) -> None:
-        """Write the state that was kept last as a checkpoint, unless a checkpoint is newer. Raises
-        OSError."""
+        """Write the state that was kept last as a checkpoint, unless a checkpoint is newer.
+
+        Raises OSError.
+        """
         self.state.observers.sync()
         self.save_kept(self.files.checkpoint_time)
 
     def save_kept(self, after: float | None) -> None:
-        """Write the state that was kept last as a checkpoint, if it is later than a time [s]. Raises
-        OSError."""
+        """Write the state that was kept last as a checkpoint, if it is later than a time [s].
+
+        Raises OSError.
+        """
         kept = self.last_good.kept
         if kept is not None and (after is None or kept.time > after):
             self.files.save(kept.time, kept.step, kept.state_dict)
