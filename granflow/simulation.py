@@ -258,8 +258,7 @@ class Simulation:
         duration: float | str | None = None,
         within_stages: bool = False,
     ) -> Result:
-        """Run to the simulated time `until` [s], for a `duration` [s], or to the end of all stages;
-        repeatable.
+        """Run to the time `until` [s], for a `duration` [s], or to the end of all stages; repeatable.
 
         Times are numbers in s, or text with a unit, such as "20 ms".
         After the end of the last stage, `until` and `duration` continue it: its walls, motions and observers
@@ -359,8 +358,10 @@ class Simulation:
 
     @contextmanager
     def _running(self, method: str) -> Iterator[None]:
-        """In the block, methods that advance or end the simulation are refused: an observer must not call
-        them."""
+        """In the block, methods that advance or end the simulation are refused.
+
+        An observer must not call them.
+        """
         refuse_other_thread(self._state.owner)
         if self._is_running:
             raise GranflowError(
@@ -505,8 +506,7 @@ def engine_for(plan: Plan, backend: Backend, communicator: "Communicator | None"
 def end_of_run(
     until: float | str | None, duration: float | str | None, now: float, time_step: float
 ) -> float:
-    """End [s] of a run until a time or for a duration, numbers in s or text with units; infinite without
-    both.
+    """End [s] of a run until a time or for a duration, numbers in s or text with units; else infinite.
 
     now:        present time [s]
     time_step:  present time step [s]

@@ -1,5 +1,4 @@
-"""Abort codes and messages: the particle or the bodies in contact, the time, the likely cause and the
-remedies."""
+"""Messages of aborts: the particle or the bodies in contact, the time, the likely cause, the remedies."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -198,8 +197,7 @@ def _relative_motion(pair: ContactPair) -> str:
 
 
 def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | None:
-    """The likely cause if it is a time step that is too long, or an impact above the planned
-    `velocity_max`."""
+    """The cause if it is a time step that is too long, or an impact above the planned `velocity_max`."""
     velocity_remedy = f"set run.velocity_max to {SPEED_MARGIN * pair.impact_velocity:.3g} m/s"
     if time_step > pair.stable_step:
         description = (
@@ -217,8 +215,10 @@ def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | Non
 
 
 def _change_cause(change: Change, wall: str, plan: Plan) -> str:
-    """Sentence on a particle that is in a wall since an insertion, or since the wall exists; `wall`: as in
-    messages."""
+    """Sentence on a particle that is in a wall since an insertion, or since the wall exists.
+
+    `wall`: its name as in messages.
+    """
     name = next((name for name in change.appeared if wall == f"wall {name}"), None)
     if name is None:
         return (
@@ -275,8 +275,7 @@ def _overlap_before(pair: ContactPair) -> str:
 
 
 def _advice(time_step: float, cause: str) -> str:
-    """Cause and remedies if the time step is stable for the contact and the impact is not above
-    `velocity_max`."""
+    """Cause and remedies if the time step is stable and the impact is not above `velocity_max`."""
     return (
         f"{cause}. Lower run.time_step (now {time_step:.3g} s), or check for particles that overlap "
         "initially."
@@ -387,8 +386,7 @@ SPEED_MARGIN = 1.2
 
 
 def overlap_cause(pair: ContactPair, plan: Plan) -> str:
-    """Sentences on the cause of an overlap above the limit, with the remedies that follow from the contact
-    model.
+    """Sentences on the cause of an overlap above the limit, with the remedies of the contact model.
 
     The moduli are those at which the same impact or load stays below the limit, see `plan.overlaps`. For
     static loads the largest of the observed force, the weight of all particles and the walls counts: the load
@@ -470,8 +468,10 @@ def _fixed_stiffness(plan: Plan) -> str:
 
 
 def _moving_load(remedy: str, by_load: float) -> str:
-    """Cause and remedy of an overlap that weight and walls do not explain; `by_load`: their overlap over the
-    radius."""
+    """Cause and remedy of an overlap that weight and walls do not explain.
+
+    `by_load`: the overlap that they explain, over the radius.
+    """
     return (
         f"weight and walls at rest explain only an overlap of {by_load:.2g} of the radius, so its cause is "
         "not a static load, but other particles or a moving wall that press on this contact, as particles do "
@@ -497,8 +497,7 @@ def _cohesion(touching: TouchingPair, plan: Plan, attraction: float) -> str:
 def _moduli(
     touching: TouchingPair, plan: Plan, overlap: Callable[[TouchingPair], float], expected: float
 ) -> str:
-    """Instruction that sets the moduli at which the overlap is below the limit, or raises the limit if that
-    is allowed.
+    """Instruction that sets the moduli at which the overlap is below the limit, or raises the limit.
 
     `expected`: overlap over the radius without a change.
     """
@@ -729,8 +728,7 @@ def _contact_pair(
 
 
 def _weight_pressure(plan: Plan, arrays: dict[str, np.ndarray]) -> float:
-    """Pressure [Pa] of the weight of all mobile particles, those not inserted yet included, on the present
-    bed.
+    """Pressure [Pa] of the weight of all mobile particles, also of those to be inserted, on the bed.
 
     The section of the bed is that of its bounding box across gravity; 0 without gravity or mobile particles.
     """

@@ -102,8 +102,7 @@ def restore_state(
 
 
 def keep_particles(engine: Engine) -> None:
-    """Keep a copy of the particles on the host, on each MPI rank, for a later checkpoint of the present
-    state."""
+    """Keep a copy of the particles on the host of each MPI rank, for a later checkpoint of this state."""
     engine.on_each_rank(_keep_particles)
 
 
@@ -162,8 +161,7 @@ def with_plan(engine: Engine, plan: Plan) -> Engine:
 
 
 def renumbered(partner: np.ndarray, before: Plan, now: Plan) -> np.ndarray:
-    """Numbers of contact partners (m,) in another plan, whose walls are those of the plan `before` and
-    others.
+    """Numbers of contact partners (m,) in another plan, with the walls of the plan `before` and others.
 
     Walls w have the number -1 - w, triangles follow the walls: -1 - (number of walls) - t. Particles are at
     least 0.
@@ -179,8 +177,10 @@ def refuse_changes(engine: Engine) -> None:
 
 
 def _fitted(saved: dict[str, Any], plan: Plan) -> dict[str, Any]:
-    """The saved state with the arrays of another plan: new ones are zero, longer ones are padded with
-    zeros."""
+    """The saved state with the arrays of another plan.
+
+    New arrays are zero, longer ones are padded with zeros.
+    """
     particles, sums, dynamics = (
         saved_arrays(arrays)
         for arrays in (particle_arrays(plan), sum_arrays(plan), wall_dynamics_arrays(plan))

@@ -352,8 +352,7 @@ class Engine:
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def stored_energy(self) -> float:
-        """Mechanical energy [J] of the particles and, if contacts existed before a change, energies of
-        contacts.
+        """Mechanical energy [J] of the particles, and of contacts that existed before a change.
 
         The latter are the elastic energy and the plastic dissipation of present contacts, and with the energy
         budget that of ended ones.
@@ -368,8 +367,10 @@ class Engine:
         return energy
 
     def rest_state(self) -> RestState:
-        """Mean kinetic energy and net force of the particles that are not fixed, the same for any order of
-        them."""
+        """Mean kinetic energy and net force of the particles that are not fixed.
+
+        They do not depend on the order of the particles.
+        """
         arrays = self._own_synchronized(MOTION)
         ranks = self.state.ranks
         kinetic, rotational, _ = mechanical_energy(arrays, self._gravity, ranks)
@@ -393,8 +394,10 @@ class Engine:
         return self._snapshot(stage, quantities, observed=False)
 
     def observe(self, stage: str, quantities: frozenset[str]) -> Snapshot:
-        """As `snapshot`, for observers of a run: also checks the stability and updates the largest energy
-        input."""
+        """As `snapshot`, for observers of a run.
+
+        It also checks the stability and updates the largest energy input.
+        """
         return self._snapshot(stage, quantities, observed=True)
 
     def _snapshot(self, stage: str, quantities: frozenset[str], observed: bool) -> Snapshot:
@@ -418,8 +421,10 @@ class Engine:
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, *since_start)
 
     def _particles_and_sums(self, needs_arrays: bool) -> tuple[dict[str, np.ndarray], ParticleSums]:
-        """Arrays of a snapshot in device order if needed, and sums over the particles; a GPU adds them up by
-        itself."""
+        """Arrays of a snapshot in device order if needed, and sums over the particles.
+
+        A GPU adds them up by itself.
+        """
         if not (needs_arrays or self.state.backend.on_cpu or self.plan.features.clumps):
             return {}, device_sums(self.state, 0.5 * self.time_step * self._started)
         own = self._own_synchronized(self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS))
@@ -450,8 +455,7 @@ class Engine:
         return self.state.ranks.gathered(copy_to_host(self.state, names))
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Fields on the host in device order, with velocities and angular velocities at the time of the
-        positions.
+        """Fields on the host in device order, with velocities at the time of the positions.
 
         names:    particle fields
         Returns:  arrays (n,) or (n, 3) by name, also of the fields that determine the velocities; fields that
@@ -542,8 +546,10 @@ class Engine:
         self.stepper.steps_since_rebuild = saved["clock"]["step_count"] - self.state.clock.step_count
 
     def take_over(self, earlier: "Engine") -> None:
-        """Continue the run of an earlier engine whose checkpoint has been restored here, with its pending
-        changes."""
+        """Continue the run of an earlier engine, with its pending changes.
+
+        Its checkpoint has been restored here.
+        """
         self._started = earlier._started
         self._walls_changed = earlier._walls_changed
         self._walls_appeared = list(earlier._walls_appeared)
@@ -561,13 +567,14 @@ class Engine:
             self._return_state()
 
     def _on_deleted(self, first: int, last: int) -> None:
-        """Add the deleted particles to the accounting: indices `first` to `last`, exclusive, in device
-        order."""
+        """Add the deleted particles to the accounting: `first` to `last`, exclusive, in device order."""
         self._account_deleted(deleted_particles(self.state, first, last))
 
     def _account_deleted(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Add deleted particles with the fields DELETED_FIELDS to the accounting; may abort, see
-        `account_deleted`."""
+        """Add deleted particles with DELETED_FIELDS to the accounting.
+
+        This may abort the run, see `account_deleted`.
+        """
         account_deleted(self.state, self.accounting, arrays)
 
 
@@ -591,8 +598,9 @@ def saved_sums(state: State) -> dict[str, np.ndarray]:
 
 
 def load_sums(state: State, saved: Mapping[str, np.ndarray]) -> None:
-    """Restore the sums that `saved_sums` returned; without them, as on all ranks but the root, the sums are
-    zero.
+    """Restore the sums that `saved_sums` returned.
+
+    On all ranks but the root there are none, and the sums are zero.
 
     Raises GranflowError if an array is missing or unknown.
     """

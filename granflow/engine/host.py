@@ -61,8 +61,7 @@ class FieldTable:
         self._take, self._put = _build_take_and_put(by_type[False], by_type[True])
 
     def take(self, entries: np.ndarray | slice) -> dict[str, np.ndarray]:
-        """Arrays (k,) or (k, components) by name in the types of the fields: the entries with these indices
-        (k,)."""
+        """Arrays (k,) or (k, components) by name in the types of the fields: entries (k,) of them."""
         if self._in_memory:
             return {name: _copied_entries(memory, entries) for name, memory in self._memory.items()}
         entries = _indices(entries)
@@ -78,8 +77,7 @@ class FieldTable:
         return found
 
     def put(self, entries: np.ndarray | slice, arrays: Mapping[str, Any]) -> None:
-        """Write arrays, as returned by `take`, or one number for all, to the entries with these indices
-        (k,)."""
+        """Write arrays, as returned by `take`, or one number for all, to the entries (k,)."""
         if self._in_memory:
             for name, memory in self._memory.items():
                 _put_entries(memory, entries, np.asarray(arrays[name]))
@@ -109,16 +107,17 @@ def _copied_entries(memory: Any, entries: np.ndarray | slice) -> np.ndarray:
 
 
 def _put_entries(memory: Any, entries: np.ndarray | slice, values: np.ndarray) -> None:
-    """Write numbers (k,), vectors (k, components) or one number to entries of a field; numbers fill
-    vectors."""
+    """Write numbers (k,), vectors (k, components) or one number to entries of a field.
+
+    Numbers fill all components of vectors.
+    """
     memory[entries] = values[:, None] if values.ndim == 1 and memory.ndim == 2 else values
 
 
 def _build_take_and_put(
     real_fields: Sequence[Any], integer_fields: Sequence[Any]
 ) -> tuple[Callable[..., None], Callable[..., None]]:
-    """Kernels (entries, reals, integers): copy field entries to the tables (k, columns), and tables to the
-    entries.
+    """Kernels (entries, reals, integers): copy entries to the tables (k, columns), and tables to entries.
 
     real_fields, integer_fields:  scalar field of each column
     """
@@ -184,8 +183,9 @@ def copy_to_host(
 
 
 def append_particles(state: State, arrays: Mapping[str, np.ndarray]) -> None:
-    """Append n particles behind the present ones, with empty neighbor lists: a deleted one may have had their
-    entry.
+    """Append n particles behind the present ones, with empty neighbor lists.
+
+    A deleted particle may have had their entry.
 
     arrays:  arrays (n,) or (n, 3) by field, `id` included; fields without an array have their default, fields
              that the scene does not have are ignored. Velocities are half a step back.
@@ -209,8 +209,7 @@ NOT_TAKEN = -1
 
 @dataclass(frozen=True)
 class Histories:
-    """Contact histories of n particles with m contacts, one particle after the other, as each particle sees
-    them.
+    """Contact histories of n particles with m contacts, particle by particle, as each sees them.
 
     count:    (n,) number of contacts of each particle
     partner:  (m,) int32, id of the other particle, or a negative number of a wall or triangle
@@ -247,8 +246,9 @@ class Histories:
 
 @dataclass(frozen=True)
 class ListedHistories(Histories):
-    """Histories as the neighbor lists contain them: a pair within a chunk is in the list of one of both
-    particles only.
+    """Histories as the neighbor lists contain them.
+
+    A pair within a chunk is in the list of one of both particles only.
 
     ids:      (n,) int32, of the particles
     once:     (k,) contacts that are in the list of one of both particles only
@@ -263,8 +263,10 @@ class ListedHistories(Histories):
     vectors: dict[str, list[bool]]
 
     def of(self, rows: np.ndarray) -> Histories:
-        """The histories of the particles with these indices (k,), in this order, with both sides of each
-        pair."""
+        """The histories of the particles with these indices (k,), in this order.
+
+        They have both sides of each pair.
+        """
         place = np.full(len(self.count), NOT_TAKEN)
         place[rows] = np.arange(len(rows))
         direct = self._contacts_of(rows)

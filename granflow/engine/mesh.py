@@ -117,8 +117,9 @@ def _is_before_edges(mesh: ti.template(), vertex_index, from_vertex, slack):
 
 @ti.func
 def triangle_contact(mesh: ti.template(), t, point):
-    """Gap [m] and normal of the contact of a point with triangle t; FAR_AWAY if another triangle owns the
-    contact.
+    """Gap [m] and normal of the contact of a point with triangle t.
+
+    The gap is FAR_AWAY if another triangle owns the contact.
 
     Reads:  faces, edges, vertices and their adjacency, competitor_start, competitor
     """

@@ -69,8 +69,7 @@ class State:
         self._begin()
 
     def reset(self, plan: Plan) -> None:
-        """Begin again with another plan of equal structure, which the caller ensures; the kernels are those
-        that exist."""
+        """Begin again with another plan of equal structure, which the caller ensures; the kernels remain."""
         self.plan = plan
         self.capacities = replace(self.capacities, segments=plan.capacities.segments)
         if not self._block.clear():
@@ -125,8 +124,10 @@ class State:
 
     @property
     def chunk_count(self) -> int:
-        """Number of chunks that contain particles, at least 1: the first chunk has the forces on walls of all
-        ranks."""
+        """Number of chunks that contain particles, at least 1.
+
+        The first chunk has the forces on walls of all ranks.
+        """
         return max(-(-self.count // self.plan.chunk_size), 1)
 
     @property
@@ -139,8 +140,7 @@ class State:
         return self.parameters.reader(name, component)
 
     def built(self, build: Callable[..., Built], *options: Any) -> Built:
-        """Return `build(state, *options)`, built at first use, and again after the fields have been
-        reallocated.
+        """Return `build(state, *options)`, built at first use, and again after a reallocation of fields.
 
         For kernels and tables that a run may not need; they refer to the fields that exist when they are
         built.
@@ -166,8 +166,10 @@ class State:
         self.parameters.write(self.plan, capacities)
 
     def grow_on_device(self, capacities: Capacities, build: Callable[[], None]) -> None:
-        """As `grow_neighbor_list`, without a copy on the host: one kernel copies all fields, old and new in
-        memory."""
+        """As `grow_neighbor_list`, but one kernel copies all fields, and the host holds no copy.
+
+        The old and the new fields are in memory at the same time.
+        """
         self._free_built()
         old = self._block
         self._allocate_grown(capacities, build)
@@ -230,8 +232,10 @@ class Clock:
         return float(self.time_after(self.step_count))
 
     def time_after(self, step: int | np.ndarray) -> float | np.ndarray:
-        """Simulated time [s] after step numbers, scalar or (k,); none may precede the last change of the time
-        step."""
+        """Simulated time [s] after step numbers, scalar or (k,).
+
+        None of them may precede the last change of the time step.
+        """
         return self._since_time + (step - self._since_step) * self.time_step
 
     def change(self, time_step: float) -> None:
@@ -261,8 +265,10 @@ class Clock:
 
 
 class Particles(Fields):
-    """Fields of `PARTICLE_QUANTITIES`, in cell order; velocities are half a step behind the positions
-    (leapfrog)."""
+    """Fields of `PARTICLE_QUANTITIES`, in cell order.
+
+    Velocities are half a step behind the positions (leapfrog).
+    """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(particle_arrays(plan), backend))
@@ -276,8 +282,9 @@ class Particles(Fields):
 
 
 class NeighborList(Fields):
-    """Neighbor lists (Verlet lists), one per particle; each chunk of several particles has a separate
-    segment.
+    """Neighbor lists (Verlet lists), one per particle.
+
+    Each chunk of several particles has a segment of its own.
 
     If each particle is a chunk, as on a GPU, the lists are in one segment without gaps, in any order.
 
@@ -299,8 +306,9 @@ class NeighborList(Fields):
 
 
 class CellSort(Fields):
-    """Work arrays of the neighbor search: cells and the new order; one grid per size class if sizes differ
-    widely.
+    """Work arrays of the neighbor search: cells and the new order.
+
+    If sizes differ widely, each size class has its own grid.
 
     cell_start:   first particle of each cell in `order`
     order:        previous index of each particle of the new order
@@ -647,8 +655,10 @@ class Gathering(Protocol):
     """Combines what each rank has. All ranks call each function."""
 
     def total(self, words: np.ndarray) -> np.ndarray:
-        """Numbers (n, ...), summed over the first axis of all ranks if there are several; integers
-        exactly."""
+        """Numbers (n, ...), summed over the first axis of all ranks if there are several.
+
+        Integers are summed exactly.
+        """
 
     def largest(self, value: float) -> float:
         """Largest value of all ranks."""

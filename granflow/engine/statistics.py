@@ -137,8 +137,9 @@ class ContactOutput:
         return owner, partner, {name: each + 0.0 for name, each in entries.items()}
 
     def _history(self, entries: Mapping[str, np.ndarray], overlap: np.ndarray) -> dict[str, np.ndarray]:
-        """Maximum overlap [m] and restitution (n,), without a history the overlap itself and 1, and shown
-        histories.
+        """Maximum overlap [m] and restitution (n,), and shown histories.
+
+        Without a history they are the overlap itself and 1.
 
         Fields of other models than the normal one have the slot as prefix.
         """
@@ -227,8 +228,7 @@ def _build_contact_point(state: State) -> Any:
 
 
 def _build_surface_forces(state: State) -> Any:
-    """Device function (constants, contact, load, history, a vector): tangential force [N], its size and limit
-    [N].
+    """Device function (constants, contact, load, history, a vector): tangential force, size, limit [N].
 
     The vector gives the type of the force; without a tangential model all are 0.
     """
@@ -307,8 +307,7 @@ class ContactStatistics:
 
 
 def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> Callable[..., None]:
-    """Kernel (chunks, rows, count, pose, time_step): exact sums, energies and the largest relative overlap by
-    row.
+    """Kernel (chunks, rows, count, pose, time_step): sums, energies and largest relative overlap by row.
 
     A row is that of a chunk, or of every k-th one if there are k rows.
 
@@ -419,8 +418,9 @@ def _build_liquid_sums(state: State) -> tuple[Any, Any]:
 
 
 def build_energies(state: State) -> Any:
-    """Device function (list index, constants, contact): stored and lost energy [J]; 0 without the energy
-    budget.
+    """Device function (list index, constants, contact): stored and lost energy [J].
+
+    Both are 0 without the energy budget.
 
     The stored energy includes that of the tangential, rolling, twisting and cohesion models; the lost energy
     is the plastic work.
@@ -482,8 +482,7 @@ class MaxImpactVelocity:
         self._scan = _build_scan(state, self._squares)
 
     def measure(self) -> float:
-        """Largest impact velocity [m/s] of all candidate pairs, including the elastic energy of present
-        overlaps.
+        """Largest impact velocity [m/s] of all candidate pairs, with the elastic energy of overlaps.
 
         On MPI ranks, of those of all ranks.
         """
@@ -524,8 +523,9 @@ def _build_scan(state: State, squares: Any) -> Any:
 
 
 def _build_square(state: State) -> Any:
-    """Device function (i, j, time_step): squared impact velocity with the kinetic and elastic energy of a
-    pair.
+    """Device function (i, j, time_step): squared impact velocity with the energy of a pair.
+
+    It is that of the kinetic and the elastic energy.
 
         v^2 = d'^2 + 4 k d^2.5 / (5 M)        (Zhou 2011, Eq. 5)
 
@@ -610,8 +610,9 @@ def _partner_table(state: State) -> FieldTable:
 
 
 def build_any_kinematics(state: State) -> Any:
-    """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not
-    matter.
+    """Device function (i, j, pose, time_step): kinematics for particles and walls alike.
+
+    It serves where speed does not matter.
 
     Returns the normal, and the struct `contact` of the contact models.
 

@@ -92,8 +92,7 @@ class Stepper:
         self.timing.rebuild_count += 1
 
     def restore(self, particles: HostParticles) -> None:
-        """Put particles, in the order of their ids, on an empty device with the neighbor lists of the last
-        rebuild.
+        """Put particles, in the order of ids, on an empty device with the lists of the last rebuild.
 
         The clock and the force-controlled walls are those of that rebuild; `clock_at_rebuild` is set here.
         """
@@ -143,8 +142,9 @@ class Stepper:
         self._launch_step(1, pose, time_step, moving=0, forcing=1)
 
     def refresh(self, step: int, velocities_lag: bool) -> None:
-        """Rebuild the neighbor lists and compute forces after step number `step`, after particles or walls
-        changed.
+        """Rebuild the neighbor lists and compute forces after step number `step`.
+
+        It follows a change of particles or walls.
 
         `velocities_lag`: velocities are half a step behind the positions. Contact displacements do not
         change.

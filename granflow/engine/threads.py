@@ -116,8 +116,7 @@ _pools: "WeakKeyDictionary[Backend, ThreadPool]" = WeakKeyDictionary()
 
 
 class Workers:
-    """Chooses the workers of each launch on a CPU and how long they wait at a barrier, from the previous
-    launches."""
+    """Chooses the workers of each launch on a CPU and their patience, from the previous launches."""
 
     def __init__(self, state: State) -> None:
         self._state = state
@@ -130,8 +129,7 @@ class Workers:
         return 1 if self._state.count <= SINGLE_WORKER_PARTICLES else self._tuner.next_size
 
     def prepare(self) -> None:
-        """Measure the pool of this process before the first launch with several workers, and set the initial
-        patience.
+        """Measure the pool before the first launch with several workers, and set the initial patience.
 
         A single worker never waits, so that most small scenes do not compile and run the kernel of the
         measurement.
@@ -150,8 +148,7 @@ class Workers:
             pool.affinity.set_workers(count)
 
     def record(self, steps: int, seconds: float) -> None:
-        """Choose workers and patience of the next launch from the wall-clock time [s] of a launch of `steps`
-        steps."""
+        """Choose workers and patience of the next launch from the wall-clock time [s] of `steps` steps."""
         state = self._state
         workers = self._tuner.next_size
         pool = _pools.get(state.backend)

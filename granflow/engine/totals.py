@@ -41,8 +41,9 @@ EXIT_FACES = ("x_min", "y_min", "z_min", "x_max", "y_max", "z_max")
 
 @dataclass
 class Accounting:
-    """Counts and energies since the start, and BY_ID: material, group and insertion time of every particle by
-    its id.
+    """Counts and energies since the start, and BY_ID of every particle.
+
+    BY_ID are material, group and insertion time, by the id.
 
     inserted_count:          number of inserted particles
     deleted_count:           number of deleted particles
@@ -74,8 +75,7 @@ class Accounting:
     insertion_time: list[np.ndarray] = field(default_factory=list)
 
     def insert(self, material: np.ndarray, group: np.ndarray, time: float, energy: float) -> None:
-        """Record particles inserted at `time` [s]: materials and groups (k,) of the scene, mechanical energy
-        [J]."""
+        """Record particles inserted at `time` [s]: materials and groups (k,), mechanical energy [J]."""
         self.inserted_count += len(group)
         self.inserted_energy += energy
         self.material.append(material)
@@ -221,8 +221,9 @@ It results from the masses; in f32 also from the positions.
 def energy_budget_totals(
     state: State, accounting: Accounting, energies: tuple[float, float, float], measured: Mapping[str, float]
 ) -> dict[str, float]:
-    """The energy budget [J], and its error: the residual over the largest energy input of all observations
-    and now.
+    """The energy budget [J], and its error.
+
+    The error is the residual over the largest energy input of all observations and now.
 
         residual = K + U + E_elastic + E_dissipated + E_deleted - E_inserted - W
         energy_error = residual / max(E_in so far and now, rounding / LARGEST_ERROR)
@@ -492,8 +493,7 @@ def _build_particle_sums(state: State) -> tuple[Callable[..., None], Callable[..
 
 
 def _build_energy_terms(state: State) -> Any:
-    """Device function (i, half step): twice the kinetic and rotational energy and -U [J], and the squared
-    speed.
+    """Device function (i, half step): twice the kinetic and rotational energy, -U [J], squared speed.
 
     Operations are in the order of `Engine.synchronized` and `mechanical_energy`.
 
@@ -543,8 +543,7 @@ DELETED_FIELDS = tuple(
 
 
 def deleted_particles(state: State, first: int, last: int) -> dict[str, np.ndarray]:
-    """DELETED_FIELDS of the particles with the indices `first` to `last`, exclusive, in the order of their
-    ids.
+    """DELETED_FIELDS of the particles `first` to `last`, exclusive, in the order of their ids.
 
     Particles that a program has removed are left out: they are counted where it removes them.
     """
@@ -590,8 +589,7 @@ SPEED_INCREASE = 1.1
 
 
 class StabilityMonitor:
-    """Checks at every observation that the time step is stable for the current speeds and that energy is
-    conserved.
+    """Checks at each observation that the time step is stable and that the energy is conserved.
 
     With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and
     potential energy must not exceed those at the start and of particles inserted since. The excess is
@@ -619,8 +617,7 @@ class StabilityMonitor:
         totals: dict[str, float],
         speed: float,
     ) -> None:
-        """Check one snapshot; logs a warning if the energy error exceeds its limit in two consecutive
-        snapshots.
+        """Check one snapshot; warns if the energy error exceeds its limit in two consecutive snapshots.
 
         time:        simulated time [s]
         energies:    kinetic, rotational and gravitational energy [J]
@@ -656,8 +653,10 @@ class StabilityMonitor:
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state of `state_dict`; the plan may have changed so that the energy is not conserved
-        any more."""
+        """Restore the state of `state_dict`.
+
+        The plan may have changed so that the energy is not conserved any more.
+        """
         self.warnings = dict(saved["warnings"])
         self._fastest = saved["fastest"]
         self._initial_energy = saved["initial_energy"]

@@ -50,8 +50,9 @@ LEAST_COSINE = 0.5
 
 
 def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
-    """Device function (i, j, pose) -> (gap [m], direction) of particle i and partner j < 0, see
-    `WallGeometry.closest`.
+    """Device function (i, j, pose) -> (gap [m], direction) of particle i and partner j < 0.
+
+    They are those of `WallGeometry.closest`.
 
     The gap is FAR_AWAY if a nearer face in the neighbor list of the particle has the same contact.
 
@@ -151,8 +152,9 @@ def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
 
 
 class WallGeometry:
-    """Device functions of a wall or triangle at a point, for the shapes of a plan; motion only if a wall
-    moves.
+    """Device functions of a wall or triangle at a point, for the shapes of a plan.
+
+    They contain the motion only if a wall moves.
 
     Points are in m in the frame of the scene; in a periodic box they are wrapped into the box first. A face
     is a wall index, or wall count + index of a triangle, numbered over all meshes; the partner of a contact
@@ -293,8 +295,10 @@ class WallGeometry:
 
     @ti.func
     def surface_distance(self, face, pose, point):
-        """Distance [m] of a point from a face, without regard to shared edges; negative behind a half
-        space."""
+        """Distance [m] of a point from a face, without regard to shared edges.
+
+        It is negative behind a half space.
+        """
         w = self.wall_of_face(face)
         result = self.distance(w, pose, point)
         if ti.static(self.features.mesh_walls):
@@ -459,8 +463,7 @@ class WallPoses:
         return step - first
 
     def prepare(self, step: int, steps_since_rebuild: int) -> int:
-        """Upload the poses of the steps after number `step` if necessary; returns the number of steps that
-        they allow.
+        """Upload the poses after step number `step` if necessary; returns how many steps they allow.
 
         If a wall may move too far in the next step, requests a rebuild: walls are not in the displacement
         check of the particles. The rebuild follows the integration of the next step, as all others: forces
@@ -490,8 +493,7 @@ class WallPoses:
             upload_offsets(self._state, step)
 
     def _steps_to_displacement_limit(self, steps_since_rebuild: int) -> int:
-        """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the
-        skin.
+        """Steps until the fastest wall may reach its limit between rebuilds, or an image the skin.
 
         Force-controlled walls request their rebuilds on the device. WALL_BATCH if nothing moves.
         """
@@ -507,8 +509,7 @@ class WallPoses:
 
 
 def upload_poses(state: State, step: int) -> None:
-    """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each
-    step.
+    """Upload the poses after WALL_BATCH steps from number `step`, with velocities at their middles.
 
     Velocities have one more row, for the work in the step that follows the last pose.
 

@@ -1,2 +1,1 @@
-"""Wall shapes (device function and reference implementation), their shared edges, wall motion, and the
-periodic box."""
+"""Wall shapes (device function and reference implementation), wall motion, and the periodic box."""

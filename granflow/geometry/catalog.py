@@ -38,8 +38,9 @@ def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndar
 
 
 def reach_about(surface: Surface, point: np.ndarray, axis: np.ndarray, farthest: float) -> float:
-    """Largest distance [m] from an axis of geometry that moves when the wall rotates, for
-    `motion.speed_bound`.
+    """Largest distance [m] from an axis of geometry that moves when the wall rotates.
+
+    `motion.speed_bound` uses it.
 
     point:     (3,) [m], a point on the axis
     axis:      (3,), unit vector along the axis

@@ -1,5 +1,4 @@
-"""Shape of a clump, a rigid body of spheres that may overlap: volume, center of mass and moments of
-inertia. numpy only.
+"""Shape of a clump, a rigid body of spheres that may overlap: volume, center, moments; numpy only.
 
 Regions in which spheres overlap count once: the moments are integrals over the union of the spheres, which
 the last part of this file computes.
@@ -46,16 +45,16 @@ class ClumpShape:
 
     @property
     def volume_share(self) -> np.ndarray:
-        """Share (k,) of each sphere in the mass of the clump, by its volume without regard to overlaps; the
-        sum is 1.
+        """Share (k,) of each sphere in the mass of the clump, by its volume; overlaps do not count.
+
+        The sum is 1.
 
         Sums of masses over spheres are thereby those over clumps.
         """
         return np.asarray(self.radius**3 / np.sum(self.radius**3))
 
     def spheres(self, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-        """Centers (n, k, 3) [m] of the spheres of clumps with centers of mass (n, 3) [m] and orientations (n,
-        4).
+        """Centers (n, k, 3) [m] of the spheres of clumps at (n, 3) [m] with orientations (n, 4).
 
         The orientations turn the frame of the given positions, as those of `ParticleData`.
         """
@@ -142,8 +141,7 @@ def product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) of rotations about axes (n, 3), whose length does not matter, by angles (n,)
-    [rad]."""
+    """Quaternions (n, 4) of rotations about axes (n, 3) of any length, by angles (n,) [rad]."""
     unit = axis / np.linalg.norm(axis, axis=1, keepdims=True)
     return np.concatenate([np.cos(0.5 * angle)[:, None], np.sin(0.5 * angle)[:, None] * unit], axis=1)
 
@@ -197,8 +195,9 @@ def union_integrals(position: np.ndarray, radius: np.ndarray) -> tuple[float, np
 
 
 def _caps(position: np.ndarray, radius: np.ndarray, index: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Caps of a sphere inside the other spheres: unit vectors e (c, 3) and cosines (c,), n . e > cosine
-    inside.
+    """Caps of a sphere inside the other spheres: unit vectors e (c, 3), cosines (c,).
+
+    Inside a cap, n . e > cosine.
 
     None if another sphere contains the whole sphere, or is equal to it and comes earlier.
     """
@@ -242,8 +241,9 @@ def _exposed_integrals(center: np.ndarray, radius: float, unit: np.ndarray, cosi
 def _exposed_angles(
     height: np.ndarray, unit: np.ndarray, cosine: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Longitudes (m, p) outside the caps on circles of latitude z = `height` (m,) of the unit sphere, and
-    weights.
+    """Longitudes (m, p) outside the caps on circles of latitude z = `height` (m,), and weights.
+
+    The sphere has radius 1.
 
     A cap covers cos(longitude - its own) > (cosine - z e_z) / (across e_across); weights are 0 inside caps.
     """

@@ -1,5 +1,4 @@
-"""Triangle mesh of a wall at rest: built from the triangles of a file, with a cell grid for the search.
-numpy only.
+"""Triangle mesh of a wall at rest, from the triangles of a file, with a cell grid; numpy only.
 
 `mesh_of` merges points, removes triangles without area and duplicates, and splits triangles until neighbors
 share complete edges, so that the adjacency of `mesh_contact` holds. `grid_over` lists for each cell the
@@ -66,8 +65,7 @@ class Mesh:
         return float(np.sqrt(2.0 * np.median(self.areas)))
 
     def reach_about(self, point: np.ndarray, axis: np.ndarray) -> float:
-        """Largest distance [m] of a point of the mesh from an axis: `point` (3,) [m] on it, unit vector
-        `axis` (3,)."""
+        """Largest distance [m] of the mesh from an axis: `point` (3,) [m], unit vector `axis` (3,)."""
         return float(distance_from_axis(self.points, point, axis).max())
 
     def placed(self, scale: float, rotation: np.ndarray, offset: np.ndarray) -> "Mesh":
@@ -119,8 +117,7 @@ def mesh_of(triangles_read: RawTriangles) -> Mesh:
 
 
 def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """Index (n,) of the point that replaces each point (n, 3) [m]: the lowest of those nearer than a
-    tolerance [m].
+    """Index (n,) of the point that replaces each point (n, 3) [m]: the lowest of those within a tolerance.
 
     Chains of such points become one point. All points that share a cell of at least one of eight grids are
     merged: cell size 2 `tolerance`, shifted by half a cell along each axis. This includes all pairs of points
@@ -144,8 +141,7 @@ def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def cell_labels(points: np.ndarray, side: float, shift: np.ndarray) -> np.ndarray:
-    """Number (n,) of the cubic cell with this side [m] around each point (n, 3) [m]; the grid is shifted by
-    `shift`."""
+    """Number (n,) of the cubic cell of each point (n, 3) [m]; the grid is shifted by `shift`."""
     cells = np.floor((points - points.min(axis=0) + shift) / side).astype(np.int64)
     spans = cells.max(axis=0) + 1
     keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]
@@ -249,8 +245,7 @@ def lies_on(
 def split_triangles(
     points: np.ndarray, corners: np.ndarray, triangle: np.ndarray, side: np.ndarray, on_edge: np.ndarray
 ) -> np.ndarray:
-    """Triangle fans that replace the split triangles: from the opposite corner to the segments of the split
-    side.
+    """Triangle fans that replace the split triangles, from the corner opposite to the split side.
 
     triangle, side, on_edge:  (h,) as in `hanging_points`, with one side per triangle
     Returns:                  (s, 3) point indices, with the winding of the split triangles

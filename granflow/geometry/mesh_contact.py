@@ -1,5 +1,4 @@
-"""Contact of a sphere with a triangle mesh: which triangle owns it, from the adjacency of the triangles.
-numpy only.
+"""Contact of a sphere with a triangle mesh: which triangle owns it, by the adjacency; numpy only.
 
 A contact exists at each local minimum of the distance between particle center and mesh. Exactly one
 triangle owns it, and each triangle decides independently. Let `s` be the distance of the center from the
@@ -145,8 +144,10 @@ class _Edges:
     inward_other: np.ndarray
 
     def share(self, first: np.ndarray, second: np.ndarray) -> None:
-        """Assign edges of two triangles, (p,) and (p,), to the first; edges of coplanar triangles have no
-        contact."""
+        """Assign edges of two triangles, (p,) and (p,), to the first.
+
+        Edges of coplanar triangles have no contact.
+        """
         coplanar = is_coplanar(self.inward[first], self.inward[second])
         self.make_coplanar(first[coplanar], second[coplanar])
         first = first[~coplanar]
@@ -155,8 +156,10 @@ class _Edges:
         self.inward_other[first] = self.inward[second]
 
     def share_nonmanifold(self, edges: np.ndarray) -> None:
-        """Assign an edge of k > 2 triangles (k,) to the two at the widest free angle, if it exceeds 180
-        degrees."""
+        """Assign an edge of k > 2 triangles (k,) to the two at the widest free angle.
+
+        The edge has no contact unless this angle exceeds 180 degrees.
+        """
         for position, one in enumerate(edges):
             for other in edges[position + 1 :]:
                 if is_coplanar(self.inward[one], self.inward[other]) and not self.owns_tie[edges].any():
@@ -174,8 +177,10 @@ class _Edges:
             self.role[one], self.inward_other[one] = SHARED_EDGE, self.inward[other]
 
     def make_coplanar(self, first: np.ndarray, second: np.ndarray) -> None:
-        """Make `inward` of both triangles of each edge exactly opposite; ties on the edge belong to the
-        first."""
+        """Make `inward` of both triangles of each edge exactly opposite.
+
+        Ties on the edge belong to the first.
+        """
         mean = normalized(self.inward[first] - self.inward[second])
         self.inward[first], self.inward[second] = mean, -mean
         self.owns_tie[first] = True
@@ -187,8 +192,10 @@ def normalized(vectors: np.ndarray) -> np.ndarray:
 
 
 def is_coplanar(inward_a: np.ndarray, inward_b: np.ndarray) -> np.ndarray:
-    """Whether (...,) two triangles at an edge are coplanar and do not overlap; arguments (..., 3) as
-    `inward`."""
+    """Whether (...,) two triangles at an edge are coplanar and do not overlap.
+
+    The arguments (..., 3) are as `inward`.
+    """
     return np.linalg.norm(inward_a + inward_b, axis=-1) <= COPLANAR_ANGLE
 
 
@@ -224,8 +231,9 @@ def vertex_edges_of(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray
 def competitors_of(
     points: np.ndarray, corners: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Competing triangles by triangle and side: common point, angle up to SMOOTH_ANGLE, concave toward the
-    particle.
+    """Competing triangles by triangle and side.
+
+    They have a common point, an angle up to SMOOTH_ANGLE, and are concave toward the particle.
 
     normal:   (t, 3) unit normals
     Returns:  `competitor_start` and `competitor` of MeshAdjacency
@@ -327,8 +335,7 @@ def reference_contact_alone(
 def _inward_distances(
     adjacency: MeshAdjacency, triangles: np.ndarray, from_vertex: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances `s` (n, 3) at each edge over the face of the triangle, and over the face of the other
-    triangle [m]."""
+    """Distances `s` (n, 3) [m] at each edge over the face of the triangle, and over that of the other one."""
     from_base = np.take_along_axis(from_vertex, adjacency.base[triangles][:, :, None], axis=1)
     return _dot(from_base, adjacency.inward[triangles]), _dot(from_base, adjacency.inward_other[triangles])
 

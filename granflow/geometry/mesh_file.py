@@ -130,8 +130,9 @@ def _binary_stl(raw: bytes) -> RawTriangles:
 
 
 def _check_ply(raw: bytes, sizes: list[int]) -> None:
-    """Raise FormatError if a PLY file has more or fewer faces than its header declares; meshio ignores the
-    others.
+    """Raise FormatError if a PLY file has more or fewer faces than its header declares.
+
+    meshio ignores the others.
 
     `sizes`: number of corners of each face that was read.
     """

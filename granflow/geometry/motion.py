@@ -84,8 +84,10 @@ class Rotation:
 
 @dataclass(frozen=True)
 class ForceControlled:
-    """Motion of a wall by particle forces from `start` to `end` [s]; the displacement is integrated on the
-    device."""
+    """Motion of a wall by particle forces from `start` to `end` [s].
+
+    The displacement is integrated on the device.
+    """
 
     start: float = 0.0
     end: float = inf
@@ -93,8 +95,7 @@ class ForceControlled:
 
 @dataclass(frozen=True)
 class Placement:
-    """Pose that earlier motions have reached: a point p of the wall at rest is at
-    `rotation @ p + translation`.
+    """Pose that earlier motions have reached: p at rest is now at `rotation @ p + translation`.
 
     rotation:     rows of the matrix
     translation:  [m]
@@ -121,8 +122,10 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """Rows of a table: ascending times (n,) [s], n at least 2; values (n,) [m or rad] and rates (n,) [m/s or
-    rad/s]."""
+    """Rows of a table: ascending times (n,) [s], values (n,) [m or rad], rates (n,) [m/s or rad/s].
+
+    n is at least 2.
+    """
 
     times: np.ndarray
     values: np.ndarray
@@ -151,8 +154,7 @@ class MotionTable:
 
     @classmethod
     def of_rates(cls, times: Sequence[float], rates: Sequence[float]) -> "MotionTable":
-        """The table of rates (n,), which are linear between rows; the value is their integral from the first
-        row."""
+        """The table of rates (n,), which are linear between rows; the values are their integrals."""
         x = np.asarray(times, dtype=float)
         r = np.asarray(rates, dtype=float)
         return cls(x, np.concatenate([[0.0], np.cumsum(0.5 * np.diff(x) * (r[1:] + r[:-1]))]), r)
@@ -181,8 +183,10 @@ class MotionTable:
 
     @property
     def largest_change_of_rate(self) -> float:
-        """Largest magnitude of the time derivative of the rate, which is linear between rows; without
-        jumps."""
+        """Largest magnitude of the time derivative of the rate, without jumps.
+
+        The rate is linear between rows.
+        """
         ends = np.stack([2.0 * self._quadratic, 2.0 * self._quadratic + 6.0 * self._cubic])
         return float(np.abs(ends / np.diff(self.times) ** 2).max())
 
@@ -326,8 +330,7 @@ def displacement_and_rate(
 
 
 def ramp(duration: float, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lag [s] behind a motion without ramp, and remaining share of the change of velocity, at elapsed times
-    (k,) [s].
+    """Lag [s] behind a motion without ramp, and remaining share of the change, at elapsed times (k,) [s].
 
         T/2 - max(T - t, 0)^2 / (2 T)  and  max(1 - t/T, 0)
 
@@ -342,8 +345,7 @@ def ramp(duration: float, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def rotation_of(
     motion: Rotation | TableRotation | None, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m] at `times` (k,)
-    [s]."""
+    """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s], pivot (3,) [m] at `times` (k,)."""
     if motion is None:
         return np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy(), np.zeros((len(times), 3)), np.zeros(3)
     axis = np.asarray(motion.axis, dtype=np.float64)

@@ -1,5 +1,4 @@
-"""Periodic boundary conditions of the domain on the host (numpy): wrapping, nearest images, Lees-Edwards
-shear."""
+"""Periodic boundaries of the domain on the host (numpy): wrapping, images, Lees-Edwards shear."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -96,15 +95,13 @@ class PeriodicBox:
         return shifted, shifted_velocity
 
     def nearest_images(self, points: np.ndarray, references: np.ndarray) -> np.ndarray:
-        """Periodic images (n, 3) [m] of points (n, 3) [m] nearest to the reference points (n, 3), row by
-        row."""
+        """Periodic images (n, 3) [m] of points nearest to the reference points (n, 3), row by row."""
         return self._shifted(
             points, lambda axis, shifted: np.round((shifted - references[:, axis]) / self.width[axis])
         )[0]
 
     def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic
-        face."""
+        """Centers (m, 3) and radii (m,) [m] of spheres, and of their images across periodic faces."""
         return self.images(position, radius)[:2]
 
     def images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -134,8 +134,7 @@ HALF_SPACE = ShapeKind(
 
 @ti.func
 def closest_on_rectangle(point, parameters):
-    """Distance [m] from the rectangle and unit vector from its nearest point to the point
-    (ShapeKind.closest).
+    """Distance [m] from the rectangle and unit vector from its nearest point (ShapeKind.closest).
 
     At distance 0 the unit vector is the normal of the plane.
     """
@@ -186,8 +185,7 @@ def rectangle_coordinates(point, parameters):
 def reference_closest_on_rectangle(
     points: np.ndarray, parameters: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Reference implementation of `closest_on_rectangle`: nearest point in space, then the vector to the
-    point.
+    """Reference implementation of `closest_on_rectangle`: the nearest point, then the vector from it.
 
     points:   (n, 3) [m]
     Returns:  distance (n,) [m], unit vector (n, 3)
@@ -212,8 +210,7 @@ def rectangle_triangles(
 
 
 def rectangle_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
-    """Distance [m] of the farthest corner from the axis through `point` (3,) [m] along the unit vector `axis`
-    (3,)."""
+    """Distance [m] of the farthest corner from the axis: `point` (3,) [m], unit vector `axis` (3,)."""
     corners, _ = quadrilateral(parameters[0:3], *rectangle_sides(parameters))
     return float(distance_from_axis(corners, point, axis).max())
 
@@ -224,8 +221,7 @@ def rectangle_sides(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def quadrilateral(corner: np.ndarray, side1: np.ndarray, side2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (4, 3) [m] and triangles (2, 3) of the parallelogram with a corner (3,) [m] and two sides (3,)
-    [m]."""
+    """Points (4, 3) [m] and triangles (2, 3) of the parallelogram with a corner and two sides, each (3,)."""
     points = np.array([corner, corner + side1, corner + side1 + side2, corner + side2])
     return points, np.array([[0, 1, 2], [0, 2, 3]])
 

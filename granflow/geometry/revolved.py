@@ -173,8 +173,10 @@ def owns_contact(along, height, parameters):
 
 @ti.func
 def revolved_distance(point, parameters):
-    """Distance from the surface [m], at least 0, without regard to shared edges
-    (ShapeKind.surface_distance)."""
+    """Distance [m] from the surface, at least 0 (ShapeKind.surface_distance).
+
+    Shared edges have no effect on it.
+    """
     r, z, _ = half_plane_coordinates(point, parameters)
     _, beyond, height = segment_coordinates(r, z, parameters)
     return ti.sqrt(beyond * beyond + height * height)
@@ -234,8 +236,7 @@ def segment_coordinates(r, z, parameters):
 def reference_closest_on_revolved(
     points: np.ndarray, parameters: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the
-    point.
+    """Reference implementation of `closest_on_revolved`: nearest point on the section through the point.
 
     points:   (n, 3) [m]
     Returns:  distance (n,) [m] or FAR_AWAY, unit vector (n, 3)
@@ -277,8 +278,7 @@ def reference_owns_edge(
 def revolved_triangles(
     parameters: np.ndarray, center: np.ndarray, extent: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of the surface as facets around the
-    axis.
+    """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of facets around the axis.
 
     `center` and `extent` are unused. One of the edges may have the radius 0.
     """
@@ -500,8 +500,7 @@ def edge_parameters(rays: Sequence[Ray], index: int, end: str) -> dict[str, floa
 
 
 def wedge_bounds(rays: Sequence[Ray]) -> list[Ray]:
-    """The two rays on either side of the widest free angle if it is at least 180 degrees; a single ray
-    itself.
+    """The two rays beside the widest free angle, if it is at least 180 degrees; a single ray itself.
 
     Empty if no free angle is that wide.
     """

@@ -14,8 +14,7 @@ def row_entries(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def expanded(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The numbers of n ranges (n,), (n,): indices of the ranges (r,), ascending, and numbers (r,) from
-    `first` on."""
+    """The numbers of n ranges (n,), (n,): indices of the ranges (r,), and numbers (r,) from `first` on."""
     index = np.repeat(np.arange(len(count)), count)
     rank = np.arange(len(index)) - np.repeat(np.cumsum(count) - count, count)
     return index, first[index] + rank

@@ -111,8 +111,10 @@ def unit(vector: object) -> np.ndarray:
 
 
 def are_perpendicular(*vectors: Sequence[float]) -> bool:
-    """Whether each two of the vectors (3,) are perpendicular; their lengths are above 0, and do not
-    matter."""
+    """Whether each two of the vectors (3,) are perpendicular.
+
+    Their lengths are above 0 and do not matter.
+    """
     directions = [unit(np.asarray(vector, dtype=np.float64) / np.max(np.abs(vector))) for vector in vectors]
     return all(abs(float(a @ b)) <= RIGHT_ANGLE_COSINE for a, b in combinations(directions, 2))
 
@@ -129,8 +131,7 @@ def distance_from_axis(points: np.ndarray, point: np.ndarray, axis: np.ndarray) 
 
 
 def is_parallel(first: np.ndarray, second: np.ndarray, tolerance: float = 1e-9) -> bool:
-    """Whether two unit vectors (3,) are parallel or antiparallel; `tolerance` limits the sine of their
-    angle."""
+    """Whether two unit vectors (3,) are parallel or antiparallel, up to the sine `tolerance`."""
     return bool(np.linalg.norm(np.cross(first, second)) <= tolerance)
 
 

@@ -1,2 +1,1 @@
-"""Output directories: checkpoints and their validation, resume, previous runs, results, stages and
-timings."""
+"""Output directories: checkpoints and their checks, resume, previous runs, results, stages, timings."""

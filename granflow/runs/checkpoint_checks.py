@@ -50,8 +50,7 @@ KEYS = (
 
 
 def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object]) -> None:
-    """Check the state that does not depend on the current scene: stages, clocks, the keys of the plan
-    fingerprint.
+    """Check the state that does not depend on the present scene: stages, clocks, plan fingerprint.
 
     `before`: scene of the checkpoint. `decided`: fingerprint of the current plan, see
     `resume.plan_fingerprint`; only its keys are compared here. Raises CheckpointError.
@@ -189,8 +188,7 @@ def _check_servo_samples(samples: Part, motion_count: int) -> None:
 
 
 def _check_clock(clock: Part, time: float) -> None:
-    """Check that the step count and the time step [s] result in the `time` [s] of the header, within half a
-    step."""
+    """Check that step count and time step [s] give the `time` [s] of the header, within half a step."""
     clock.mapping(("time_step", "step_count", "since_step", "since_time"))
     step = clock["time_step"].number(np.finfo(float).tiny, LARGEST_REAL)
     count = clock["step_count"].integer()
@@ -265,8 +263,7 @@ def check_particles(
     density_by_name: Mapping[str, float],
     complete: bool,
 ) -> None:
-    """Check particles and contacts: shape and range of arrays, and radius, mass and material against the
-    scene.
+    """Check particles and contacts: shape and range of arrays, and sizes and materials as in the scene.
 
     `engine`: with "particles", which must be `count`, and "contacts"; `density_by_name`: see `densities`;
     `complete`:
@@ -439,8 +436,9 @@ CLUMP_ROUNDING = 1e-5
 def check_clumps(
     particles: Part, ids: np.ndarray, group: np.ndarray, density: np.ndarray, plan: Plan
 ) -> np.ndarray:
-    """Check the clumps of particles with these ids, groups and densities [kg/m3], all (n,); returns the
-    masses (n,).
+    """Check the clumps of particles with these ids, groups and densities [kg/m3], all (n,).
+
+    Returns the masses (n,).
 
     The device reads the spheres of a clump by their ids, which follow each other: each must exist. Raises
     CheckpointError.
@@ -563,8 +561,7 @@ def _check_like(part: Part, template: Any) -> None:
 
 
 def _check_row(row: Part, kinds: tuple[str, ...]) -> None:
-    """Check one entry of a list: a value, or a list with one value for each of `kinds` ("number" or
-    "text")."""
+    """Check an entry of a list: a value, or a list with one value for each kind, "number" or "text"."""
     cells = [row] if len(kinds) == 1 else row.items(len(kinds))
     for cell, kind in zip(cells, kinds, strict=True):
         check: Callable[[], object] = cell.number if kind == "number" else cell.text
@@ -572,8 +569,10 @@ def _check_row(row: Part, kinds: tuple[str, ...]) -> None:
 
 
 def _check_plain(part: Part, template: Any) -> None:
-    """Check a value that is not a container; `count` may be negative: the net number of particles of a flow
-    meter."""
+    """Check a value that is not a container.
+
+    `count` may be negative: it is the net number of particles of a flow meter.
+    """
     if isinstance(template, bool):
         part.flag()
     elif isinstance(template, int):

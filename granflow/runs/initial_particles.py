@@ -1,5 +1,4 @@
-"""Particles at the start of a run: from the scene, from an earlier run, from arrays, or none for a resumed
-run."""
+"""Particles at the start of a run: from the scene, an earlier run or arrays; none for a resumed run."""
 
 from pathlib import Path
 from typing import Any
@@ -37,8 +36,10 @@ def initial_state(
 
 
 def warnings_before(scene: Scene, plan: Plan, initial: ParticleData | None) -> list[str]:
-    """The warnings of the plan, and those about initial particles inside walls; `initial`: None for a resumed
-    run."""
+    """The warnings of the plan, and those about initial particles inside walls.
+
+    `initial`: None for a resumed run.
+    """
     inside = [] if initial is None else particle_warnings(scene, plan, initial)
     return [*plan.warnings, *inside]
 
@@ -145,8 +146,9 @@ def _particles_of_group(group: SceneGroup, checkpoint: Checkpoint, number: int) 
 
 
 def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return velocities [m/s] and angular velocities [rad/s] (n, 3); a checkpoint stores those half a step
-    earlier.
+    """Return velocities [m/s] and angular velocities [rad/s] (n, 3).
+
+    A checkpoint stores those half a step earlier.
 
     v(t) = v(t - dt/2) + dt/2 F/m,      w(t) = w(t - dt/2) + dt/2 T/I,      I = 2/5 m R^2
     """
@@ -160,8 +162,7 @@ def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple
 
 
 def _inconsistencies(group: SceneGroup, particles: ParticleData) -> list[str]:
-    """Return a sentence for each contradiction between a group of the scene and the particles of the earlier
-    run."""
+    """Return a sentence for each contradiction between a group and its particles of the earlier run."""
     spec = group.spec
     name = group.name
     found = []

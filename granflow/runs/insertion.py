@@ -97,8 +97,7 @@ class ParticleInsertion:
                 )
 
     def class_shares(self) -> Iterator[str]:
-        """Yield a sentence for each group with size classes: inserted particles and mass share of each
-        class."""
+        """Yield a sentence for each group with size classes: particles and mass share of each class."""
         for inserter in self._inserters:
             if isinstance(inserter.group.spec.diameter, ClassSizes):
                 radius = inserter.radius[inserter.is_inserted]

@@ -23,8 +23,9 @@ TakeSnapshot = Callable[[frozenset[str]], Snapshot]
 
 
 class ObserverList(GuardedList[Observer]):
-    """The observers of a run, in the order in which they receive snapshots: those of the scene, then those
-    from Python.
+    """The observers of a run, in the order in which they receive snapshots.
+
+    Those of the scene come first, then those from Python.
 
     `append` and `remove` change the list, also while the simulation runs and from within an observer. A
     checkpoint contains which observers of the scene were removed, and the names of the functions from Python.
@@ -83,8 +84,10 @@ class ObserverList(GuardedList[Observer]):
 
     @property
     def raised(self) -> BaseException | None:
-        """Exception such as SystemExit with which a function from Python ended the program, at a complete
-        state."""
+        """Exception, such as SystemExit, by which a function from Python ended the program.
+
+        The state is complete then.
+        """
         return self._raised
 
     def next_time(self) -> float:
@@ -154,15 +157,16 @@ class ObserverList(GuardedList[Observer]):
         return next((row for row in rows if row is not None and row.time == time), None)
 
     def log_end(self) -> None:
-        """Log a warning for each metric whose last value is not defined or misleading, and one on missing
-        frames."""
+        """Log a warning for each metric whose last value is undefined or misleading.
+
+        One more warning reports missing frames.
+        """
         sentences = [sentence for series in self._series for sentence in series.remarks()]
         for sentence in [*sentences, *self._remark_on_frames()]:
             logging.getLogger("granflow").warning("%s", sentence)
 
     def _remark_on_frames(self) -> list[str]:
-        """A sentence on the frames that another program has deleted or moved since they were written, if
-        any."""
+        """A sentence on frames that another program has deleted or moved since; empty without such frames."""
         found = []
         for series in (observer.series for observer in self._items if isinstance(observer, Frames)):
             if missing := series.missing():

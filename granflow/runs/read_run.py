@@ -77,8 +77,7 @@ class Frames(Sequence[T], Generic[T]):
         return (self._read(*file) for file in self._files)
 
     def at(self, time: float) -> T | None:
-        """The frame nearest to `time` [s], at most half of the interval between frames away; None if there is
-        none.
+        """The frame nearest to `time` [s], at most half of the interval between frames away; else None.
 
         Frames are written at the first step after a multiple of the output interval, such as 0.5000033 s.
         """
@@ -116,8 +115,10 @@ def contact_arrays(mesh: VtuMesh) -> dict[str, np.ndarray]:
 
 
 def cell_arrays(mesh: VtuMesh) -> dict[str, np.ndarray]:
-    """Fields on a grid by name (cells,) or (cells, k), in SI units, with the `position` of the cells (cells,
-    3) [m]."""
+    """Fields on a grid by name (cells,) or (cells, k), in SI units.
+
+    The `position` of the cells (cells, 3) [m] is one of them.
+    """
     corners = [mesh.points[block.data].mean(axis=1) for block in mesh.cells]
     arrays = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()}
     return arrays | {"position": np.concatenate([np.zeros((0, 3)), *corners])}
@@ -161,8 +162,7 @@ class Columns(Mapping[str, np.ndarray]):
         return f"<Columns: {rows} rows of {', '.join(self._arrays)}>"
 
     def part(self, name: str) -> "Columns":
-        """The columns of one flow meter, wall or metric by quantity, with `time` and `stage`; empty without
-        such."""
+        """The columns of a flow meter, wall or metric by quantity, with `time` and `stage`; else empty."""
         found = {key.partition(".")[0]: key for key in self._arrays if key.partition(".")[2] == name}
         keys = {key: key for key in ("time", "stage") if key in self._arrays} | found if found else {}
         return Columns(
@@ -257,8 +257,11 @@ class Run:
 
     @property
     def status(self) -> str:
-        """ "complete", "running", "aborted" (RunError), or "unfinished": stopped before its end, can be
-        resumed."""
+        """State of the run: "complete", "running", "aborted" or "unfinished".
+
+        An aborted run ended with RunError. An unfinished one stopped before its end and can be
+        resumed.
+        """
         if self.is_running:
             return "running"
         if self.result_sections:
@@ -335,14 +338,12 @@ class Run:
 
     @property
     def flow_meters(self) -> dict[str, Columns]:
-        """Time series of each flow meter by name: flow_mass [kg], flow_count, mass_flow [kg/s] over time
-        [s]."""
+        """Time series of each flow meter by name: flow_mass [kg], flow_count, mass_flow [kg/s]."""
         return self._parts(self.scene.output.flow_meters)
 
     @property
     def wall_forces(self) -> dict[str, Columns]:
-        """Time series of each measured wall by name: wall_force_x [N], wall_pressure [Pa], ... over time
-        [s]."""
+        """Time series of each measured wall by name: wall_force_x [N], wall_pressure [Pa], ..."""
         return self._parts(self.scene.measured_walls)
 
     @property
@@ -364,22 +365,27 @@ class Run:
 
     @cached_property
     def contacts(self) -> Frames[Mapping[str, np.ndarray]]:
-        """Contacts at each output time, as mappings from names to arrays (c,) or (c, 3); empty without such
-        files."""
+        """Contacts at each output time, as mappings from names to arrays (c,) or (c, 3).
+
+        Empty if the run wrote no such files.
+        """
         return array_frames(self.directory, "contacts", contact_arrays)
 
     @cached_property
     def fields(self) -> dict[str, Frames[Mapping[str, np.ndarray]]]:
-        """Coarse-grained fields by name: frames of arrays (cells,) or (cells, k), with `position` of the
-        cells [m]."""
+        """Coarse-grained fields by name: frames of arrays (cells,) or (cells, k).
+
+        The `position` of the cells [m] is one of them.
+        """
         stems = sorted(path.stem for path in self.directory.glob("fields_*.pvd"))
         return {
             stem.removeprefix("fields_"): array_frames(self.directory, stem, cell_arrays) for stem in stems
         }
 
     def snapshot(self, index: int = -1) -> Snapshot:
-        """One frame with particles and contacts; `contacts` is None if the run did not write them at its
-        time.
+        """One frame with particles and contacts.
+
+        `contacts` is None if the run did not write them at its time.
 
         `index`: as in `frames`. Raises IndexError if there is no such frame.
         """
@@ -396,8 +402,10 @@ class Run:
         return Snapshot(time, 0, self._stage_at(time), arrays, None, {}, {})
 
     def _stage_at(self, time: float) -> str:
-        """Stage in the last row of the time series at or before `time` [s]; else the first stage; else
-        empty."""
+        """Stage in the last row of the time series at or before `time` [s].
+
+        Otherwise it is the first stage, or empty without stages.
+        """
         first = "" if self.scene_problem else self.scene.schedule[0].name
         if self.series is None:
             return first

@@ -49,8 +49,7 @@ class Expectation(Protocol):
 
 
 class ExpectationResult(NamedTuple):
-    """Result of one expectation: a sentence with the value and its unit, and whether the expectation is
-    satisfied."""
+    """Result of one expectation: a sentence with the value and its unit, and whether it is satisfied."""
 
     sentence: str
     met: bool
@@ -233,8 +232,7 @@ _WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_
 
 
 def closing_table(result: Result, title: str = "Result") -> "Table":
-    """Return the table printed at the end of a run: timings, counts, energies, flow meters, wall forces,
-    insertion."""
+    """Return the table at the end of a run: timings, counts, energies, meters, wall forces, insertion."""
     from rich.table import Table
     from rich.text import Text
 
@@ -362,8 +360,10 @@ def _compare_equal(number: float, target: float, tolerance: float, unit: str) ->
 
 
 def _unknown(name: str, numbers: Mapping[str, float]) -> str:
-    """Return a sentence for a quantity that the run lacks, with at most three similar names, or else with all
-    names."""
+    """Return a sentence for a quantity that the run lacks.
+
+    It lists at most three similar names, or else all names.
+    """
     suggestions = difflib.get_close_matches(name, numbers, n=3)
     if suggestions:
         return f"{name} is not a number of this run. Did you mean {' or '.join(suggestions)}?"

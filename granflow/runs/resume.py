@@ -74,8 +74,7 @@ class Change:
 
 
 def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_changes: bool) -> Change:
-    """Check the checkpoint and return the differences between its scene and the present one, whose plan is
-    `plan`.
+    """Check the checkpoint and return the differences of its scene from the present one, of this plan.
 
     `allow_changes`: accept differences in keys that must normally not change when a run continues.
 
@@ -192,8 +191,7 @@ def _change_remainders(particles: dict[str, Any], plan: Plan) -> None:
 
 
 def _refuse_past_end(checkpoint: Checkpoint, scene: Scene, change: Change) -> None:
-    """Raise GranflowError if `scene` changes the duration of the present stage to one that it has already
-    exceeded."""
+    """Raise GranflowError if `scene` changes the duration of the present stage to one already exceeded."""
     stage_times = checkpoint.saved["stage_progress"]["stage_times"]
     index, (name, (began, _)) = len(stage_times) - 1, list(stage_times.items())[-1]
     keys = ("run.duration", f"stages.{index}.duration", f"stages.{index}.max_duration")
@@ -208,8 +206,7 @@ def _refuse_past_end(checkpoint: Checkpoint, scene: Scene, change: Change) -> No
 
 
 def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
-    """Raise GranflowError for the first number or feature of the plan that differs from that of the
-    checkpoint."""
+    """Raise GranflowError for the first number or feature of the plan that is not as in the checkpoint."""
     for name, before in checkpoint.saved["plan"].items():
         now = plan_fingerprint(plan)[name]
         if now != before and name == "mesh_digest":

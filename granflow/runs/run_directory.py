@@ -161,8 +161,7 @@ class RunDirectory:
                 self._recorded = []
 
     def _clean(self, path: Path, observers: Iterable[Checkpointable]) -> None:
-        """Remove temporary files, newer checkpoints and results after the resumed state; write the input
-        files."""
+        """Remove temporary files, and all that is newer than the resumed state; write the input files."""
         remove_parts(path)
         remove_after(path, self._resumed.path if self._resumed else None)
         copy_inputs(path, self._inputs)
@@ -184,14 +183,15 @@ class RunDirectory:
 
     @property
     def next_checkpoint(self) -> float:
-        """Simulated time [s] of the next scheduled checkpoint, regardless of the wall clock; infinite
-        without."""
+        """Simulated time [s] of the next scheduled checkpoint; infinite without a schedule.
+
+        The wall clock has no effect on it.
+        """
         return inf if self._checkpoints is None else self._checkpoints.next_time()
 
     @property
     def checkpoint_time(self) -> float | None:
-        """Simulated time of the last checkpoint [s], initially that of the resumed one; None without a
-        checkpoint."""
+        """Simulated time of the last checkpoint [s], initially that of the resumed one; else None."""
         written = self._checkpoints.last_time if self._checkpoints is not None else None
         return self._resumed.time if written is None and self._resumed is not None else written
 
@@ -238,8 +238,7 @@ class RunDirectory:
         return True
 
     def write(self, result: Result) -> Result:
-        """Write the result of the run with all its warnings, after all frames; return it with the
-        warnings."""
+        """Write the result of the run, after all frames; return it with all warnings of the run."""
         self.writer.wait()
         result = replace(result, warnings=tuple(self.warnings))
         if self.path is not None:
@@ -248,8 +247,7 @@ class RunDirectory:
         return result
 
     def note_on_state(self, written: bool, change: str) -> str:
-        """Return sentences for an aborted run: whether its state is `written`, and the command that
-        continues.
+        """Return sentences on an aborted run: whether its state is `written`, and how to continue it.
 
         `change`: KEY=VALUE that lets it continue past the abort; empty if no change of a permitted key is
         known to. Without a checkpoint, as after an abort before the first step, the command runs the scene
@@ -275,8 +273,10 @@ class RunDirectory:
         )
 
     def _note_without_checkpoint(self, written: bool, change: str) -> str:
-        """As `note_on_state` for a run without a checkpoint; the command contains the overrides of the first
-        one."""
+        """As `note_on_state` for a run without a checkpoint.
+
+        The command contains the overrides of the first one.
+        """
         shown = self.shown
         assert shown is not None
         note = f" {shown} contains a frame of this state, but no checkpoint: the run cannot continue from it."
@@ -331,8 +331,9 @@ class RunDirectory:
         return f"granflow resume {shlex.quote(str(directory))}"
 
     def _rescue(self, save_kept: Callable[[float | None], None]) -> str:
-        """Write a checkpoint of the state kept last where the files of the run are now; return a sentence on
-        it.
+        """Write a checkpoint of the state kept last where the files of the run are now.
+
+        Returns a sentence on it.
 
         Without the directory, the checkpoint is written to its path, or beside it if that is taken.
         """
@@ -367,8 +368,10 @@ class RunDirectory:
 
 
 def _refuse_special_files(path: Path) -> None:
-    """Raise GranflowError if a resumed run would append to a directory, a pipe or a device: a pipe blocks
-    forever."""
+    """Raise GranflowError if a resumed run would append to a directory, a pipe or a device.
+
+    A pipe would block forever.
+    """
     for file in (path / name for name in CONTINUED):
         if file.exists() and not file.is_file():
             raise GranflowError(
@@ -429,8 +432,7 @@ class CheckpointWriter:
 
 
 def copy_inputs(directory: Path, inputs: Iterable[tuple[Path, str]]) -> None:
-    """Copy meshes, tables of motions and particle files to the paths that the resolved scene in the directory
-    contains.
+    """Copy meshes, tables of motions and particle files to their paths in the resolved scene.
 
     A different file at that path is not overwritten: `.before` is appended to its name. Subdirectories are
     created. `inputs`: as from `inputs_of`. Raises OSError if a file cannot be copied.
@@ -506,8 +508,9 @@ PREVIOUS, MOVING, DISCARDED = "previous_run", ".previous_run.part", ".discarded_
 
 @contextmanager
 def replaced_run(directory: Path) -> Iterator[Callable[[], None]]:
-    """Move the results in the directory away; yield a function that deletes them, to be called after the
-    first frame.
+    """Move the results in the directory away; yield a function that deletes them.
+
+    It is called after the first frame.
 
     If the block raises before that call, the results move back and those of the new run are deleted.
     """

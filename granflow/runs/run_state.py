@@ -95,8 +95,9 @@ class RunState:
         self._walls_changed = False
 
     def begin(self) -> None:
-        """Begin the first stage, unless this is done: contacts and forces of the initial state are known from
-        then on.
+        """Begin the first stage, unless this is done.
+
+        From then on, contacts and forces of the initial state are known.
 
         The observers receive the initial state when the run begins, until which `is_unobserved` is True.
         """

@@ -137,8 +137,7 @@ class RunSession:
                 self._open.__exit__(*sys.exc_info())
 
     def abandon(self) -> None:
-        """During the handling of an exception of a script, write a checkpoint if possible and close the
-        files."""
+        """While an exception of a script is handled, write a checkpoint if possible and close the files."""
         self._save_if_possible()
         self._abandon()
 

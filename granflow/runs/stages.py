@@ -104,8 +104,10 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
 def _sentence(
     motion: ControlledMotion, stage: str, time: float, force: float, is_untouched: bool, area: float | None
 ) -> str:
-    """The warning; `force` [N]: at the end; `is_untouched`: no force in all samples; `area` [m2]: of the
-    wall."""
+    """The warning on a servo that is off its target.
+
+    `force` [N]: at the end; `is_untouched`: no force in all samples; `area` [m2]: of the wall.
+    """
     reached = f"{force:.3g} N"
     target = f"{motion.force:.3g} N"
     if area:
@@ -235,8 +237,7 @@ stiff contacts, with accelerations of single particles above gravity, do not del
 
 
 def warn_without_rest(stage: PlannedStage, engine: Engine, insertion_is_done: bool) -> None:
-    """Warn that the particles are not at rest at the end of the longest duration of a stage that requires
-    it."""
+    """Warn that a stage that requires rest ended at its longest duration without it."""
     if stage.kinetic_energy_below is None:
         return
     state = engine.rest_state()

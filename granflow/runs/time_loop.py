@@ -38,8 +38,9 @@ FIRST_PARTICLE_STEPS = 50_000.0
 
 
 class TimeLoop:
-    """Advances a run through its stages and, on request, beyond the last one, whose walls and observers
-    remain.
+    """Advances a run through its stages and, on request, beyond the last one.
+
+    The walls and observers of the last stage remain.
 
     `state`: of the run; `files`: its output directory. `stop_requested`: exception that ends the run after
     the present steps, or None.
@@ -69,8 +70,9 @@ class TimeLoop:
         return next(stage for stage in self.engine.plan.stages if stage.name == name)
 
     def run(self, end: float, within_stages: bool = False) -> None:
-        """Run the stages that have not ended, to their ends or to `end` [s]; the first one begins in any
-        case.
+        """Run the stages that have not ended, to their ends or to `end` [s].
+
+        The first one begins in any case.
 
         A finite `end` after that of the last stage is reached too, unless `within_stages`.
 
@@ -260,8 +262,9 @@ class TimeLoop:
                 self.last_good.keep_if_due()
 
     def save(self) -> None:
-        """Write a checkpoint with the changes from Python, after the begin of the run; nothing without a
-        directory.
+        """Write a checkpoint with the changes from Python, after the begin of the run.
+
+        Without a directory it does nothing.
 
         After an abort, it contains the last good state.
         """
@@ -292,8 +295,7 @@ class TimeLoop:
             self.files.save(kept.time, kept.step, kept.state_dict)
 
     def _abort_if_diagnosed(self) -> None:
-        """After an abort, write the present state if all its numbers are finite, and the last good one as a
-        checkpoint.
+        """After an abort, write the present state if it is finite, and the last good one as a checkpoint.
 
         Raises RunError with the diagnosis and the command that continues.
         """
@@ -327,8 +329,10 @@ class TimeLoop:
         return result
 
     def result(self) -> Result:
-        """Numbers of the run so far, with expectations if all stages have ended; the run continues as without
-        it."""
+        """Numbers of the run so far, with expectations if all stages have ended.
+
+        The run continues as without it.
+        """
         state = self.state
         totals = self.engine.snapshot(state.progress.stage, frozenset({TOTALS})).totals
         readings = {**state.observers.readings(), "insertion": state.insertion.results()}
@@ -346,8 +350,7 @@ meters."""
 
 
 def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meters: float) -> str | None:
-    """Sentence on the particles that left the domain, with the face through which most of them did; None if
-    expected.
+    """Sentence on the particles that left the domain, and through which face most did; else None.
 
     With outlets, no other exit is expected. Without, particles can leave downward, as from a hopper, and as
     many as pass flow meters can leave anywhere.
