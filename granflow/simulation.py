@@ -386,7 +386,7 @@ class Simulation:
         """One line: title, simulated time [s], steps, stage."""
         stage = f", stage {self.stage}" if self.stage else ""
         state = f"{self.time:.4g} s, step {self.step_count}{stage}"
-        return f'<Simulation "{visible_line(self.plan.title)}": {state}>'
+        return f'<Simulation "{visible_line(self.plan.scene.title)}": {state}>'
 
     def _repr_html_(self) -> str:
         """Table for notebooks: progress, contents, and the directory of the files."""
@@ -401,7 +401,7 @@ class Simulation:
             ("forces", ", ".join(force.name for force in self.forces) or "none"),
             ("files", str(self.files.shown or "none")),
         ]
-        return html_table(self.plan.title, rows)
+        return html_table(self.plan.scene.title, rows)
 
 
 # What precedes a run: refusals, its checkpoint, its plan with changes from Python, its particles, its engine

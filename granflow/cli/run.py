@@ -98,7 +98,7 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
 
         # After the checks of scene and directory, because its import of Taichi takes most of the time.
         simulation = simulation_of(scene, options, out, communicator, overwrite=options.overwrite)
-        simulation.warnings.extend(restitution_warnings(scene, simulation.plan))
+        simulation.warnings.extend(restitution_warnings(simulation.plan))
     with locked(out):
         # Another process may have used the directory in the meantime.
         printed += prepare_output(out, scene, options.overwrite)
@@ -544,7 +544,7 @@ def check(options: argparse.Namespace) -> int:
         refuse_too_many(plan)
     refuse_run_time(plan, options.allow_long)
     found = [*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])]
-    found += restitution_warnings(scene, plan)
+    found += restitution_warnings(plan)
     for note in plan.mesh_notes:
         if not note.warning:
             say(f"walls.{note.wall}: {note.sentence}.")
@@ -552,7 +552,7 @@ def check(options: argparse.Namespace) -> int:
         return say_checked(options.scene, found, ", but the packing of the particles was not checked")
     particles = initial_particles(scene, particles_from_run(scene))
     refuse_initial_overlaps(scene, particles)
-    found += particle_warnings(scene, plan, particles)
+    found += particle_warnings(plan, particles)
     inserters(scene)
     return say_checked(options.scene, found)
 
@@ -581,11 +581,11 @@ def say_checked(path: Path, warnings: Sequence[str], remark: str = "") -> int:
     return 0
 
 
-def restitution_warnings(scene: "Scene", plan: "Plan") -> list[str]:
+def restitution_warnings(plan: "Plan") -> list[str]:
     """Sentences on restitutions that the time step does not reproduce."""
     from granflow.studies.restitution import warnings
 
-    return warnings(scene, plan)
+    return warnings(plan)
 
 
 # explain

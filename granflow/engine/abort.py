@@ -167,9 +167,10 @@ def _limit_for_initial(overlap: float) -> float:
 def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Overlap above `numerics.max_overlap`."""
     pair = diagnosis.pair
+    max_overlap = plan.scene.numerics.max_overlap
     if pair is None:
-        return f"{diagnosis.body} at {time:.6g} s overlaps by more than {plan.max_overlap:g} of its radius."
-    limit = f"numerics.max_overlap {plan.max_overlap:g}"
+        return f"{diagnosis.body} at {time:.6g} s overlaps by more than {max_overlap:g} of its radius."
+    limit = f"numerics.max_overlap {max_overlap:g}"
     description = (
         f"{pair.first} at {time:.6g} s overlaps with {pair.second} by {pair.overlap:.3g} times the smaller "
         f"radius, more than {limit}."
@@ -240,7 +241,8 @@ def _force(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Contact force above the range of the sums."""
     description = (
         f"the contact force on {diagnosis.body} at {time:.6g} s is above {plan.sum_units.largest_force:.3g} "
-        f"N, more than 30 times the force at the overlap limit numerics.max_overlap {plan.max_overlap:g}."
+        "N, more than 30 times the force at the overlap limit numerics.max_overlap "
+        f"{plan.scene.numerics.max_overlap:g}."
     )
     if diagnosis.pair is None:
         return _advice(
@@ -286,7 +288,7 @@ def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Position that is not a number."""
     description = f"the position of {diagnosis.body} at {time:.6g} s is not a number."
     if diagnosis.pair is None:
-        better = "" if plan.precision == "f64" else ", or use precision f64"
+        better = "" if plan.scene.run.precision == "f64" else ", or use precision f64"
         return f"{description} It has no contacts: check its initial velocity and angular_velocity{better}."
     cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
         diagnosis.time_step, "Likely cause: the time step is too long for this contact"
@@ -296,7 +298,7 @@ def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Particle outside a domain with `on_exit: error`."""
-    where = plan.sources["domain.on_exit"]
+    where = plan.scene.where("domain", "on_exit")
     name, _, rest = str(diagnosis.body).partition(" (")
     x, y, z = diagnosis.body.position or (0.0, 0.0, 0.0)
     return (
@@ -308,7 +310,7 @@ def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Position that the precision does not resolve."""
-    precision = plan.precision
+    precision = plan.scene.run.precision
     position = diagnosis.body.position or (0.0, 0.0, 0.0)
     farthest = max(map(abs, position))
     better = " Use --precision mixed, or" if precision == "f32" else " Use"
@@ -415,7 +417,10 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
 def _impact(touching: TouchingPair, plan: Plan, velocity: float, largest: float) -> str:
     """Cause and remedy of an impact at `velocity` [m/s], which reaches the overlap over radius `largest`."""
     remedy = _moduli(
-        touching, plan, lambda pair: impact_overlap(plan.laws, pair, velocity, plan.max_overlap), largest
+        touching,
+        plan,
+        lambda pair: impact_overlap(plan.laws, pair, velocity, plan.scene.numerics.max_overlap),
+        largest,
     )
     cause = (
         f"This overlap results from an impact at {velocity:.3g} m/s, which reaches {largest:.3g} of the "
@@ -501,12 +506,12 @@ def _moduli(
 
     `expected`: overlap over the radius without a change.
     """
-    factor = modulus_factor(touching, overlap, plan.max_overlap)
+    factor = modulus_factor(touching, overlap, plan.scene.numerics.max_overlap)
     if factor is None:
         first = without_modulus(touching, overlap)
     else:
         first = modulus_text(required_moduli(plan.solids, touching.materials, max(factor, 1.0)))
-    needed = float(f"{LIMIT_MARGIN * max(expected, plan.max_overlap) + 0.005:.2f}")
+    needed = float(f"{LIMIT_MARGIN * max(expected, plan.scene.numerics.max_overlap) + 0.005:.2f}")
     accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
     return first + (accept if needed <= LARGEST_OVERLAP else "")
 
@@ -732,7 +737,7 @@ def _weight_pressure(plan: Plan, arrays: dict[str, np.ndarray]) -> float:
 
     The section of the bed is that of its bounding box across gravity; 0 without gravity or mobile particles.
     """
-    gravity = np.array(plan.gravity)
+    gravity = np.array(plan.scene.gravity)
     mobile = (mobility_mask(arrays) > 0.0) & (arrays["mass"] > TINY_MASS)
     magnitude = float(np.linalg.norm(gravity))
     if not magnitude or not mobile.any():

@@ -110,7 +110,7 @@ class Engine:
         self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in plan.outlets})
         self.stability_monitor = StabilityMonitor(plan)
         self.steps_since_update = 0
-        self._gravity = np.array(plan.gravity)
+        self._gravity = np.array(plan.scene.gravity)
         self._walls_changed = False
         self._stage = plan.stages[0].name
         self._walls_appeared = list[str]()

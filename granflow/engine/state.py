@@ -383,7 +383,7 @@ class Walls:
             if isinstance(wall.shape, Shape):
                 self.parameters[index] = wall.shape.parameters.tolist()
             if self.impulse_row is not None:
-                measured = plan.measured_walls
+                measured = plan.scene.measured_walls
                 self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
         self.fill_joints(plan)
 

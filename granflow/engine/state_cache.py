@@ -123,4 +123,4 @@ def _free_excess() -> None:
 
 def _size(state: State) -> int:
     """Device memory [bytes]."""
-    return estimate_memory(state.plan, state.plan.precision).total
+    return estimate_memory(state.plan, state.plan.scene.run.precision).total

@@ -340,8 +340,8 @@ class GpuStepper(Stepper):
         plan = self.state.plan
         state = self.state
         free = free_device_memory(state.backend.arch)
-        grown = estimate_memory(plan, plan.precision, capacities).total
-        present = estimate_memory(plan, plan.precision, state.capacities).total
+        grown = estimate_memory(plan, plan.scene.run.precision, capacities).total
+        present = estimate_memory(plan, plan.scene.run.precision, state.capacities).total
         refuse_growth(
             plan, capacities, None if free is None else free + present, state.backend.largest_buffer
         )

@@ -561,10 +561,10 @@ def account_deleted(state: State, accounting: Accounting, arrays: Mapping[str, n
     position = of_clumps(arrays)["position"].astype(float)
     outlet_index = _outlets_of(state.plan, position)
     left_domain = outlet_index < 0
-    if state.plan.domain.on_exit == "error" and left_domain.any():
+    if state.plan.scene.domain.on_exit == "error" and left_domain.any():
         state.control.abort[0] = ABORT_LEFT_DOMAIN
         state.control.abort_particle[0] = int(arrays["id"][left_domain].min())
-    accounting.delete(arrays, outlet_index, np.array(state.plan.gravity))
+    accounting.delete(arrays, outlet_index, np.array(state.plan.scene.gravity))
     accounting.count_exits(_exit_faces(state.plan, position[left_domain]))
 
 
@@ -576,7 +576,7 @@ def _exit_faces(plan: Plan, position: np.ndarray) -> np.ndarray:
 
 def _outlets_of(plan: Plan, position: np.ndarray) -> np.ndarray:
     """Index of the outlet (n,) that deletes each particle at a position (n, 3) [m], -1 for none."""
-    checked_axes = [axis for axis in range(3) if plan.domain.on_exit != "expand"]
+    checked_axes = [axis for axis in range(3) if plan.scene.domain.on_exit != "expand"]
     low, high = plan.domain_low[checked_axes], plan.domain_high[checked_axes]
     in_domain = np.all((position[:, checked_axes] >= low) & (position[:, checked_axes] <= high), axis=1)
     return outlet_of(plan.outlets, position, in_domain)
@@ -603,7 +603,7 @@ class StabilityMonitor:
         self.plan = plan
         self.warnings: dict[str, str] = {}
         self._fastest = plan.velocity_max
-        self._rounding = ROUNDING[plan.precision]
+        self._rounding = ROUNDING[plan.scene.run.precision]
         self._initial_energy = 0.0
         self._above_since: float | None = None
         self._enabled = not plan.features.energy_budget and _conserves_energy(plan)
@@ -716,7 +716,7 @@ def _conserves_energy(plan: Plan) -> bool:
     """True if only inserted particles can increase the energy."""
     walls_static = all(wall.is_permanent for wall in plan.walls)
     # Gravity along a periodic axis accelerates particles without limit.
-    has_other_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)
+    has_other_work = any(plan.scene.gravity[axis] for axis in plan.periodic_box.axes)
     has_other_work = has_other_work or plan.features.lees_edwards
     has_other_work = has_other_work or plan.features.external_forces
     return walls_static and not has_other_work and not plan.features.moving_walls and not plan.laws.attracts

@@ -435,4 +435,6 @@ def wall_impulses(state: State) -> dict[str, np.ndarray]:
     sums = state.ranks.total(state.control.impulses.to_numpy())
     units = state.plan.sum_units
     unit = np.array([units.impulse] * 3 + [units.angular_impulse] * 3 + [units.impulse])
-    return {name: exact_totals(sums[:, row], unit) for row, name in enumerate(state.plan.measured_walls)}
+    return {
+        name: exact_totals(sums[:, row], unit) for row, name in enumerate(state.plan.scene.measured_walls)
+    }

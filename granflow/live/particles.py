@@ -618,7 +618,7 @@ def array_of(name: str, given: object, count: int, width: int | None) -> np.ndar
 
 def in_domain(plan: Plan, name: str, position: np.ndarray) -> None:
     """Positions (n, 3) [m] must be inside the domain, unless it expands."""
-    if plan.domain.on_exit == "expand":
+    if plan.scene.domain.on_exit == "expand":
         return
     outside = np.any((position < plan.domain_low) | (position > plan.domain_high), axis=1)
     if outside.any():

@@ -95,7 +95,7 @@ class LiveWall:
                 f"walls[{self.name!r}] was removed at {wall.vanishes_at:.6g} s: it cannot move."
             )
         (present,) = wall_motions([wall.motions], state.progress.stage_times)
-        planned = [each.given for each in planned_motions(motions, state.plan.gravity)]
+        planned = [each.given for each in planned_motions(motions, state.plan.scene.gravity)]
         begun = [replace(each, start=max(each.start, time)) for each in planned]
         state.change_walls(with_motions(state.plan, self.name, begun, time, present))
 

@@ -44,10 +44,16 @@ def observers_for(
     Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`,
     collisions.
     """
-    output = plan.output
+    output = plan.scene.output
     observers: list[Observer] = []
     has_conditions = any(stage.until for stage in plan.stages)
-    if out_dir is not None or output.flow_meters or output.metrics or plan.measured_walls or has_conditions:
+    if (
+        out_dir is not None
+        or output.flow_meters
+        or output.metrics
+        or plan.scene.measured_walls
+        or has_conditions
+    ):
         observers.append(time_series_for(plan, out_dir))
     if out_dir is not None and output.particles:
         observers.append(
@@ -94,9 +100,9 @@ def observers_for(
 
 def _max_coordinate(plan: Plan) -> float | None:
     """Return the largest absolute coordinate of the domain [m]; None if the domain expands."""
-    if plan.domain.on_exit == "expand":
+    if plan.scene.domain.on_exit == "expand":
         return None
-    return float(np.abs([plan.domain.min, plan.domain.max]).max())
+    return float(np.abs([plan.scene.domain.min, plan.scene.domain.max]).max())
 
 
 def _history_units(plan: Plan) -> dict[str, str]:
@@ -127,12 +133,12 @@ def time_series_for(plan: Plan, out_dir: Path | None) -> TimeSeries:
             plan.periodic_box,
             meter.sides,
             meter.group_by,
-            plan.flow_meter_parts[name],
+            plan.scene.flow_meter_parts(name),
         )
-        for name, meter in plan.output.flow_meters.items()
+        for name, meter in plan.scene.output.flow_meters.items()
     }
     wall_forces = {name: WallForceMeter(name, area) for name, area in plan.measured_areas.items()}
-    interval = plan.output.timeseries_interval or plan.output.interval
+    interval = plan.scene.output.timeseries_interval or plan.scene.output.interval
     return TimeSeries(out_dir, interval, flow_meters, wall_forces=wall_forces, metrics=metric_meters(plan))
 
 
@@ -144,18 +150,18 @@ def field_frames(
     `writer`: see `observers_for`; `spec`: entry of `output.fields`. With `width: auto`, the kernel width is
     half the largest diameter [m].
     """
-    grid = grid_for(plan.domain, spec)
+    grid = grid_for(plan.scene.domain, spec)
     width = plan.radius_max if spec.width == "auto" else spec.width
     return FieldFrames(
         out_dir,
         name,
-        spec.interval or plan.output.interval,
+        spec.interval or plan.scene.output.interval,
         grid,
         GaussianKernel(width, spec.cutoff),
         spec.quantities,
         spec.stages or (),
         writer,
-        plan.output.compression,
+        plan.scene.output.compression,
     )
 
 

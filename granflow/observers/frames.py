@@ -188,7 +188,7 @@ def _write_piece(engine: "Engine", rank: int, directory: Path, frame: str, reach
         reach = ranks.largest(np.abs(particles["position"]).max(initial=0.0))
     mesh = particle_mesh(particles, reach, radius_min)
     path = piece_path(directory, frame, rank)
-    write_vtu(path, mesh, engine.plan.output.compression)
+    write_vtu(path, mesh, engine.plan.scene.output.compression)
     return Piece.of(path.name, mesh)
 
 

@@ -127,7 +127,7 @@ NEEDS_CONTACTS = frozenset({CONTACTS})
 
 def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
     """Return a meter for each metric of the plan, by its name in `output.metrics`."""
-    return {name: _metric_meter(plan, spec) for name, spec in plan.output.metrics.items()}
+    return {name: _metric_meter(plan, spec) for name, spec in plan.scene.output.metrics.items()}
 
 
 def _metric_meter(plan: Plan, spec: AnyMetric) -> MetricMeter:
@@ -205,7 +205,7 @@ def dropped_share(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid,
 
 def _lacey_meter(plan: Plan, spec: LaceyMetric) -> MetricMeter:
     """Return a meter of the Lacey index, with a remark if it excludes more than DROPPED_SHARE of a kind."""
-    grid = grid_for(plan.domain, spec)
+    grid = grid_for(plan.scene.domain, spec)
     is_kind_a = _first_component(plan, spec)
     dropped = 0.0
 
@@ -287,7 +287,7 @@ def random_intensity(
 
 def _segregation_meter(plan: Plan, spec: SegregationMetric) -> MetricMeter:
     """Return a meter of the intensity of segregation."""
-    grid = grid_for(plan.domain, spec)
+    grid = grid_for(plan.scene.domain, spec)
     is_kind_a = _first_component(plan, spec)
 
     def measure(snapshot: Snapshot) -> dict[str, float]:
@@ -343,7 +343,7 @@ def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
     Particles with fewer than MIN_CONTACTS contacts are not part of the heap: one that rolls away on the floor
     has one.
     """
-    upwards = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
+    upwards = -np.array(plan.scene.gravity) / np.linalg.norm(plan.scene.gravity)
     frame = frame_along(upwards)
     edge = COLUMN_WIDTH * 2.0 * plan.radius_max
     axis = None if spec.axis is None else (frame @ np.array(spec.axis))[:2]

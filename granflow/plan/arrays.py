@@ -263,7 +263,7 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     yield _scalar("saved_capacity", "i32", capacities.saved_entries_per_segment)
     yield _scalar("cell_capacity", "i32", plan.cell_capacity)
     yield _scalar("travel_limit_squared", "real", plan.travel_limit**2)
-    yield _scalar("max_overlap", "real", plan.max_overlap)
+    yield _scalar("max_overlap", "real", plan.scene.numerics.max_overlap)
     yield _scalar("longest_time_step", "real", plan.longest_time_step)
     yield _scalar("wall_displacement_limit", "real", plan.wall_displacement_limit)
     yield _scalar("wall_travel_limit", "real", plan.wall_travel_limit)
@@ -273,7 +273,7 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     yield from _of_sums(plan)
     if plan.features.liquid_transfer:
         yield _scalar("liquid_unit", "f64", plan.liquid_unit)
-    yield _vector("gravity", "f64", plan.gravity)
+    yield _vector("gravity", "f64", plan.scene.gravity)
     yield _vector("box_width", "position", plan.periodic_box.width)
     yield _vector("domain_low", "position", plan.domain_low)
     yield _vector("domain_high", "position", plan.domain_high)
@@ -299,7 +299,7 @@ def _of_sums(plan: Plan) -> Iterator[Parameter]:
     shift:     3/2 unit / eps of forces and torques, see `engine.sums.build_to_grid`
     """
     units = np.array(astuple(plan.sum_units))
-    eps = np.finfo(np.float64 if plan.precision == "f64" else np.float32).eps
+    eps = np.finfo(np.float64 if plan.scene.run.precision == "f64" else np.float32).eps
     per_unit = 1.0 / units
     per_unit[UNIT_ENERGY] /= 2.0**CARRY_BITS
     yield _vector("per_unit", "real", per_unit)
@@ -337,13 +337,13 @@ def structure_of(plan: Plan) -> Hashable:
     functions and names of parameters.
     """
     return (
-        plan.precision,
+        plan.scene.run.precision,
         plan.features,
         plan.laws.structure,
         plan.external_forces,
         plan.periodic_box.axes,
         _shear_axes(plan),
-        plan.domain.on_exit == "expand",
+        plan.scene.domain.on_exit == "expand",
         plan.chunk_size == 1,
         plan.has_ghosts,
         frozenset(surface_code(wall.shape) for wall in plan.walls),

@@ -44,7 +44,6 @@ from granflow.plan.pairs import (
     solid,
 )
 from granflow.plan.plan import Plan
-from granflow.plan.settings import settings_of
 from granflow.plan.stages import planned_damping, planned_stages, refuse_unresolved_drag
 from granflow.plan.time_step import (
     AdaptiveTimeStep,
@@ -78,7 +77,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         plan = _plan_without_forecasts(scene, on_gpu)
     except SceneError as error:  # errors of time step and velocities can result from a wrong unit of a length
         raise SceneError([*size_problems(scene), *error.problems]) from None
-    return replace(plan, forecasts=tuple(forecasts_of(scene, plan)))
+    return replace(plan, forecasts=tuple(forecasts_of(plan)))
 
 
 def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
@@ -115,23 +114,11 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     has_chunks = law.branch_free and not on_gpu
 
     plan = Plan(
-        title=scene.title,
-        path=str(scene.path) if scene.path.name else "",
-        remarks=scene.remarks,
-        settings=settings_of(scene),
-        sources=_sources(scene),
-        precision=scene.run.precision,
-        domain=scene.domain,
+        scene=scene,
         periodic_box=periodic_box,
-        gravity=scene.gravity,
-        max_overlap=scene.numerics.max_overlap,
         stages=planned_stages(scene),
         damping=planned_damping(scene.damping),
         outlets=planned_outlets(scene.outlets),
-        output=scene.output,
-        flow_meter_parts={name: scene.flow_meter_parts(name) for name in scene.output.flow_meters},
-        measured_walls=scene.measured_walls,
-        expectations=scene.expect,
         features=features,
         reasons=reasons,
         groups=groups,
@@ -156,26 +143,9 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
         controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
         mesh_notes=_mesh_notes(scene, walls, 2.0 * radius_min),
     )
-    _refuse_fast(scene, plan, speeds)
-    _refuse_collision_energies(scene, plan)
+    _refuse_fast(plan, speeds)
+    _refuse_collision_energies(plan)
     return plan
-
-
-def _sources(scene: Scene) -> dict[str, str]:
-    """Positions in the scene file for messages: of the key that sets the number of steps, given numerics,
-    `on_exit`."""
-    if not isinstance(scene.run.time_step, str):
-        steps = scene.locate("run", "time_step")
-    elif scene.stages:
-        steps = scene.locate("stages")
-    else:
-        steps = scene.locate("run", "duration")
-    sources = {"steps": steps, "domain.on_exit": scene.where("domain", "on_exit")}
-    if scene.numerics.skin != "auto":
-        sources["numerics.skin"] = scene.where("numerics", "skin")
-    if scene.is_given("numerics", "max_overlap"):
-        sources["numerics.max_overlap"] = scene.where("numerics", "max_overlap")
-    return sources
 
 
 def _used_materials(scene: Scene) -> tuple[str, ...]:
@@ -290,9 +260,10 @@ def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: f
     refuse_infinite_rotations(scene, walls)
 
 
-def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> None:
+def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
     """Raise SceneError for velocities [m/s] at which contacts can be missed from the start, and for a fast
     decay."""
+    scene = plan.scene
     step = plan.longest_time_step
     refuse_unresolved_drag(scene, step)
     refuse_fast_start(scene, initial_speeds(scene.particles), plan.time_step, plan.radius_min)
@@ -310,8 +281,9 @@ def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> 
     refuse_fast_images(scene, plan.image_speed, step, limit, share)
 
 
-def _refuse_collision_energies(scene: Scene, plan: Plan) -> None:
+def _refuse_collision_energies(plan: Plan) -> None:
     """Raise SceneError for collision energies of contacts without a history, whose begin is not known."""
+    scene = plan.scene
     if plan.features.collision_energies and not plan.history:
         raise SceneError(
             f"{scene.locate('output', 'collision_energies')}: output.collision_energies needs a contact "

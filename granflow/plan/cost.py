@@ -86,7 +86,7 @@ def largest_block(plan: Plan, capacities: Capacities) -> int:
         *sum_arrays(plan),
     ]
     blocks = groupby(arrays, key=lambda array: array.block or array.name)
-    return max(sum(array.size(plan.precision) for array in block) for _, block in blocks)
+    return max(sum(array.size(plan.scene.run.precision) for array in block) for _, block in blocks)
 
 
 # The memory of a run on a CPU.
@@ -105,7 +105,7 @@ def required_memory(plan: Plan) -> int:
     Sum of device fields, frames on the host (HOST_PER_PARTICLE) and compiler (RUNTIME).
     """
     host = HOST_PER_PARTICLE * plan.particle_capacity
-    return estimate_memory(plan, plan.precision).total + host + RUNTIME
+    return estimate_memory(plan, plan.scene.run.precision).total + host + RUNTIME
 
 
 def fits(plan: Plan) -> bool:
@@ -152,7 +152,7 @@ def _remedies(plan: Plan, needed: int, available: int) -> str:
     count_remedy = "free memory"
     if fitting_count:
         count_remedy = f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}"
-    precision_remedy = ", set run.precision to mixed" if plan.precision == "f64" else ""
+    precision_remedy = ", set run.precision to mixed" if plan.scene.run.precision == "f64" else ""
     return f"{count_remedy}{precision_remedy}, or use a machine with more memory"
 
 
@@ -185,7 +185,7 @@ def refuse_without_device_memory(plan: Plan, free: int | None, largest_buffer: i
 
     free, largest_buffer:  [bytes]; None if unknown
     """
-    total = estimate_memory(plan, plan.precision).total
+    total = estimate_memory(plan, plan.scene.run.precision).total
     longest = largest_block(plan, plan.capacities)
     if free is not None and total > free:
         excess = f"on the GPU, but only {free / 1e9:.3g} GB are free"
@@ -200,7 +200,7 @@ def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_
 
     available, largest_buffer:  [bytes], those of the present fields included; None if unknown
     """
-    total = estimate_memory(plan, plan.precision, grown).total
+    total = estimate_memory(plan, plan.scene.run.precision, grown).total
     longest = largest_block(plan, grown)
     exceeds_memory = available is not None and total > available
     exceeds_buffer = largest_buffer is not None and longest > largest_buffer
@@ -215,7 +215,7 @@ def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_
 def _too_large(plan: Plan, needed: int, available: int, excess: str) -> SceneError:
     """The error for `needed` above `available` [bytes], with the number of particles that fits."""
     count = float(f"{plan.particle_capacity * WARNED_SHARE * available / needed:.2g}")
-    remedy = " or set run.precision to mixed" if plan.precision == "f64" else ""
+    remedy = " or set run.precision to mixed" if plan.scene.run.precision == "f64" else ""
     return SceneError(
         f"{_location(plan)}: {plan.particle_capacity} particles need about {needed / 1e9:.3g} GB {excess}: "
         f"lower the count to about {count:.0f}{remedy}."
@@ -300,7 +300,7 @@ def duration_of(plan: Plan) -> float:
 
 def _writes(plan: Plan) -> float:
     """Number of frames, rows and checkpoints at intervals of simulated time: at most one of each per step."""
-    output = plan.output
+    output = plan.scene.output
     duration = duration_of(plan)
     intervals = (output.interval, output.timeseries_interval, output.checkpoint.interval)
     steps = duration / plan.longest_time_step
@@ -309,7 +309,14 @@ def _writes(plan: Plan) -> float:
 
 def _steps_text(plan: Plan, steps: float) -> str:
     """Location and number of the steps, and the reason for their length."""
+    scene = plan.scene
+    if not isinstance(scene.run.time_step, str):
+        where = scene.locate("run", "time_step")
+    elif scene.stages:
+        where = scene.locate("stages")
+    else:
+        where = scene.locate("run", "duration")
     return (
-        f"{plan.sources['steps']}: {duration_of(plan):.3g} s in time steps of {plan.time_step:.3g} s "
+        f"{where}: {duration_of(plan):.3g} s in time steps of {plan.time_step:.3g} s "
         f"({plan.step.limited_by}) are {float(ceil(steps)):.3g} steps"
     )

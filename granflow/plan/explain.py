@@ -5,14 +5,19 @@ puts them together.
 """
 
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Iterator
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from granflow.arguments import refuse_other
 from granflow.geometry.motion import TableRotation, TableTranslation
 from granflow.geometry.shape import sphere_mass
+from granflow.load import Scene
 from granflow.plan.cost import MemoryEstimate, duration_of, estimate_memory
 from granflow.plan.features import Reason
 from granflow.plan.groups import PlannedGroup
@@ -20,6 +25,7 @@ from granflow.plan.plan import Plan
 from granflow.plan.stages import PlannedStage
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
+from granflow.scene.blocks.contact import LawSettings
 
 WIDTH = 100
 """Width of the text in columns."""
@@ -49,7 +55,7 @@ def explain(plan: Plan) -> str:
     Two steel spheres (two.yaml)
     """
     refuse_other("plan", plan, Plan, "a plan of granflow.plan_for")
-    memory = estimate_memory(plan, plan.precision)
+    memory = estimate_memory(plan, plan.scene.run.precision)
     sections = {
         "Features": [_feature_row(reason) for reason in plan.reasons],
         "Time step": _time_step_rows(plan),
@@ -60,10 +66,10 @@ def explain(plan: Plan) -> str:
         "Forecast": _forecast_rows(plan),
         "Memory": _memory_rows(plan, memory),
         "Run": _run_rows(plan),
-        "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in plan.settings],
+        "Optional settings": _setting_rows(plan.scene),
     }
-    sections["Changes to the scene as written"] = [ExplainRow("", "", each) for each in plan.remarks]
-    title = f"{plan.title} ({plan.path})" if plan.path else plan.title
+    sections["Changes to the scene as written"] = [ExplainRow("", "", each) for each in plan.scene.remarks]
+    title = f"{plan.scene.title} ({plan.scene.path})" if plan.scene.path.name else plan.scene.title
     tables = {head: list(_aligned(rows)) for head, rows in sections.items()}
     return "\n\n".join([title, *("\n".join([head, *lines]) for head, lines in tables.items() if lines)])
 
@@ -116,7 +122,7 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Row of the Bond number, the largest ratio of pull-off force to weight; empty without gravity or
     cohesion."""
     law = plan.laws.cohesion
-    gravity = math.hypot(*plan.gravity)
+    gravity = math.hypot(*plan.scene.gravity)
     if law is None or not gravity:
         return
     numbers = []
@@ -143,7 +149,7 @@ def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     )
     yield ExplainRow("materials", str(plan.material_count), _materials(plan))
     share = f"{plan.skin / plan.radius_min:.3g} of the smallest radius"
-    given = f" ({plan.sources['numerics.skin']})" if "numerics.skin" in plan.sources else ""
+    given = "" if plan.scene.numerics.skin == "auto" else f" ({plan.scene.where('numerics', 'skin')})"
     yield ExplainRow("skin", f"{plan.skin:.4g} m", share + given)
 
 
@@ -250,11 +256,11 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
         prefix = "at most "
         stages_at_most = ", if every stage reaches its maximum duration"
     stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.stages)
-    yield ExplainRow("precision", plan.precision, "")
+    yield ExplainRow("precision", plan.scene.run.precision, "")
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
     yield ExplainRow("steps", f"{prefix}{count(steps)}", "")
-    frames = int(longest / plan.output.interval) + 1
-    yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {plan.output.interval:g} s")
+    frames = int(longest / plan.scene.output.interval) + 1
+    yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {plan.scene.output.interval:g} s")
     seconds = max(steps * plan.particle_capacity / PARTICLE_STEPS_PER_SECOND, steps / STEPS_PER_SECOND)
     assumed = (
         f"at {PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU{stages_at_most}"
@@ -301,3 +307,93 @@ def duration(seconds: float) -> str:
         if seconds >= 2.0 * length:
             return f"{seconds / length:.2g} {unit}"
     return f"{max(seconds, 1.0):.2g} s"
+
+
+# Optional settings: found by a walk through the models of the scene, so that no default acts unseen.
+
+KeyPath = tuple[str | int, ...]
+"""Keys and list indices from the root of a scene."""
+_UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
+"""Unit in brackets in a description of the schema."""
+_REASONS: dict[str | int, str] = {
+    "timeseries_interval": "default: output.interval",
+    "unloading_angle": "default: bound on sqrt(K/M) dt, where K is the unloading stiffness",
+}
+"""Origin of default values that are copied from other keys or need an explanation."""
+_MANY_ROWS = 3
+"""Lists with more entries are shown by their length."""
+
+
+def _setting_rows(scene: Scene) -> Iterator[ExplainRow]:
+    """Rows of all optional settings in the order of the schema, including values of presets.
+
+    Each row has the key path with dots, the value with its unit, and its origin: given in a line, from a
+    preset, or default. Optional parts that are absent (a motion, the radius of a meter) are not listed.
+    """
+    yield from _in_model(scene, scene, ())
+
+
+def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[ExplainRow]:
+    """Optional settings of one part of the scene and of its parts; `path`: key path of the part."""
+    for name, key_field in type(model).model_fields.items():
+        key = (*path, key_field.alias or name)
+        value = getattr(model, name)
+        if not _is_leaf(value):
+            yield from _in_value(scene, value, key)
+        elif value is not None and (_has_default(key_field) or _is_preset(scene, model, key)):
+            unit = _UNIT.search(key_field.description or "")
+            text = _as_written(value) + (f" {unit.group(1)}" if unit and not isinstance(value, str) else "")
+            given = scene.is_given(*key)
+            origin = f"given ({scene.where(*key)})" if given else _filled_in(scene, model, key)
+            yield ExplainRow(".".join(map(str, key)), text, origin)
+
+
+def _in_value(scene: Scene, value: Any, path: KeyPath) -> Iterator[ExplainRow]:
+    """Optional settings in a value: a part, or a mapping or list of parts."""
+    if isinstance(value, BaseModel):
+        yield from _in_model(scene, value, path)
+    elif isinstance(value, dict):
+        for key, each in value.items():
+            yield from _in_value(scene, each, (*path, key))
+    elif isinstance(value, tuple):
+        for index, each in enumerate(value):
+            yield from _in_value(scene, each, (*path, index))
+
+
+def _is_leaf(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return bool(value) and all(_is_leaf(each) for each in value)
+    return not isinstance(value, BaseModel | dict)
+
+
+def _has_default(field: FieldInfo) -> bool:
+    return field.default_factory is not None or (not field.is_required() and field.default is not None)
+
+
+def _is_preset(scene: Scene, model: BaseModel, path: KeyPath) -> bool:
+    return getattr(model, "preset", None) is not None and not scene.is_given(*path)
+
+
+def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
+    """Origin of a value that the file does not give."""
+    if _is_preset(scene, model, path):
+        return f"preset {getattr(model, 'preset', '')} ({scene.where(*path[:-1], 'preset')})"
+    if (
+        isinstance(model, LawSettings)
+        and path[:2] == ("contact", "normal")
+        and model.fixed_by_numbers().get(str(path[-1])) == getattr(model, str(path[-1]))
+    ):
+        return "the restitution of every pair is a number, independent of the velocity"
+    return _REASONS.get(path[-1], "default")
+
+
+def _as_written(value: Any) -> str:
+    """A value in the notation of scenes: true, false, numbers with six digits, lists; long lists as their
+    length."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple) and len(value) > _MANY_ROWS:
+        return f"{len(value)} rows"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_as_written, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)

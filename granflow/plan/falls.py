@@ -49,7 +49,7 @@ SLOW = 0.1
 """Given velocity over that of a fall below which a unit is probably wrong."""
 
 
-def forecast_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
+def forecast_velocity(plan: Plan) -> ImpactVelocity:
     """Largest impact velocity if each particle starts at its insertion and falls to the lowest wall.
 
         v = max sqrt(max(v0, u)^2 + 2 |g| h) + u,      at most the planned velocity
@@ -58,12 +58,12 @@ def forecast_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
     them. That of the plan if the drop heights are not known, see `_drop_heights`.
     """
     planned = plan.impact_velocity
-    heights = _drop_heights(scene, plan)
+    heights = _drop_heights(plan)
     if not heights:
         return planned
-    magnitude = float(np.linalg.norm(plan.gravity))
+    magnitude = float(np.linalg.norm(plan.scene.gravity))
     belt = _belt_speed(plan.walls)
-    speeds = {name: max(speed, belt) for name, speed in initial_speeds(scene.particles).items()}
+    speeds = {name: max(speed, belt) for name, speed in initial_speeds(plan.scene.particles).items()}
     fastest = max(heights, key=lambda name: speeds[name] ** 2 + 2.0 * magnitude * heights[name])
     value = sqrt(speeds[fastest] ** 2 + 2.0 * magnitude * heights[fastest])
     initial = f" with an initial speed of {speeds[fastest]:.3g} m/s" if speeds[fastest] else ""
@@ -72,17 +72,18 @@ def forecast_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
     )
 
 
-def path_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
+def path_velocity(plan: Plan) -> ImpactVelocity:
     """As `forecast_velocity`, but particles fall onto the first wall below, and slide over its edges onto the
     next.
 
     Walls that are present during the whole run stop a fall. The velocities are those of `FallingParticles`.
     """
-    simple = forecast_velocity(scene, plan)
-    heights = _drop_heights(scene, plan)
+    scene = plan.scene
+    simple = forecast_velocity(plan)
+    heights = _drop_heights(plan)
     if not heights or any(scene.particles[name].thermal is not None for name in heights):
         return simple
-    gravity = np.array(plan.gravity, float)
+    gravity = np.array(scene.gravity, float)
     up = -gravity / np.linalg.norm(gravity)
     low = lowest_level(scene, plan.walls, up)
     assert low is not None
@@ -100,19 +101,20 @@ def path_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
     return _at_most(simple, sqrt(paths[name].value), plan, _path_words(name, paths[name]))
 
 
-def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
+def velocity_warnings(plan: Plan) -> Iterator[str]:
     """A sentence on a given `run.velocity_max` that is far below the velocity after the fall of inserted
     particles.
 
     Particles of a packing fall less, and damped ones more slowly: SLOW times the velocity is the limit, and
     damping excludes the warning.
     """
+    scene = plan.scene
     given = scene.run.velocity_max
-    if given is None or scene.damping or image_speed(scene.domain) or not np.any(plan.gravity):
+    if given is None or scene.damping or image_speed(scene.domain) or not np.any(scene.gravity):
         return
-    magnitude = float(np.linalg.norm(plan.gravity))
+    magnitude = float(np.linalg.norm(scene.gravity))
     regions = (LatticeInsertion, PackInsertion, RainInsertion, InletInsertion)
-    heights = _heights(scene, plan, -np.array(plan.gravity) / magnitude)
+    heights = _heights(plan, -np.array(scene.gravity) / magnitude)
     heights = {
         name: each for name, each in heights.items() if isinstance(scene.particles[name].insert, regions)
     }
@@ -145,25 +147,26 @@ LEVEL = 1e-6
 on."""
 
 
-def _drop_heights(scene: Scene, plan: Plan) -> dict[str, float]:
+def _drop_heights(plan: Plan) -> dict[str, float]:
     """Height [m] of the highest particle of each group above the lowest level, by name; empty if it is not
     known.
 
     It is not known if `run.velocity_max` is given, without gravity, if walls or images move or belts go up,
     which lift or accelerate particles, or if the region of a group is not known.
     """
-    if scene.run.velocity_max is not None or image_speed(scene.domain) or not np.any(plan.gravity):
+    scene = plan.scene
+    if scene.run.velocity_max is not None or image_speed(scene.domain) or not np.any(scene.gravity):
         return {}
-    up = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
+    up = -np.array(scene.gravity) / np.linalg.norm(scene.gravity)
     if any(not _is_level_belt(each, up) for wall in plan.walls for each in wall.motions):
         return {}
-    return _heights(scene, plan, up)
+    return _heights(plan, up)
 
 
-def _heights(scene: Scene, plan: Plan, up: np.ndarray) -> dict[str, float]:
+def _heights(plan: Plan, up: np.ndarray) -> dict[str, float]:
     """As `_drop_heights`; empty if the region of a group or the lowest level is not known."""
-    low = lowest_level(scene, plan.walls, up)
-    groups = {name: group for name, group in scene.particles.items() if not group.fixed}
+    low = lowest_level(plan.scene, plan.walls, up)
+    groups = {name: group for name, group in plan.scene.particles.items() if not group.fixed}
     tops = {name: highest_point(group, up) for name, group in groups.items()}
     if low is None or any(top is None for top in tops.values()):
         return {}

@@ -54,35 +54,36 @@ from granflow.scene.blocks.shapes import Axial, Rectangular
 from granflow.scene.blocks.walls import Servo, Translation, Vibration, Wall
 
 
-def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
+def forecasts_of(plan: Plan) -> Iterator[Forecast]:
     """All forecasts that need no particles; `plan`: that of the scene, without forecasts."""
-    overlaps = list(_overlap_forecasts(scene, plan))
+    overlaps = list(_overlap_forecasts(plan))
     yield from overlaps
-    yield from vibration_forecasts(scene)
-    for sentence in _warnings(scene, plan, overlaps):
+    yield from vibration_forecasts(plan.scene)
+    for sentence in _warnings(plan, overlaps):
         yield Forecast("", "", sentence, sentence)
 
 
-def _overlap_forecasts(scene: Scene, plan: Plan) -> Iterator[Forecast]:
+def _overlap_forecasts(plan: Plan) -> Iterator[Forecast]:
     """The largest overlap for each cause that occurs."""
     pairs = list(touching_pairs(plan))
-    supported = list(supported_pairs(scene, plan))
+    supported = list(supported_pairs(plan))
     hitting = [*pairs, *(pair for pair, _weight in supported)]
-    expected = forecast_velocity(scene, plan)
+    expected = forecast_velocity(plan)
     impact = impact_forecast(plan, hitting, expected.value, expected.source)
     if impact is not None and impact.warning is not None:  # the paths over the walls take time
-        expected = path_velocity(scene, plan)
+        expected = path_velocity(plan)
         impact = impact_forecast(plan, hitting, expected.value, expected.source)
     if impact is not None:
         yield impact
-    yield from static_forecasts(plan, pairs, bed_pressures(scene, plan))
+    yield from static_forecasts(plan, pairs, bed_pressures(plan))
     below = supported_forecast(plan, supported)
     if below is not None:
         yield below
 
 
-def _warnings(scene: Scene, plan: Plan, overlaps: Sequence[Forecast]) -> Iterator[str]:
+def _warnings(plan: Plan, overlaps: Sequence[Forecast]) -> Iterator[str]:
     """The sentences on probable mistakes; `overlaps`: those to expect."""
+    scene = plan.scene
     times = nominal_times(plan.stages)
     static = max((each.overlap for each in overlaps if each.cause != "impact"), default=0.0)
     impact = max((each.overlap for each in overlaps if each.cause == "impact"), default=0.0)
@@ -91,13 +92,13 @@ def _warnings(scene: Scene, plan: Plan, overlaps: Sequence[Forecast]) -> Iterato
     yield from clump_warnings(scene)
     yield from wall_warnings(scene, plan.walls, times)
     yield from coincidence_warnings(scene, plan.walls)
-    yield from region_warnings(scene, plan, times)
-    yield from servo_warnings(scene, plan, times)
-    yield from insertion_warnings(scene, plan, times)
-    yield from flow_warnings(scene, plan)
+    yield from region_warnings(plan, times)
+    yield from servo_warnings(plan, times)
+    yield from insertion_warnings(plan, times)
+    yield from flow_warnings(plan)
     yield from interval_warnings(scene, times)
     yield from unit_warnings(scene)
-    yield from velocity_warnings(scene, plan)
+    yield from velocity_warnings(plan)
 
 
 # Particles from files that overlap by more than loading and impacts explain.
@@ -447,7 +448,7 @@ VELOCITY_MARGIN = 1.2
 """Recommended over required velocity."""
 
 
-def servo_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
+def servo_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
     """A sentence for the first servo of each wall, if its travel is shorter than its distance from the bed.
 
         v t < L - V / (phi A) - d,     v = min(v_max, gain F)
@@ -461,14 +462,14 @@ def servo_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]
     """
     for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
         motions = [each for each in plan.controlled_motions if each.name == name]
-        given = [each for each in scene.walls[name].motion if isinstance(each, Servo)]
+        given = [each for each in plan.scene.walls[name].motion if isinstance(each, Servo)]
         area = area_of(plan.walls[motions[0].wall].shape)
-        if area is None or len(given) < len(scene.walls[name].motion):
+        if area is None or len(given) < len(plan.scene.walls[name].motion):
             continue
         first = min(motions, key=lambda each: _servo_span(given[each.motion], times)[0])
-        if not _is_along(plan.gravity, first):
+        if not _is_along(plan.scene.gravity, first):
             continue
-        distance = _distance_from_bed(scene, plan, first, area)
+        distance = _distance_from_bed(plan, first, area)
         duration = _servo_span(given[first.motion], times)[1]
         velocity, limit = first.approach(first.force)
         if velocity * duration < distance:
@@ -495,14 +496,15 @@ def _servo_span(given: Servo, times: StageTimes) -> tuple[float, float]:
     return start, max(min(given.end if given.end is not None else inf, end) - start, 0.0)
 
 
-def _distance_from_bed(scene: Scene, plan: Plan, motion: ControlledMotion, area: float) -> float:
+def _distance_from_bed(plan: Plan, motion: ControlledMotion, area: float) -> float:
     """Distance [m] of a servo with an area [m2] from the bed."""
+    scene = plan.scene
     is_loose = plan.laws.cohesion is not None or any(
         group.clump is not None for group in scene.particles.values()
     )
     height = solid_volume(scene.particles) / ((LOOSEST if is_loose else LOOSE) * area)
     layer = max(outer_diameter_range(group)[1] for group in scene.particles.values())
-    return _free_path(plan.domain, plan.walls, motion) - height - layer
+    return _free_path(scene.domain, plan.walls, motion) - height - layer
 
 
 def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledMotion) -> float:
@@ -559,13 +561,13 @@ ALONG_FACE = 1e-3
 rounded."""
 
 
-def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
+def insertion_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
     """A sentence for each rain or inlet whose rate cannot insert all particles before the end of the run.
 
     The run takes its longest duration. Space is not considered: a full region delays particles further.
     """
     end = max(end for _, end in times.values())
-    for name, group in scene.particles.items():
+    for name, group in plan.scene.particles.items():
         insertion = group.insert
         if not isinstance(insertion, RainInsertion | InletInsertion):
             continue
@@ -574,7 +576,7 @@ def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[
         if insertion.start <= end:
             inserted = (end - insertion.start) / interval + 1.0
         if inserted < (1.0 - COUNT_TOLERANCE) * group.count:
-            key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
+            key = f"particles.{name}.insert ({plan.scene.where('particles', name, 'insert')})"
             flow = "rate" if insertion.rate else "mass_flow"
             yield (
                 f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s "
@@ -583,17 +585,16 @@ def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[
             )
 
 
-def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
+def flow_warnings(plan: Plan) -> Iterator[str]:
     """A sentence for each inlet through which, or rain from whose region, fewer particles than required can
     flow."""
+    scene = plan.scene
     for name, group in scene.particles.items():
         insertion = group.insert
         if not isinstance(insertion, RainInsertion | InletInsertion):
             continue
         interval = _insertion_interval(plan, group, insertion)
-        if isinstance(insertion, InletInsertion) and (
-            sentence := _wrong_direction(scene, plan, name, insertion)
-        ):
+        if isinstance(insertion, InletInsertion) and (sentence := _wrong_direction(plan, name, insertion)):
             yield sentence
             continue
         largest, held = _largest_flow(scene, group, insertion, interval)
@@ -690,13 +691,14 @@ def _face_of(region: RegionSampler, direction: np.ndarray) -> tuple[np.ndarray, 
     return normal, float(size[axis]), float(np.prod(sides)), float(np.hypot(*sides))
 
 
-def _wrong_direction(scene: Scene, plan: Plan, name: str, insertion: InletInsertion) -> str:
+def _wrong_direction(plan: Plan, name: str, insertion: InletInsertion) -> str:
     """A sentence on an inlet that new particles leave backward or not at all; empty if they move into the
     scene.
 
     The velocity decides, and gravity if the velocity has no component along the normal. The proposed velocity
     is the given one with the opposite component, or with the smallest one that is sufficient for the rate.
     """
+    scene = plan.scene
     group = scene.particles[name]
     velocity = np.array(group.velocity, float)
     gravity = np.array(scene.gravity, float)

@@ -258,7 +258,7 @@ def touching_pairs(plan: Plan) -> Iterator[TouchingPair]:
             yield _of_wall(plan, group, wall)
 
 
-def supported_pairs(scene: Scene, plan: Plan) -> Iterator[tuple[TouchingPair, float]]:
+def supported_pairs(plan: Plan) -> Iterator[tuple[TouchingPair, float]]:
     """Pairs of a particle and of much smaller ones in a shallow bed below it, and the weight [N] on one of
     these.
 
@@ -271,16 +271,16 @@ def supported_pairs(scene: Scene, plan: Plan) -> Iterator[tuple[TouchingPair, fl
     each of which carries M |g| / N. An impact compresses 2 N contacts, those with the large particle and
     those below: for each the effective mass is M / (2 N). Without gravity there is no bed.
     """
-    magnitude = float(np.linalg.norm(plan.gravity))
+    magnitude = float(np.linalg.norm(plan.scene.gravity))
     for large, small in product(plan.groups, plan.groups):
         if large.fixed or small.fixed or not magnitude or not _collide(plan, large, small):
             continue
         radius = 0.5 * max(large.diameters)
         radius_small = 0.5 * min(small.diameters)
-        count = max(2.0 * LAYER_FRACTION * radius * plan.max_overlap / radius_small, 1.0)
+        count = max(2.0 * LAYER_FRACTION * radius * plan.scene.numerics.max_overlap / radius_small, 1.0)
         if radius < SUPPORTED_RATIO * radius_small or small.count <= count:
             continue
-        if _depth(scene, plan, radius) > SHALLOW * radius:
+        if _depth(plan, radius) > SHALLOW * radius:
             continue
         pair = _of_particles(plan, large, small, (2.0 * radius, 2.0 * radius_small))
         mass = _mass(plan, large, radius)
@@ -289,12 +289,12 @@ def supported_pairs(scene: Scene, plan: Plan) -> Iterator[tuple[TouchingPair, fl
         yield supported, magnitude * mass / count
 
 
-def _depth(scene: Scene, plan: Plan, radius: float) -> float:
+def _depth(plan: Plan, radius: float) -> float:
     """Depth [m] of a bed at rest of all mobile particles of groups without a radius of at least `radius`
     [m]."""
     names = [each.name for each in plan.groups if not each.fixed and 0.5 * max(each.diameters) < radius]
-    volume = solid_volume({name: scene.particles[name] for name in names})
-    return volume / (SOLID_FRACTION * weight_pressure(scene, plan.solids)[1])
+    volume = solid_volume({name: plan.scene.particles[name] for name in names})
+    return volume / (SOLID_FRACTION * weight_pressure(plan.scene, plan.solids)[1])
 
 
 def _collide(plan: Plan, group: PlannedGroup, other: PlannedGroup) -> bool:
@@ -379,18 +379,18 @@ class BedPressure:
         return max(log(2.0 * self.contact_count) / FORCE_DECAY, 1.0) * mean
 
 
-def bed_pressures(scene: Scene, plan: Plan) -> Iterator[BedPressure]:
+def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
     """The pressures of a scene: the weight of its particles, and each wall that presses on them."""
     diameter = 2.0 * plan.radius_max
     count = sum(group.count for group in plan.groups if not group.fixed)
-    weight, area = weight_pressure(scene, plan.solids)
+    weight, area = weight_pressure(plan.scene, plan.solids)
     if weight > 0.0:
         contacts = min(3.0 * count, max(3.0 * area / diameter**2, 1.0))
         yield BedPressure(
             "weight", f"the weight of the bed ({pressure_words(weight)} at its bottom)", weight, contacts
         )
     for motion in plan.controlled_motions:
-        area = area_of(plan.walls[motion.wall].shape) or section(plan.domain, motion.direction)
+        area = area_of(plan.walls[motion.wall].shape) or section(plan.scene.domain, motion.direction)
         if motion.force > 0.0 and count > 1:
             pressure = motion.force / area
             cause = (
@@ -580,7 +580,7 @@ def impact_forecast(
     plan: Plan, pairs: Iterable[TouchingPair], velocity: float, source: str
 ) -> Forecast | None:
     """The largest overlap of an impact at the maximum velocity [m/s]; `source`: origin of the velocity."""
-    limit = plan.max_overlap
+    limit = plan.scene.numerics.max_overlap
     largest = _largest(plan, pairs, lambda pair: impact_overlap(plan.laws, pair, velocity, limit))
     if largest is None:
         return None
@@ -613,7 +613,9 @@ def static_forecasts(
         if largest is None:
             continue
         warning = None
-        if largest.overlap > plan.max_overlap and (cohesive is None or cohesive.warning is None):
+        if largest.overlap > plan.scene.numerics.max_overlap and (
+            cohesive is None or cohesive.warning is None
+        ):
             warning = (
                 f"{largest.pair.name}: under {load.cause} contacts overlap by {_up_to(largest.overlap)}, "
                 f"{_above_limit(plan)} {_remedy(largest)}."
@@ -636,7 +638,7 @@ def supported_forecast(plan: Plan, pairs: Iterable[tuple[TouchingPair, float]]) 
     if largest is None:
         return None
     warning = None
-    if largest.overlap > plan.max_overlap:
+    if largest.overlap > plan.scene.numerics.max_overlap:
         warning = (
             f"{largest.pair.name}: under the weight of one particle the contacts below it overlap by "
             f"{_up_to(largest.overlap)}, {_above_limit(plan)} {_remedy(largest)}."
@@ -655,7 +657,7 @@ def cohesion_forecast(plan: Plan, pairs: Iterable[TouchingPair]) -> Forecast | N
     if largest is None:
         return None
     warning = None
-    if largest.overlap > plan.max_overlap:
+    if largest.overlap > plan.scene.numerics.max_overlap:
         assert plan.laws.cohesion is not None
         keys = " or ".join(plan.laws.cohesion.constant_names)
         warning = (
@@ -681,7 +683,7 @@ def _largest(plan: Plan, pairs: Iterable[TouchingPair], overlap: Overlap) -> _La
     found = [each for each in found if not isnan(each[0])]  # NaN: a model without reference implementation
     if not found:
         return None
-    limit = plan.max_overlap
+    limit = plan.scene.numerics.max_overlap
     worst = max(found, key=lambda each: each[0])
     moduli: dict[str, float] = {}
     for size, pair in found:
@@ -696,9 +698,9 @@ def _largest(plan: Plan, pairs: Iterable[TouchingPair], overlap: Overlap) -> _La
 
 def _above_limit(plan: Plan) -> str:
     """End of a sentence on an overlap above the limit."""
-    source = plan.sources.get("numerics.max_overlap")
-    place = f" ({source})" if source else ""
-    return f"and the run stops above numerics.max_overlap {plan.max_overlap:g}{place}."
+    is_given = plan.scene.is_given("numerics", "max_overlap")
+    place = f" ({plan.scene.where('numerics', 'max_overlap')})" if is_given else ""
+    return f"and the run stops above numerics.max_overlap {plan.scene.numerics.max_overlap:g}{place}."
 
 
 def _remedy(largest: _Largest, capital: bool = True) -> str:
@@ -789,9 +791,9 @@ SAMPLES = 2000
 """Number of random positions at which a region is compared with the walls."""
 
 
-def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
+def region_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
     """A sentence for each region and wall where particles would be inserted with overlaps above the limit."""
-    for name, group in scene.particles.items():
+    for name, group in plan.scene.particles.items():
         region = region_of(group)
         if region is None or group.fixed:
             continue
@@ -802,23 +804,23 @@ def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str
         bodies = spheres_by_particle(group, points, np.full(SAMPLES, radius), None)
         start = getattr(group.insert, "start", 0.0)
         for wall, overlap in _overlaps(plan.walls, bodies, start, times):
-            share = float(np.mean(overlap > plan.max_overlap))
+            share = float(np.mean(overlap > plan.scene.numerics.max_overlap))
             if share > 0.0:
                 yield (
-                    f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): "
+                    f"particles.{name}.insert ({plan.scene.where('particles', name, 'insert')}): "
                     f"{100 * share:.3g} % of the positions in the region are inside or behind "
                     f"walls.{wall.name}, and particles there stop the run. Choose a region that does not "
                     "intersect the wall."
                 )
 
 
-def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iterator[str]:
+def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
     """A sentence for each group and wall whose initial particles overlap the wall by more than the limit.
 
     Groups in regions are compared with walls by `region_warnings`.
     """
     times = nominal_times(plan.stages)
-    for number, (name, group) in enumerate(scene.particles.items()):
+    for number, (name, group) in enumerate(plan.scene.particles.items()):
         own = np.flatnonzero(particles.group == number)
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
@@ -828,14 +830,14 @@ def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iter
             group, points, particles.radius[own], None if turns is None else turns[own]
         )
         for wall, overlap in _overlaps(plan.walls, bodies, 0.0, times):
-            count = int((overlap > plan.max_overlap).sum())
+            count = int((overlap > plan.scene.numerics.max_overlap).sum())
             if count:
                 worst = int(overlap.argmax())
                 x, y, z = points[worst]
                 yield (
-                    f"particles.{name} ({scene.where('particles', name)}): {count} of {len(own)} particles "
-                    f"are inside walls.{wall.name} at the start, by up to {overlap[worst]:.3g} of the "
-                    f"radius, at [{x:.4g}, {y:.4g}, {z:.4g}] m. Move them out, or move the wall."
+                    f"particles.{name} ({plan.scene.where('particles', name)}): {count} of {len(own)} "
+                    f"particles are inside walls.{wall.name} at the start, by up to {overlap[worst]:.3g} of "
+                    f"the radius, at [{x:.4g}, {y:.4g}, {z:.4g}] m. Move them out, or move the wall."
                 )
 
 

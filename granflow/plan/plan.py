@@ -19,6 +19,7 @@ from granflow.geometry.catalog import area_of
 from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.geometry.shape import sphere_mass
+from granflow.load import Scene
 from granflow.plan.capacities import (
     MIN_BATCH,
     MIN_CELLS,
@@ -41,7 +42,6 @@ from granflow.plan.features import Features, Reason
 from granflow.plan.groups import PlannedGroup
 from granflow.plan.limits import coordinate_limit
 from granflow.plan.outlets import PlannedOutlet
-from granflow.plan.settings import OptionalSetting
 from granflow.plan.stages import PlannedDamping, PlannedStage
 from granflow.plan.sum_units import SumUnits, liquid_unit, sum_units
 from granflow.plan.time_step import (
@@ -55,9 +55,6 @@ from granflow.plan.time_step import (
 )
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import MeshNote, PlannedWall
-from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.output import Expectation, Output
-from granflow.scene.blocks.run import Precision
 
 # Forces on particles that a program adds with device functions.
 
@@ -135,36 +132,17 @@ class Plan:
     grids of mesh walls. A plan does not change: a wall that a program moves, a force that it adds, or a rank
     of several, gives another plan by `dataclasses.replace`.
 
-    >>> gf.plan_for(gf.load_scene("two.yaml")).title
+    >>> gf.plan_for(gf.load_scene("two.yaml")).scene.title
     'Two steel spheres'
     """
 
-    # What the scene gives.
-    title: str
-    path: str
-    """Path of the scene file; empty for a scene from Python."""
-    remarks: tuple[str, ...]
-    """Sentences on changes to the scene as written."""
-    settings: tuple[OptionalSetting, ...]
-    sources: Mapping[str, str]
-    """Positions in the scene file for messages, by key: steps, domain.on_exit, given numerics."""
-    precision: Precision
-    domain: Domain
+    scene: Scene
+    """The scene, whose numbers are not repeated here."""
     periodic_box: PeriodicBox
-    gravity: tuple[float, float, float]
-    """Gravity [m/s2]."""
-    max_overlap: float
-    """Overlap over radius above which the run aborts."""
     stages: tuple[PlannedStage, ...]
     damping: PlannedDamping | None
     """Damping of all motion, for settling."""
     outlets: tuple[PlannedOutlet, ...]
-    output: Output
-    flow_meter_parts: Mapping[str, tuple[str, ...]]
-    """Names of the materials or groups with separate counts, by name of the flow meter."""
-    measured_walls: tuple[str, ...]
-    """Names of the walls with measured forces."""
-    expectations: tuple[Expectation, ...]
 
     # What is compiled.
     features: Features
@@ -282,7 +260,7 @@ class Plan:
     @property
     def largest_weight(self) -> float:
         """Weight [N] of the heaviest sphere."""
-        gravity = float(np.linalg.norm(self.gravity))
+        gravity = float(np.linalg.norm(self.scene.gravity))
         return max(
             gravity * sphere_mass(0.5 * group.diameters[1], self.solids[group.material].density)
             for group in self.groups
@@ -292,7 +270,7 @@ class Plan:
     def collision_edges(self) -> np.ndarray:
         """Edges (n + 1,) [J] of the n classes of collision energies, equally spaced on a logarithmic
         scale."""
-        given = self.output.collision_energies
+        given = self.scene.output.collision_energies
         if given is None:
             return np.empty(0)
         edges = np.geomspace(given.min, given.max, given.classes + 1)
@@ -304,7 +282,7 @@ class Plan:
         forecasts."""
         meshes = tuple(f"walls.{note.wall}: {note.sentence}." for note in self.mesh_notes if note.warning)
         forecasts = tuple(each.warning for each in self.forecasts if each.warning is not None)
-        return self.remarks + self.step.warnings + meshes + forecasts
+        return self.scene.remarks + self.step.warnings + meshes + forecasts
 
     # Walls, periodic images, and the domain.
 
@@ -327,7 +305,9 @@ class Plan:
     @property
     def measured_areas(self) -> dict[str, float | None]:
         """Area [m2] of each wall with measured forces, by name; None for an unbounded wall."""
-        return {wall.name: area_of(wall.shape) for wall in self.walls if wall.name in self.measured_walls}
+        return {
+            wall.name: area_of(wall.shape) for wall in self.walls if wall.name in self.scene.measured_walls
+        }
 
     @cached_property
     def meshes(self) -> dict[int, Mesh]:
@@ -347,12 +327,12 @@ class Plan:
     @cached_property
     def domain_low(self) -> np.ndarray:
         """Smallest coordinates of the domain (3,) [m]."""
-        return np.array(self.domain.min)
+        return np.array(self.scene.domain.min)
 
     @cached_property
     def domain_high(self) -> np.ndarray:
         """Largest coordinates of the domain (3,) [m]."""
-        return np.array(self.domain.max)
+        return np.array(self.scene.domain.max)
 
     # Limits of displacements and coordinates.
 
@@ -396,7 +376,7 @@ class Plan:
     @property
     def coordinate_limit(self) -> float:
         """Coordinate [m] above which the resolution of positions is too coarse for the smallest particle."""
-        return coordinate_limit(self.precision, self.radius_min)
+        return coordinate_limit(self.scene.run.precision, self.radius_min)
 
     # Capacities of the device arrays at the start, and the units of sums.
 
@@ -409,7 +389,7 @@ class Plan:
         list_entries = segments * self.list_capacity_per_segment
         in_chunk = min(self.chunk_size, self.particle_capacity)
         class_cells = self.class_cell_capacity
-        measured = len(self.measured_walls)
+        measured = len(self.scene.measured_walls)
         return Capacities(
             particles=rounded_capacity(self.particle_capacity, MIN_PARTICLES),
             segments=segments,
@@ -473,7 +453,7 @@ class Plan:
             self.pair_cases,
             self.law,
             velocity=self.velocity_max,
-            max_overlap=self.max_overlap,
+            max_overlap=self.scene.numerics.max_overlap,
             radius=self.radius_max,
             time_step=self.longest_time_step,
             size=2.0 * float(np.abs([self.domain_low, self.domain_high]).max()),

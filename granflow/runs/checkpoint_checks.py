@@ -312,7 +312,7 @@ def _check_positions(particles: Part, count: int, plan: Plan) -> None:
         + rounding
     )
     low, high = plan.domain_low - margin, plan.domain_high + margin
-    if plan.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
+    if plan.scene.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
         raise particles["position_at_rebuild"].error("is outside the domain")
 
 

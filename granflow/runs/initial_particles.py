@@ -40,7 +40,7 @@ def warnings_before(scene: Scene, plan: Plan, initial: ParticleData | None) -> l
 
     `initial`: None for a resumed run.
     """
-    inside = [] if initial is None else particle_warnings(scene, plan, initial)
+    inside = [] if initial is None else particle_warnings(plan, initial)
     return [*plan.warnings, *inside]
 
 

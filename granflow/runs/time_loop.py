@@ -339,7 +339,7 @@ class TimeLoop:
         result = collect_result(self.engine, state.wall_clock, totals, readings)
         if not self.stages_ended:
             return replace(result, is_complete=False)
-        return result.with_expectations(state.plan.expectations)
+        return result.with_expectations(state.plan.scene.expect)
 
 
 # Particles that left the domain where none is expected to leave it.
@@ -366,7 +366,7 @@ def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meter
         return None
     most = max(exits, key=lambda face: exits[face])
     axis, end = most.split("_")
-    bound = getattr(plan.domain, end)["xyz".index(axis)]
+    bound = getattr(plan.scene.domain, end)["xyz".index(axis)]
     outside = " outside the outlets" if plan.outlets else ""
     return (
         f"{total} of {inserted} particles left the domain{outside}, {exits[most]} of them through its face "
@@ -377,5 +377,5 @@ def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meter
 
 def _lower_faces(plan: Plan) -> set[str]:
     """Faces of the domain toward which gravity points."""
-    signs = np.concatenate([-np.array(plan.gravity), np.array(plan.gravity)])
+    signs = np.concatenate([-np.array(plan.scene.gravity), np.array(plan.scene.gravity)])
     return {face for face, sign in zip(EXIT_FACES, signs, strict=True) if sign > 0.0}

@@ -101,7 +101,7 @@ def checked_run(
         str(common.stop_file.resolve()),
         inputs=inputs,
     )
-    return CheckedRun(request, scene.seed, _kernel_set(scene, plan, common.arch))
+    return CheckedRun(request, scene.seed, _kernel_set(plan, common.arch))
 
 
 HASH_DIGITS = 16
@@ -119,10 +119,10 @@ def run_identity(scene: Scene, arch: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:HASH_DIGITS]
 
 
-def _kernel_set(scene: Scene, plan: Plan, arch: str) -> str:
+def _kernel_set(plan: Plan, arch: str) -> str:
     """Text that is equal for scenes whose compiled kernels are equal: contact models, features and
     precision."""
-    return repr((arch, plan.precision, scene.contact, plan.features))
+    return repr((arch, plan.scene.run.precision, plan.scene.contact, plan.features))
 
 
 # Values of keys

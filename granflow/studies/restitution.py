@@ -20,12 +20,13 @@ from granflow.studies.bench import LONGEST, Collision, CollisionBench, Impact
 from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
 
-def pairings(scene: Scene, plan: Plan) -> list[Collision]:
+def pairings(plan: Plan) -> list[Collision]:
     """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii
     [m].
 
     The collisions have no velocity yet.
     """
+    scene = plan.scene
     smallest: dict[str, float] = {}
     for name, group in scene.particles.items():
         radius = 0.5 * plan.group_diameters[name][0]
@@ -94,7 +95,7 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
     Raises SceneError if the scene has no valid plan.
     """
     plan = plan_for(scene)
-    pairs = pairings(scene, plan)
+    pairs = pairings(plan)
     count = DECADES * VELOCITIES_PER_DECADE + 1
     velocities = plan.velocity_max * np.logspace(-DECADES, 0, count)
     described = scene.model_dump(by_alias=True, exclude_none=True)
@@ -123,7 +124,7 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
     rows = []
     for pair, per_velocity in zip(pairs, reached, strict=True):
         for velocity, found in zip(velocities, per_velocity, strict=True):
-            requested = _impact(scene, plan, pair, velocity).requested
+            requested = _impact(plan, pair, velocity).requested
             extremes = float(found.min()), float(found.max())
             rows.append(RestitutionRow(name_of(pair), float(velocity), requested, *extremes))
     return rows, plan.time_step
@@ -189,7 +190,7 @@ HALVINGS = 6
 """Number of halvings in the search for a sufficient time step (down to 1/64)."""
 
 
-def warnings(scene: Scene, plan: Plan) -> list[str]:
+def warnings(plan: Plan) -> list[str]:
     """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1
     %.
 
@@ -197,14 +198,15 @@ def warnings(scene: Scene, plan: Plan) -> list[str]:
     one is found. Collisions that cannot occur, and collisions for which the plan has a warning already, are
     excluded. QUICK_STEPS limits the total number of steps of all collisions.
     """
+    scene = plan.scene
     worst: dict[str, tuple[float, Collision, _Impact]] = {}
     steps = 0
-    for pair in pairings(scene, plan):
+    for pair in pairings(plan):
         if not _occurs(scene, pair):
             continue
         deviations: list[tuple[float, _Impact]] = []
         for share in QUICK_VELOCITIES:
-            impact = _impact(scene, plan, pair, share * plan.velocity_max)
+            impact = _impact(plan, pair, share * plan.velocity_max)
             steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
             if steps > QUICK_STEPS or _unreachable(plan, impact):
                 break
@@ -240,9 +242,9 @@ class _Impact:
         return self.arguments[3]
 
 
-def _impact(scene: Scene, plan: Plan, pair: Collision, velocity: float) -> _Impact:
+def _impact(plan: Plan, pair: Collision, velocity: float) -> _Impact:
     """Collision of a pair at an approach velocity [m/s] with the properties of the contact model."""
-    arguments = (plan.pair(pair.first, pair.second), *pair.reduced(scene), velocity)
+    arguments = (plan.pair(pair.first, pair.second), *pair.reduced(plan.scene), velocity)
     return _Impact(arguments, plan.law.restitution(*arguments), sum(plan.law.phase_durations(*arguments)))
 
 

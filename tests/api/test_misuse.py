@@ -177,7 +177,7 @@ ASSIGNMENTS = {
     "key of a part": "scene.materials['glass'].density = 3",
     "part of a mapping": "scene.materials['glass'] = None",
     "time of a snapshot": "simulation.snapshot().time = 3",
-    "number of the plan": "simulation.plan.gravity = (0, 0, 0)",
+    "number of the plan": "simulation.plan.skin = 1.0",
     "result": "simulation.run(duration=0).run = {}",
 }
 

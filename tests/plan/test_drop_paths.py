@@ -80,7 +80,7 @@ CASES = {
 @pytest.mark.parametrize("name", [name for name, (_, expected) in CASES.items() if expected is not None])
 def test_impact_velocity_follows_from_the_heights_of_the_walls_on_the_path(name):
     given, expected = CASES[name]
-    assert path_velocity(given, plan_for(given)).value == pytest.approx(expected, rel=1e-6)
+    assert path_velocity(plan_for(given)).value == pytest.approx(expected, rel=1e-6)
 
 
 def test_path_over_a_cone_keeps_the_velocity_along_it_and_ends_below_its_orifice():
@@ -90,11 +90,11 @@ def test_path_over_a_cone_keeps_the_velocity_along_it_and_ends_below_its_orifice
     TOP.
     """
     given, _ = CASES["hopper"]
-    found = path_velocity(given, plan_for(given))
+    found = path_velocity(plan_for(given))
     low, high = (
         0.5 * (TOP - 0.15 - r) + (0.15 + r - 0.2) + (0.2 - FLOOR) for r in (0.1, np.hypot(0.2, 0.05))
     )
-    assert fall(low) < found.value < 1.005 * fall(high) < forecast_velocity(given, plan_for(given)).value
+    assert fall(low) < found.value < 1.005 * fall(high) < forecast_velocity(plan_for(given)).value
     assert "particles.balls over walls.hopper to walls.floor" in found.source
 
 
@@ -104,10 +104,10 @@ def test_belt_adds_its_speed_and_throws_particles(speed):
     belt."""
     given = scene({"belt": belt(speed)})
     expected = fall(max(0.2 - FLOOR, 0.0), speed) + speed
-    assert path_velocity(given, plan_for(given)).value == pytest.approx(expected, rel=1e-6)
+    assert path_velocity(plan_for(given)).value == pytest.approx(expected, rel=1e-6)
     enclosed = scene({"belt": belt(speed)} | SIDES)
     expected = max(fall(TOP - 0.2), speed) + speed
-    assert path_velocity(enclosed, plan_for(enclosed)).value == pytest.approx(expected, rel=1e-6)
+    assert path_velocity(plan_for(enclosed)).value == pytest.approx(expected, rel=1e-6)
 
 
 def test_mesh_stops_a_fall_as_the_rectangle_of_its_triangles(tmp_path):
@@ -118,7 +118,7 @@ def test_mesh_stops_a_fall_as_the_rectangle_of_its_triangles(tmp_path):
     given = scene({"chute": CHUTE}).to_dict() | {"walls": FLOORS | {"chute": wall}}
     (tmp_path / "scene.yaml").write_text(json.dumps(given))
     loaded = load_scene(tmp_path / "scene.yaml")
-    assert path_velocity(loaded, plan_for(loaded)).value == pytest.approx(fall(AFTER_CHUTE), rel=1e-6)
+    assert path_velocity(plan_for(loaded)).value == pytest.approx(fall(AFTER_CHUTE), rel=1e-6)
 
 
 def test_inlet_starts_with_its_velocity():
@@ -128,7 +128,7 @@ def test_inlet_starts_with_its_velocity():
         "face": {"rectangle": {"corner": [-0.05, -0.05, TOP], "sides": [[0, 0.1, 0], [0.1, 0, 0]]}},
     }
     given = scene({"table": TABLE} | SIDES, inlet, velocity=(0.0, 0.0, -2.0))
-    assert path_velocity(given, plan_for(given)).value == pytest.approx(fall(TOP - 0.2, 2.0), rel=1e-6)
+    assert path_velocity(plan_for(given)).value == pytest.approx(fall(TOP - 0.2, 2.0), rel=1e-6)
 
 
 def warned(given):

@@ -304,7 +304,7 @@ def test_initial_particles_inside_walls_are_reported():
     inside = particle_group([[0.0, 0.0, 0.05], [0.0, 0.0, 0.003], [0.0, 0.0, 0.0049]])
     scene = build_scene({"balls": inside}, walls={"floor": plane([0, 0, 0], [0, 0, 1])})
     plan = plan_for(scene)
-    (warning,) = particle_warnings(scene, plan, initial_particles(scene))
+    (warning,) = particle_warnings(plan, initial_particles(scene))
     assert (
         "1 of 3 particles are inside walls.floor at the start, by up to 0.4 of the radius, at [0, 0, 0.003] m"
         in warning

@@ -133,7 +133,7 @@ def fitting_count(error):
 
 def test_run_on_a_gpu_that_does_not_fit_is_rejected_with_a_count_that_fits(tmp_path):
     plan = plan_for(load_scene(lattice(tmp_path, 300_000)), on_gpu=True)
-    needed = memory_check.estimate_memory(plan, plan.precision).total
+    needed = memory_check.estimate_memory(plan, plan.scene.run.precision).total
     memory_check.refuse_without_device_memory(plan, needed, None)
     memory_check.refuse_without_device_memory(plan, None, None)  # unknown
     with pytest.raises(SceneError, match=r"GB on the GPU, but only .* are free: lower") as error:

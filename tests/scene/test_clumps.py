@@ -186,7 +186,7 @@ def floored(group, height):
     scene = build_scene({"rods": group}, walls={"floor": plane([0.0, 0.0, height], [0.0, 0.0, 1.0])})
     plan = plan_for(scene)
     region = [each for each in plan.warnings if "of the positions in the region" in each]
-    return [*region, *particle_warnings(scene, plan, initial_particles(scene))]
+    return [*region, *particle_warnings(plan, initial_particles(scene))]
 
 
 def test_only_rods_whose_spheres_are_inside_a_wall_are_reported():

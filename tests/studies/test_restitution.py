@@ -39,7 +39,7 @@ def two_materials(fraction=0.02, **parts):
 
 def warnings_of(scene):
     """The warnings on restitution coefficients for the plan of a scene."""
-    return warnings(scene, plan_for(scene))
+    return warnings(plan_for(scene))
 
 
 def coarse_hertz(step="auto", fraction=0.15):
@@ -54,7 +54,7 @@ def coarse_hertz(step="auto", fraction=0.15):
 
 def test_pairings_contain_each_possible_material_pair_with_its_smallest_radii():
     scene = two_materials()
-    found = {(name_of(each), each.radius, each.other_radius) for each in pairings(scene, plan_for(scene))}
+    found = {(name_of(each), each.radius, each.other_radius) for each in pairings(plan_for(scene))}
     assert found == {
         ("steel-steel", 0.002, 0.002),
         ("steel-glass", 0.002, 0.003),
@@ -117,7 +117,7 @@ def test_single_precision_is_inaccurate_at_low_velocities(taichi_f64):
 
 def given_warnings(scene):
     """Warnings for a scene with its plan."""
-    return warnings(scene, plan_for(scene))
+    return warnings(plan_for(scene))
 
 
 def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(taichi_f64):
@@ -162,7 +162,7 @@ def test_warnings_of_the_plan_are_not_repeated():
     })  # fmt: skip
     plan = plan_for(scene)
     assert any("0.02" in sentence for sentence in plan.step.warnings)
-    assert not any("steel-steel" in sentence for sentence in warnings(scene, plan))
+    assert not any("steel-steel" in sentence for sentence in warnings(plan))
 
 
 def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
@@ -198,6 +198,6 @@ def test_restitution_error_of_a_time_step_fraction_is_as_documented(law, restitu
         run={"duration": 1.0, "velocity_max": 1.0}, numerics={"time_step_fraction": fraction, "rayleigh_fraction": 1.0},
     )  # fmt: skip
     plan = plan_for(scene)
-    impact = _impact(scene, plan, next(iter(pairings(scene, plan))), 1.0)
+    impact = _impact(plan, next(iter(pairings(plan))), 1.0)
     reached = [_reference_restitution(plan, impact, plan.time_step, phase) for phase in np.arange(16) / 16]
     assert 100.0 * np.abs(np.array(reached) / restitution - 1.0).max() < largest

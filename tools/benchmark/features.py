@@ -340,7 +340,7 @@ def _feature_cost(
         plan=plan,
         nanoseconds=float(np.median(times_of_variant)),
         ratio=tuple(np.percentile(times_of_variant / base, (25, 50, 75)).tolist()),
-        bytes_per_particle=estimate_memory(plan, plan.precision).total / plan.particle_capacity,
+        bytes_per_particle=estimate_memory(plan, plan.scene.run.precision).total / plan.particle_capacity,
         compile_seconds=simulation.engine.timing.compile,
         contacts_per_particle=totals["contact_count"] / max(totals["particle_count"], 1.0),
     )

@@ -97,11 +97,11 @@ def _entry_size(array: DeviceArray, precision: Precision) -> int:
 
 def text(plan: Plan) -> str:
     """Memory traffic of a particle-step at the precision of the plan, and the largest rate of each GPU."""
-    traffic = bytes_per_particle_step(plan, plan.precision)
+    traffic = bytes_per_particle_step(plan, plan.scene.run.precision)
     rates = [
-        f"{gpu.name:12} {1e-6 * particle_steps_per_second(plan, plan.precision, gpu):6.0f} million "
+        f"{gpu.name:12} {1e-6 * particle_steps_per_second(plan, plan.scene.run.precision, gpu):6.0f} million "
         f"particle-steps per second at {1e-9 * gpu.bandwidth:.0f} GB/s"
         for gpu in GPUS
     ]
-    title = f"{plan.title}: at least {traffic:.0f} bytes per particle-step with {CONTACTS:g} contacts per particle"
-    return "\n".join([f"{title}, {plan.precision}", *rates])
+    title = f"{plan.scene.title}: at least {traffic:.0f} bytes per particle-step with {CONTACTS:g} contacts per particle"
+    return "\n".join([f"{title}, {plan.scene.run.precision}", *rates])

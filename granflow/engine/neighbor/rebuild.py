@@ -179,7 +179,7 @@ class NeighborListRebuild:
         if flags.present < state.count:
             self._on_deleted(flags.present, state.count)
             state.count = flags.present
-        if state.plan.domain.on_exit == "expand" and flags.abort == ABORT_FAR:
+        if state.plan.scene.domain.on_exit == "expand" and flags.abort == ABORT_FAR:
             find_farthest(state)
 
 

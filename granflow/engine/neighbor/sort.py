@@ -101,7 +101,7 @@ def _build_remains_at(state: State) -> Any:
     in_one_outlet = [_build_in_one_outlet(state, index) for index in range(len(state.plan.outlets))]
     low = state.parameter("domain_low")
     high = state.parameter("domain_high")
-    unchecked_axes = range(3) if state.plan.domain.on_exit == "expand" else state.plan.periodic_box.axes
+    unchecked_axes = range(3) if state.plan.scene.domain.on_exit == "expand" else state.plan.periodic_box.axes
 
     @ti.func
     def in_outlet(p):
@@ -316,7 +316,7 @@ def build_lay_grids(state: State) -> Any:
     sorting = state.cell_sort
     by_class = state.cell_sort.class_order is not None
     lay_grid = _build_lay_grid(state)
-    expands = state.plan.domain.on_exit == "expand"
+    expands = state.plan.scene.domain.on_exit == "expand"
     class_count = state.parameter("class_count")
     force_range = state.parameter("force_range")
     coordinate_limit = state.parameter("coordinate_limit")
@@ -467,7 +467,7 @@ def build_grid_over(state: State) -> Any:
     domain_low = state.parameter("domain_low")
     domain_high = state.parameter("domain_high")
     axes = state.plan.periodic_box.axes
-    expands = state.plan.domain.on_exit == "expand"
+    expands = state.plan.scene.domain.on_exit == "expand"
 
     @ti.func
     def grid_over(low, high, side_requested, limit):
