@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from granflow.runs.read_run import read_run as read_run
     from granflow.runs.result import Result as Result
     from granflow.scene.blocks.contact import Contact as Contact
-    from granflow.scene.blocks.domain import BoxOutlet as BoxOutlet
-    from granflow.scene.blocks.domain import DiscOutlet as DiscOutlet
     from granflow.scene.blocks.domain import Domain as Domain
-    from granflow.scene.blocks.domain import HalfSpaceOutlet as HalfSpaceOutlet
     from granflow.scene.blocks.domain import LeesEdwards as LeesEdwards
     from granflow.scene.blocks.materials import Material as Material
     from granflow.scene.blocks.materials import MaterialPair as MaterialPair
     from granflow.scene.blocks.materials import RestitutionFit as RestitutionFit
+    from granflow.scene.blocks.outlets import BoxOutlet as BoxOutlet
+    from granflow.scene.blocks.outlets import DiscOutlet as DiscOutlet
+    from granflow.scene.blocks.outlets import HalfSpaceOutlet as HalfSpaceOutlet
     from granflow.scene.blocks.output import CenterOfMassMetric as CenterOfMassMetric
     from granflow.scene.blocks.output import Checkpoints as Checkpoints
     from granflow.scene.blocks.output import CollisionEnergies as CollisionEnergies
@@ -109,7 +109,7 @@ os.environ.setdefault("HOME", os.path.expanduser("~"))
 
 _LOCATIONS = {
     "Box": "granflow.scene.blocks.shapes.Box",
-    "BoxOutlet": "granflow.scene.blocks.domain.BoxOutlet",
+    "BoxOutlet": "granflow.scene.blocks.outlets.BoxOutlet",
     "BoxRegion": "granflow.scene.blocks.particles.BoxRegion",
     "BoxWall": "granflow.scene.blocks.walls.BoxWall",
     "CenterOfMassMetric": "granflow.scene.blocks.output.CenterOfMassMetric",
@@ -127,7 +127,7 @@ _LOCATIONS = {
     "Damping": "granflow.scene.blocks.run.Damping",
     "Disc": "granflow.scene.blocks.walls.Disc",
     "DiscFace": "granflow.scene.blocks.particles.DiscFace",
-    "DiscOutlet": "granflow.scene.blocks.domain.DiscOutlet",
+    "DiscOutlet": "granflow.scene.blocks.outlets.DiscOutlet",
     "Domain": "granflow.scene.blocks.domain.Domain",
     "Expectation": "granflow.scene.blocks.output.Expectation",
     "FabricMetric": "granflow.scene.blocks.output.FabricMetric",
@@ -138,7 +138,7 @@ _LOCATIONS = {
     "FunctionError": "granflow.errors.FunctionError",
     "GranflowError": "granflow.errors.GranflowError",
     "Group": "granflow.scene.blocks.particles.Group",
-    "HalfSpaceOutlet": "granflow.scene.blocks.domain.HalfSpaceOutlet",
+    "HalfSpaceOutlet": "granflow.scene.blocks.outlets.HalfSpaceOutlet",
     "InletInsertion": "granflow.scene.blocks.particles.InletInsertion",
     "LaceyMetric": "granflow.scene.blocks.output.LaceyMetric",
     "LatticeInsertion": "granflow.scene.blocks.particles.LatticeInsertion",

@@ -37,7 +37,7 @@ LAYERS = (
     "__main__",
 )
 """From the lowest layer to the highest. The __init__ of the package re-exports names of all layers."""
-TAICHI_LAYERS = {"device_functions", "contact", "geometry", "engine"}
+TAICHI_LAYERS = {"device_functions", "contact", "geometry", "scene", "engine"}
 VAGUE_NAMES = {"util", "utils", "core", "manager", "managers", "helpers", "misc", "common"}
 TOP_LEVEL = {
     *("granflow", "scenes", "tests", "tools", "docs"),

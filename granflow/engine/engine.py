@@ -107,7 +107,7 @@ class Engine:
         self._return_state.atexit = False
         self.stepper = self._new_stepper()
         self.timing = self.stepper.timing
-        self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in plan.outlets})
+        self.accounting = Accounting(outlets={name: [0.0, 0.0] for name in plan.scene.outlets})
         self.stability_monitor = StabilityMonitor(plan)
         self.steps_since_update = 0
         self._gravity = np.array(plan.scene.gravity)
@@ -224,7 +224,7 @@ class Engine:
             row.fill(0)
         if time_step is not None:
             state.clock.change(time_step)
-        self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
+        self.accounting = Accounting(outlets={name: [0.0, 0.0] for name in self.plan.scene.outlets})
         self._started = False
         self.energy_before_change = None
         self._stopping_change = None

@@ -27,10 +27,10 @@ from granflow.engine.sums import (
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_totals, controlled_work
 from granflow.geometry.motion import pose
 from granflow.kernel_language import ti
-from granflow.plan.outlets import outlet_of
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES
 from granflow.plan.time_step import stable_step
+from granflow.scene.blocks.outlets import outlet_of
 from granflow.snapshot import WallPose
 
 # Accounting on the host: inserted and deleted particles with their energies.
@@ -579,7 +579,7 @@ def _outlets_of(plan: Plan, position: np.ndarray) -> np.ndarray:
     checked_axes = [axis for axis in range(3) if plan.scene.domain.on_exit != "expand"]
     low, high = plan.domain_low[checked_axes], plan.domain_high[checked_axes]
     in_domain = np.all((position[:, checked_axes] >= low) & (position[:, checked_axes] <= high), axis=1)
-    return outlet_of(plan.outlets, position, in_domain)
+    return outlet_of(plan.scene.outlets.values(), position, in_domain)
 
 
 # Warnings during a run from values of the snapshots, without additional work in a step.

@@ -22,7 +22,6 @@ from granflow.plan.capacities import (
     Capacities,
     rounded_capacity,
 )
-from granflow.plan.outlets import PlannedOutlet
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import CARRY_BITS, IMPULSE_SIZE, LOSSES, UNIT_ENERGY, UNIT_TORQUE
 from granflow.plan.wall_control import ControlledMotion
@@ -277,8 +276,9 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     yield _vector("box_width", "position", plan.periodic_box.width)
     yield _vector("domain_low", "position", plan.domain_low)
     yield _vector("domain_high", "position", plan.domain_high)
-    for index, outlet in enumerate(plan.outlets):
-        yield from _of_outlet(f"outlet.{index}", outlet)
+    for index, outlet in enumerate(plan.scene.outlets.values()):
+        for name, value in outlet.numbers().items():
+            yield _vector(f"outlet.{index}.{name}", "position", np.atleast_1d(value))
     for index, motion in enumerate(plan.controlled_motions):
         yield from _of_motion(f"motion.{index}", motion)
 
@@ -304,18 +304,6 @@ def _of_sums(plan: Plan) -> Iterator[Parameter]:
     per_unit[UNIT_ENERGY] /= 2.0**CARRY_BITS
     yield _vector("per_unit", "real", per_unit)
     yield _vector("shift", "real", 1.5 * units[: UNIT_TORQUE + 1] / eps)
-
-
-def _of_outlet(prefix: str, outlet: PlannedOutlet) -> Iterator[Parameter]:
-    """Corners of a box; plane and, for a disc, radius of any other outlet."""
-    if outlet.low is not None and outlet.high is not None:
-        yield _vector(f"{prefix}.low", "position", outlet.low)
-        yield _vector(f"{prefix}.high", "position", outlet.high)
-        return
-    yield _vector(f"{prefix}.point", "position", outlet.point)
-    yield _vector(f"{prefix}.normal", "position", outlet.normal)
-    if outlet.kind == "disc":
-        yield _scalar(f"{prefix}.radius", "position", outlet.radius)
 
 
 def _of_motion(prefix: str, motion: ControlledMotion) -> Iterator[Parameter]:
@@ -347,7 +335,7 @@ def structure_of(plan: Plan) -> Hashable:
         plan.chunk_size == 1,
         plan.has_ghosts,
         frozenset(surface_code(wall.shape) for wall in plan.walls),
-        tuple(outlet.kind for outlet in plan.outlets),
+        tuple(outlet.kind for outlet in plan.scene.outlets.values()),
         tuple(motion.kind for motion in plan.controlled_motions),
         tuple((array.name, array.dtype, array.width) for array in particle_arrays(plan) if array.wanted),
         _without_lists(plan.capacities),

@@ -33,7 +33,6 @@ from granflow.plan.limits import (
     resolution_warning,
     share_of,
 )
-from granflow.plan.outlets import planned_outlets
 from granflow.plan.pairs import (
     active_models,
     adhesion_velocity,
@@ -118,7 +117,6 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
         periodic_box=periodic_box,
         stages=planned_stages(scene),
         damping=planned_damping(scene.damping),
-        outlets=planned_outlets(scene.outlets),
         features=features,
         reasons=reasons,
         groups=groups,

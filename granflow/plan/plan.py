@@ -41,7 +41,6 @@ from granflow.plan.capacities import (
 from granflow.plan.features import Features, Reason
 from granflow.plan.groups import PlannedGroup
 from granflow.plan.limits import coordinate_limit
-from granflow.plan.outlets import PlannedOutlet
 from granflow.plan.stages import PlannedDamping, PlannedStage
 from granflow.plan.sum_units import SumUnits, liquid_unit, sum_units
 from granflow.plan.time_step import (
@@ -142,7 +141,6 @@ class Plan:
     stages: tuple[PlannedStage, ...]
     damping: PlannedDamping | None
     """Damping of all motion, for settling."""
-    outlets: tuple[PlannedOutlet, ...]
 
     # What is compiled.
     features: Features
@@ -370,7 +368,7 @@ class Plan:
         if self.periodic_box.axes:
             return 0.5 * self.skin
         radius = (0.5 if self.features.mesh_walls else 1.0) * self.radius_min
-        outlets = [0.5 * float((each.high - each.low).min()) for each in self.outlets if each.low is not None]
+        outlets = [0.5 * outlet.thickness for outlet in self.scene.outlets.values()]
         return max(0.5 * self.skin, min([radius, *outlets]))
 
     @property

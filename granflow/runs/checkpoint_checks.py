@@ -219,7 +219,7 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
     accounting["deleted_count"].integer(inserted - count, inserted - count)
     for name, kind in SAVED_NUMBERS.items():
         accounting[name].amount(kind)
-    for outlet in accounting["outlets"].parts([outlet.name for outlet in plan.outlets]):
+    for outlet in accounting["outlets"].parts(list(plan.scene.outlets)):
         for each in outlet.items(2):
             each.number(0.0, LARGEST_REAL)
     for face in accounting["exits"].parts(EXIT_FACES):

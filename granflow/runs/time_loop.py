@@ -361,13 +361,13 @@ def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meter
     """
     total = sum(exits.values())
     sideward = total - sum(exits[face] for face in _lower_faces(plan))
-    expected = 0 if plan.outlets else max(LARGE_SHARE * inserted, through_meters)
-    if (total if plan.outlets else sideward) <= expected:
+    expected = 0 if plan.scene.outlets else max(LARGE_SHARE * inserted, through_meters)
+    if (total if plan.scene.outlets else sideward) <= expected:
         return None
     most = max(exits, key=lambda face: exits[face])
     axis, end = most.split("_")
     bound = getattr(plan.scene.domain, end)["xyz".index(axis)]
-    outside = " outside the outlets" if plan.outlets else ""
+    outside = " outside the outlets" if plan.scene.outlets else ""
     return (
         f"{total} of {inserted} particles left the domain{outside}, {exits[most]} of them through its face "
         f"at {axis} = {bound:.4g} m: they are deleted. If this is not intended, check the walls and "

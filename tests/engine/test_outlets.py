@@ -11,7 +11,7 @@ from subprocess_runner import each_in_subprocess
 
 from granflow.engine import threads as workers
 from granflow.io.checkpoint import read_checkpoint
-from granflow.plan.outlets import outlet_of, planned_outlets
+from granflow.scene.blocks.outlets import outlet_of
 from granflow.simulation import Simulation
 
 MASSES = {diameter: pi / 6.0 * diameter**3 * SOFT["density"] for diameter in (0.004, 0.005)}
@@ -106,10 +106,11 @@ def test_results_are_bit_identical_for_any_thread_count(precision):
 
 def test_deepest_outlet_takes_a_particle_despite_rounding():
     """Positions 20 mm beyond the plane, 4 mm inside the box, 1e-12 m outside the box, and far from both."""
-    outlets = planned_outlets(chute().outlets)
+    outlets = chute().outlets
+    names = list(outlets)
     position = np.array([[0.5, 0, -0.04], [0.5, 0, -0.003], [0.5, 0, 0.001 + 1e-12], [0.5, 0, 0.5]])
     inside = np.array([True, True, True, False])
-    assert [outlets[k].name for k in outlet_of(outlets, position, inside)[:3]] == ["below", "side", "side"]
-    assert outlet_of(outlets, position, inside)[3] == -1
-    disc = outlets[2].depth(np.array([[0, 0, 0.103], [0.009, 0, 0.2], [0.02, 0, 0.2], [0, 0, 0.0]]))
+    assert [names[k] for k in outlet_of(outlets.values(), position, inside)[:3]] == ["below", "side", "side"]
+    assert outlet_of(outlets.values(), position, inside)[3] == -1
+    disc = outlets[names[2]].depth(np.array([[0, 0, 0.103], [0.009, 0, 0.2], [0.02, 0, 0.2], [0, 0, 0.0]]))
     np.testing.assert_allclose(disc, [0.003, 0.001, -0.01, -0.1], atol=1e-15)

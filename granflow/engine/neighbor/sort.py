@@ -12,6 +12,7 @@ In device functions, `sorting` is `State.cell_sort`; cell coordinates are 3-vect
 """
 
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -98,7 +99,10 @@ def _build_remains_at(state: State) -> Any:
     outside; an outlet does not delete fixed particles. `host.remove_particles` marks particles by a
     negative radius.
     """
-    in_one_outlet = [_build_in_one_outlet(state, index) for index in range(len(state.plan.outlets))]
+    in_one_outlet = []
+    for index, outlet in enumerate(state.plan.scene.outlets.values()):
+        readers = {name: state.parameter(f"outlet.{index}.{name}") for name in outlet.numbers()}
+        in_one_outlet.append(outlet.build_contains(SimpleNamespace(**readers)))
     low = state.parameter("domain_low")
     high = state.parameter("domain_high")
     unchecked_axes = range(3) if state.plan.scene.domain.on_exit == "expand" else state.plan.periodic_box.axes
@@ -125,53 +129,6 @@ def _build_remains_at(state: State) -> Any:
         return inside
 
     return remains_at
-
-
-def _build_in_one_outlet(state: State, index: int) -> Any:
-    """Device function (point): true if the point [m] is in one outlet.
-
-    An outlet is a box, a half space, or the part of a half space within a radius of its axis (disc).
-    """
-    outlet = state.plan.outlets[index]
-    if outlet.kind == "box":
-        return _build_in_box(state, index)
-    return _build_in_half_space(state, index, outlet.kind)
-
-
-def _build_in_box(state: State, index: int) -> Any:
-    low = state.parameter(f"outlet.{index}.low")
-    high = state.parameter(f"outlet.{index}.high")
-
-    @ti.func
-    def in_box(p):
-        is_inside = True
-        lows = low()
-        highs = high()
-        for axis in ti.static(range(3)):
-            is_inside = is_inside & (p[axis] >= lows[axis]) & (p[axis] <= highs[axis])
-        return is_inside
-
-    return in_box
-
-
-def _build_in_half_space(state: State, index: int, kind: str) -> Any:
-    point = state.parameter(f"outlet.{index}.point")
-    normal = state.parameter(f"outlet.{index}.normal")
-    is_disc = kind == "disc"
-    radius = state.parameter(f"outlet.{index}.radius") if is_disc else None
-
-    @ti.func
-    def in_half_space(p):
-        from_point = p - point()
-        direction = normal()
-        along = from_point.dot(direction)
-        is_inside = along >= 0.0
-        if ti.static(is_disc):
-            radial = from_point - along * direction
-            is_inside = is_inside and radial.dot(radial) <= radius() * radius()
-        return is_inside
-
-    return in_half_space
 
 
 def find_farthest(state: State) -> None:

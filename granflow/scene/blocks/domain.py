@@ -1,7 +1,4 @@
-"""Schema of the blocks `domain` and `outlets`: the simulated box, its boundaries, and where particles leave.
-
-A particle leaves at the boundary of the domain (`on_exit`), or in an outlet, which deletes and counts it.
-"""
+"""Block `domain`: the simulated box, its boundaries, and what happens to particles that leave it."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
@@ -14,9 +11,7 @@ from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.shapes import Box
 from granflow.scene.faults import Fault
-from granflow.scene.model import ListOf, Model, choose_by_first_key
-
-# Block `domain`
+from granflow.scene.model import ListOf, Model
 
 Axis = Literal["x", "y", "z"]
 ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
@@ -90,66 +85,3 @@ class Domain(Box):
             if getattr(self.lees_edwards, key) not in self.periodic:
                 reason = "domain.periodic does not contain this axis; both axes must be periodic"
                 yield Fault(("lees_edwards", key), reason)
-
-
-# Block `outlets`: regions in which particles are deleted and counted
-
-
-class HalfSpaceGiven(Model):
-    """All points on one side of a plane."""
-
-    point: q.Point = Field(description="a point on the plane [m]")
-    normal: q.Direction = Field(
-        description="normal of the plane, toward the half space; its length does not matter"
-    )
-
-
-class DiscGiven(Model):
-    """The semi-infinite cylinder on the downstream side of a disc."""
-
-    center: q.Point = Field(description="center of the disc [m]")
-    normal: q.Direction = Field(
-        description="normal of the disc, in the direction of the particle flow; its length does not matter"
-    )
-    radius: q.PositiveLength = Field(description="radius of the disc [m]")
-
-
-class BoxOutlet(Model):
-    """Particles whose center is in a box are deleted at the next rebuild of the neighbor list.
-
-    >>> gf.BoxOutlet(box=gf.Box(min=[0, 0, -0.2], max=[0.1, 0.1, -0.1])).box.min
-    (0.0, 0.0, -0.2)
-    """
-
-    box: Box = Field(description="a box along the coordinate axes, {min: [..], max: [..]}")
-
-
-class HalfSpaceOutlet(Model):
-    """Particles whose center is in a half space are deleted at the next rebuild of the neighbor list.
-
-    >>> gf.HalfSpaceOutlet(half_space={"point": [0, 0, -0.1], "normal": [0, 0, -1]}).half_space.point
-    (0.0, 0.0, -0.1)
-    """
-
-    half_space: HalfSpaceGiven = Field(description="a half space, {point: [..], normal: [..]}")
-
-
-class DiscOutlet(Model):
-    """Particles whose center is in the semi-infinite cylinder downstream of a disc are deleted at the next
-    rebuild.
-
-    >>> gf.DiscOutlet(disc={"center": [0, 0, 0], "normal": [0, 0, -1], "radius": "2 cm"}).disc.radius
-    0.02
-    """
-
-    disc: DiscGiven = Field(description="a disc, {center: [..], normal: [..], radius: ..}")
-
-
-Outlet = Annotated[
-    BoxOutlet | HalfSpaceOutlet | DiscOutlet,
-    choose_by_first_key(
-        "it must be {box: {min: [..], max: [..]}}, {half_space: {point: [..], normal: [..]}} or "
-        "{disc: {center: [..], normal: [..], radius: ..}}"
-    ),
-]
-"""An outlet of any shape: box, half space or disc, selected by its key."""

@@ -12,8 +12,9 @@ from pydantic import AfterValidator, Field, PrivateAttr
 
 from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.contact import Contact
-from granflow.scene.blocks.domain import Domain, Outlet
+from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.materials import Material, MaterialPair
+from granflow.scene.blocks.outlets import Outlet
 from granflow.scene.blocks.output import Expectation, Output
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.quantities import Number
