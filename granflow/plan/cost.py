@@ -227,10 +227,19 @@ def _location(plan: Plan) -> str:
     return max(plan.groups, key=lambda group: group.sphere_count).source
 
 
+# The run time: what is typical, for `explain`, and what no machine exceeds, for the refusal of a scene.
+
+TYPICAL_PARTICLE_STEPS_PER_SECOND = 5e6
+"""Usual particle-steps per second of wall-clock time on two CPU cores: settled particles with friction."""
+TYPICAL_STEPS_PER_SECOND = 2e5
+"""Usual steps per second of wall-clock time on a CPU where the number of particles no longer matters."""
 MAX_STEPS_PER_SECOND = 1e6
 """Upper bound of steps per second of wall-clock time for few particles (measured on a CPU: 3e5)."""
 MAX_PARTICLE_STEPS_PER_SECOND = 1e9
-"""Upper bound of particle-steps per second of wall-clock time (measured on two CPU cores: 2e7)."""
+"""Upper bound of particle-steps per second of wall-clock time (measured on two CPU cores: 2e7).
+
+The bounds are far above the usual rates because a scene is refused only if no machine can compute it.
+"""
 WRITES_PER_SECOND = 1e4
 """Upper bound of frames, time-series rows and checkpoints per second of wall-clock time (measured: 1e3)."""
 YEAR = 365.25 * 86400.0
@@ -291,6 +300,16 @@ def least_run_time(plan: Plan) -> float:
     of_steps = steps / MAX_STEPS_PER_SECOND
     of_particles = steps * plan.particle_capacity / MAX_PARTICLE_STEPS_PER_SECOND
     return max(of_steps, of_particles) + _writes(plan) / WRITES_PER_SECOND
+
+
+def typical_run_time(plan: Plan) -> float:
+    """Estimate of the wall-clock time [s] of the steps on a CPU, from the usual rates; without output.
+
+    The number of particles or the number of steps determines it, whichever takes longer.
+    """
+    steps = ceil(duration_of(plan) / plan.time_step)
+    of_particles = steps * plan.particle_capacity / TYPICAL_PARTICLE_STEPS_PER_SECOND
+    return max(of_particles, steps / TYPICAL_STEPS_PER_SECOND)
 
 
 def duration_of(plan: Plan) -> float:

@@ -18,7 +18,13 @@ from granflow.arguments import refuse_other
 from granflow.geometry.motion import TableRotation, TableTranslation
 from granflow.geometry.shape import sphere_mass
 from granflow.load import Scene
-from granflow.plan.cost import MemoryEstimate, duration_of, estimate_memory
+from granflow.plan.cost import (
+    TYPICAL_PARTICLE_STEPS_PER_SECOND,
+    MemoryEstimate,
+    duration_of,
+    estimate_memory,
+    typical_run_time,
+)
 from granflow.plan.features import Reason
 from granflow.plan.groups import PlannedGroup
 from granflow.plan.plan import Plan
@@ -29,10 +35,6 @@ from granflow.scene.blocks.contact import LawSettings
 
 WIDTH = 100
 """Width of the text in columns."""
-PARTICLE_STEPS_PER_SECOND = 5e6
-"""Rate assumed for the run time on a CPU: settled particles with friction, two threads."""
-STEPS_PER_SECOND = 2e5
-"""Maximum step rate, for small numbers of particles."""
 LABELS = {"one_material": "one particle material", "rate_dependent": "viscous normal force"}
 """Labels of features whose names do not describe them; the others are their names."""
 
@@ -242,12 +244,7 @@ def _history_text(plan: Plan) -> str:
 
 
 def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
-    """Rows of precision, simulated time, numbers of steps and frames, and an estimate of the run time on a
-    CPU.
-
-    The estimate assumes the rates PARTICLE_STEPS_PER_SECOND and STEPS_PER_SECOND, whichever gives the longer
-    time.
-    """
+    """Rows of precision, simulated time, numbers of steps and frames, and the estimated run time on a CPU."""
     longest = duration_of(plan)
     steps = ceil(longest / plan.time_step)
     prefix = ""
@@ -261,11 +258,8 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     yield ExplainRow("steps", f"{prefix}{count(steps)}", "")
     frames = int(longest / plan.scene.output.interval) + 1
     yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {plan.scene.output.interval:g} s")
-    seconds = max(steps * plan.particle_capacity / PARTICLE_STEPS_PER_SECOND, steps / STEPS_PER_SECOND)
-    assumed = (
-        f"at {PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU{stages_at_most}"
-    )
-    yield ExplainRow("run time", f"about {duration(seconds)}", assumed)
+    rate = f"{TYPICAL_PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU"
+    yield ExplainRow("run time", f"about {duration(typical_run_time(plan))}", f"at {rate}{stages_at_most}")
 
 
 def _end_text(stage: PlannedStage) -> str:
