@@ -298,8 +298,8 @@ MUTATIONS = (
     Mutation(
         "plane",
         "granflow/geometry/plane.py",
-        "+ (point[2] - parameters[2]) * parameters[5]",
-        "- (point[2] - parameters[2]) * parameters[5]",
+        "+ (point[2] - parameters[POINT_Z]) * parameters[NORMAL_Z]",
+        "- (point[2] - parameters[POINT_Z]) * parameters[NORMAL_Z]",
         (SHAPES,),
     ),
     Mutation(

@@ -19,6 +19,54 @@ from granflow.geometry.shape import (
     unit,
 )
 
+HALF_SPACE_PARAMETER_NAMES = ("point_x", "point_y", "point_z", "normal_x", "normal_y", "normal_z")
+"""Parameters of a half space, in this order: a point of the plane [m] and the unit normal."""
+POINT_X, POINT_Y, POINT_Z, NORMAL_X, NORMAL_Y, NORMAL_Z = range(len(HALF_SPACE_PARAMETER_NAMES))
+"""Indices of the parameters of a half space."""
+POINT = slice(POINT_X, POINT_Z + 1)
+NORMAL = slice(NORMAL_X, NORMAL_Z + 1)
+"""Parts of the parameters of a half space on the host."""
+RECTANGLE_PARAMETER_NAMES = (
+    "corner_x",
+    "corner_y",
+    "corner_z",
+    "direction1_x",
+    "direction1_y",
+    "direction1_z",
+    "direction2_x",
+    "direction2_y",
+    "direction2_z",
+    "normal_x",
+    "normal_y",
+    "normal_z",
+    "length1",
+    "length2",
+)
+"""Parameters of a rectangle, in this order: a corner [m], three perpendicular unit vectors, lengths [m]."""
+(
+    CORNER_X,
+    CORNER_Y,
+    CORNER_Z,
+    DIRECTION1_X,
+    DIRECTION1_Y,
+    DIRECTION1_Z,
+    DIRECTION2_X,
+    DIRECTION2_Y,
+    DIRECTION2_Z,
+    FACE_X,
+    FACE_Y,
+    FACE_Z,
+    LENGTH1,
+    LENGTH2,
+) = range(len(RECTANGLE_PARAMETER_NAMES))
+"""Indices of the parameters of a rectangle; FACE is its normal, since NORMAL is that of a half space."""
+CORNER = slice(CORNER_X, CORNER_Z + 1)
+DIRECTION1 = slice(DIRECTION1_X, DIRECTION1_Z + 1)
+DIRECTION2 = slice(DIRECTION2_X, DIRECTION2_Z + 1)
+DIRECTIONS = slice(DIRECTION1_X, DIRECTION2_Z + 1)
+LENGTHS = slice(LENGTH1, LENGTH2 + 1)
+"""Parts of the parameters of a rectangle on the host."""
+
 
 def half_space(point: object, normal: object) -> Shape:
     """Half space: solid behind the plane through `point`; particles are on the side of `normal`.
@@ -62,7 +110,7 @@ def closest_on_half_space(point, parameters):
 
     Returns:  d [m], negative behind the plane; n
     """
-    normal = ti.Vector([parameters[3], parameters[4], parameters[5]])
+    normal = ti.Vector([parameters[NORMAL_X], parameters[NORMAL_Y], parameters[NORMAL_Z]])
     distance = half_space_distance(point, parameters)
     return distance, normal
 
@@ -70,16 +118,16 @@ def closest_on_half_space(point, parameters):
 @ti.func
 def half_space_normal(point, parameters):
     """Normal of the plane (ShapeKind.face_normal)."""
-    return ti.Vector([parameters[3], parameters[4], parameters[5]])
+    return ti.Vector([parameters[NORMAL_X], parameters[NORMAL_Y], parameters[NORMAL_Z]])
 
 
 @ti.func
 def half_space_distance(point, parameters):
     """Signed distance from the plane [m] (ShapeKind.surface_distance)."""
     return (
-        (point[0] - parameters[0]) * parameters[3]
-        + (point[1] - parameters[1]) * parameters[4]
-        + (point[2] - parameters[2]) * parameters[5]
+        (point[0] - parameters[POINT_X]) * parameters[NORMAL_X]
+        + (point[1] - parameters[POINT_Y]) * parameters[NORMAL_Y]
+        + (point[2] - parameters[POINT_Z]) * parameters[NORMAL_Z]
     )
 
 
@@ -91,8 +139,8 @@ def reference_closest_on_half_space(
     points:   (n, 3) [m]
     Returns:  signed distance (n,) [m], normal (n, 3)
     """
-    origin = parameters[0:3]
-    normal = parameters[3:6]
+    origin = parameters[POINT]
+    normal = parameters[NORMAL]
     distance = (points - origin) @ normal
     return distance, np.broadcast_to(normal, points.shape).copy()
 
@@ -104,8 +152,8 @@ def half_space_triangles(
 
     Returns points (4, 3) [m] and triangles (2, 3).
     """
-    origin = parameters[0:3]
-    normal = parameters[3:6]
+    origin = parameters[POINT]
+    normal = parameters[NORMAL]
     foot = np.asarray(center) - ((np.asarray(center) - origin) @ normal) * normal
     side1 = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
     side2 = np.cross(normal, side1)
@@ -114,12 +162,12 @@ def half_space_triangles(
 
 def half_space_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
     """Infinite; 0 for rotation about an axis along the normal, which maps the plane onto itself."""
-    return 0.0 if is_parallel(parameters[3:6], axis) else float("inf")
+    return 0.0 if is_parallel(parameters[NORMAL], axis) else float("inf")
 
 
 HALF_SPACE = ShapeKind(
     name="half_space",
-    parameter_names=("point_x", "point_y", "point_z", "normal_x", "normal_y", "normal_z"),
+    parameter_names=HALF_SPACE_PARAMETER_NAMES,
     closest=closest_on_half_space,
     face_normal=half_space_normal,
     surface_distance=half_space_distance,
@@ -147,9 +195,15 @@ def closest_on_rectangle(point, parameters):
     component3 = ti.select(on_surface, 1.0, beyond[2] / divisor)
     normal = ti.Vector(
         [
-            component1 * parameters[3] + component2 * parameters[6] + component3 * parameters[9],
-            component1 * parameters[4] + component2 * parameters[7] + component3 * parameters[10],
-            component1 * parameters[5] + component2 * parameters[8] + component3 * parameters[11],
+            component1 * parameters[DIRECTION1_X]
+            + component2 * parameters[DIRECTION2_X]
+            + component3 * parameters[FACE_X],
+            component1 * parameters[DIRECTION1_Y]
+            + component2 * parameters[DIRECTION2_Y]
+            + component3 * parameters[FACE_Y],
+            component1 * parameters[DIRECTION1_Z]
+            + component2 * parameters[DIRECTION2_Z]
+            + component3 * parameters[FACE_Z],
         ]
     )
     return distance, normal
@@ -158,7 +212,7 @@ def closest_on_rectangle(point, parameters):
 @ti.func
 def rectangle_normal(point, parameters):
     """Normal of the plane of the rectangle (ShapeKind.face_normal)."""
-    return ti.Vector([parameters[9], parameters[10], parameters[11]])
+    return ti.Vector([parameters[FACE_X], parameters[FACE_Y], parameters[FACE_Z]])
 
 
 @ti.func
@@ -173,12 +227,22 @@ def rectangle_coordinates(point, parameters):
 
     Components: distance beyond the edges along both sides (0 above the face), and height above the face.
     """
-    offset = ti.Vector([point[0] - parameters[0], point[1] - parameters[1], point[2] - parameters[2]])
-    along1 = offset[0] * parameters[3] + offset[1] * parameters[4] + offset[2] * parameters[5]
-    along2 = offset[0] * parameters[6] + offset[1] * parameters[7] + offset[2] * parameters[8]
-    height = offset[0] * parameters[9] + offset[1] * parameters[10] + offset[2] * parameters[11]
-    beyond1 = along1 - ti.min(ti.max(along1, 0.0), parameters[12])
-    beyond2 = along2 - ti.min(ti.max(along2, 0.0), parameters[13])
+    offset = ti.Vector(
+        [point[0] - parameters[CORNER_X], point[1] - parameters[CORNER_Y], point[2] - parameters[CORNER_Z]]
+    )
+    along1 = (
+        offset[0] * parameters[DIRECTION1_X]
+        + offset[1] * parameters[DIRECTION1_Y]
+        + offset[2] * parameters[DIRECTION1_Z]
+    )
+    along2 = (
+        offset[0] * parameters[DIRECTION2_X]
+        + offset[1] * parameters[DIRECTION2_Y]
+        + offset[2] * parameters[DIRECTION2_Z]
+    )
+    height = offset[0] * parameters[FACE_X] + offset[1] * parameters[FACE_Y] + offset[2] * parameters[FACE_Z]
+    beyond1 = along1 - ti.min(ti.max(along1, 0.0), parameters[LENGTH1])
+    beyond2 = along2 - ti.min(ti.max(along2, 0.0), parameters[LENGTH2])
     return ti.Vector([beyond1, beyond2, height])
 
 
@@ -190,9 +254,9 @@ def reference_closest_on_rectangle(
     points:   (n, 3) [m]
     Returns:  distance (n,) [m], unit vector (n, 3)
     """
-    corner = parameters[0:3]
-    frame = parameters[3:9].reshape(2, 3)
-    lengths = parameters[12:14]
+    corner = parameters[CORNER]
+    frame = parameters[DIRECTIONS].reshape(2, 3)
+    lengths = parameters[LENGTHS]
     along = np.clip((points - corner) @ frame.T, 0.0, lengths)
     from_surface = points - (corner + along @ frame)
     distance = np.linalg.norm(from_surface, axis=1)
@@ -206,18 +270,18 @@ def rectangle_triangles(
     parameters: np.ndarray, center: np.ndarray, extent: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (4, 3) [m] and triangles (2, 3) of the rectangle; `center` and `extent` are unused."""
-    return quadrilateral(parameters[0:3], *rectangle_sides(parameters))
+    return quadrilateral(parameters[CORNER], *rectangle_sides(parameters))
 
 
 def rectangle_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
     """Distance [m] of the farthest corner from the axis: `point` (3,) [m], unit vector `axis` (3,)."""
-    corners, _ = quadrilateral(parameters[0:3], *rectangle_sides(parameters))
+    corners, _ = quadrilateral(parameters[CORNER], *rectangle_sides(parameters))
     return float(distance_from_axis(corners, point, axis).max())
 
 
 def rectangle_sides(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The two edge vectors (3,) [m]."""
-    return parameters[3:6] * parameters[12], parameters[6:9] * parameters[13]
+    return parameters[DIRECTION1] * parameters[LENGTH1], parameters[DIRECTION2] * parameters[LENGTH2]
 
 
 def quadrilateral(corner: np.ndarray, side1: np.ndarray, side2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -228,27 +292,12 @@ def quadrilateral(corner: np.ndarray, side1: np.ndarray, side2: np.ndarray) -> t
 
 RECTANGLE = ShapeKind(
     name="rectangle",
-    parameter_names=(
-        "corner_x",
-        "corner_y",
-        "corner_z",
-        "direction1_x",
-        "direction1_y",
-        "direction1_z",
-        "direction2_x",
-        "direction2_y",
-        "direction2_z",
-        "normal_x",
-        "normal_y",
-        "normal_z",
-        "length1",
-        "length2",
-    ),
+    parameter_names=RECTANGLE_PARAMETER_NAMES,
     closest=closest_on_rectangle,
     face_normal=rectangle_normal,
     surface_distance=rectangle_distance,
     reference_closest=reference_closest_on_rectangle,
     triangles=rectangle_triangles,
     reach_about=rectangle_reach,
-    area=lambda parameters: float(parameters[12] * parameters[13]),
+    area=lambda parameters: float(parameters[LENGTH1] * parameters[LENGTH2]),
 )

@@ -17,7 +17,7 @@ from granflow.fields import unit_of
 from granflow.geometry.catalog import Surface, area_of, distance_from, triangles
 from granflow.geometry.mesh import Mesh
 from granflow.geometry.motion import pose
-from granflow.geometry.plane import HALF_SPACE
+from granflow.geometry.plane import HALF_SPACE, NORMAL, POINT
 from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
 from granflow.particles.insertion import MAX_BATCHES, insertion_region
@@ -419,10 +419,10 @@ def _are_equal(one: Surface, other: Surface) -> bool:
         if one.kind is not other.kind:
             return False
         if one.kind is HALF_SPACE:
-            normal = one.parameters[3:6]
-            distance = (other.parameters[0:3] - one.parameters[0:3]) @ normal
-            size = np.abs([one.parameters[0:3], other.parameters[0:3]]).max()
-            is_parallel = np.linalg.norm(normal - other.parameters[3:6]) <= SAME_CORNER
+            normal = one.parameters[NORMAL]
+            distance = (other.parameters[POINT] - one.parameters[POINT]) @ normal
+            size = np.abs([one.parameters[POINT], other.parameters[POINT]]).max()
+            is_parallel = np.linalg.norm(normal - other.parameters[NORMAL]) <= SAME_CORNER
             return bool(is_parallel and abs(distance) <= SAME_CORNER * size)
     points = triangles(one, np.zeros(3), 1.0)[0]
     other_points = triangles(other, np.zeros(3), 1.0)[0]

@@ -13,8 +13,8 @@ from granflow.geometry.catalog import Surface, reach_about, triangles
 from granflow.geometry.mesh import Mesh
 from granflow.geometry.mesh_contact import classify_edges
 from granflow.geometry.motion import ForceControlled, Rotation, SurfaceVelocity, TableRotation
-from granflow.geometry.plane import HALF_SPACE, RECTANGLE
-from granflow.geometry.revolved import FACET_COUNT, REVOLVED
+from granflow.geometry.plane import DIRECTION1, DIRECTION2, HALF_SPACE, NORMAL, POINT, RECTANGLE
+from granflow.geometry.revolved import AXIS, FACET_COUNT, REVOLVED
 from granflow.geometry.shape import Shape, is_parallel
 from granflow.plan.walls import PlannedMotion, PlannedWall
 
@@ -91,11 +91,11 @@ def _can_coincide(one: PlannedWall, other: PlannedWall, tolerance: float, moves_
     other_surface = other.shape
     assert isinstance(surface, Shape) and isinstance(other_surface, Shape)
     turns = any(isinstance(m.given, Rotation | TableRotation) for w in (one, other) for m in _motions_in(w))
-    normal = surface.parameters[3:6]
-    other_normal = other_surface.parameters[3:6]
+    normal = surface.parameters[NORMAL]
+    other_normal = other_surface.parameters[NORMAL]
     is_parallel = bool(np.linalg.norm(normal - other_normal) <= ANGLE_TOLERANCE)
     if moves_alike:
-        distance = abs((other_surface.parameters[0:3] - surface.parameters[0:3]) @ normal)
+        distance = abs((other_surface.parameters[POINT] - surface.parameters[POINT]) @ normal)
         return is_parallel and bool(distance <= tolerance)
     return turns or is_parallel
 
@@ -112,8 +112,8 @@ def _can_end_on(bounded: Surface, plane: Surface, tolerance: float) -> bool:
     as high as its center.
     """
     assert isinstance(plane, Shape)
-    normal = plane.parameters[3:6]
-    height = (_points_of(bounded) - plane.parameters[0:3]) @ normal
+    normal = plane.parameters[NORMAL]
+    height = (_points_of(bounded) - plane.parameters[POINT]) @ normal
     if height.min() > tolerance:
         return False
     if height.max() <= tolerance:
@@ -125,9 +125,9 @@ def _can_end_on(bounded: Surface, plane: Surface, tolerance: float) -> bool:
         rises = of_triangles.max(axis=1) > tolerance
         return not bool(np.all((is_upright & rises)[is_near]))
     if bounded.kind is RECTANGLE:
-        return not any(is_parallel(bounded.parameters[k : k + 3], normal) for k in (3, 6))
+        return not any(is_parallel(bounded.parameters[each], normal) for each in (DIRECTION1, DIRECTION2))
     is_cylinder = bounded["direction_r"] == 0.0
-    return not (is_cylinder and is_parallel(bounded.parameters[3:6], normal))
+    return not (is_cylinder and is_parallel(bounded.parameters[AXIS], normal))
 
 
 def _points_of(surface: Surface) -> np.ndarray:
