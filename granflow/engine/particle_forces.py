@@ -284,8 +284,8 @@ def compile_alone(backend: Backend, force: ExternalForce) -> None:
 
 def write_damping(state: State, stage: str) -> None:
     """Write the damping of a stage; nothing without damping in the plan."""
-    if state.plan.damping is not None:
-        for k, value in enumerate(state.plan.damping.values(stage)):
+    if state.plan.scene.damping is not None:
+        for k, value in enumerate(state.plan.scene.damping.values(stage)):
             state.control.damping[k] = value
 
 

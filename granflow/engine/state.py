@@ -572,7 +572,7 @@ class Control(Fields):
         external = plan.features.external_forces
         parameters = parameter_count(plan.external_forces)
         self.force_parameters: Any = block.scalar(ti.f64, max(parameters, 1)) if external else None
-        damped = plan.damping is not None
+        damped = plan.scene.damping is not None
         self.force_clock: Any = block.scalar(ti.f64, 4) if external or damped else None
         self.damping: Any = block.scalar(ti.f64, 2) if damped else None
         sheared = plan.features.lees_edwards

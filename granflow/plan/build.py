@@ -43,7 +43,7 @@ from granflow.plan.pairs import (
     solid,
 )
 from granflow.plan.plan import Plan
-from granflow.plan.stages import planned_damping, planned_stages, refuse_unresolved_drag
+from granflow.plan.stages import refuse_unresolved_drag
 from granflow.plan.time_step import (
     AdaptiveTimeStep,
     PairCase,
@@ -115,8 +115,6 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     plan = Plan(
         scene=scene,
         periodic_box=periodic_box,
-        stages=planned_stages(scene),
-        damping=planned_damping(scene.damping),
         features=features,
         reasons=reasons,
         groups=groups,

@@ -279,11 +279,12 @@ def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
 def _refuse_no_step(plan: Plan) -> None:
     """Raise SceneError for the first stage that is shorter than one time step."""
     step = plan.time_step
-    for stage in plan.stages:
+    for stage in plan.scene.schedule:
         if stage.longest < step * (1.0 - ROUNDING):
             enough = float(f"{1.05 * step:.2g}")  # two digits, and not below the step
+            key, where = plan.scene.end_of_stage(stage.name)
             raise SceneError(
-                f"{stage.source}: {stage.key} is {stage.longest:.3g} s, shorter than one time step of "
+                f"{where}: {key} is {stage.longest:.3g} s, shorter than one time step of "
                 f"{step:.3g} s ({plan.step.limited_by}). Set it to at least {enough:.3g} s, or lower "
                 "run.time_step."
             )
@@ -314,7 +315,7 @@ def typical_run_time(plan: Plan) -> float:
 
 def duration_of(plan: Plan) -> float:
     """Longest simulated time [s] of all stages."""
-    return sum(stage.longest for stage in plan.stages)
+    return plan.scene.longest_duration
 
 
 def _writes(plan: Plan) -> float:

@@ -28,10 +28,10 @@ from granflow.plan.cost import (
 from granflow.plan.features import Reason
 from granflow.plan.groups import PlannedGroup
 from granflow.plan.plan import Plan
-from granflow.plan.stages import PlannedStage
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
 from granflow.scene.blocks.contact import LawSettings
+from granflow.scene.blocks.run import Stage
 
 WIDTH = 100
 """Width of the text in columns."""
@@ -249,10 +249,10 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     steps = ceil(longest / plan.time_step)
     prefix = ""
     stages_at_most = ""
-    if any(stage.has_condition for stage in plan.stages):
+    if any(stage.has_condition for stage in plan.scene.schedule):
         prefix = "at most "
         stages_at_most = ", if every stage reaches its maximum duration"
-    stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.stages)
+    stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.scene.schedule)
     yield ExplainRow("precision", plan.scene.run.precision, "")
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
     yield ExplainRow("steps", f"{prefix}{count(steps)}", "")
@@ -262,7 +262,7 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     yield ExplainRow("run time", f"about {duration(typical_run_time(plan))}", f"at {rate}{stages_at_most}")
 
 
-def _end_text(stage: PlannedStage) -> str:
+def _end_text(stage: Stage) -> str:
     prefix = "at most " if stage.has_condition else ""
     return f"{prefix}{stage.longest:g}\N{NO-BREAK SPACE}s"
 

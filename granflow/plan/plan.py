@@ -41,7 +41,6 @@ from granflow.plan.capacities import (
 from granflow.plan.features import Features, Reason
 from granflow.plan.groups import PlannedGroup
 from granflow.plan.limits import coordinate_limit
-from granflow.plan.stages import PlannedDamping, PlannedStage
 from granflow.plan.sum_units import SumUnits, liquid_unit, sum_units
 from granflow.plan.time_step import (
     STEP_SHARE,
@@ -138,9 +137,6 @@ class Plan:
     scene: Scene
     """The scene, whose numbers are not repeated here."""
     periodic_box: PeriodicBox
-    stages: tuple[PlannedStage, ...]
-    damping: PlannedDamping | None
-    """Damping of all motion, for settling."""
 
     # What is compiled.
     features: Features

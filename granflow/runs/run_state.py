@@ -21,7 +21,6 @@ from granflow.engine.engine import Engine
 from granflow.engine.state import Clock
 from granflow.io.checkpoint import Checkpoint
 from granflow.plan.plan import Plan
-from granflow.plan.stages import PlannedStage
 from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.runs.checkpoint_checks import check_observers, check_streams, rank_files_of
 from granflow.runs.insertion import ParticleInsertion
@@ -29,6 +28,7 @@ from granflow.runs.observer_list import ObserverList
 from granflow.runs.resume import Change, plan_fingerprint, saved_changes
 from granflow.runs.stages import StageProgress
 from granflow.runs.timings import WallClock
+from granflow.scene.blocks.run import Stage
 
 
 class RunState:
@@ -102,10 +102,10 @@ class RunState:
         The observers receive the initial state when the run begins, until which `is_unobserved` is True.
         """
         if not self.progress.stage_times:
-            self.begin_stage(self.engine.plan.stages[0])
+            self.begin_stage(self.engine.plan.scene.schedule[0])
             self.is_unobserved = True
 
-    def begin_stage(self, stage: PlannedStage) -> None:
+    def begin_stage(self, stage: Stage) -> None:
         """Begin a stage: place its walls, insert due particles, compute the forces."""
         self.prepare()
         progress = self.progress
@@ -169,7 +169,9 @@ class RunState:
         counts = {group.name: group.count for group in engine.plan.groups}
         check_streams(checkpoint, self.insertion.state_dict(), counts)
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
-        progress.load_state_dict(saved["stage_progress"], engine.plan.stages, reopened, change.keeps_course)
+        progress.load_state_dict(
+            saved["stage_progress"], engine.plan.scene.schedule, reopened, change.keeps_course
+        )
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
         restore_state(engine, saved["engine"], motions, rank_files_of(checkpoint))
         engine.set_stage(progress.stage)

@@ -18,11 +18,12 @@ from granflow.errors import GranflowError
 from granflow.fields import unit_of
 from granflow.geometry.catalog import area_of
 from granflow.geometry.motion import is_running
+from granflow.load import Scene
 from granflow.observers.timeseries import Row
 from granflow.plan.plan import Plan
-from granflow.plan.stages import PlannedStage, StageCondition
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import wall_change_times, wall_motions
+from granflow.scene.blocks.run import Stage, StageCondition
 
 # Warnings of servo walls that are off their target force when a stage ends.
 
@@ -151,14 +152,14 @@ class StageConditions:
     met: int | None = None
     values: list[float] = field(default_factory=list)
 
-    def begin(self, stage: PlannedStage, time: float) -> None:
+    def begin(self, stage: Stage, time: float) -> None:
         """Begin a stage at `time` [s]."""
         self.since = [inf] * len(stage.until)
         self.values = [float("nan")] * len(stage.until)
         self.last_row = time
         self.met = None
 
-    def add_row(self, stage: PlannedStage, began: float, row: Row) -> None:
+    def add_row(self, scene: Scene, stage: Stage, began: float, row: Row) -> None:
         """Evaluate the conditions with a row of the time series; `began` [s]: start of the stage.
 
         A row whose predecessor is before `began` contains means over a part of the previous stage and does
@@ -170,17 +171,17 @@ class StageConditions:
         for index, condition in enumerate(stage.until):
             if condition.quantity not in row.numbers:
                 raise GranflowError(
-                    f"{stage.source}: stages.{stage.name}.until: there is no column {condition.quantity}; "
-                    f"the columns are {', '.join(row.numbers)}."
+                    f"{scene.end_of_stage(stage.name)[1]}: stages.{stage.name}.until: there is no column "
+                    f"{condition.quantity}; the columns are {', '.join(row.numbers)}."
                 )
             value = row.numbers[condition.quantity]
-            holds = condition.is_met(value) and time >= (began + stage.shortest) * (1.0 - ROUNDING)
+            holds = condition.is_met(value) and time >= (began + stage.min_duration) * (1.0 - ROUNDING)
             self.values[index] = value
             self.since[index] = min(self.since[index], time) if holds else inf
             if holds and time - self.since[index] >= condition.hold * (1.0 - ROUNDING) and self.met is None:
                 self.met = index
 
-    def log_end(self, stage: PlannedStage, time: float) -> None:
+    def log_end(self, scene: Scene, stage: Stage, time: float) -> None:
         """Log why the stage ends at `time` [s]; a warning if none of its conditions is satisfied."""
         if self.met is not None:
             sentence = (
@@ -193,7 +194,7 @@ class StageConditions:
             logging.getLogger("granflow").warning(
                 "stage %s (%s): its longest duration of %.6g s is over, but %s.",
                 stage.name,
-                stage.source,
+                scene.end_of_stage(stage.name)[1],
                 stage.longest,
                 "; ".join(_statement(*each) for each in values),
             )
@@ -202,7 +203,7 @@ class StageConditions:
         """Return the state for a checkpoint."""
         return {name: getattr(self, name) for name in STATE}
 
-    def load_state_dict(self, saved: Mapping[str, Any], stage: PlannedStage, same_course: bool) -> None:
+    def load_state_dict(self, saved: Mapping[str, Any], stage: Stage, same_course: bool) -> None:
         """Restore the state; after a change of events or conditions they begin again."""
         for name in STATE:
             setattr(self, name, saved[name])
@@ -236,7 +237,7 @@ rest and at the top of a bounce, and 1 - cundall with damping. Internal forces c
 stiff contacts, with accelerations of single particles above gravity, do not delay the end."""
 
 
-def warn_without_rest(stage: PlannedStage, engine: Engine, insertion_is_done: bool) -> None:
+def warn_without_rest(stage: Stage, engine: Engine, insertion_is_done: bool) -> None:
     """Warn that a stage that requires rest ended at its longest duration without it."""
     if stage.kinetic_energy_below is None:
         return
@@ -246,20 +247,20 @@ def warn_without_rest(stage: PlannedStage, engine: Engine, insertion_is_done: bo
         logging.getLogger("granflow").warning(
             "stage %s (%s): its longest duration of %.6g s is over, but %s%s.",
             stage.name,
-            stage.source,
+            engine.plan.scene.end_of_stage(stage.name)[1],
             stage.longest,
             pending,
             _rest_statement(stage, state),
         )
 
 
-def _is_rest(stage: PlannedStage, state: RestState) -> bool:
+def _is_rest(stage: Stage, state: RestState) -> bool:
     """Whether the kinetic energy is below the limit, and the walls carry the weight."""
     limit = stage.kinetic_energy_below
     return limit is not None and state.kinetic_energy < limit and state.unbalanced < LARGEST_UNBALANCED
 
 
-def _rest_statement(stage: PlannedStage, state: RestState) -> str:
+def _rest_statement(stage: Stage, state: RestState) -> str:
     limit = stage.kinetic_energy_below
     assert limit is not None
     below = "below" if state.kinetic_energy < limit else "not below"
@@ -299,9 +300,9 @@ class StageProgress:
     @classmethod
     def of(cls, plan: Plan) -> "StageProgress":
         """Return the progress before the first step."""
-        return cls(plan.stages[0].name, wall_change_times(plan.walls))
+        return cls(plan.scene.schedule[0].name, wall_change_times(plan.walls))
 
-    def begin(self, stage: PlannedStage, time: float) -> None:
+    def begin(self, stage: Stage, time: float) -> None:
         """Begin a stage at `time` [s]."""
         self.stage = stage.name
         self.next_check = time + stage.longest / REST_CHECKS
@@ -311,11 +312,11 @@ class StageProgress:
         """End the current stage at `time` [s]."""
         self.stage_times[self.stage] = (self.stage_times[self.stage][0], time)
 
-    def end_of(self, stage: PlannedStage) -> float:
+    def end_of(self, stage: Stage) -> float:
         """Time [s] at which a stage that has begun ends at the latest."""
         return self.stage_times[stage.name][0] + stage.longest
 
-    def ends_at_rest(self, stage: PlannedStage, engine: Engine, insertion_is_done: bool) -> bool:
+    def ends_at_rest(self, stage: Stage, engine: Engine, insertion_is_done: bool) -> bool:
         """Whether a check for rest is due at which the stage ends, which is logged.
 
         REST_CHECKS checks are distributed evenly over the longest duration. The particles must be at rest
@@ -325,7 +326,7 @@ class StageProgress:
             return False
         self.next_check += stage.longest / REST_CHECKS
         began = self.stage_times[stage.name][0]
-        if not insertion_is_done or not engine.reached(began + stage.shortest):
+        if not insertion_is_done or not engine.reached(began + stage.min_duration):
             return False
         state = engine.rest_state()
         if not _is_rest(stage, state):
@@ -375,7 +376,7 @@ class StageProgress:
         }
 
     def load_state_dict(
-        self, saved: dict[str, Any], stages: Sequence[PlannedStage], reopened: bool, same_course: bool
+        self, saved: dict[str, Any], stages: Sequence[Stage], reopened: bool, same_course: bool
     ) -> None:
         """Restore the state.
 

@@ -20,7 +20,6 @@ from granflow.engine.totals import EXIT_FACES
 from granflow.errors import FunctionError, RunError, StopRun
 from granflow.observers.observer import TOTALS
 from granflow.plan.plan import Plan
-from granflow.plan.stages import PlannedStage
 from granflow.plan.time_step import STEPS_BETWEEN_UPDATES
 from granflow.runs.interrupts import stop_of
 from granflow.runs.result import Result
@@ -28,6 +27,7 @@ from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import LastGoodState, RunState
 from granflow.runs.stages import warn_without_rest
 from granflow.runs.timings import collect_result
+from granflow.scene.blocks.run import Stage
 from granflow.snapshot import Snapshot
 
 ADVANCE_SECONDS = 0.05
@@ -61,13 +61,13 @@ class TimeLoop:
     @property
     def stages_ended(self) -> bool:
         """Whether the last stage has ended."""
-        return self.state.progress.has_ended(self.engine.plan.stages[-1].name)
+        return self.state.progress.has_ended(self.engine.plan.scene.schedule[-1].name)
 
     @property
-    def _stage(self) -> PlannedStage:
+    def _stage(self) -> Stage:
         """The present stage."""
         name = self.state.progress.stage
-        return next(stage for stage in self.engine.plan.stages if stage.name == name)
+        return next(stage for stage in self.engine.plan.scene.schedule if stage.name == name)
 
     def run(self, end: float, within_stages: bool = False) -> None:
         """Run the stages that have not ended, to their ends or to `end` [s].
@@ -80,7 +80,7 @@ class TimeLoop:
         """
         progress = self.state.progress
         self._begin_run()
-        for stage in self.engine.plan.stages:
+        for stage in self.engine.plan.scene.schedule:
             if progress.has_ended(stage.name):
                 continue
             if self.engine.time < end:
@@ -92,7 +92,7 @@ class TimeLoop:
                 self._advance_to_event(end)
         self._stop_if_requested()
 
-    def _run_stage(self, stage: PlannedStage, end: float) -> None:
+    def _run_stage(self, stage: Stage, end: float) -> None:
         """Run a stage to its end, or to `end` [s].
 
         The stage ends after its longest duration, at the first row of the time series that satisfies one of
@@ -112,7 +112,7 @@ class TimeLoop:
         if not at_rest:
             if progress.conditions.met is None and not self.engine.reached(progress.end_of(stage)):
                 return
-            progress.conditions.log_end(stage, self.engine.time)
+            progress.conditions.log_end(self.engine.plan.scene, stage, self.engine.time)
             warn_without_rest(stage, self.engine, self.state.insertion.is_done)
         progress.servos.warn_at_end(self.engine, stage.name)
         progress.end(self.engine.time)
@@ -187,7 +187,9 @@ class TimeLoop:
         if not progress.conditions.since or progress.has_ended(progress.stage):
             return
         if (row := self.state.observers.row_at(self.engine.time)) is not None:
-            progress.conditions.add_row(self._stage, progress.stage_times[progress.stage][0], row)
+            progress.conditions.add_row(
+                self.engine.plan.scene, self._stage, progress.stage_times[progress.stage][0], row
+            )
 
     def notify_all(self, quantities: frozenset[str]) -> None:
         """Pass a snapshot with these quantities to all observers. Raises StopRun, FunctionError."""
@@ -206,7 +208,7 @@ class TimeLoop:
             return
         if self.state.is_unobserved:  # begun by a snapshot; Python may have changed the state since
             self.prepare()
-        self._begin_stage(self.engine.plan.stages[0])
+        self._begin_stage(self.engine.plan.scene.schedule[0])
         self.state.is_unobserved = False
         try:
             self.notify_all(frozenset())
@@ -216,7 +218,7 @@ class TimeLoop:
         self.files.began()
         self._keep_state()
 
-    def _begin_stage(self, stage: PlannedStage) -> None:
+    def _begin_stage(self, stage: Stage) -> None:
         """Begin a stage, unless it has begun. Raises RunError if its state exceeds a limit."""
         logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.engine.time)
         if stage.name not in self.state.progress.stage_times:

@@ -37,6 +37,12 @@ class StageCondition(Model):
     )
     hold: q.Time = Field(0.0, description="time during which all rows must satisfy the condition [s]")
 
+    def is_met(self, value: float) -> bool:
+        """Whether a value satisfies the condition; NaN does not."""
+        return (self.above is not None and value > self.above) or (
+            self.below is not None and value < self.below
+        )
+
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one bound is given."""
         if (self.above is None) == (self.below is None):
@@ -79,6 +85,11 @@ class Stage(Model):
     def longest(self) -> float:
         """Longest duration [s]; 0 without one."""
         return self.duration or self.max_duration or 0.0
+
+    @property
+    def has_condition(self) -> bool:
+        """Whether the stage can end before its longest duration."""
+        return self.kinetic_energy_below is not None or bool(self.until)
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless the stage has either a duration, or a condition with a maximum duration."""
@@ -211,6 +222,11 @@ class Damping(Model):
         None, description="rate of a viscous background drag [1/s]: velocities decay as exp(-drag t)"
     )
     stages: Names | None = Field(None, description="stages in which the damping acts; default: all")
+
+    def values(self, stage: str) -> tuple[float, float]:
+        """Cundall ratio and drag rate [1/s] in a stage."""
+        acts = self.stages is None or stage in self.stages
+        return (self.cundall or 0.0, self.drag or 0.0) if acts else (0.0, 0.0)
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless one kind of damping is given."""

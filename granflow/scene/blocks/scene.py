@@ -111,6 +111,14 @@ class SceneInput(Model):
         """The stages; for a scene without stages, one stage "run" of `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
 
+    def end_of_stage(self, name: str) -> tuple[str, str]:
+        """Key of the longest duration of a stage, such as stages.0.max_duration, and its source position."""
+        path: tuple[str | int, ...] = ("run", "duration")
+        for index, stage in enumerate(self.stages):
+            if stage.name == name:
+                path = ("stages", index, "max_duration" if stage.duration is None else "duration")
+        return ".".join(map(str, path)), self.locate(*path)
+
     @property
     def longest_duration(self) -> float:
         """Duration [s] if each stage takes its longest."""
