@@ -70,7 +70,7 @@ def stubs(monkeypatch, tmp_path):
 
     monkeypatch.setattr(granflow.load, "load_scene", load)
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
-    monkeypatch.setattr(granflow.cli.run, "restitution_warnings", lambda scene, plan: [])
+    monkeypatch.setattr(granflow.cli.run, "restitution_warnings", lambda plan: [])
     monkeypatch.setitem(sys.modules, "granflow.studies.collide", types.SimpleNamespace(collide=collide))
     monkeypatch.chdir(tmp_path)
     return calls
@@ -138,6 +138,8 @@ def test_run_passes_arguments_to_the_simulation(stubs, capsys):
         "allow_long": False,
         "communicator": None,
         "overwrite": False,
+        "resume": None,
+        "allow_changes": False,
     }
     assert stubs.until == 1.0
     output = capsys.readouterr().out
@@ -154,6 +156,8 @@ def test_default_output_directory_is_named_after_the_scene(stubs):
             "allow_long": False,
             "communicator": None,
             "overwrite": False,
+            "resume": None,
+            "allow_changes": False,
         },
     }
 
