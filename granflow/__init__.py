@@ -37,23 +37,23 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.materials import Material as Material
     from granflow.scene.blocks.materials import MaterialPair as MaterialPair
     from granflow.scene.blocks.materials import RestitutionFit as RestitutionFit
+    from granflow.scene.blocks.metrics import CenterOfMassMetric as CenterOfMassMetric
+    from granflow.scene.blocks.metrics import ContentMetric as ContentMetric
+    from granflow.scene.blocks.metrics import CoordinationMetric as CoordinationMetric
+    from granflow.scene.blocks.metrics import FabricMetric as FabricMetric
+    from granflow.scene.blocks.metrics import LaceyMetric as LaceyMetric
+    from granflow.scene.blocks.metrics import ReposeMetric as ReposeMetric
+    from granflow.scene.blocks.metrics import SegregationMetric as SegregationMetric
+    from granflow.scene.blocks.metrics import SlidingMetric as SlidingMetric
     from granflow.scene.blocks.outlets import BoxOutlet as BoxOutlet
     from granflow.scene.blocks.outlets import DiscOutlet as DiscOutlet
     from granflow.scene.blocks.outlets import HalfSpaceOutlet as HalfSpaceOutlet
-    from granflow.scene.blocks.output import CenterOfMassMetric as CenterOfMassMetric
     from granflow.scene.blocks.output import Checkpoints as Checkpoints
     from granflow.scene.blocks.output import CollisionEnergies as CollisionEnergies
-    from granflow.scene.blocks.output import ContentMetric as ContentMetric
-    from granflow.scene.blocks.output import CoordinationMetric as CoordinationMetric
     from granflow.scene.blocks.output import Expectation as Expectation
-    from granflow.scene.blocks.output import FabricMetric as FabricMetric
     from granflow.scene.blocks.output import FieldGrid as FieldGrid
     from granflow.scene.blocks.output import FlowMeter as FlowMeter
-    from granflow.scene.blocks.output import LaceyMetric as LaceyMetric
     from granflow.scene.blocks.output import Output as Output
-    from granflow.scene.blocks.output import ReposeMetric as ReposeMetric
-    from granflow.scene.blocks.output import SegregationMetric as SegregationMetric
-    from granflow.scene.blocks.output import SlidingMetric as SlidingMetric
     from granflow.scene.blocks.particles import BoxRegion as BoxRegion
     from granflow.scene.blocks.particles import ClassSizes as ClassSizes
     from granflow.scene.blocks.particles import Clump as Clump
@@ -112,7 +112,7 @@ _LOCATIONS = {
     "BoxOutlet": "granflow.scene.blocks.outlets.BoxOutlet",
     "BoxRegion": "granflow.scene.blocks.particles.BoxRegion",
     "BoxWall": "granflow.scene.blocks.walls.BoxWall",
-    "CenterOfMassMetric": "granflow.scene.blocks.output.CenterOfMassMetric",
+    "CenterOfMassMetric": "granflow.scene.blocks.metrics.CenterOfMassMetric",
     "Checkpoints": "granflow.scene.blocks.output.Checkpoints",
     "ClassSizes": "granflow.scene.blocks.particles.ClassSizes",
     "Clump": "granflow.scene.blocks.particles.Clump",
@@ -120,8 +120,8 @@ _LOCATIONS = {
     "CollisionEnergies": "granflow.scene.blocks.output.CollisionEnergies",
     "Cone": "granflow.scene.blocks.walls.Cone",
     "Contact": "granflow.scene.blocks.contact.Contact",
-    "ContentMetric": "granflow.scene.blocks.output.ContentMetric",
-    "CoordinationMetric": "granflow.scene.blocks.output.CoordinationMetric",
+    "ContentMetric": "granflow.scene.blocks.metrics.ContentMetric",
+    "CoordinationMetric": "granflow.scene.blocks.metrics.CoordinationMetric",
     "Cylinder": "granflow.scene.blocks.walls.Cylinder",
     "CylinderRegion": "granflow.scene.blocks.particles.CylinderRegion",
     "Damping": "granflow.scene.blocks.run.Damping",
@@ -130,7 +130,7 @@ _LOCATIONS = {
     "DiscOutlet": "granflow.scene.blocks.outlets.DiscOutlet",
     "Domain": "granflow.scene.blocks.domain.Domain",
     "Expectation": "granflow.scene.blocks.output.Expectation",
-    "FabricMetric": "granflow.scene.blocks.output.FabricMetric",
+    "FabricMetric": "granflow.scene.blocks.metrics.FabricMetric",
     "FieldGrid": "granflow.scene.blocks.output.FieldGrid",
     "FileInsertion": "granflow.scene.blocks.particles.FileInsertion",
     "FlowMeter": "granflow.scene.blocks.output.FlowMeter",
@@ -140,7 +140,7 @@ _LOCATIONS = {
     "Group": "granflow.scene.blocks.particles.Group",
     "HalfSpaceOutlet": "granflow.scene.blocks.outlets.HalfSpaceOutlet",
     "InletInsertion": "granflow.scene.blocks.particles.InletInsertion",
-    "LaceyMetric": "granflow.scene.blocks.output.LaceyMetric",
+    "LaceyMetric": "granflow.scene.blocks.metrics.LaceyMetric",
     "LatticeInsertion": "granflow.scene.blocks.particles.LatticeInsertion",
     "LeesEdwards": "granflow.scene.blocks.domain.LeesEdwards",
     "LogNormalSizes": "granflow.scene.blocks.particles.LogNormalSizes",
@@ -161,7 +161,7 @@ _LOCATIONS = {
     "RainInsertion": "granflow.scene.blocks.particles.RainInsertion",
     "Rectangle": "granflow.scene.blocks.walls.Rectangle",
     "RectangleFace": "granflow.scene.blocks.particles.RectangleFace",
-    "ReposeMetric": "granflow.scene.blocks.output.ReposeMetric",
+    "ReposeMetric": "granflow.scene.blocks.metrics.ReposeMetric",
     "RestitutionFit": "granflow.scene.blocks.materials.RestitutionFit",
     "Result": "granflow.runs.result.Result",
     "Rotation": "granflow.scene.blocks.walls.Rotation",
@@ -171,11 +171,11 @@ _LOCATIONS = {
     "RunSettings": "granflow.scene.blocks.run.RunSettings",
     "Scene": "granflow.load.Scene",
     "SceneError": "granflow.errors.SceneError",
-    "SegregationMetric": "granflow.scene.blocks.output.SegregationMetric",
+    "SegregationMetric": "granflow.scene.blocks.metrics.SegregationMetric",
     "Servo": "granflow.scene.blocks.walls.Servo",
     "Simulation": "granflow.simulation.Simulation",
     "SizeClass": "granflow.scene.blocks.particles.SizeClass",
-    "SlidingMetric": "granflow.scene.blocks.output.SlidingMetric",
+    "SlidingMetric": "granflow.scene.blocks.metrics.SlidingMetric",
     "Snapshot": "granflow.snapshot.Snapshot",
     "Stage": "granflow.scene.blocks.run.Stage",
     "StageCondition": "granflow.scene.blocks.run.StageCondition",

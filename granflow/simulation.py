@@ -22,7 +22,7 @@ from granflow.live.particles import LiveParticles
 from granflow.live.walls import LiveWalls
 from granflow.load import Scene, refuse_other_object
 from granflow.observers.build import observers_for
-from granflow.observers.observer import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
+from granflow.observers.observer import Observer
 from granflow.parallel.refusals import refuse_on_ranks
 from granflow.particles.group import ParticleData
 from granflow.plan.build import plan_for, rank_plan
@@ -51,7 +51,7 @@ from granflow.runs.run_state import RunState
 from granflow.runs.session import RunSession
 from granflow.runs.time_loop import TimeLoop
 from granflow.runs.timings import WallClock
-from granflow.snapshot import Snapshot
+from granflow.snapshot import CONTACTS, PARTICLES, TOTALS, WALLS, Snapshot
 from granflow.units import seconds_of
 from granflow.visible_text import html_table, readable, visible_line
 

@@ -15,6 +15,12 @@ from granflow.fields import (
 )
 from granflow.visible_text import html_table, numbered, readable
 
+PARTICLES = "particles"
+CONTACTS = "contacts"
+WALLS = "walls"
+TOTALS = "totals"
+"""Parts of a snapshot that an observer or a metric can request."""
+
 
 @dataclass(frozen=True, eq=False)
 class WallPose:
@@ -183,3 +189,17 @@ def _range(values: np.ndarray) -> str:
     if not values.size or values.dtype.kind not in "fiu":
         return ""
     return f", {values.min():.4g} to {values.max():.4g}"
+
+
+# Subsets of the arrays of a snapshot
+
+
+def mobile_particles(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """Return the arrays without fixed particles, which count as walls; the same arrays if the scene has
+    none."""
+    return selected(particles, particles["fixed"] == 0) if "fixed" in particles else particles
+
+
+def selected(arrays: Mapping[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the entries of all arrays (n, ...) for which `mask` (n,) is True."""
+    return {name: values[mask] for name, values in arrays.items()}

@@ -23,9 +23,9 @@ from ruamel.yaml import YAML
 
 from granflow import read_run
 from granflow.cli.run import scene_paths
-from granflow.fields import unit_of
 from granflow.io.log import sessions
 from granflow.load import Scene, load_scene
+from granflow.scene.blocks.output import unit_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, SCENES = ROOT / "docs" / "pages" / "scenes.md", ROOT / "scenes"

@@ -73,7 +73,7 @@ def analyze(options: argparse.Namespace) -> int:
 
 def _cell(name: str, value: float | str) -> str:
     """Text of a value of the column `name`; of an angle with degrees."""
-    from granflow.fields import unit_of
+    from granflow.scene.blocks.output import unit_of
 
     if isinstance(value, str):
         return value

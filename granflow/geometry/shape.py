@@ -135,6 +135,16 @@ def is_parallel(first: np.ndarray, second: np.ndarray, tolerance: float = 1e-9) 
     return bool(np.linalg.norm(np.cross(first, second)) <= tolerance)
 
 
+def frame_along(axis: np.ndarray) -> np.ndarray:
+    """Right-handed orthonormal frame (3, 3) as rows; the last row is the given axis, a unit vector (3,).
+
+    `frame @ v` gives the components of a vector v in the frame.
+    """
+    first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(axis, first), axis])
+
+
 # Volume and mass of spheres.
 
 Number = TypeVar("Number", float, np.ndarray)

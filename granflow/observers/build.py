@@ -8,21 +8,21 @@ import numpy as np
 
 from granflow.arguments import path_of, refuse_other, shown
 from granflow.errors import GranflowError
-from granflow.fields import METRIC_QUANTITIES
 from granflow.geometry.catalog import area_of, triangles
+from granflow.geometry.coarse_grid import GaussianKernel
 from granflow.io.files import BackgroundWriter
 from granflow.io.tables import write_table
 from granflow.load import Scene
-from granflow.observers.coarse_graining import GaussianKernel, grid_for
 from granflow.observers.frames import ContactFrames, FieldFrames, ParticleFrames, WallFrames
 from granflow.observers.meters import FlowMeter, WallForceMeter
 from granflow.observers.metrics import MetricMeter, metric_meters
-from granflow.observers.observer import CONTACTS, Observer
+from granflow.observers.observer import Observer
 from granflow.observers.progress import ProgressDisplay
 from granflow.observers.timeseries import CollisionEnergies, TimeSeries
 from granflow.plan.build import plan_for
 from granflow.plan.plan import Plan
-from granflow.snapshot import Snapshot
+from granflow.scene.blocks.metrics import METRIC_QUANTITIES
+from granflow.snapshot import CONTACTS, Snapshot
 
 if TYPE_CHECKING:
     from granflow.engine.engine import Engine
@@ -150,7 +150,7 @@ def field_frames(
     `writer`: see `observers_for`; `spec`: entry of `output.fields`. With `width: auto`, the kernel width is
     half the largest diameter [m].
     """
-    grid = grid_for(plan.scene.domain, spec)
+    grid = spec.grid_in(plan.scene.domain)
     width = plan.radius_max if spec.width == "auto" else spec.width
     return FieldFrames(
         out_dir,

@@ -19,6 +19,7 @@ from granflow.fields import (
     WALL_ARRAY_QUANTITIES,
     units,
 )
+from granflow.geometry.coarse_grid import CoarseGrid, GaussianKernel
 from granflow.geometry.mesh import triangle_areas
 from granflow.io.checkpoint import CheckpointError
 from granflow.io.files import BackgroundWriter
@@ -27,13 +28,11 @@ from granflow.io.vtu import Compression, VtuMesh, write_vtu
 from granflow.observers.coarse_graining import (
     CONTACT_FIELDS,
     AccumulatedFields,
-    CoarseGrid,
-    GaussianKernel,
     accumulate,
     fields_from,
 )
-from granflow.observers.observer import CONTACTS, PARTICLES, WALLS, ScheduledObserver
-from granflow.snapshot import Snapshot
+from granflow.observers.observer import ScheduledObserver
+from granflow.snapshot import CONTACTS, PARTICLES, WALLS, Snapshot
 
 if TYPE_CHECKING:
     from granflow.engine.engine import Engine

@@ -21,14 +21,8 @@ from typing import Any, Protocol, runtime_checkable
 
 from granflow.arguments import items_of, refuse_other, shown
 from granflow.errors import GranflowError, StopRun
-from granflow.snapshot import Snapshot
+from granflow.snapshot import CONTACTS, PARTICLES, TOTALS, WALLS, Snapshot
 from granflow.units import seconds_of
-
-PARTICLES = "particles"
-CONTACTS = "contacts"
-WALLS = "walls"
-TOTALS = "totals"
-"""Parts of a snapshot that an observer can request."""
 
 
 class Observer(Protocol):

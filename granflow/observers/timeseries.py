@@ -13,7 +13,6 @@ import numpy as np
 
 from granflow.fields import (
     FLOW_METER_QUANTITIES,
-    METRIC_QUANTITIES,
     OUTLET_QUANTITIES,
     TOTAL_QUANTITIES,
     WALL_FORCE_QUANTITIES,
@@ -22,8 +21,9 @@ from granflow.fields import (
 from granflow.io.tables import COLLISION_COLUMNS, COLLISION_FILE, RowFile
 from granflow.observers.meters import FlowCount, FlowMeter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
-from granflow.observers.observer import PARTICLES, TOTALS, ScheduledObserver
-from granflow.snapshot import Snapshot
+from granflow.observers.observer import ScheduledObserver
+from granflow.scene.blocks.metrics import METRIC_QUANTITIES
+from granflow.snapshot import PARTICLES, TOTALS, Snapshot
 
 # `timeseries.csv`
 

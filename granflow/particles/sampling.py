@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from granflow.geometry.shape import frame_along
 from granflow.scene.blocks.particles import (
     BoxRegion,
     ClassSizes,
@@ -272,13 +273,3 @@ def sampler_of(region: BoxRegion | CylinderRegion) -> BoxSampler | CylinderSampl
         return BoxSampler(np.array(region.box.min), np.array(region.box.max))
     tube = region.cylinder
     return CylinderSampler(np.array(tube.from_), np.array(tube.to), tube.radius)
-
-
-def frame_along(axis: np.ndarray) -> np.ndarray:
-    """Right-handed orthonormal frame (3, 3) as rows; the last row is the given axis, a unit vector (3,).
-
-    `frame @ v` gives the components of a vector v in the frame.
-    """
-    first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(axis, first), axis])

@@ -13,7 +13,6 @@ from math import ceil, dist, hypot, inf, pi, sqrt
 import numpy as np
 
 from granflow.contact import registry
-from granflow.fields import unit_of
 from granflow.geometry.catalog import Surface, area_of, distance_from, triangles
 from granflow.geometry.mesh import Mesh
 from granflow.geometry.motion import pose
@@ -42,6 +41,7 @@ from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, surface_speed
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.particles import (
     Clump,
     DiscFace,

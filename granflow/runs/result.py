@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from granflow.errors import GranflowError
-from granflow.fields import unit_of
 from granflow.io.files import read_regular_text, write_text
+from granflow.scene.blocks.output import unit_of
 from granflow.visible_text import html_table, in_degrees, readable
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from contextlib import ExitStack, contextmanager, suppress
 
 from granflow.errors import FunctionError, GranflowError, StopRun
 from granflow.io.checkpoint import Checkpoint
-from granflow.observers.observer import TOTALS
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.time_loop import TimeLoop
 from granflow.runs.timings import log_plan
+from granflow.snapshot import TOTALS
 from granflow.visible_text import visible_line
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from granflow.engine.engine import Engine, RestState
 from granflow.engine.wall_dynamics import controlled_forces
 from granflow.errors import GranflowError
-from granflow.fields import unit_of
 from granflow.geometry.catalog import area_of
 from granflow.geometry.motion import is_running
 from granflow.load import Scene
@@ -23,6 +22,7 @@ from granflow.observers.timeseries import Row
 from granflow.plan.plan import Plan
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import wall_change_times, wall_motions
+from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.run import Stage, StageCondition
 
 # Warnings of servo walls that are off their target force when a stage ends.

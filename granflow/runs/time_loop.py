@@ -18,7 +18,6 @@ from granflow.engine.abort import abort_message, permitted_change
 from granflow.engine.engine import Engine
 from granflow.engine.totals import EXIT_FACES
 from granflow.errors import FunctionError, RunError, StopRun
-from granflow.observers.observer import TOTALS
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import STEPS_BETWEEN_UPDATES
 from granflow.runs.interrupts import stop_of
@@ -28,7 +27,7 @@ from granflow.runs.run_state import LastGoodState, RunState
 from granflow.runs.stages import warn_without_rest
 from granflow.runs.timings import collect_result
 from granflow.scene.blocks.run import Stage
-from granflow.snapshot import Snapshot
+from granflow.snapshot import TOTALS, Snapshot
 
 ADVANCE_SECONDS = 0.05
 """Wall-clock time [s] for which the engine takes steps at once. They cannot be interrupted: stop requests are

@@ -20,7 +20,6 @@ from granflow.fields import (
     ENERGY_BUDGET_QUANTITIES,
     FLOW_METER_QUANTITIES,
     INSERTION_QUANTITIES,
-    METRIC_QUANTITIES,
     OUTLET_QUANTITIES,
     RUN_QUANTITIES,
     TOTAL_QUANTITIES,
@@ -30,15 +29,7 @@ from granflow.fields import (
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.materials import RestitutionFit
-from granflow.scene.blocks.output import (
-    METRIC_QUANTITIES_BY_KIND,
-    CenterOfMassMetric,
-    GridSpec,
-    ProbeMetric,
-    ReposeMetric,
-    SlidingMetric,
-    TwoComponentGrid,
-)
+from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.scene.blocks.particles import (
     BoxRegion,
     CylinderRegion,
@@ -57,7 +48,7 @@ from granflow.scene.blocks.shapes import Box
 from granflow.scene.blocks.walls import FACES, FreeWall, MotionSpec, Plane, Servo, Vibration, Wall
 from granflow.scene.document import Document, Problem
 from granflow.scene.faults import Fault, KeyPath, missing, whole
-from granflow.scene.messages import nearest, problem_at, suggestion_or_list
+from granflow.scene.messages import nearest, problem_at, suggestion_or_list, unknown, unknown_names
 from granflow.scene.model import faults_of
 from granflow.visible_text import alternatives
 
@@ -163,15 +154,6 @@ def clear_schema() -> None:
     """Clear what was derived from the schema; required after a change of the schema."""
     _several.cache_clear()
     _without_required_keys.cache_clear()
-
-
-def unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Fault:
-    """The fault of an unknown name, with the closest known name or a list of all."""
-    names = list(known)
-    if suggestion := nearest(name, names):
-        return Fault(path, f"there is no such {kind}. Did you mean {suggestion}?")
-    known_names = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
-    return Fault(path, f"there is no such {kind}; {known_names}")
 
 
 # Materials, their pairs, and the keys of pairs that the contact models require
@@ -580,61 +562,17 @@ def field_grids(parts: PartialScene) -> Iterator[Fault]:
     domain = parts.scene.domain
     for name, grid in parts.scene.output.fields.items():
         path: KeyPath = ("output", "fields", name)
-        yield from _cells(domain, path, grid)
+        yield from (replace(fault, path=(*path, *fault.path)) for fault in grid.too_many_cells(domain))
         if grid.region is not None:
             yield from _periodic_extent(domain, (*path, "region"), grid.region)
-        yield from _unknown_names((*path, "stages"), grid.stages, stages, "stage")
+        yield from unknown_names((*path, "stages"), grid.stages, stages, "stage")
 
 
 def metrics(parts: PartialScene) -> Iterator[Fault]:
-    """Metrics must refer to existing groups, materials and walls; an angle of repose requires gravity."""
+    """What the kinds of metrics require of the scene, such as existing groups, or gravity."""
     for name, metric in parts.scene.output.metrics.items():
-        path: KeyPath = ("output", "metrics", name)
-        if isinstance(metric, TwoComponentGrid):
-            yield from _cells(parts.scene.domain, path, metric)
-            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
-            yield from _unknown_names(
-                (*path, "materials"), metric.materials, parts.names("materials"), "material"
-            )
-        if isinstance(metric, CenterOfMassMetric):
-            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
-        if isinstance(metric, SlidingMetric):
-            yield from _unknown_names((*path, "walls"), metric.walls, parts.names("walls"), "wall")
-        if isinstance(metric, ProbeMetric):
-            yield from _unknown_particle((*path, "id"), metric.id, parts.scene)
-        if isinstance(metric, ReposeMetric) and not any(parts.scene.gravity):
-            yield Fault((*path, "kind"), "gravity is zero, so the slope is undefined; remove this metric")
-
-
-def _unknown_particle(path: KeyPath, particle_id: int, scene: SceneInput) -> Iterator[Fault]:
-    """A fault for an id that no particle has; none if the number of particles is not given."""
-    counts = [group.count_given for group in scene.particles.values()]
-    known = sum(count or 0 for count in counts)
-    if scene.scale == 1.0 and all(counts) and particle_id >= known:
-        yield Fault(path, f"the ids of the {known} particles are 0 to {known - 1}")
-
-
-def _unknown_names(
-    path: KeyPath, given: Iterable[str] | None, known: Iterable[str], kind: str
-) -> Iterator[Fault]:
-    """Faults of the items of a list that are not known names."""
-    for index, name in enumerate(given or ()):
-        if name not in known:
-            yield unknown((*path, index), name, known, kind)
-
-
-MOST_CELLS = 2_000_000
-"""Largest number of cells of a grid: one frame of this size takes about 1 GB of memory."""
-
-
-def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Fault]:
-    """A fault for a grid with more than MOST_CELLS cells; none if the number of cells is not defined."""
-    if (grid.cell is None) == (grid.cells is None):
-        return
-    count = math.prod(grid.cell_counts(domain))
-    if count > MOST_CELLS:
-        reason = f"this gives {count:_} cells, and the limit is {MOST_CELLS:_}".replace("_", " ")
-        yield Fault((*path, "cell" if grid.cells is None else "cells"), reason)
+        for fault in metric.faults_in(parts):
+            yield replace(fault, path=("output", "metrics", name, *fault.path))
 
 
 def _periodic_extent(domain: Domain, path: KeyPath, region: Box) -> Iterator[Fault]:
@@ -654,7 +592,7 @@ def wall_forces(parts: PartialScene) -> Iterator[Fault]:
     requested = parts.scene.output.wall_forces
     known = parts.names("walls")
     if not isinstance(requested, bool):
-        yield from _unknown_names(("output", "wall_forces"), requested, known, "wall")
+        yield from unknown_names(("output", "wall_forces"), requested, known, "wall")
     measured = known if requested is True else requested or ()
     for path, quantity, wall in _expected(parts.scene):
         if quantity not in WALL_FORCE_QUANTITIES:
@@ -739,8 +677,8 @@ def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
             continue
         if name not in known:
             yield unknown(path, name, known, "metric")
-        elif quantity.removesuffix("_mean") not in METRIC_QUANTITIES_BY_KIND[known[name].kind]:
-            numbers = ", ".join(f"{each}.{name}" for each in METRIC_QUANTITIES_BY_KIND[known[name].kind])
+        elif quantity.removesuffix("_mean") not in (own := [each.name for each in known[name].quantities]):
+            numbers = ", ".join(f"{each}.{name}" for each in own)
             yield Fault(path, f"{name} is of kind {known[name].kind}; its quantities are {numbers}")
 
 

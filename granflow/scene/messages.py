@@ -10,7 +10,7 @@ difflib, Ratcliff and Obershelp).
 
 import difflib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -176,6 +176,24 @@ def synonym(word: str, known: Iterable[str]) -> str | None:
 
 
 # Messages of faults
+
+
+def unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Fault:
+    """The fault of an unknown name, with the closest known name or a list of all."""
+    names = list(known)
+    if suggestion := nearest(name, names):
+        return Fault(path, f"there is no such {kind}. Did you mean {suggestion}?")
+    known_names = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
+    return Fault(path, f"there is no such {kind}; {known_names}")
+
+
+def unknown_names(
+    path: KeyPath, given: Iterable[str] | None, known: Iterable[str], kind: str
+) -> Iterator[Fault]:
+    """Faults of the items of a list that are not known names."""
+    for index, name in enumerate(given or ()):
+        if name not in known:
+            yield unknown((*path, index), name, known, kind)
 
 
 def dotted(path: Iterable[str | int]) -> str:

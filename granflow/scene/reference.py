@@ -18,6 +18,7 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from granflow.io.files import example_paths
+from granflow.scene.blocks.metrics import METRICS
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.messages import nearest
 from granflow.units import DIMENSIONS, Dimension
@@ -517,10 +518,7 @@ PART_EXAMPLES = {
     "StageCondition.above": "100 kPa",
     "StageCondition.below": "5 kPa",
     "FieldGrid.cells": "[20, 1, 40]",
-    "LaceyMetric.cells": "[4, 4, 8]",
-    "SegregationMetric.cells": "[4, 4, 8]",
-    "SegregationMetric.cell": "20 mm",
-    "SlidingMetric.walls": "[floor]",
+    **{f"{metric.__name__}.{key}": value for metric in METRICS for key, value in metric.examples.items()},
     "Box.min": "[0, 0, 0]",
     "Box.max": "[40 mm, 40 mm, 80 mm]",
     "Checkpoints.interval": "0.5 s",

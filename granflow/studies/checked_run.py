@@ -25,7 +25,6 @@ from granflow.fields import (
     WALL_QUANTITIES,
 )
 from granflow.load import identity_of
-from granflow.scene.blocks.output import METRIC_QUANTITIES_BY_KIND
 from granflow.scene.messages import nearest
 from granflow.studies.run_process import RunInputs, RunRequest, source_digest
 from granflow.units import number_of
@@ -186,8 +185,7 @@ def result_names(scene: Scene) -> tuple[str, ...]:
         parts = [meter, *(f"{meter}.{part}" for part in scene.flow_meter_parts(meter))]
         names += [f"{quantity}.{part}" for quantity in FLOW_METER_QUANTITIES for part in parts]
     for name, metric in scene.output.metrics.items():
-        quantities = METRIC_QUANTITIES_BY_KIND[metric.kind]
-        names += [f"{quantity}{end}.{name}" for quantity in quantities for end in ("", "_mean")]
+        names += [f"{each.name}{end}.{name}" for each in metric.quantities for end in ("", "_mean")]
     names += [f"{quantity}.{wall}" for quantity in WALL_FORCE_QUANTITIES for wall in scene.measured_walls]
     names += [
         f"{quantity}.{wall}"

@@ -23,15 +23,15 @@ from granflow.fields import (
     ENERGY_BUDGET_QUANTITIES,
     FIELD_QUANTITIES,
     FLOW_METER_QUANTITIES,
-    METRIC_QUANTITIES,
     TOTAL_QUANTITIES,
     WALL_FORCE_QUANTITIES,
-    unit_of,
 )
 from granflow.io.files import write_text
 from granflow.io.frames import is_empty, listed_frames, read_mesh
 from granflow.io.log import explanation, sessions, warnings_and_errors
 from granflow.io.tables import COLLISION_FILE, SeriesColumn, TimeSeriesTable, collision_table, read_table
+from granflow.scene.blocks.metrics import METRIC_QUANTITIES
+from granflow.scene.blocks.output import unit_of
 from granflow.studies.figures import COLORS, PageTable
 from granflow.studies.frames import VIEWS, Frame, filled_frames, frames_of
 from granflow.studies.interactive_plots import (

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from granflow.fields import unit_of
 from granflow.io.files import replacing
 from granflow.io.tables import write_table
+from granflow.scene.blocks.output import unit_of
 from granflow.studies.checked_run import CheckedRun
 from granflow.studies.interactive_plots import escaped, level_text, short_names
 from granflow.studies.run_process import (

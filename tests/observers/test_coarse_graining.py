@@ -8,7 +8,8 @@ from scipy.special import erf
 from scipy.stats import truncnorm
 
 from granflow.fields import FIELD_QUANTITIES
-from granflow.observers.coarse_graining import CoarseGrid, GaussianKernel, accumulate, fields_from
+from granflow.geometry.coarse_grid import CoarseGrid, GaussianKernel
+from granflow.observers.coarse_graining import accumulate, fields_from
 from granflow.observers.frames import FieldFrames
 
 GRAVITY = 9.81

@@ -7,25 +7,24 @@ import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of
 from scene_builders import build_scene, particle_group
 
-from granflow.fields import METRIC_QUANTITIES
-from granflow.observers.coarse_graining import CoarseGrid
-from granflow.observers.metrics import (
-    MetricMeter,
+from granflow.geometry.coarse_grid import CoarseGrid
+from granflow.observers.metrics import MetricMeter, metric_meters
+from granflow.plan.build import plan_for
+from granflow.scene.blocks.metrics import (
+    METRIC_QUANTITIES,
+    Reading,
     anisotropy,
     center_of_mass,
     coordination,
     dropped_share,
     fabric_tensor,
     lacey_index,
-    metric_meters,
     random_intensity,
     segregation_intensity,
     sliding_share,
     slope_of_cone,
     slope_of_plane,
 )
-from granflow.plan.build import plan_for
-from granflow.scene.blocks.output import METRIC_QUANTITIES_BY_KIND
 from granflow.simulation import Simulation
 
 CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))
@@ -301,7 +300,7 @@ def test_scene_metrics_are_reported_by_name():
     snapshot = snapshot_of(particles=particles, contacts=contacts_of(10))
     for metric, meter in metric_meters(plan_for(scene)).items():
         meter.update(snapshot)
-        assert tuple(meter.readings()) == METRIC_QUANTITIES_BY_KIND[scene.output.metrics[metric].kind]
+        assert list(meter.readings()) == [each.name for each in scene.output.metrics[metric].quantities]
         assert set(meter.result()) <= set(METRIC_QUANTITIES)
         assert meter.wants == {"contacts" if metric in ("contacts", "sliding") else "particles"}
     meters = metric_meters(plan_for(scene))
@@ -343,7 +342,7 @@ def test_upward_direction_is_opposite_to_gravity():
 
 
 def test_mean_covers_the_last_stage_and_skips_nan():
-    readings = iter([{"x": 9.0}, {"x": 1.0}, {"x": float("nan")}, {"x": 2.0}])
+    readings = iter([Reading({"x": number}) for number in (9.0, 1.0, float("nan"), 2.0)])
     meter = MetricMeter(lambda _: next(readings), frozenset())
     meter.update(snapshot_of(0.0, stage="fill"))
     for time in (1.0, 2.0):

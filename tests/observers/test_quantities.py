@@ -8,8 +8,8 @@ from granflow.fields import (
     PARTICLE_QUANTITIES,
     RUN_QUANTITIES,
     TOTAL_QUANTITIES,
-    unit_of,
 )
+from granflow.scene.blocks.output import unit_of
 
 ALL = [PARTICLE_QUANTITIES, CONTACT_QUANTITIES, FLOW_METER_QUANTITIES, RUN_QUANTITIES, TOTAL_QUANTITIES]
 

@@ -12,6 +12,7 @@ from granflow.io.tables import read_table, table_in, write_table
 from granflow.observers.meters import FlowMeter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
 from granflow.observers.timeseries import TimeSeries
+from granflow.scene.blocks.metrics import Reading
 
 
 def rows_of(path):
@@ -83,7 +84,9 @@ def test_header_and_separator_of_tables(tmp_path):
 
 def measured_series(folder):
     """A series with a flow meter, a wall of 2 m2, and a metric whose value is the time."""
-    metric = MetricMeter(lambda snapshot: {"coordination_number": snapshot.time}, frozenset({"totals"}))
+    metric = MetricMeter(
+        lambda snapshot: Reading({"coordination_number": snapshot.time}), frozenset({"totals"})
+    )
     return TimeSeries(
         folder, 0.1, {"out": FlowMeter((0, 0, 0), (0, 0, -1))}, wall_forces={"lid": WallForceMeter("lid", 2.0)},
         metrics={"bed": metric},

@@ -2,12 +2,13 @@
 presets."""
 
 from collections.abc import Iterable, Mapping
+from typing import get_args
 
 from docsite.markdown import code, table
 from granflow import fields
 from granflow.fields import FieldSpec, Quantity
 from granflow.scene.blocks.materials import PRESETS
-from granflow.scene.blocks.output import METRIC_QUANTITIES_BY_KIND
+from granflow.scene.blocks.metrics import METRICS
 from granflow.scene.reference import si_unit
 from granflow.units import DIMENSIONS
 
@@ -34,7 +35,7 @@ meshio writes the files; ParaView and `meshio.read` read them. They are compress
 processor time of the run), and 55 MB without, written in 0.2 s. Frames without particles, contacts or walls contain one
 cell without corners, because meshio does not read files without cells.
 """
-METRICS = """\
+METRICS_PAGE = """\
 # Metrics
 
 `output.metrics` adds these columns to `timeseries.csv`, as `QUANTITY.NAME` with the name of the metric. `result.json`
@@ -104,10 +105,12 @@ def vtu_arrays() -> str:
 
 def metrics() -> str:
     """Page of the metrics by kind."""
-    sections = [METRICS]
-    for kind, names in METRIC_QUANTITIES_BY_KIND.items():
-        quantities = [fields.METRIC_QUANTITIES[name] for name in names]
-        sections.append(f"## kind: {kind}\n\n{quantity_table(quantities, 'NAME')}")
+    sections = [METRICS_PAGE]
+    for metric in METRICS:
+        kind = metric.model_fields["kind"]
+        sections.append(
+            f"## kind: {get_args(kind.annotation)[0]}\n\n{quantity_table(metric.quantities, 'NAME')}"
+        )
     return "\n".join(sections)
 
 

@@ -1,8 +1,7 @@
 """Schema of the blocks `output` and `expect`: what a run writes, and what its results must be.
 
 `Output` has the keys of the block in the order of a scene file; the parts that they contain precede it in the
-same order. Each kind of metric is a class, which `kind` selects, and METRIC_QUANTITIES_BY_KIND lists its
-numbers.
+same order. `blocks.metrics` has the kinds of metrics. `unit_of` gives the unit of an expected number.
 """
 
 from collections.abc import Iterator
@@ -10,14 +9,24 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from granflow.fields import FIELD_QUANTITIES
+from granflow.fields import (
+    FIELD_QUANTITIES,
+    FLOW_METER_QUANTITIES,
+    INSERTION_QUANTITIES,
+    OUTLET_QUANTITIES,
+    RUN_QUANTITIES,
+    TOTAL_QUANTITIES,
+    WALL_FORCE_QUANTITIES,
+    WALL_QUANTITIES,
+)
 from granflow.geometry.shape import are_perpendicular
 from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.grids import GridSpec
+from granflow.scene.blocks.metrics import METRIC_QUANTITIES, AnyMetric
 from granflow.scene.blocks.quantities import Number
-from granflow.scene.blocks.shapes import Box
 from granflow.scene.faults import Fault, missing, redundant, whole
 from granflow.scene.messages import suggestion_or_list
-from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, choose_by_key, pair_list
+from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, pair_list
 
 # Keys `collision_energies` and `flow_meters`
 
@@ -91,38 +100,6 @@ class FlowMeter(Model):
 # Key `fields`
 
 
-class GridSpec(Model):
-    """A box divided into cells, given by their edge length or their number.
-
-    Along periodic axes of the domain, the box must cover the whole domain.
-    """
-
-    region: Box | None = Field(None, description="box that is divided into cells; default: the domain")
-    cell: q.PositiveLength | None = Field(
-        None, description="edge length of a cell [m], adjusted to fit the box; or give cells"
-    )
-    cells: q.Counts | None = Field(None, description="number of cells along x, y and z; or give cell")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless exactly one of edge length and number of cells is given."""
-        if (self.cell is None) == (self.cells is None):
-            given = "has neither cell nor cells" if self.cell is None else "has both cell and cells"
-            yield whole((), f"{given}; give the edge length of a cell, or the number along x, y and z")
-
-    def cell_counts(self, domain: Box) -> tuple[int, int, int]:
-        """Number of cells along x, y and z, each at least 1; without a region the grid covers `domain`.
-
-        A given edge length [m] is adjusted such that a whole number of cells fits into the box.
-        """
-        if self.cells is not None:
-            return self.cells
-        assert self.cell is not None
-        box = self.region or domain
-        edge = self.cell
-        x, y, z = (max(round((high - low) / edge), 1) for low, high in zip(box.min, box.max, strict=True))
-        return x, y, z
-
-
 Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
 """Cutoff of the kernel, in kernel widths: 1 to 10."""
 
@@ -156,189 +133,6 @@ class FieldGrid(GridSpec):
             if name not in FIELD_QUANTITIES:
                 remedy = suggestion_or_list(name, FIELD_QUANTITIES, "fields")
                 yield Fault(("quantities", index), f"there is no such field. {remedy}")
-
-
-# Key `metrics`
-
-
-class TwoComponentGrid(GridSpec):
-    """Grid for the shares of two components: particles of some groups, materials or sizes, and all others."""
-
-    groups: Names | None = Field(None, description="groups whose particles form the first component")
-    materials: Names | None = Field(None, description="materials whose particles form the first component")
-    smaller_than: q.UnscaledLength | None = Field(
-        None, description="diameter below which particles belong to the first component [m]"
-    )
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless exactly one definition of the first component is given."""
-        yield from super().faults()
-        given = [key for key in ("groups", "materials", "smaller_than") if getattr(self, key) is not None]
-        if len(given) != 1:
-            found = f"has {' and '.join(given)}" if given else "does not define the first component"
-            yield whole((), f"{found}; give exactly one of groups, materials and smaller_than")
-
-
-class LaceyMetric(TwoComponentGrid):
-    """Lacey mixing index of the particles of some groups, materials or sizes among all particles, by number.
-
-    0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.) For components of
-    different sizes, `kind: segregation` weights particles by their volume.
-
-    >>> gf.LaceyMetric(cell="1 cm", groups=["red"]).cell
-    0.01
-    """
-
-    kind: Literal["lacey"] = Field("lacey", description="kind of metric")
-    at_least: q.Count = Field(10, description="smallest number of particles in a cell that is evaluated")
-
-
-class SegregationMetric(TwoComponentGrid):
-    """Intensity of segregation of two components by volume, and its value for a random mixture.
-
-    1: each cell contains one component only, 0: the same share in all cells. (P. V. Danckwerts, Appl. Sci.
-    Res. A 3 (1952) 279.)
-
-    >>> gf.SegregationMetric(cell="1 cm", smaller_than="2 mm").smaller_than
-    0.002
-    """
-
-    kind: Literal["segregation"] = Field("segregation", description="kind of metric")
-
-
-class ReposeMetric(Model):
-    """Angle of repose [rad] of the heap; particles with fewer than two contacts are excluded.
-
-    The angle is that of a line or plane fitted to the tops of the highest particles.
-
-    >>> gf.ReposeMetric(surface="cone")
-    ReposeMetric(surface='cone')
-    """
-
-    kind: Literal["repose"] = Field("repose", description="kind of metric")
-    surface: Literal["cone", "plane"] = Field(
-        description="cone: a heap around a vertical axis; plane: one side of a wedge, or the bed in a drum"
-    )
-    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
-    axis: q.Point | None = Field(
-        None,
-        description="with surface: cone, a point on its axis [m]; default: mean position of the particles",
-    )
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault for an axis with a plane: it applies to a cone only."""
-        if self.surface == "plane" and self.axis is not None:
-            yield Fault(("axis",), "it applies only to surface: cone; remove it")
-
-
-class FabricMetric(Model):
-    """Fabric tensor of the contacts between particles: mean of n n, with n the unit vector between the
-    centers.
-
-    (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
-
-    >>> gf.FabricMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).kind
-    'fabric'
-    """
-
-    kind: Literal["fabric"] = Field("fabric", description="kind of metric")
-    region: Box | None = Field(None, description="box whose contacts are evaluated; default: all contacts")
-
-
-class CoordinationMetric(Model):
-    """Mean number of contacts with particles, with and without rattlers (fewer than two contacts), and with
-    walls.
-
-    (C. Thornton, Geotechnique 50 (2000) 43.)
-
-    >>> gf.CoordinationMetric()
-    CoordinationMetric()
-    """
-
-    kind: Literal["coordination"] = Field("coordination", description="kind of metric")
-    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
-
-
-class ContentMetric(Model):
-    """Number, mass [kg] and volume [m3] of the mobile particles with their center in a box.
-
-    >>> gf.ContentMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).region.max
-    (0.1, 0.1, 0.1)
-    """
-
-    kind: Literal["content"] = Field("content", description="kind of metric")
-    region: Box = Field(description="box whose particles are counted")
-
-
-class CenterOfMassMetric(Model):
-    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped
-    positions.
-
-    >>> gf.CenterOfMassMetric(groups=["red"])
-    CenterOfMassMetric(groups=('red',))
-    """
-
-    kind: Literal["center_of_mass"] = Field("center_of_mass", description="kind of metric")
-    groups: Names | None = Field(None, description="groups whose particles are evaluated; default: all")
-
-
-class SlidingMetric(Model):
-    """Share of the contacts whose friction force is at the Coulomb limit.
-
-    >>> gf.SlidingMetric(walls=["floor"])
-    SlidingMetric(walls=('floor',))
-    """
-
-    kind: Literal["sliding"] = Field("sliding", description="kind of metric")
-    walls: Names | None = Field(
-        None, description="walls whose contacts are evaluated; default: the contacts between particles"
-    )
-
-
-class ProbeMetric(Model):
-    """Position [m], velocity [m/s] and angular velocity [rad/s] of one particle.
-
-    NaN before its insertion and after its deletion; in periodic boxes, the wrapped position.
-    """
-
-    kind: Literal["probe"] = Field(description="kind of metric")
-    id: q.ParticleId = Field(description="id of the particle: 0, 1, ... in the order of insertion")
-
-
-AnyMetric = Annotated[
-    LaceyMetric
-    | SegregationMetric
-    | ReposeMetric
-    | FabricMetric
-    | CoordinationMetric
-    | ContentMetric
-    | CenterOfMassMetric
-    | SlidingMetric
-    | ProbeMetric,
-    choose_by_key("kind"),
-]
-"""Any kind of metric; the key `kind` selects it."""
-METRIC_QUANTITIES_BY_KIND = {
-    "content": ("content_count", "content_mass", "content_volume"),
-    "lacey": ("lacey_index",),
-    "segregation": ("segregation_intensity", "segregation_intensity_random"),
-    "repose": ("angle_of_repose", "angle_of_repose_error"),
-    "fabric": ("fabric_anisotropy", "fabric_xx", "fabric_yy", "fabric_zz"),
-    "coordination": (
-        "coordination_number",
-        "mechanical_coordination_number",
-        "wall_coordination_number",
-        "rattler_share",
-    ),
-    "center_of_mass": ("center_of_mass_x", "center_of_mass_y", "center_of_mass_z"),
-    "sliding": ("sliding_share",),
-    "probe": tuple(
-        f"{vector}_{axis}"
-        for vector in ("position", "velocity", "angular_velocity")
-        for axis in ("x", "y", "z")
-    ),
-}
-"""Quantities of each kind of metric; each also has a time average, NAME_mean."""
 
 
 # Key `checkpoint`, and the whole block
@@ -444,3 +238,27 @@ class Expectation(Model):
             yield Fault(("tolerance",), "it requires equals; remove tolerance")
         if self.between is not None and self.between[0] > self.between[1]:
             yield Fault(("between",), "the first value must be the smaller one")
+
+
+def unit_of(name: str) -> str:
+    """The unit of a number of a run; "" if it is dimensionless or unknown.
+
+    name:  name of a total or of a number of the run, or `QUANTITY.PART` as in `mass_flow.outlet` and
+           `timings.forces`
+    """
+    base, _, part = name.partition(".")
+    if base == "timings" and part:
+        return "s"
+    if part:
+        known = {
+            **FLOW_METER_QUANTITIES,
+            **WALL_FORCE_QUANTITIES,
+            **WALL_QUANTITIES,
+            **METRIC_QUANTITIES,
+            **INSERTION_QUANTITIES,
+            **OUTLET_QUANTITIES,
+        }
+    else:
+        known = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+    quantity = known.get(base)
+    return "" if quantity is None or quantity.unit == "1" else quantity.unit

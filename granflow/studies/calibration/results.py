@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from granflow import Scene, load_scene
-from granflow.fields import unit_of
 from granflow.io.files import replacing, write_text
 from granflow.io.tables import write_table
 from granflow.load import copied_scene
+from granflow.scene.blocks.output import unit_of
 from granflow.studies.calibration.response import Effects, fewest_trials, identification
 from granflow.studies.calibration.schema import (
     CalibrationInput,

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from granflow.fields import unit_of
 from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.quantities import GivenQuantity, NumberWithUnit, bound_faults
 from granflow.scene.blocks.scene import Seed
 from granflow.scene.faults import Fault, missing, redundant, whole

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import FileError, GranflowError, SceneError
-from granflow.fields import unit_of
 from granflow.io.tables import TimeSeriesTable, read_series, read_table
+from granflow.scene.blocks.output import unit_of
 from granflow.studies.calibration.schema import CalibrationInput, Target, from_unit, settings_of
 from granflow.studies.calibration.search import FIRST_RANDOM, Search
 from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run, relocated

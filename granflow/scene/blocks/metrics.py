@@ -1,0 +1,824 @@
+"""Metrics: numbers of the time series that a snapshot gives, such as a mixing index or an angle of repose.
+
+A kind of metric is one class below. It has the keys of the kind, the quantities that it yields, the parts of
+a snapshot that it reads, its checks against the rest of the scene, and its measurement. The formulas,
+functions of arrays, precede it. `AnyMetric` at the end lists the kinds. `observers.metrics` evaluates the
+metrics of a run for each row of the time series.
+"""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal, Protocol, get_args
+
+import numpy as np
+from pydantic import Field
+
+from granflow.fields import Quantity, by_name
+from granflow.geometry.coarse_grid import CoarseGrid
+from granflow.geometry.shape import frame_along, sphere_volume
+from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.grids import GridSpec
+from granflow.scene.blocks.particles import Group
+from granflow.scene.blocks.quantities import Vector3
+from granflow.scene.blocks.shapes import Box
+from granflow.scene.faults import Fault, whole
+from granflow.scene.messages import unknown_names
+from granflow.scene.model import Model, Names, choose_by_key
+from granflow.snapshot import CONTACTS, PARTICLES, Snapshot, mobile_particles, selected
+
+# What a metric is
+
+
+class CheckedScene(Protocol):
+    """The sections of a scene that checks of metrics read."""
+
+    @property
+    def domain(self) -> Domain:
+        """The simulated box."""
+
+    @property
+    def gravity(self) -> Vector3:
+        """Gravity [m/s2]."""
+
+    @property
+    def particles(self) -> Mapping[str, Group]:
+        """Groups of particles by name."""
+
+    @property
+    def scale(self) -> float:
+        """Factor of equipment lengths."""
+
+
+class CheckedParts(Protocol):
+    """The scene that contains a metric, which may lack parts; `scene.checks.PartialScene` is one."""
+
+    @property
+    def scene(self) -> CheckedScene:
+        """The valid sections."""
+
+    def names(self, section: str) -> tuple[str, ...]:
+        """All names in a section of the file."""
+
+
+@dataclass(frozen=True)
+class MeasuredScene:
+    """What measurements need to know of the scene of a run.
+
+    groups, materials, walls:  names; the index of a name is that in the arrays of a snapshot
+    largest_radius:            of all particles [m]
+    """
+
+    domain: Domain
+    gravity: Vector3
+    groups: tuple[str, ...]
+    materials: tuple[str, ...]
+    walls: tuple[str, ...]
+    largest_radius: float
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Numbers by name of the quantity.
+
+    `remark`: a sentence, for a warning if the reading is the last one of a run; may be empty.
+    """
+
+    numbers: Mapping[str, float]
+    remark: str = ""
+
+
+class Metric(Model):
+    """Numbers that a snapshot gives. Base class of the kinds.
+
+    `quantities`: what it yields; the time series adds the mean of each, NAME_mean. `wants`: parts that a
+    snapshot must have.
+    """
+
+    quantities: ClassVar[tuple[Quantity, ...]]
+    wants: ClassVar[frozenset[str]] = frozenset({PARTICLES})
+    examples: ClassVar[Mapping[str, str]] = {}
+    """Examples for the documentation, by key, where the type gives no realistic one."""
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """Contradictions to the rest of the scene; key paths begin at the metric."""
+        yield from ()
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """The numbers of a snapshot, which has the parts `wants`, in the order of `quantities`."""
+        raise NotImplementedError
+
+
+# Shared by several metrics
+
+MIN_CONTACTS = 2
+"""Smallest number of contacts, with particles and walls, of a particle that carries a load."""
+
+
+def _wall_contacts(particles: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The number of contacts of each particle with walls (n,); zeros in a scene without walls."""
+    return particles.get("wall_contact_count", np.zeros(len(particles["position"]), np.int32))
+
+
+def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:
+    """Whether points (n, 3) [m] are inside the region; True without a region."""
+    if region is None:
+        return np.ones(len(points), bool)
+    above = points >= np.array(region.min)
+    below = points <= np.array(region.max)
+    return np.asarray(np.logical_and(above, below).all(axis=1))
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+# Shares of two components
+
+
+class TwoComponentGrid(GridSpec, Metric):
+    """Grid for the shares of two components: particles of some groups, materials or sizes, and all others."""
+
+    groups: Names | None = Field(None, description="groups whose particles form the first component")
+    materials: Names | None = Field(None, description="materials whose particles form the first component")
+    smaller_than: q.UnscaledLength | None = Field(
+        None, description="diameter below which particles belong to the first component [m]"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one definition of the first component is given."""
+        yield from super().faults()
+        given = [key for key in ("groups", "materials", "smaller_than") if getattr(self, key) is not None]
+        if len(given) != 1:
+            found = f"has {' and '.join(given)}" if given else "does not define the first component"
+            yield whole((), f"{found}; give exactly one of groups, materials and smaller_than")
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """See `Metric`."""
+        yield from self.too_many_cells(parts.scene.domain)
+        yield from unknown_names(("groups",), self.groups, parts.names("particles"), "group")
+        yield from unknown_names(("materials",), self.materials, parts.names("materials"), "material")
+
+    def is_first(self, particles: Mapping[str, np.ndarray], scene: MeasuredScene) -> np.ndarray:
+        """Whether each particle (n,) belongs to the first component."""
+        if self.smaller_than is not None:
+            return np.asarray(2.0 * particles["radius"] < self.smaller_than)
+        groups = [scene.groups.index(name) for name in self.groups or ()]
+        materials = [scene.materials.index(name) for name in self.materials or ()]
+        return np.isin(particles["group"], groups) | np.isin(particles["material"], materials)
+
+
+# Mixing of two kinds of particles, by number: Lacey's index
+
+DROPPED_SHARE = 0.1
+"""Share of the particles of a component outside the cells of a Lacey index above which a remark reports
+it."""
+
+
+def lacey_index(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, at_least: int) -> float:
+    """Lacey's mixing index of particles at `position` (n, 3) [m].
+
+    `is_kind_a` (n,): whether of the first kind.
+
+        M = (S0^2 - S^2) / (S0^2 - SR^2)
+        S^2 = sum n_k (p_k - p)^2 / sum n_k,   S0^2 = p (1 - p),   SR^2 = S0^2 / n
+
+    p_k is the share by number of the first kind among the n_k particles of cell k, p the share in all cells,
+    n the mean of n_k; cells with fewer than `at_least` particles are excluded. 0: each cell contains one kind
+    only; 1: randomly mixed, except for statistical scatter; above 1: more uniform than random. NaN without
+    such cells or with one kind. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
+    """
+    cell, inside = grid.cells_of(position)
+    number = np.bincount(cell[inside], minlength=grid.cell_count)
+    kind = np.bincount(cell[inside], weights=is_kind_a[inside], minlength=grid.cell_count)
+    used = number >= max(at_least, 1)
+    number = number[used]
+    kind = kind[used]
+    total = number.sum()
+    share = kind.sum() / total if total else np.nan
+    segregated = share * (1.0 - share)
+    mixed = segregated * len(number) / total if total else np.nan
+    if not segregated > mixed:
+        return float("nan")
+    found = (number * (kind / number - share) ** 2).sum() / total
+    return float((segregated - found) / (segregated - mixed))
+
+
+def dropped_share(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, at_least: int) -> float:
+    """The share by number of the particles of one kind that `lacey_index` excludes, the larger of both kinds.
+
+    Arguments as `lacey_index`. 0 without particles in the grid.
+    """
+    cell, inside = grid.cells_of(position)
+    number = np.bincount(cell[inside], minlength=grid.cell_count)
+    is_dropped = number[cell[inside]] < at_least
+    is_kind_a = is_kind_a[inside]
+    return max(
+        (float(is_dropped[kind].mean()) for kind in (is_kind_a, ~is_kind_a) if kind.any()), default=0.0
+    )
+
+
+class LaceyMetric(TwoComponentGrid):
+    """Lacey mixing index of the particles of some groups, materials or sizes among all particles, by number.
+
+    0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.) For components of
+    different sizes, `kind: segregation` weights particles by their volume.
+
+    >>> gf.LaceyMetric(cell="1 cm", groups=["red"]).cell
+    0.01
+    """
+
+    kind: Literal["lacey"] = Field("lacey", description="kind of metric")
+    at_least: q.Count = Field(10, description="smallest number of particles in a cell that is evaluated")
+    quantities = (Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),)
+    examples = {"cells": "[4, 4, 8]"}
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`; the remark says that more than DROPPED_SHARE of a component is excluded."""
+        particles = mobile_particles(snapshot.particles)
+        is_first = self.is_first(particles, scene)
+        arguments = particles["position"], is_first, self.grid_in(scene.domain), self.at_least
+        dropped = dropped_share(*arguments)
+        remark = (
+            f"the Lacey index excludes {dropped:.0%} of the particles of one component, because their cells "
+            f"contain fewer than {self.at_least} particles (at_least): increase cell, or use kind: "
+            "segregation, which weights particles by volume and excludes no cell"
+        )
+        return Reading({"lacey_index": lacey_index(*arguments)}, remark if dropped > DROPPED_SHARE else "")
+
+
+# Segregation of two kinds of particles, by volume
+
+
+def segregation_intensity(
+    position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid
+) -> float:
+    """The intensity of segregation of particles at `position` (n, 3) [m] with volumes (n,) [m3].
+
+        I = sum V_k (c_k - c)^2 / (c (1 - c) sum V_k)
+
+    V_k: volume of the particles with centers in cell k; c_k, c: share by volume of the first kind
+    (`is_kind_a` (n,)) in cell k and in all cells. 1: each cell contains one kind only; 0: the same share in
+    all cells. No cell is excluded. NaN with one kind. (sigma^2 / (c (1 - c)) of P. V. Danckwerts, Appl. Sci.
+    Res. A 3 (1952) 279, with samples weighted by their volume.)
+    """
+    cell, inside = grid.cells_of(position)
+    total = np.bincount(cell[inside], weights=volume[inside], minlength=grid.cell_count)
+    first = np.bincount(cell[inside], weights=(volume * is_kind_a)[inside], minlength=grid.cell_count)
+    first = first[total > 0.0]
+    total = total[total > 0.0]
+    share = first.sum() / total.sum() if len(total) else np.nan
+    segregated = share * (1.0 - share) * total.sum()
+    if not segregated > 0.0:
+        return float("nan")
+    return float((total * (first / total - share) ** 2).sum() / segregated)
+
+
+def random_intensity(
+    position: np.ndarray, volume: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid
+) -> float:
+    """The expected intensity of segregation of a random mixture of the same particles in the same cells.
+
+        I_R = K (c v_b + (1 - c) v_a) / sum V_k,      v_a, v_b = sum v^2 / sum v
+
+    K: number of cells with particles; v_a, v_b: mean volumes of the particles of each kind, weighted by
+    volume. In a random mixture, the volumes V_a and V_b in a cell are sums over independent particles, with
+    the variances V_a v_a and V_b v_b. To first order, the variance of c = V_a / (V_a + V_b) = V_a / V is
+
+        ((1 - c)^2 V_a v_a + c^2 V_b v_b) / V^2 = c (1 - c) (c v_b + (1 - c) v_a) / V
+
+    For equal volumes v, it is that of Lacey, c (1 - c) v / V. Arguments as `segregation_intensity`; NaN with
+    one kind.
+    """
+    cell, inside = grid.cells_of(position)
+    volume = volume[inside]
+    is_kind_a = is_kind_a[inside]
+    if is_kind_a.all() or not is_kind_a.any():
+        return float("nan")
+    first = volume[is_kind_a]
+    second = volume[~is_kind_a]
+    mean_a = (first**2).sum() / first.sum()
+    mean_b = (second**2).sum() / second.sum()
+    share = first.sum() / volume.sum()
+    return float(len(np.unique(cell[inside])) * (share * mean_b + (1.0 - share) * mean_a) / volume.sum())
+
+
+class SegregationMetric(TwoComponentGrid):
+    """Intensity of segregation of two components by volume, and its value for a random mixture.
+
+    1: each cell contains one component only, 0: the same share in all cells. (P. V. Danckwerts, Appl. Sci.
+    Res. A 3 (1952) 279.)
+
+    >>> gf.SegregationMetric(cell="1 cm", smaller_than="2 mm").smaller_than
+    0.002
+    """
+
+    kind: Literal["segregation"] = Field("segregation", description="kind of metric")
+    quantities = (
+        Quantity(
+            "segregation_intensity", "I", "1", "intensity of segregation by volume: 1 segregated, 0 uniform"
+        ),
+        Quantity(
+            "segregation_intensity_random", "I_R", "1", "the same for a random mixture of the same particles"
+        ),
+    )
+    examples = {"cells": "[4, 4, 8]", "cell": "20 mm"}
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`."""
+        particles = mobile_particles(snapshot.particles)
+        volume = sphere_volume(particles["radius"].astype(float))
+        is_first = self.is_first(particles, scene)
+        arguments = particles["position"], volume, is_first, self.grid_in(scene.domain)
+        return Reading(
+            {
+                "segregation_intensity": segregation_intensity(*arguments),
+                "segregation_intensity_random": random_intensity(*arguments),
+            }
+        )
+
+
+# Angle of repose
+#
+# The surface of a heap, or of a bed in a drum, consists of the highest particle of each square column; a line
+# or plane is fitted to the tops of these spheres.
+
+COLUMN_WIDTH = 2.0
+"""Edge of the columns in which the surface of a heap is determined, in largest diameters."""
+FLANK = (0.8, 0.2)
+"""Upper and lower end of the fitted flank, over the height of the cone: excludes the rounded top and the
+foot."""
+FEWEST = 4
+"""Smallest number of surface points for a fit."""
+SIGNIFICANCE = 0.05
+"""Largest share of rough level surfaces, with independent heights of the points, that a fit takes for a
+slope."""
+RELATIVE_ERROR = 0.25
+"""Largest standard error of a gradient over its magnitude."""
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Angle to the horizontal and its standard error from the scatter about the fit [rad].
+
+    Both are NaN if the surface has no slope; `reason` is then a sentence.
+    """
+
+    angle: float
+    error: float
+    reason: str = ""
+
+
+def no_slope(reason: str) -> Slope:
+    """A slope that is NaN, with the reason."""
+    return Slope(float("nan"), float("nan"), reason)
+
+
+def slope_of_cone(
+    points: np.ndarray, radius: np.ndarray, edge: float, axis: np.ndarray | None = None
+) -> Slope:
+    """The slope of the flank of a conical heap of spheres with centers (n, 3), z upward, and radii (n,) [m].
+
+    `edge` [m]: of the columns, about two diameters; `axis` (2,) [m]: of the cone, the mean of all centers if
+    None. The flank is where the mean height of a ring around the axis is between 0.8 and 0.2 of the largest;
+    a straight line is fitted to the height over the distance from the axis by least squares. The angle is not
+    negative. NaN without particles, with fewer than FEWEST surface points on the flank, or if the fit is not
+    significant, see `_slope`.
+    """
+    if not len(points):
+        return no_slope("there are no particles with enough contacts in the region")
+    middle = points[:, :2].mean(axis=0) if axis is None else axis
+    surface = surface_points(points, radius, edge)
+    distance = np.linalg.norm(surface[:, :2] - middle, axis=1)
+    height = surface[:, 2] - (points[:, 2] - radius).min()
+    ring = (distance / edge).astype(int)
+    number = np.bincount(ring)
+    mean = np.divide(np.bincount(ring, height), number, out=np.zeros(len(number)), where=number > 0)
+    flank = (mean <= FLANK[0] * mean.max()) & (mean >= FLANK[1] * mean.max())
+    flank[: int(mean.argmax())] = False
+    selected = flank[ring]
+    return _slope(distance[selected, None], height[selected])
+
+
+def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope:
+    """The slope of the plane fitted to the surface of spheres with centers (n, 3), z upward, and radii
+    (n,) [m].
+
+    `edge` [m]: of the columns. For one side of a wedge, or for the middle of a drum. NaN without particles,
+    with fewer than FEWEST surface points, if these lie on a line, or if the fit is not significant, see
+    `_slope`.
+    """
+    if not len(points):
+        return no_slope("there are no particles with enough contacts in the region")
+    surface = surface_points(points, radius, edge)
+    return _slope(surface[:, :2], surface[:, 2])
+
+
+def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.ndarray:
+    """The tops (m, 3) [m] of the highest spheres, one for each column that contains spheres.
+
+    The columns are about `edge` [m] wide and divide the extent of the points evenly: in a narrow column at
+    the border, the highest sphere would be deep inside the heap.
+    """
+    low = points[:, :2].min(axis=0)
+    extent = np.maximum(points[:, :2].max(axis=0) - low, np.finfo(float).tiny)
+    number = np.maximum(np.round(extent / edge), 1)
+    column = np.minimum((points[:, :2] - low) / extent * number, number - 1).astype(np.int64)
+    top = points[:, 2] + radius
+    order = np.lexsort((-top, column[:, 1], column[:, 0]))
+    changes = (np.diff(column[order], axis=0) != 0).any(axis=1)
+    first = order[np.flatnonzero(np.append(True, changes))]
+    return np.column_stack([points[first, :2], top[first]])
+
+
+def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
+    """The angle of the line or plane fitted to heights (n,) [m] over horizontal positions (n, d = 1 or
+    2) [m].
+
+        angle = arctan |g|,      error = sqrt(d C d) / (1 + |g|^2)
+
+    g: gradient, d = g / |g|, C: covariance of g from the residuals of the least-squares fit. The fit is a
+    slope if a level surface with independent, normally distributed heights has the same coefficient of
+    determination R^2 with a probability below SIGNIFICANCE (F-test of the regression), and if sqrt(d C d) is
+    at most RELATIVE_ERROR |g|. The second condition is the stricter one for few points, or if the points
+    extend little along g.
+    """
+    if len(height) < FEWEST:
+        return no_slope(f"the surface has {len(height)} points, but a fit needs at least {FEWEST}")
+    offsets = position - position.mean(axis=0)
+    matrix = np.column_stack([np.ones(len(height)), offsets])
+    found, _, rank, _ = np.linalg.lstsq(matrix, height, rcond=None)
+    if rank < matrix.shape[1]:
+        return no_slope("the points of the surface lie on a line")
+    gradient = found[1:]
+    freedom = len(height) - matrix.shape[1]
+    steepness = float(np.linalg.norm(gradient))
+    residual = height - matrix @ found
+    total = float(((height - height.mean()) ** 2).sum())
+    unexplained = float(residual @ residual) / total if total > 0.0 else 1.0
+    spread = np.linalg.inv(matrix.T @ matrix)[1:, 1:] * (residual @ residual) / freedom
+    along = gradient / steepness if steepness > 0.0 else gradient
+    error = float(np.sqrt(along @ spread @ along))
+    if not _chance(unexplained, len(gradient), freedom) < SIGNIFICANCE:
+        return no_slope(
+            f"the fit to {len(height)} points of the surface explains {1.0 - unexplained:.0%} of the "
+            "variance of their heights, and rough level surfaces reach as much by chance: the surface is not "
+            "a slope, or the region is too small"
+        )
+    if error > RELATIVE_ERROR * steepness:
+        return no_slope(
+            f"the gradient of the fit to {len(height)} points of the surface has a standard error of "
+            f"{error / steepness:.0%} of it, above {RELATIVE_ERROR:.0%}: the region is too small or too "
+            "narrow"
+        )
+    return Slope(float(np.arctan(steepness)), error / (1.0 + steepness**2))
+
+
+def _chance(unexplained: float, slopes: int, freedom: int) -> float:
+    """Probability that a fit of `slopes` coefficients to independent heights leaves at most this share
+    unexplained.
+
+    The share 1 - R^2 has the beta distribution with the parameters freedom / 2 and slopes / 2.
+    """
+    from scipy.special import betainc
+
+    return float(betainc(0.5 * freedom, 0.5 * slopes, min(unexplained, 1.0)))
+
+
+class ReposeMetric(Metric):
+    """Angle of repose [rad] of the heap; particles with fewer than two contacts are excluded.
+
+    The angle is that of a line or plane fitted to the tops of the highest particles.
+
+    >>> gf.ReposeMetric(surface="cone")
+    ReposeMetric(surface='cone')
+    """
+
+    kind: Literal["repose"] = Field("repose", description="kind of metric")
+    surface: Literal["cone", "plane"] = Field(
+        description="cone: a heap around a vertical axis; plane: one side of a wedge, or the bed in a drum"
+    )
+    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
+    axis: q.Point | None = Field(
+        None,
+        description="with surface: cone, a point on its axis [m]; default: mean position of the particles",
+    )
+    quantities = (
+        Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
+        Quantity("angle_of_repose_error", "", "rad", "standard error of the slope"),
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an axis with a plane: it applies to a cone only."""
+        if self.surface == "plane" and self.axis is not None:
+            yield Fault(("axis",), "it applies only to surface: cone; remove it")
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """See `Metric`."""
+        if not any(parts.scene.gravity):
+            yield Fault(("kind",), "gravity is zero, so the slope is undefined; remove this metric")
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`; the vertical is opposite to gravity, also if gravity is inclined.
+
+        Particles with fewer than MIN_CONTACTS contacts are not part of the heap: one that rolls away on the
+        floor has one.
+        """
+        frame = frame_along(-np.array(scene.gravity) / np.linalg.norm(scene.gravity))
+        edge = COLUMN_WIDTH * 2.0 * scene.largest_radius
+        particles = mobile_particles(snapshot.particles)
+        contacts = particles["coordination_number"] + _wall_contacts(particles)
+        heap = selected(particles, (contacts >= MIN_CONTACTS) & _inside(particles["position"], self.region))
+        points = heap["position"].astype(float) @ frame.T
+        if self.surface == "cone":
+            axis = None if self.axis is None else (frame @ np.array(self.axis))[:2]
+            slope = slope_of_cone(points, heap["radius"], edge, axis)
+        else:
+            slope = slope_of_plane(points, heap["radius"], edge)
+        numbers = {"angle_of_repose": slope.angle, "angle_of_repose_error": slope.error}
+        return Reading(numbers, slope.reason and f"the angle of repose is NaN: {slope.reason}")
+
+
+# Directions of contacts
+
+
+def fabric_tensor(contacts: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The mean of n n over the contacts between particles, n their direction: (3, 3), symmetric, with
+    trace 1.
+
+    `contacts`: arrays `wall` (n,) (negative between particles), `position_i` and `position_j` (n, 3) [m]. NaN
+    without contacts. (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+    """
+    between = contacts["wall"] < 0
+    branch = contacts["position_j"][between] - contacts["position_i"][between]
+    normal = branch / np.linalg.norm(branch, axis=1)[:, None]
+    if not len(normal):
+        return np.full((3, 3), np.nan)
+    return np.einsum("na,nb->ab", normal, normal) / len(normal)
+
+
+def anisotropy(fabric: np.ndarray) -> float:
+    """The anisotropy of a fabric tensor (3, 3), from 0 (isotropic) to 1 (all contacts parallel).
+
+    a = sqrt(3/2 D:D),      D = F - 1/3
+    """
+    deviator = fabric - np.eye(3) / 3.0
+    return float(np.sqrt(1.5 * (deviator**2).sum()))
+
+
+class FabricMetric(Metric):
+    """Fabric tensor of the contacts between particles: mean of n n, with n the unit vector between the
+    centers.
+
+    (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+
+    >>> gf.FabricMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).kind
+    'fabric'
+    """
+
+    kind: Literal["fabric"] = Field("fabric", description="kind of metric")
+    region: Box | None = Field(None, description="box whose contacts are evaluated; default: all contacts")
+    quantities = (
+        Quantity("fabric_anisotropy", "a", "1", "anisotropy of the fabric tensor, 0 to 1"),
+        Quantity("fabric_xx", "Fxx", "1", "mean square of the x component of contact directions"),
+        Quantity("fabric_yy", "Fyy", "1", "mean square of the y component of contact directions"),
+        Quantity("fabric_zz", "Fzz", "1", "mean square of the z component of contact directions"),
+    )
+    wants = frozenset({CONTACTS})
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`; of the contacts with midpoints inside the region."""
+        contacts = snapshot.contacts or {}
+        middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
+        tensor = fabric_tensor(selected(contacts, _inside(middle, self.region)))
+        parts = {f"fabric_{axis}{axis}": float(tensor[k, k]) for k, axis in enumerate("xyz")}
+        return Reading({"fabric_anisotropy": anisotropy(tensor)} | parts)
+
+
+# Contacts per particle
+
+
+def coordination(with_particles: np.ndarray, with_walls: np.ndarray) -> dict[str, float]:
+    """The mean number of contacts per particle, with and without rattlers, and the share of rattlers.
+
+        Zm = (sum Z_i) / (N - N0 - N1)       over the particles with at least two contacts
+
+    `with_particles`, `with_walls` (n,): number of contacts of each particle. Rattlers carry no load: N0 have
+    no contact and N1 have one, of either kind. Z and Zm count contacts with particles only, so that they do
+    not depend on the size of the container. NaN without particles, Zm also without particles that carry a
+    load. (C. Thornton, Geotechnique 50 (2000) 43, for a periodic box.)
+    """
+    count = len(with_particles)
+    carries = with_particles + with_walls >= MIN_CONTACTS
+    return {
+        "coordination_number": _mean(with_particles),
+        "mechanical_coordination_number": _mean(with_particles[carries]),
+        "wall_coordination_number": _mean(with_walls),
+        "rattler_share": 1.0 - carries.sum() / count if count else float("nan"),
+    }
+
+
+class CoordinationMetric(Metric):
+    """Mean number of contacts with particles, with and without rattlers (fewer than two contacts), and with
+    walls.
+
+    (C. Thornton, Geotechnique 50 (2000) 43.)
+
+    >>> gf.CoordinationMetric()
+    CoordinationMetric()
+    """
+
+    kind: Literal["coordination"] = Field("coordination", description="kind of metric")
+    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
+    quantities = (
+        Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
+        Quantity("mechanical_coordination_number", "Zm", "1", "the same without rattlers"),
+        Quantity("wall_coordination_number", "", "1", "mean number of contacts with walls per particle"),
+        Quantity("rattler_share", "", "1", "share of particles with no contact or one contact"),
+    )
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`; of the mobile particles with centers inside the region."""
+        particles = mobile_particles(snapshot.particles)
+        inside = _inside(particles["position"], self.region)
+        walls = _wall_contacts(particles)[inside]
+        return Reading(coordination(particles["coordination_number"][inside], walls))
+
+
+# Position and content
+
+
+class ContentMetric(Metric):
+    """Number, mass [kg] and volume [m3] of the mobile particles with their center in a box.
+
+    >>> gf.ContentMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).region.max
+    (0.1, 0.1, 0.1)
+    """
+
+    kind: Literal["content"] = Field("content", description="kind of metric")
+    region: Box = Field(description="box whose particles are counted")
+    quantities = (
+        Quantity("content_count", "", "1", "number of particles in a box"),
+        Quantity("content_mass", "", "kg", "mass of the particles in a box"),
+        Quantity("content_volume", "", "m3", "volume of the particles in a box"),
+    )
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`."""
+        particles = mobile_particles(snapshot.particles)
+        inside = selected(particles, _inside(particles["position"], self.region))
+        return Reading(
+            {
+                "content_count": float(len(inside["mass"])),
+                "content_mass": float(inside["mass"].astype(float).sum()),
+                "content_volume": float(sphere_volume(inside["radius"].astype(float)).sum()),
+            }
+        )
+
+
+def center_of_mass(position: np.ndarray, mass: np.ndarray) -> dict[str, float]:
+    """The center of mass [m] of particles at `position` (n, 3) [m] with `mass` (n,) [kg]; NaN without any."""
+    total = float(mass.sum())
+    center = mass.astype(float) @ position.astype(float) / total if total else np.full(3, np.nan)
+    return {f"center_of_mass_{axis}": float(center[k]) for k, axis in enumerate("xyz")}
+
+
+class CenterOfMassMetric(Metric):
+    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped
+    positions.
+
+    >>> gf.CenterOfMassMetric(groups=["red"])
+    CenterOfMassMetric(groups=('red',))
+    """
+
+    kind: Literal["center_of_mass"] = Field("center_of_mass", description="kind of metric")
+    groups: Names | None = Field(None, description="groups whose particles are evaluated; default: all")
+    quantities = (
+        Quantity("center_of_mass_x", "x", "m", "x coordinate of the center of mass"),
+        Quantity("center_of_mass_y", "y", "m", "y coordinate of the center of mass"),
+        Quantity("center_of_mass_z", "z", "m", "z coordinate of the center of mass"),
+    )
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """See `Metric`."""
+        yield from unknown_names(("groups",), self.groups, parts.names("particles"), "group")
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`."""
+        groups = [scene.groups.index(name) for name in self.groups or scene.groups]
+        particles = mobile_particles(snapshot.particles)
+        own = np.isin(particles["group"], groups)
+        return Reading(center_of_mass(particles["position"][own], particles["mass"][own]))
+
+
+# Sliding contacts
+
+
+def sliding_share(contacts: Mapping[str, np.ndarray], walls: Collection[int] | None) -> dict[str, float]:
+    """The share of contacts whose friction force is at the Coulomb limit; NaN without contacts.
+
+    `contacts`: arrays `wall` and `sliding` (n,); `walls`: numbers of the walls in the scene, or None for the
+    contacts between particles.
+    """
+    selected = contacts["wall"] < 0 if walls is None else np.isin(contacts["wall"], list(walls))
+    return {"sliding_share": _mean(contacts["sliding"][selected])}
+
+
+class SlidingMetric(Metric):
+    """Share of the contacts whose friction force is at the Coulomb limit.
+
+    >>> gf.SlidingMetric(walls=["floor"])
+    SlidingMetric(walls=('floor',))
+    """
+
+    kind: Literal["sliding"] = Field("sliding", description="kind of metric")
+    walls: Names | None = Field(
+        None, description="walls whose contacts are evaluated; default: the contacts between particles"
+    )
+    quantities = (
+        Quantity("sliding_share", "", "1", "share of contacts whose friction force is at the Coulomb limit"),
+    )
+    wants = frozenset({CONTACTS})
+    examples = {"walls": "[floor]"}
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """See `Metric`."""
+        yield from unknown_names(("walls",), self.walls, parts.names("walls"), "wall")
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`."""
+        walls = None if self.walls is None else [scene.walls.index(name) for name in self.walls]
+        return Reading(sliding_share(snapshot.contacts or {}, walls))
+
+
+# Motion of one particle
+
+
+class ProbeMetric(Metric):
+    """Position [m], velocity [m/s] and angular velocity [rad/s] of one particle.
+
+    NaN before its insertion and after its deletion; in periodic boxes, the wrapped position.
+    """
+
+    kind: Literal["probe"] = Field(description="kind of metric")
+    id: q.ParticleId = Field(description="id of the particle: 0, 1, ... in the order of insertion")
+    quantities = (
+        Quantity("position_x", "x", "m", "x component of the position of the particle"),
+        Quantity("position_y", "y", "m", "y component of the position of the particle"),
+        Quantity("position_z", "z", "m", "z component of the position of the particle"),
+        Quantity("velocity_x", "x", "m/s", "x component of the velocity of the particle"),
+        Quantity("velocity_y", "y", "m/s", "y component of the velocity of the particle"),
+        Quantity("velocity_z", "z", "m/s", "z component of the velocity of the particle"),
+        Quantity("angular_velocity_x", "x", "rad/s", "x component of the angular velocity of the particle"),
+        Quantity("angular_velocity_y", "y", "rad/s", "y component of the angular velocity of the particle"),
+        Quantity("angular_velocity_z", "z", "rad/s", "z component of the angular velocity of the particle"),
+    )
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """See `Metric`: an id that no particle has; none if the number of particles is not given."""
+        counts = [group.count_given for group in parts.scene.particles.values()]
+        known = sum(count or 0 for count in counts)
+        if parts.scene.scale == 1.0 and all(counts) and self.id >= known:
+            yield Fault(("id",), f"the ids of the {known} particles are 0 to {known - 1}")
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`; without friction, particles do not rotate and have the angular velocity 0."""
+        particles = snapshot.particles
+        own = np.flatnonzero(particles["id"] == self.id)
+        found: dict[str, float] = {}
+        for name in ("position", "velocity", "angular_velocity"):
+            values = particles.get(name, np.zeros_like(particles["velocity"]))[own]
+            vector = values[0] if len(own) else np.full(3, np.nan)
+            found |= {f"{name}_{axis}": float(vector[k]) for k, axis in enumerate("xyz")}
+        return Reading(found)
+
+
+# All kinds
+
+AnyMetric = Annotated[
+    LaceyMetric
+    | SegregationMetric
+    | ReposeMetric
+    | FabricMetric
+    | CoordinationMetric
+    | ContentMetric
+    | CenterOfMassMetric
+    | SlidingMetric
+    | ProbeMetric,
+    choose_by_key("kind"),
+]
+"""Any kind of metric; the key `kind` selects it."""
+METRICS: tuple[type[Metric], ...] = get_args(get_args(AnyMetric)[0])
+"""The kinds of metrics."""
+METRIC_QUANTITIES = by_name(
+    found
+    for metric in METRICS
+    for each in metric.quantities
+    for found in (
+        each,
+        replace(
+            each, name=f"{each.name}_mean", meaning=f"{each.meaning}, mean over the rows of the last stage"
+        ),
+    )
+)
+"""Numbers of all metrics; with the suffix `_mean` the mean over the rows of the last stage."""
