@@ -16,7 +16,7 @@ import numpy as np
 
 from granflow.engine.checkpoint import restore_state, saved_state
 from granflow.load import Scene
-from granflow.plan import groups
+from granflow.plan import size_classes
 from granflow.simulation import Simulation
 
 SMALLEST = 1e-3
@@ -61,13 +61,13 @@ def scene_of(ratio: float, count: int) -> Scene:
 def settled_beds(ratio: float, count: int) -> tuple[Simulation, Simulation]:
     """The same settled bed twice: with one grid per size class, and with one grid."""
     scene = scene_of(ratio, count)
-    threshold = groups.CLASSES_FROM_RATIO
-    groups.CLASSES_FROM_RATIO = 1.0 + 1e-9
+    threshold = size_classes.CLASSES_FROM_RATIO
+    size_classes.CLASSES_FROM_RATIO = 1.0 + 1e-9
     by_class = Simulation(scene, threads=1)
     by_class.run()
-    groups.CLASSES_FROM_RATIO = inf
+    size_classes.CLASSES_FROM_RATIO = inf
     one_grid = Simulation(scene, threads=1)
-    groups.CLASSES_FROM_RATIO = threshold
+    size_classes.CLASSES_FROM_RATIO = threshold
     restore_state(one_grid.engine, saved_state(by_class.engine), [()])
     return by_class, one_grid
 

@@ -18,8 +18,7 @@ from granflow.engine.engine import Engine
 from granflow.engine.host import present_indices, remove_particles, write_particles
 from granflow.errors import GranflowError
 from granflow.geometry.shape import sphere_mass
-from granflow.particles.group import ParticleData
-from granflow.plan.groups import PlannedGroup
+from granflow.particles.group import ParticleData, SceneGroup
 from granflow.plan.plan import Plan
 from granflow.runs.run_state import RunState
 from granflow.scene.checks import pair_name, possible_contacts
@@ -546,7 +545,7 @@ def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
     return number
 
 
-def _diameters(plan: Plan, group: PlannedGroup, given: Any, count: int) -> np.ndarray:
+def _diameters(plan: Plan, group: SceneGroup, given: Any, count: int) -> np.ndarray:
     """Diameters (count,) [m]: given, or that of the group. Those of the scene bound them."""
     low, high = group.diameters
     if given is None and low < high:

@@ -368,10 +368,10 @@ def table_of(group: SceneGroup) -> ParticleTable:
     if not isinstance(insertion, FileInsertion):
         raise ValueError(f"{group.name} is not read from a file.")
     try:
-        path = resolved(group.folder / insertion.file)
+        path = resolved(group.scene.folder / insertion.file)
     except OSError as error:
         raise SceneError(
-            f"{group.folder / insertion.file}: the file cannot be read: {error.strerror}."
+            f"{group.scene.folder / insertion.file}: the file cannot be read: {error.strerror}."
         ) from None
     location = group.locate("insert", "file")
     if not path.exists():
@@ -380,7 +380,7 @@ def table_of(group: SceneGroup) -> ParticleTable:
             f"{location}: {key} is {insertion.file}, but there is no such file; its path is relative to the "
             "folder of the scene."
         )
-    return read_particles(group.folder / insertion.file)
+    return read_particles(group.scene.folder / insertion.file)
 
 
 def rows_of(group: SceneGroup) -> ParticleTable:
@@ -406,7 +406,7 @@ def unassigned_rows(groups: Iterable[SceneGroup]) -> list[str]:
     files: dict[str, list[SceneGroup]] = {}
     for group in groups:
         insertion = group.spec.insert
-        if isinstance(insertion, FileInsertion) and (group.folder / insertion.file).exists():
+        if isinstance(insertion, FileInsertion) and (group.scene.folder / insertion.file).exists():
             files.setdefault(insertion.file, []).append(group)
     problems = []
     for sharing in files.values():

@@ -1,6 +1,6 @@
 """A group of particles of a scene, and the arrays of its new particles.
 
-`SceneGroup` is a group with what its particles need of other parts of the scene, and with its random number
+`SceneGroup` is a group with its scene, for what its particles need of other parts, and with its random number
 generators. `particles_of` gives particles at given centers the motion, material and orientation of their
 group.
 """
@@ -10,49 +10,91 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import log, sqrt
-from pathlib import Path
 
 import numpy as np
 
 from granflow.arguments import shown
 from granflow.errors import GranflowError
-from granflow.geometry.clump import about, random_orientations
+from granflow.geometry.clump import ClumpShape, about, random_orientations
 from granflow.particles.packing import RegionFullError
-from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.particles import Clump, Group, ThermalMotion
 from granflow.scene.blocks.scene import SceneInput
 
 
 @dataclass(frozen=True)
 class SceneGroup:
-    """A group of a scene.
+    """A group of a scene: the scene, its name there, and its index among the groups.
 
-    name, number:     name in the scene, and index among its groups
-    spec:             entry of `particles`
-    material_number:  index of its material in the scene
-    density:          of its material [kg/m3]
-    seed:             seed of the scene
-    folder:           folder to which its file is relative
-    domain:           domain of the scene
-    locate:           function (*keys below the group) -> position in the scene file, for messages
-    is_given:         function (key) -> whether the scene file contains the key
+    `clump` is the shape of its particles, None for spheres; `diameters` [m] are the smallest and the largest
+    of its spheres.
     """
 
+    scene: SceneInput
     name: str
     number: int
-    spec: Group
-    material_number: int
-    density: float
-    seed: int
-    folder: Path
-    domain: Domain
-    locate: Callable[..., str]
-    is_given: Callable[..., bool]
+
+    @property
+    def spec(self) -> Group:
+        """Entry of `particles`."""
+        return self.scene.particles[self.name]
+
+    @property
+    def count(self) -> int:
+        """Number of particles, or of clumps. Raises ValueError if it is not resolved yet."""
+        return self.spec.count
+
+    @property
+    def sphere_count(self) -> int:
+        """Number of spheres."""
+        return self.spec.sphere_count
+
+    @property
+    def fixed(self) -> bool:
+        """Whether its particles never move."""
+        return self.spec.fixed
+
+    @property
+    def diameters(self) -> tuple[float, float]:
+        """Smallest and largest diameter [m] of its spheres."""
+        return self.spec.diameters
+
+    @property
+    def clump(self) -> ClumpShape | None:
+        """Shape of its particles; None for spheres."""
+        return None if self.spec.clump is None else self.spec.clump.shape
+
+    @property
+    def liquid_content(self) -> float:
+        """Initial volume of the film over that of the particle."""
+        return self.spec.liquid_content or 0.0
+
+    @property
+    def material(self) -> str:
+        """Name of its material."""
+        return self.spec.material
+
+    @property
+    def material_number(self) -> int:
+        """Index of its material in the scene."""
+        return list(self.scene.materials).index(self.material)
+
+    @property
+    def density(self) -> float:
+        """Density [kg/m3] of its material."""
+        return self.scene.materials[self.material].density
+
+    def locate(self, *keys: str | int) -> str:
+        """Position of a key below the group in the scene file, for messages."""
+        return self.scene.locate("particles", self.name, *keys)
+
+    def is_given(self, key: str) -> bool:
+        """Whether the scene file contains a key of the group."""
+        return self.scene.is_given("particles", self.name, key)
 
     @property
     def seeds(self) -> tuple[int, int]:
         """Seeds of the group: that of the scene, and the platform-independent CRC-32 of its name."""
-        return self.seed, zlib.crc32(self.name.encode())
+        return self.scene.seed, zlib.crc32(self.name.encode())
 
     def random(self) -> np.random.Generator:
         """The random number generator of the group (PCG64), independent of all other groups and of their
@@ -75,22 +117,7 @@ class SceneGroup:
 
 def groups_of(scene: SceneInput) -> dict[str, SceneGroup]:
     """The groups of a scene by name."""
-    materials = list(scene.materials)
-    return {
-        name: SceneGroup(
-            name,
-            number,
-            spec,
-            materials.index(spec.material),
-            scene.materials[spec.material].density,
-            scene.seed,
-            scene.folder,
-            scene.domain,
-            partial(scene.locate, "particles", name),
-            partial(scene.is_given, "particles", name),
-        )
-        for number, (name, spec) in enumerate(scene.particles.items())
-    }
+    return {name: SceneGroup(scene, name, number) for number, name in enumerate(scene.particles)}
 
 
 @dataclass(frozen=True)

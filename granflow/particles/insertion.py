@@ -206,7 +206,7 @@ class Inserter:
         queue = np.concatenate([self.queued, arriving])
         self.due_count += len(arriving)
         candidates = queue[: MAX_RETRIED_BATCHES * self.batch + len(arriving)]
-        periodic_box = self.group.domain.periodic_box()
+        periodic_box = self.group.scene.domain.periodic_box()
         existing = (np.asarray(position, dtype=np.float64), np.asarray(radius, dtype=np.float64))
         obstacles = Spheres(*periodic_box.with_images(*existing))
         random = np.random.default_rng([*self.group.seeds, self.batch_count])

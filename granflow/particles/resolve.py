@@ -62,7 +62,7 @@ def _resolved_group(group: SceneGroup, read: bool) -> Group:
     insertion = group.spec.insert
     if not isinstance(insertion, FileInsertion):
         return _with_count(group)
-    if insertion.found is not None and not (read and (group.folder / insertion.file).exists()):
+    if insertion.found is not None and not (read and (group.scene.folder / insertion.file).exists()):
         return group.spec
     return _with_rows(group, insertion)
 
@@ -221,7 +221,7 @@ def _inconsistencies(group: SceneGroup, rows: ParticleTable) -> Iterator[str]:
     for key in ("velocity", "angular_velocity"):
         if getattr(rows, key) is not None and np.any(getattr(spec, key)):
             yield f"{group.locate(key)}: particles.{name}.{key} is in {rows.path} too; remove it."
-    low, high = np.array(group.domain.min), np.array(group.domain.max)
+    low, high = np.array(group.scene.domain.min), np.array(group.scene.domain.max)
     outside = ~np.all((rows.position >= low) & (rows.position <= high), axis=1)
     if outside.any():
         first = rows.line[outside][0]

@@ -15,9 +15,9 @@ from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.mesh import Mesh
 from granflow.load import Scene, refuse_other_object
+from granflow.particles.group import groups_of
 from granflow.plan.features import features_of
 from granflow.plan.forecast import forecasts_of, size_problems
-from granflow.plan.groups import planned_groups, size_classes
 from granflow.plan.joined_walls import joints_of
 from granflow.plan.limits import (
     refuse_coarse,
@@ -43,6 +43,7 @@ from granflow.plan.pairs import (
     solid,
 )
 from granflow.plan.plan import Plan
+from granflow.plan.size_classes import size_classes
 from granflow.plan.stages import refuse_unresolved_drag
 from granflow.plan.time_step import (
     AdaptiveTimeStep,
@@ -85,7 +86,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})
     impact_velocity = max_impact_velocity(scene)
     velocity = impact_velocity.value
-    groups = planned_groups(scene)
+    groups = tuple(groups_of(scene).values())
     particle_count = sum(group.sphere_count for group in groups)
     radius_min = 0.5 * min(group.diameters[0] for group in groups)
     radius_max = 0.5 * max(group.diameters[1] for group in groups)

@@ -18,6 +18,7 @@ from granflow.arguments import refuse_other
 from granflow.geometry.motion import TableRotation, TableTranslation
 from granflow.geometry.shape import sphere_mass
 from granflow.load import Scene
+from granflow.particles.group import SceneGroup
 from granflow.plan.cost import (
     TYPICAL_PARTICLE_STEPS_PER_SECOND,
     MemoryEstimate,
@@ -26,7 +27,6 @@ from granflow.plan.cost import (
     typical_run_time,
 )
 from granflow.plan.features import Reason
-from granflow.plan.groups import PlannedGroup
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
@@ -155,7 +155,7 @@ def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     yield ExplainRow("skin", f"{plan.skin:.4g} m", share + given)
 
 
-def _spheres_of(group: PlannedGroup) -> str:
+def _spheres_of(group: SceneGroup) -> str:
     """Number of spheres of each clump of a group; empty for spheres."""
     return "" if group.clump is None else f" clumps of {len(group.clump)} spheres"
 

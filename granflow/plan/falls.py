@@ -29,7 +29,6 @@ from granflow.geometry.revolved import REVOLVED
 from granflow.load import Scene
 from granflow.particles.insertion import insertion_region
 from granflow.particles.sampling import BoxSampler, CylinderSampler, RegionSampler, SlabSampler, sampler_of
-from granflow.plan.groups import outer_diameter_range
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import ImpactVelocity, image_speed, initial_speeds
 from granflow.plan.walls import PlannedMotion, PlannedWall
@@ -198,7 +197,7 @@ def region_of(group: Group) -> RegionSampler | None:
         return sampler_of(insertion.region)
     if isinstance(insertion, InletInsertion):
         return insertion_region(
-            insertion, 0.5 * outer_diameter_range(group)[1], np.array(group.velocity, float), 0.0
+            insertion, 0.5 * group.outer_diameters[1], np.array(group.velocity, float), 0.0
         )
     return None
 
@@ -469,7 +468,7 @@ def _start_points(group: Group, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         velocities = np.broadcast_to(np.asarray(group.velocity, float), points.shape)
         some = np.argsort(-(points @ up), kind="stable")[:SAMPLES]
         return points[some], velocities[some]
-    radius = min(0.5 * outer_diameter_range(group)[0], region.radius_max)
+    radius = min(0.5 * group.outer_diameters[0], region.radius_max)
     points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
     top = highest_point(group, up)
     assert top is not None

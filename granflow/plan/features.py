@@ -12,7 +12,7 @@ from typing import Any
 from granflow.contact import registry
 from granflow.contact.law import FRICTION, ContactModel
 from granflow.load import Scene
-from granflow.plan.groups import CLASSES_FROM_RATIO, diameter_range, size_classes
+from granflow.plan.size_classes import CLASSES_FROM_RATIO, size_classes
 from granflow.plan.walls import has_belt, is_force_controlled
 from granflow.scene.blocks.run import Damping
 
@@ -307,7 +307,7 @@ def _kinds_of_motion(scene: Scene, wall: str) -> str:
 
 def _sizes_reason(scene: Scene) -> str:
     """The ratio of the largest to the smallest diameter."""
-    spans = [diameter_range(group) for group in scene.particles.values()]
+    spans = [group.diameters for group in scene.particles.values()]
     ratio = max(high for _, high in spans) / min(low for low, _ in spans)
     if ratio < CLASSES_FROM_RATIO:
         return f"the largest diameter is less than {CLASSES_FROM_RATIO:g} times the smallest"

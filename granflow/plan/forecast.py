@@ -22,7 +22,6 @@ from granflow.load import Scene
 from granflow.particles.insertion import MAX_BATCHES, insertion_region
 from granflow.particles.sampling import BoxSampler, CylinderSampler, RegionSampler, SlabSampler
 from granflow.plan.falls import forecast_velocity, path_velocity, velocity_warnings
-from granflow.plan.groups import outer_diameter_range
 from granflow.plan.overlaps import (
     HARDEST,
     bed_pressures,
@@ -169,7 +168,7 @@ def _oversizes(scene: Scene) -> Iterator[tuple[tuple[str, ...], str]]:
     side = _longest_side(scene)
     domain = f"the longest side of the domain, {side:.3g} m"
     for name, group in scene.particles.items():
-        diameter = outer_diameter_range(group)[1]
+        diameter = group.outer_diameters[1]
         path = ("particles", name, "diameter")
         width = _face_width(group.insert) if isinstance(group.insert, InletInsertion) else inf
         if diameter > width:
@@ -349,7 +348,7 @@ def _wall_gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -
     axes = [np.linspace(*span, POINTS_PER_AXIS) for span in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1)))
-    reach += 0.5 * max(outer_diameter_range(group)[1] for group in scene.particles.values())
+    reach += 0.5 * max(group.outer_diameters[1] for group in scene.particles.values())
     end = max(stage_end for _, stage_end in times.values())
     poses = pose(
         [each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count)
@@ -503,7 +502,7 @@ def _distance_from_bed(plan: Plan, motion: ControlledMotion, area: float) -> flo
         group.clump is not None for group in scene.particles.values()
     )
     height = solid_volume(scene.particles) / ((LOOSEST if is_loose else LOOSE) * area)
-    layer = max(outer_diameter_range(group)[1] for group in scene.particles.values())
+    layer = max(group.outer_diameters[1] for group in scene.particles.values())
     return _free_path(scene.domain, plan.walls, motion) - height - layer
 
 
@@ -651,7 +650,7 @@ def _largest_flow(
     velocity = np.array(group.velocity, float)
     gravity = np.array(scene.gravity, float)
     gathered = ceil(group.count / MAX_BATCHES) * interval
-    region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], velocity, gathered)
+    region = insertion_region(insertion, 0.5 * group.outer_diameters[1], velocity, gathered)
     normal, depth, area, width = _face_of(region, gravity if gravity.any() else velocity)
     initial = float(velocity @ normal)
     falling = float(gravity @ normal)
@@ -666,7 +665,7 @@ def _largest_flow(
     across = sqrt(float(np.sum((velocity - (velocity @ normal) * normal) ** 2)) + 2.0 * slide * width)
     volume = mean_volume(group)
     if group.clump is not None:
-        volume = sphere_volume(0.5 * outer_diameter_range(group)[1])
+        volume = sphere_volume(0.5 * group.outer_diameters[1])
     flow = area * along + width * depth * across
     return DENSEST_FLOW * float(flow) / volume, DENSEST_FLOW * region.volume / volume
 
@@ -702,7 +701,7 @@ def _wrong_direction(plan: Plan, name: str, insertion: InletInsertion) -> str:
     group = scene.particles[name]
     velocity = np.array(group.velocity, float)
     gravity = np.array(scene.gravity, float)
-    region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.zeros(3), 0.0)
+    region = insertion_region(insertion, 0.5 * group.outer_diameters[1], np.zeros(3), 0.0)
     normal, _, area, _ = _face_of(region, velocity)
     through = _through(velocity, normal)
     along = _through(gravity, normal)

@@ -29,10 +29,9 @@ from granflow.geometry.motion import pose
 from granflow.geometry.shape import sphere_mass, sphere_volume
 from granflow.load import Scene
 from granflow.particles.close_pairs import near_pairs
-from granflow.particles.group import ParticleData, orientations
+from granflow.particles.group import ParticleData, SceneGroup, orientations
 from granflow.particles.sampling import BoxSampler, CylinderSampler, draw_diameters, sampler_of
 from granflow.plan.falls import region_of
-from granflow.plan.groups import PlannedGroup, diameter_range, outer_diameter_range
 from granflow.plan.plan import Forecast, Plan
 from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.wall_control import section
@@ -297,7 +296,7 @@ def _depth(plan: Plan, radius: float) -> float:
     return volume / (SOLID_FRACTION * weight_pressure(plan.scene, plan.solids)[1])
 
 
-def _collide(plan: Plan, group: PlannedGroup, other: PlannedGroup) -> bool:
+def _collide(plan: Plan, group: SceneGroup, other: SceneGroup) -> bool:
     """Whether particles of two groups can be in contact."""
     alone = group is other and group.count < 2
     materials = (group.material, other.material)
@@ -305,7 +304,7 @@ def _collide(plan: Plan, group: PlannedGroup, other: PlannedGroup) -> bool:
 
 
 def _of_particles(
-    plan: Plan, group: PlannedGroup, other: PlannedGroup, sizes: tuple[float, float]
+    plan: Plan, group: SceneGroup, other: SceneGroup, sizes: tuple[float, float]
 ) -> TouchingPair:
     """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
     radii = np.array(sizes) / 2.0
@@ -325,7 +324,7 @@ def _of_particles(
     )
 
 
-def _of_wall(plan: Plan, group: PlannedGroup, wall: str) -> TouchingPair:
+def _of_wall(plan: Plan, group: SceneGroup, wall: str) -> TouchingPair:
     """A particle at a wall of the material `wall`; the relative overlap does not depend on its size
     (Hertz)."""
     radius = 0.5 * group.diameters[0]
@@ -335,7 +334,7 @@ def _of_wall(plan: Plan, group: PlannedGroup, wall: str) -> TouchingPair:
     return TouchingPair(name, materials, plan.pair_materials[materials], radius, radius, mass)
 
 
-def _mass(plan: Plan, group: PlannedGroup, radius: float) -> float:
+def _mass(plan: Plan, group: SceneGroup, radius: float) -> float:
     """Mass [kg] of a sphere of a group with a radius [m], or of the clump to which it belongs."""
     density = plan.solids[group.material].density
     return sphere_mass(radius, density) if group.clump is None else group.clump.volume * density
@@ -431,7 +430,7 @@ def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
     """Section [m2] of the region of a group across the unit vector `down`; that of the domain for other
     insertions."""
     if isinstance(group.insert, PositionsInsertion):
-        x, y, z = np.ptp(np.array(group.insert.positions), axis=0) + diameter_range(group)[1]
+        x, y, z = np.ptp(np.array(group.insert.positions), axis=0) + group.diameters[1]
         return float(np.abs(down) @ [y * z, z * x, x * y])
     if not isinstance(group.insert, LatticeInsertion | PackInsertion):
         return section(domain, down)
@@ -451,7 +450,7 @@ def mean_volume(group: Group) -> float:
     if group.clump is not None:
         return group.clump.shape.volume
     if isinstance(group.insert, FileInsertion):
-        diameters = np.array(diameter_range(group))
+        diameters = np.array(group.diameters)
     else:
         count = group.count if isinstance(group.sizes, tuple) else min(group.count, SAMPLED_DIAMETERS)
         diameters = draw_diameters(group.sizes, count, np.random.default_rng(0))
@@ -797,7 +796,7 @@ def region_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
         region = region_of(group)
         if region is None or group.fixed:
             continue
-        radius = 0.5 * outer_diameter_range(group)[0]
+        radius = 0.5 * group.outer_diameters[0]
         if radius > region.radius_max:
             continue  # the particles do not fit: reported when they are generated
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))

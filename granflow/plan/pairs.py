@@ -26,7 +26,7 @@ from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.shape import sphere_mass
 from granflow.load import Scene
-from granflow.plan.groups import PlannedGroup
+from granflow.particles.group import SceneGroup
 from granflow.plan.time_step import PairCase
 from granflow.scene.blocks.materials import Material, MaterialPair, RestitutionFit
 from granflow.visible_text import alternatives
@@ -59,7 +59,7 @@ def _acts(model: ContactModel, pairs: Iterable[MaterialPair]) -> bool:
 
 def build_laws(
     scene: Scene,
-    groups: Sequence[PlannedGroup],
+    groups: Sequence[SceneGroup],
     models: Mapping[str, ContactModel],
     pairs: PairMaterials,
     velocity: float,
@@ -188,7 +188,7 @@ def _constants(
 
 
 def pair_cases_of(
-    scene: Scene, groups: Sequence[PlannedGroup], solids: Mapping[str, Solid], pairs: PairMaterials
+    scene: Scene, groups: Sequence[SceneGroup], solids: Mapping[str, Solid], pairs: PairMaterials
 ) -> tuple[PairCase, ...]:
     """The possible contacts between two groups and between a group and a wall, each for the smallest
     particles.
@@ -226,8 +226,8 @@ def _pair_case(
     name: str,
     pair: PairMaterial,
     solids: Mapping[str, Solid],
-    group: PlannedGroup,
-    other: PlannedGroup | None,
+    group: SceneGroup,
+    other: SceneGroup | None,
 ) -> PairCase:
     """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall
     (None)."""
@@ -250,7 +250,7 @@ def _pair_case(
     return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid, mass_ratio=ratio)
 
 
-def _mass_ratio(group: PlannedGroup | None) -> float:
+def _mass_ratio(group: SceneGroup | None) -> float:
     """Mass of a clump over that of its smallest sphere; 1 for spheres and walls."""
     if group is None or group.clump is None:
         return 1.0

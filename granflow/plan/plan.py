@@ -20,6 +20,7 @@ from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.geometry.shape import sphere_mass
 from granflow.load import Scene
+from granflow.particles.group import SceneGroup
 from granflow.plan.capacities import (
     MIN_BATCH,
     MIN_CELLS,
@@ -39,7 +40,6 @@ from granflow.plan.capacities import (
     rounded_capacity,
 )
 from granflow.plan.features import Features, Reason
-from granflow.plan.groups import PlannedGroup
 from granflow.plan.limits import coordinate_limit
 from granflow.plan.sum_units import SumUnits, liquid_unit, sum_units
 from granflow.plan.time_step import (
@@ -143,7 +143,7 @@ class Plan:
     reasons: tuple[Reason, ...]
 
     # Particles.
-    groups: tuple[PlannedGroup, ...]
+    groups: tuple[SceneGroup, ...]
     particle_capacity: int
     radius_min: float
     """Smallest radius [m]."""

@@ -24,7 +24,7 @@ import numpy as np
 
 from granflow.contact.law import NormalLaw
 from granflow.geometry.shape import sphere_volume
-from granflow.plan.groups import PlannedGroup
+from granflow.particles.group import SceneGroup
 from granflow.plan.time_step import PairCase
 
 # The quantities.
@@ -146,7 +146,7 @@ LIQUID_BITS = 50
 volumes and for particles that a program adds."""
 
 
-def liquid_unit(groups: Sequence[PlannedGroup]) -> float:
+def liquid_unit(groups: Sequence[SceneGroup]) -> float:
     """Unit [m3] of liquid volumes, a power of two: bridges take whole units, so that all sums of volumes are
     exact.
 

@@ -24,7 +24,6 @@ from granflow.geometry.revolved import join_shared_edges
 from granflow.geometry.shape import Shape, unit
 from granflow.io.files import FormatError, resolved
 from granflow.load import Scene
-from granflow.plan.groups import diameter_range
 from granflow.plan.stages import StageTimes, always
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.quantities import Vector3
@@ -362,7 +361,7 @@ def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
     """Raise FormatError for a mesh that is much larger than the domain or much smaller than the smallest
     particle."""
     size = _size(mesh)
-    smallest = min(diameter_range(group)[0] for group in scene.particles.values())
+    smallest = min(group.diameters[0] for group in scene.particles.values())
     if size < FAR_TOO_SMALL * smallest:
         raise FormatError(
             f"is {size:.3g} m large, {size / smallest:.3g} times the smallest particle ({smallest:.3g} m): "

@@ -10,7 +10,6 @@ from granflow.io.checkpoint import Checkpoint, newest_checkpoint
 from granflow.load import Scene, scene_of
 from granflow.particles.group import ParticleData, SceneGroup, groups_of
 from granflow.particles.insertion import initial_particles
-from granflow.plan.groups import diameter_range
 from granflow.plan.overlaps import particle_warnings
 from granflow.plan.plan import Plan
 
@@ -171,7 +170,7 @@ def _inconsistencies(group: SceneGroup, particles: ParticleData) -> list[str]:
             f"{group.locate('count')}: particles.{name}.count is {spec.count}, but start_from has "
             f"{len(particles)} particles."
         )
-    smallest, largest = diameter_range(spec)
+    smallest, largest = spec.diameters
     sizes = 2.0 * particles.radius
     if len(particles) and (sizes.min() < smallest * (1 - ROUNDING) or sizes.max() > largest * (1 + ROUNDING)):
         found.append(

@@ -586,6 +586,38 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         return self.count * (1 if self.clump is None else len(self.clump.spheres))
 
     @property
+    def diameters(self) -> tuple[float, float]:
+        """Smallest and largest diameter [m] of spheres, before sampling; for a particle file, those in the
+        file."""
+        spans = self.size_spans()
+        return spans[0][0], spans[-1][1]
+
+    @property
+    def outer_diameters(self) -> tuple[float, float]:
+        """As `diameters`, but of the spheres around clumps: the size of the particles when they are
+        inserted."""
+        if self.clump is None:
+            return self.diameters
+        return self.clump.outer_diameter, self.clump.outer_diameter
+
+    def size_spans(self) -> list[tuple[float, float]]:
+        """Ranges of the diameters [m] of spheres, in ascending order; one range for a continuous
+        distribution."""
+        if isinstance(self.insert, FileInsertion) and self.insert.found is not None:
+            return [(self.insert.found.diameter_min, self.insert.found.diameter_max)]
+        if self.clump is not None:
+            return [(each, each) for each in sorted({2.0 * sphere.radius for sphere in self.clump.spheres})]
+        sizes = self.sizes
+        if isinstance(sizes, float):
+            return [(sizes, sizes)]
+        if isinstance(sizes, tuple):
+            return [(each, each) for each in sorted(set(sizes))]
+        if isinstance(sizes, ClassSizes):
+            used = [each.diameter for each in sizes.classes if each.fraction > 0.0]
+            return [(each, each) for each in sorted(used)]
+        return [(sizes.min, sizes.max)]
+
+    @property
     def sizes(self) -> SizeSpec:
         """Diameters [m] given in the scene, or twice the radii: one, one per particle, or a distribution.
 
