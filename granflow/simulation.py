@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite
 from numbers import Real
 from pathlib import Path
@@ -154,7 +154,7 @@ class Simulation:
                 allow_long=allow_long,
             )
             self.files.create()
-            engine = engine_for(begin.plan, backend, communicator, scene)
+            engine = engine_for(begin.plan, backend, communicator)
         self.warnings = begin.warnings
         from_scene = observers_for(
             begin.plan, self.files.path, progress, self.files.writer, None if communicator is None else engine
@@ -453,18 +453,23 @@ def run_start(
     allow_long: bool,
 ) -> RunStart:
     """Decide on a run from the arguments of `Simulation`, whose errors it raises."""
-    original = given_plan or plan_for(scene, on_gpu=not backend.on_cpu)
+    if given_plan is None:
+        original = plan_for(scene, on_gpu=not backend.on_cpu)
+    elif given_plan.scene is scene:
+        original = given_plan
+    else:  # the scene of the run is the argument, such as the one with another precision
+        original = replace(given_plan, scene=scene)
     plan = original if checkpoint is None else changed_plan(original, checkpoint)
     plan = plan_with_forces(plan, forces, backend)
     refuse_run_time(plan, allow_long)
     refuse_size(plan if communicator is None else rank_plan(plan, communicator.size), backend)
     change = None
     if checkpoint is not None:
-        change = accepted_change(checkpoint, scene, plan, allow_changes)
+        change = accepted_change(checkpoint, plan, allow_changes)
         names = [name_of(observer) for observer in observers]
         refuse_other_functions(checkpoint, plan.external_forces, names, allow_changes)
-    initial, earlier = initial_state(scene, plan, given_particles, checkpoint)
-    warnings = warnings_before(scene, plan, initial)
+    initial, earlier = initial_state(plan, given_particles, checkpoint)
+    warnings = warnings_before(plan, initial)
     if checkpoint is not None:
         warnings += filter(None, [engine_difference(checkpoint)])
     return RunStart(
@@ -473,7 +478,7 @@ def run_start(
         initial=initial,
         earlier=earlier,
         change=change,
-        insertion=ParticleInsertion(scene, earlier),
+        insertion=ParticleInsertion(plan.scene, earlier),
         warnings=warnings,
     )
 
@@ -494,13 +499,13 @@ def refuse_size(plan: Plan, backend: Backend) -> None:
         refuse_without_device_memory(plan, free_device_memory(backend.arch), backend.largest_buffer)
 
 
-def engine_for(plan: Plan, backend: Backend, communicator: "Communicator | None", scene: Scene) -> Engine:
+def engine_for(plan: Plan, backend: Backend, communicator: "Communicator | None") -> Engine:
     """The engine of a run; with a communicator that of the root, and only such runs import it."""
     if communicator is None:
         return Engine(plan, backend)
     from granflow.parallel.rank_engine import RankEngine
 
-    return RankEngine(plan, backend, communicator, scene)
+    return RankEngine(plan, backend, communicator)
 
 
 def end_of_run(

@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     from granflow.parallel.refusals import refuse_without_mpi_flag
 
     if options.mpi:
-        return on_ranks(options, partial(run_scene, options), partial(scene_and_plan, options))
+        return on_ranks(options, partial(run_scene, options), partial(plan_of_run, options))
     refuse_without_mpi_flag()
     return run_scene(options)
 
@@ -432,14 +432,12 @@ def add_mpi(parser: argparse.ArgumentParser) -> None:
 
 
 def on_ranks(
-    options: argparse.Namespace,
-    run: "Callable[[Communicator], int]",
-    scene_and_plan: "Callable[[], tuple[Scene, Plan]]",
+    options: argparse.Namespace, run: "Callable[[Communicator], int]", plan: "Callable[[], Plan]"
 ) -> int:
     """Run a scene on all ranks and return the exit code; 0 on all but the root.
 
-    run:             what the root does, with the communicator
-    scene_and_plan:  what the others read when the root has a plan
+    run:   what the root does, with the communicator
+    plan:  what the others read when the root has a plan
 
     Raises GranflowError without mpi4py, and on the root the exceptions of `run`.
     """
@@ -454,37 +452,34 @@ def on_ranks(
     stop = RankStop()
     pass_stops_to(stop.request)
     logging.getLogger("granflow").setLevel(logging.CRITICAL)
-    serve(communicator, lambda: stop.applied_to(_rank_engine(options, communicator, *scene_and_plan())))
+    serve(communicator, lambda: stop.applied_to(_rank_engine(options, communicator, plan())))
     return 0
 
 
-def scene_and_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
-    """The scene of a run and its plan."""
+def plan_of_run(options: argparse.Namespace) -> "Plan":
+    """The plan of the scene of a run."""
     from granflow.plan.build import plan_for
 
-    scene = load_runnable(options)
-    return scene, plan_for(scene)
+    return plan_for(load_runnable(options))
 
 
-def resumed_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
-    """The scene and the plan of the run that the root resumes, on another rank."""
+def resumed_plan(options: argparse.Namespace) -> "Plan":
+    """The plan of the run that the root resumes, on another rank."""
     from granflow.io.checkpoint import newest_checkpoint
     from granflow.plan.build import plan_for
     from granflow.runs.resume import changed_plan
 
     checkpoint = None if options.from_start else newest_checkpoint(options.directory, "header")[0]
-    scene = scene_to_resume(options, checkpoint)
-    return scene, plan_for(scene) if checkpoint is None else changed_plan(plan_for(scene), checkpoint)
+    plan = plan_for(scene_to_resume(options, checkpoint))
+    return plan if checkpoint is None else changed_plan(plan, checkpoint)
 
 
-def _rank_engine(
-    options: argparse.Namespace, communicator: "Communicator", scene: "Scene", plan: "Plan"
-) -> "RankEngine":
+def _rank_engine(options: argparse.Namespace, communicator: "Communicator", plan: "Plan") -> "RankEngine":
     """The engine of a rank that is not the root."""
     from granflow.engine.state_cache import start
     from granflow.parallel.rank_engine import RankEngine
 
-    return RankEngine(plan, start("cpu", scene.run.precision, options.threads), communicator, scene)
+    return RankEngine(plan, start("cpu", plan.scene.run.precision, options.threads), communicator)
 
 
 class RankStop:

@@ -65,24 +65,23 @@ class RankEngine(Engine):
     """As `Engine`, for a part of the particles. On the root, arrays and totals are those of all particles.
 
     plan:    of the complete scene
-    scene:   of the plan
     Raises:  OtherScene on all ranks if their scenes differ, before any of them has an engine
     """
 
     stepper: RankStepper
 
-    def __init__(self, plan: Plan, backend: Backend, communicator: Communicator, scene: Scene) -> None:
+    def __init__(self, plan: Plan, backend: Backend, communicator: Communicator) -> None:
         self.communicator = communicator
         with communicator.commanding(START):
-            different = _ranks_with_another_scene(communicator, scene)
+            different = _ranks_with_another_scene(communicator, plan.scene)
             if not different:
                 self._create(plan, backend)
         if different:
             ranks = ", ".join(map(str, different))
             raise OtherScene(
-                f"The scene of rank {ranks} differs from that of rank 0, {scene.path}, in its values, in a "
-                "file that it reads, or in the version of granflow: give all ranks the same files and the "
-                "same installation."
+                f"The scene of rank {ranks} differs from that of rank 0, {plan.scene.path}, in its values, "
+                "in a file that it reads, or in the version of granflow: give all ranks the same files and "
+                "the same installation."
             )
 
     def _create(self, plan: Plan, backend: Backend) -> None:

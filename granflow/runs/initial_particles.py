@@ -15,7 +15,7 @@ from granflow.plan.plan import Plan
 
 
 def initial_state(
-    scene: Scene, plan: Plan, given: ParticleData | None, resumed: Checkpoint | None
+    plan: Plan, given: ParticleData | None, resumed: Checkpoint | None
 ) -> tuple[ParticleData | None, list[str]]:
     """The particles at the start, and the names of the groups whose particles do not come from the scene.
 
@@ -30,11 +30,11 @@ def initial_state(
     if given is not None:
         refuse_other_particles(plan, given)
         return given, [group.name for number, group in enumerate(plan.groups) if number in given.group]
-    earlier = particles_from_run(scene)
-    return initial_particles(scene, earlier), list(earlier)
+    earlier = particles_from_run(plan.scene)
+    return initial_particles(plan.scene, earlier), list(earlier)
 
 
-def warnings_before(scene: Scene, plan: Plan, initial: ParticleData | None) -> list[str]:
+def warnings_before(plan: Plan, initial: ParticleData | None) -> list[str]:
     """The warnings of the plan, and those about initial particles inside walls.
 
     `initial`: None for a resumed run.

@@ -73,8 +73,8 @@ class Change:
         return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
 
 
-def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_changes: bool) -> Change:
-    """Check the checkpoint and return the differences of its scene from the present one, of this plan.
+def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> Change:
+    """Check the checkpoint and return the differences of its scene from that of the plan.
 
     `allow_changes`: accept differences in keys that must normally not change when a run continues.
 
@@ -92,7 +92,8 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
         )
     # Both scenes are read from text, so that only differences of the text count.
     before, now = (
-        scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, copied_scene(scene).to_yaml())
+        scene_of(text, str(checkpoint.path))
+        for text in (checkpoint.scene, copied_scene(plan.scene).to_yaml())
     )
     try:
         check_run(checkpoint, before, plan_fingerprint(plan))

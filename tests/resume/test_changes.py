@@ -142,8 +142,7 @@ def test_changed_domain_is_rejected_without_allow_changes(checkpoint):
         "Run the scene from the start, or continue despite the change with --allow-changes."
     )
     assert [
-        each.key
-        for each in accepted_change(checkpoint, other, plan_for(other), allow_changes=True).differences
+        each.key for each in accepted_change(checkpoint, plan_for(other), allow_changes=True).differences
     ] == ["domain.max"]
 
 
@@ -152,7 +151,7 @@ def test_changed_precision_adds_and_removes_the_remainders_of_velocities(checkpo
     particles = continued.saved["engine"]["particles"]
     for precision, exists in (("mixed", True), ("f64", False)):
         other = falling_particles(run={"time_step": 1e-5, "velocity_max": 1.0, "precision": precision})
-        accepted_change(continued, other, plan_for(other), allow_changes=True)
+        accepted_change(continued, plan_for(other), allow_changes=True)
         assert ("velocity_remainder" in particles) == ("angular_velocity_remainder" in particles) == exists
         continued = replace(continued, scene=other.to_yaml())
 

@@ -63,4 +63,4 @@ def test_crafted_clumps_are_rejected(scene, checkpoints, tmp_path, name):
     CRAFTED[name](original.saved["engine"]["particles"])
     path = write_checkpoint(tmp_path, original.scene, original.time, 20, original.saved)
     with pytest.raises(CheckpointError, match=r"engine/particles/(clump|orientation)"):
-        accepted_change(read_checkpoint(path), scene, plan_for(scene), allow_changes=False)
+        accepted_change(read_checkpoint(path), plan_for(scene), allow_changes=False)

@@ -196,7 +196,7 @@ def one_sided(shares):
 )
 def test_ranks_check_the_files_that_they_read(half, tmp_path, change, reason):
     checkpoint = read_checkpoint(distributed(half[0], tmp_path, 150, change=change), "root")
-    accepted_change(checkpoint, scene(), plan_for(scene()), allow_changes=False)
+    accepted_change(checkpoint, plan_for(scene()), allow_changes=False)
     with Simulation(scene(), threads=1) as simulation:
         files = rank_files_of(checkpoint)
         accounting = checkpoint.saved["engine"]["accounting"]

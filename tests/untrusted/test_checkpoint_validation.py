@@ -55,7 +55,7 @@ def crafted(original, directory, change):
     saved = read_checkpoint(original.path).saved
     change(saved)
     path = write_checkpoint(directory, original.scene, original.time, 20, saved)
-    return accepted_change(read_checkpoint(path), scene(), plan_for(scene()), allow_changes=False)
+    return accepted_change(read_checkpoint(path), plan_for(scene()), allow_changes=False)
 
 
 def test_original_checkpoint_is_accepted(original, tmp_path):
@@ -252,7 +252,7 @@ def test_random_bytes_in_a_checkpoint_raise_only_granflow_errors(original, tmp_p
             data[offset] = random.integers(256)
         sealed(path, bytes(data))
         try:
-            accepted_change(read_checkpoint(path), scene(), plan_for(scene()), allow_changes=False)
+            accepted_change(read_checkpoint(path), plan_for(scene()), allow_changes=False)
         except Exception as error:
             rejected += 1
             from granflow.errors import GranflowError

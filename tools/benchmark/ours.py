@@ -138,7 +138,7 @@ def measure_on_ranks(
     scene = scene_for(case, law, precision, skin)
     serve(
         communicator,
-        lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator, scene),
+        lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator),
     )
     return None
 
