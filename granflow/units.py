@@ -34,6 +34,12 @@ class Dimension:
     example: str
     units: Mapping[str, Fraction]
 
+    @property
+    def si_unit(self) -> str:
+        """The SI unit; empty for a number without a dimension and for any dimension."""
+        unit = next(iter(self.units), "")
+        return "" if unit == "%" else unit
+
 
 def _unit_table(text: str) -> dict[str, Fraction]:
     """Exact factors from "m 1, mm 1e-3, ..."; the SI unit is first."""

@@ -5,7 +5,6 @@ puts them together.
 """
 
 import math
-import re
 import textwrap
 from collections.abc import Iterable, Iterator
 from math import ceil
@@ -31,6 +30,7 @@ from granflow.plan.plan import Plan
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
 from granflow.scene.blocks.contact import LawSettings
+from granflow.scene.blocks.quantities import unit_of
 from granflow.scene.blocks.run import Stage
 
 WIDTH = 100
@@ -307,8 +307,6 @@ def duration(seconds: float) -> str:
 
 KeyPath = tuple[str | int, ...]
 """Keys and list indices from the root of a scene."""
-_UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
-"""Unit in brackets in a description of the schema."""
 _REASONS: dict[str | int, str] = {
     "timeseries_interval": "default: output.interval",
     "unloading_angle": "default: bound on sqrt(K/M) dt, where K is the unloading stiffness",
@@ -335,8 +333,8 @@ def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[Explain
         if not _is_leaf(value):
             yield from _in_value(scene, value, key)
         elif value is not None and (_has_default(key_field) or _is_preset(scene, model, key)):
-            unit = _UNIT.search(key_field.description or "")
-            text = _as_written(value) + (f" {unit.group(1)}" if unit and not isinstance(value, str) else "")
+            unit = "" if isinstance(value, str) else unit_of(key_field)
+            text = f"{_as_written(value)} {unit}".rstrip()
             given = scene.is_given(*key)
             origin = f"given ({scene.where(*key)})" if given else _filled_in(scene, model, key)
             yield ExplainRow(".".join(map(str, key)), text, origin)

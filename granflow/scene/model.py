@@ -15,6 +15,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     ValidationError,
     WithJsonSchema,
 )
@@ -103,6 +104,28 @@ def faults_of(value: Any, path: KeyPath = ()) -> Iterator[Fault]:
     elif isinstance(value, dict | tuple):
         for key, each in value.items() if isinstance(value, dict) else enumerate(value):
             yield from faults_of(each, (*path, key))
+
+
+# Notes in the schema of a key for the reference of the keys; the JSON Schema for editors does not have them.
+
+DIMENSION = "x-dimension"
+"""Name of the dimension of a number, in the schema of its text with a unit."""
+DEFAULT_IN_WORDS = "x-default"
+"""What applies without a key, if this is not a value of the key."""
+NOTES = frozenset({DIMENSION, DEFAULT_IN_WORDS})
+
+
+def optional(description: str, otherwise: str, **settings: Any) -> Any:
+    """Field of a key that is None unless given.
+
+    otherwise:  what then applies, in words; it ends the description
+    settings:   of the field, such as a `default` other than None
+    """
+    return Field(
+        **(settings or {"default": None}),
+        description=f"{description}; default: {otherwise}",
+        json_schema_extra={DEFAULT_IN_WORDS: otherwise},
+    )
 
 
 def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:

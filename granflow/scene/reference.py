@@ -21,6 +21,7 @@ from granflow.io.files import example_paths
 from granflow.scene.blocks.metrics import METRICS
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.messages import nearest
+from granflow.scene.model import DEFAULT_IN_WORDS, DIMENSION, NOTES
 from granflow.units import DIMENSIONS, Dimension
 
 # JSON Schema of scene files, for completion and validation in editors
@@ -35,8 +36,22 @@ def json_schema() -> dict[str, Any]:
     Numbers may be plain (SI) or text with a unit. `granflow check` also detects inconsistencies between
     parts, such as a missing pair. The result contains plain Python data only and can be written as JSON.
     """
-    schema = SceneInput.model_json_schema(by_alias=True)
-    return {"$schema": _DIALECT, **_simplified(schema), "title": _TITLE}
+    return {"$schema": _DIALECT, **_without_notes(_schema_with_notes()), "title": _TITLE}
+
+
+def _schema_with_notes() -> dict[str, Any]:
+    """The schema with the NOTES of its keys."""
+    simplified: dict[str, Any] = _simplified(SceneInput.model_json_schema(by_alias=True))
+    return simplified
+
+
+def _without_notes(value: Any) -> Any:
+    """A schema without NOTES."""
+    if isinstance(value, list):
+        return [_without_notes(each) for each in value]
+    if not isinstance(value, dict):
+        return value
+    return {key: _without_notes(each) for key, each in value.items() if key not in NOTES}
 
 
 def _simplified(value: Any) -> Any:
@@ -90,13 +105,18 @@ class Key:
         return str(self.schema.get("description", ""))
 
     @property
+    def default_in_words(self) -> str:
+        """What applies without the key, as its description says; empty if the default is a value."""
+        return str(self.schema.get(DEFAULT_IN_WORDS, ""))
+
+    @property
     def default(self) -> str:
-        """Default as YAML; "required" or "none" without one."""
+        """Default as YAML or in words; "required" or "none" without one."""
         if self.is_required:
             return "required"
         value = self.schema.get("default")
-        if value is None and "default:" in self.description:
-            return self.description.partition("default:")[2].partition(";")[0].strip()
+        if value is None and self.default_in_words:
+            return self.default_in_words
         if isinstance(value, dict) and value:
             return "its defaults"
         return "none" if value in (None, {}, []) else as_yaml(value)
@@ -105,7 +125,7 @@ class Key:
 @cache
 def parts() -> dict[str, dict[str, Any]]:
     """Schemas of all parts of a scene by name; the first is ROOT."""
-    schema = json_schema()
+    schema = _schema_with_notes()
     return {ROOT: schema, **schema["$defs"]}
 
 
@@ -207,20 +227,8 @@ def as_yaml(value: Any) -> str:
 
 
 def dimension_of(schema: dict[str, Any]) -> Dimension | None:
-    """Dimension of a number with a unit, from the pattern of its text; None for other schemas."""
-    units = re.search(r"\((?:\?:)?([^()]*)\)\?\\s\*\$$", schema.get("pattern", ""))
-    if units is None:
-        return None
-    for dimension in DIMENSIONS.values():
-        if "|".join(map(re.escape, dimension.units)) == units[1]:
-            return dimension
-    return None
-
-
-def si_unit(dimension: Dimension) -> str:
-    """SI unit of a dimension; empty for a dimensionless number."""
-    unit = next(iter(dimension.units))
-    return "" if unit == "%" else unit
+    """Dimension of a number with a unit; None for other schemas and for a number of any dimension."""
+    return DIMENSIONS.get(schema.get(DIMENSION, ""))
 
 
 Link = Callable[[str, str], str]
@@ -259,10 +267,10 @@ def _types(schema: dict[str, Any], link: Link) -> Iterator[str]:
             inner = next(iter(each["patternProperties"].values()))
             yield f"names, each with {type_text(inner, link)}"
         elif each.get("type") in ("number", "integer"):
-            yield _number(each, si_unit(dimensions[0]) if dimensions else "")
+            yield _number(each, dimensions[0].si_unit if dimensions else "")
         elif "enum" in each or "const" in each:
             yield "word"
-        elif "pattern" not in each or each["pattern"].startswith("^["):
+        elif DIMENSION not in each:
             yield {"string": "text", "boolean": "true or false"}[each["type"]]
         elif not dimensions:
             yield "number or text with unit"
@@ -320,20 +328,13 @@ def _mappings(schema: dict[str, Any]) -> Iterator[str]:
         yield f"mapping with `{key}`" + (f": {', '.join(words)}" if words else "")
 
 
-# Examples: from the description of a key, a shipped scene, or the type of the value
+# Examples: from the tables below, a shipped scene, or the type of the value
 
 
 def example_of(key: Key) -> str:
     """Key and example value as YAML on one line."""
-    value = PART_EXAMPLES.get(f"{key.part}.{key.name}") or EXAMPLES.get(key.name)
-    value = value or _described(key.description) or _from_scenes(key)
+    value = PART_EXAMPLES.get(f"{key.part}.{key.name}") or EXAMPLES.get(key.name) or _from_scenes(key)
     return f"{key.name}: {value or _typical(key.schema, key.name)}"
-
-
-def _described(description: str) -> str:
-    """Example at the end of a description, after "such as"; empty without one."""
-    found = re.search(r"such as ([^;]+?)( for [a-z]+)?$", description)
-    return found[1] if found and ", or" not in found[1] and " of " not in found[1] else ""
 
 
 NO_SCENES = ("sweeps/", "calibration/")
@@ -462,6 +463,16 @@ PART_EXAMPLES = {
     "scene.start_from": "out/hopper",
     "scene.title": "Conical hopper",
     "scene.damping": "{drag: 5 1/s, stages: [settle]}",
+    "scene.gravity": "[0, 0, -9.81]",
+    "scene.contact": "{normal: zhou, tangential: mindlin, rolling: none}",
+    "Domain.periodic": "[x, y]",
+    "Expectation.quantity": "mass_flow.outlet",
+    "LudingNormal.plasticity_depth": "0.05",
+    "Material.young_modulus": "70 GPa",
+    "Material.poisson_ratio": "0.3",
+    "Material.density": "2500",
+    "MeshWall.scale": "0.001",
+    "RotationStep.angle": "90 deg",
     "Material.restitution_fit": "[3.0, 0.5]",
     "MaterialPair.twisting_friction": "20 um",
     "MaterialPair.rolling_dissipation": "0.1 ms",
@@ -705,7 +716,7 @@ def _part_lines(place: Place, part: str) -> Iterator[str]:
         yield ""
     rows = []
     for key in keys(part):
-        if "default:" in key.description:
+        if key.default_in_words:
             default = ""
         else:
             default = "; required" if key.is_required else f"; default: {key.default}"

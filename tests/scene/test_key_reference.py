@@ -8,7 +8,17 @@ import pytest
 import granflow as gf
 from granflow.cli.main import main
 from granflow.contact import registry
-from granflow.scene.reference import all_keys, keys, parts, places, places_of, reference_of
+from granflow.scene.reference import (
+    all_keys,
+    alternatives,
+    dimension_of,
+    json_schema,
+    keys,
+    parts,
+    places,
+    places_of,
+    reference_of,
+)
 
 
 def test_every_key_is_found_by_its_path():
@@ -42,6 +52,32 @@ def test_every_key_is_found_by_its_path():
 def test_a_key_has_type_unit_range_default_example_and_meaning(path, texts):
     found = reference_of(path)
     assert all(text in found for text in texts), found
+
+
+def units_of(schema):
+    """SI units of the numbers in a value, from their types."""
+    for each in alternatives(schema):
+        if dimension := dimension_of(each):
+            yield dimension.si_unit
+        inner = [*each.get("prefixItems", ()), *filter(None, [each.get("items")])]
+        for item in inner:
+            yield from units_of(item)
+
+
+def test_descriptions_name_the_units_of_the_types():
+    units = {(key.part, key.name): set(filter(None, units_of(key.schema))) for key in all_keys()}
+    assert sum(map(len, units.values())) > 150
+    missing = [
+        (key.part, key.name, unit)
+        for key in all_keys()
+        for unit in units[key.part, key.name]
+        if f"[{unit}]" not in key.description
+    ]
+    assert not missing
+
+
+def test_the_schema_for_editors_has_no_notes_for_the_reference():
+    assert '"x-' in json.dumps(parts()) and '"x-' not in json.dumps(json_schema())
 
 
 def test_a_name_that_several_blocks_have_lists_all_of_them():

@@ -9,7 +9,6 @@ from granflow import fields
 from granflow.fields import FieldSpec, Quantity
 from granflow.scene.blocks.materials import PRESETS
 from granflow.scene.blocks.metrics import METRICS
-from granflow.scene.reference import si_unit
 from granflow.units import DIMENSIONS
 
 CSV = """\
@@ -141,7 +140,7 @@ def units() -> str:
     rows = [
         (
             each.noun.partition(" ")[2],
-            si_unit(each),
+            each.si_unit,
             ", ".join(code(name) for name in each.units),
             code(each.example),
         )

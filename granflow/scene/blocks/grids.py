@@ -11,7 +11,7 @@ from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.shapes import Box
 from granflow.scene.faults import Fault, whole
-from granflow.scene.model import Model
+from granflow.scene.model import Model, optional
 
 MOST_CELLS = 2_000_000
 """Largest number of cells of a grid: one frame of this size takes about 1 GB of memory."""
@@ -23,7 +23,7 @@ class GridSpec(Model):
     Along periodic axes of the domain, the box must cover the whole domain.
     """
 
-    region: Box | None = Field(None, description="box that is divided into cells; default: the domain")
+    region: Box | None = optional("box that is divided into cells", "the domain")
     cell: q.PositiveLength | None = Field(
         None, description="edge length of a cell [m], adjusted to fit the box; or give cells"
     )

@@ -17,7 +17,7 @@ from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.quantities import Number
 from granflow.scene.faults import value_error
 from granflow.scene.messages import suggestion_or_list
-from granflow.scene.model import Model, Text, choose_by, pair_list, required_unless
+from granflow.scene.model import Model, Text, choose_by, optional, pair_list, required_unless
 
 # Block `materials`
 
@@ -142,11 +142,8 @@ class RestitutionFit(Model):
 
     sigma: q.Positive = Field(description="sigma of Zhou (2011), Eq. 12")
     psi: q.Positive = Field(description="psi of Zhou (2011), Eq. 12")
-    limit_velocity: q.Speed | None = Field(
-        None,
-        description=(
-            "impact velocity above which e is 0 [m/s]; default: Zhou (2011), Eq. 11, with the yield strengths"
-        ),
+    limit_velocity: q.Speed | None = optional(
+        "impact velocity above which e is 0 [m/s]", "Zhou (2011), Eq. 11, with the yield strengths"
     )
     preset: Text | None = Field(None, description="name of a preset that supplies sigma and psi")
 

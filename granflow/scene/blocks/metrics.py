@@ -24,7 +24,7 @@ from granflow.scene.blocks.quantities import Vector3
 from granflow.scene.blocks.shapes import Box
 from granflow.scene.faults import Fault, whole
 from granflow.scene.messages import unknown_names
-from granflow.scene.model import Model, Names, choose_by_key
+from granflow.scene.model import Model, Names, choose_by_key, optional
 from granflow.snapshot import CONTACTS, PARTICLES, Snapshot, mobile_particles, selected
 
 # What a metric is
@@ -498,10 +498,9 @@ class ReposeMetric(Metric):
     surface: Literal["cone", "plane"] = Field(
         description="cone: a heap around a vertical axis; plane: one side of a wedge, or the bed in a drum"
     )
-    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
-    axis: q.Point | None = Field(
-        None,
-        description="with surface: cone, a point on its axis [m]; default: mean position of the particles",
+    region: Box | None = optional("box whose particles are evaluated", "all particles")
+    axis: q.Point | None = optional(
+        "with surface: cone, a point on its axis [m]", "mean position of the particles"
     )
     quantities = (
         Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
@@ -577,7 +576,7 @@ class FabricMetric(Metric):
     """
 
     kind: Literal["fabric"] = Field("fabric", description="kind of metric")
-    region: Box | None = Field(None, description="box whose contacts are evaluated; default: all contacts")
+    region: Box | None = optional("box whose contacts are evaluated", "all contacts")
     quantities = (
         Quantity("fabric_anisotropy", "a", "1", "anisotropy of the fabric tensor, 0 to 1"),
         Quantity("fabric_xx", "Fxx", "1", "mean square of the x component of contact directions"),
@@ -629,7 +628,7 @@ class CoordinationMetric(Metric):
     """
 
     kind: Literal["coordination"] = Field("coordination", description="kind of metric")
-    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
+    region: Box | None = optional("box whose particles are evaluated", "all particles")
     quantities = (
         Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
         Quantity("mechanical_coordination_number", "Zm", "1", "the same without rattlers"),
@@ -692,7 +691,7 @@ class CenterOfMassMetric(Metric):
     """
 
     kind: Literal["center_of_mass"] = Field("center_of_mass", description="kind of metric")
-    groups: Names | None = Field(None, description="groups whose particles are evaluated; default: all")
+    groups: Names | None = optional("groups whose particles are evaluated", "all")
     quantities = (
         Quantity("center_of_mass_x", "x", "m", "x coordinate of the center of mass"),
         Quantity("center_of_mass_y", "y", "m", "y coordinate of the center of mass"),
@@ -732,9 +731,7 @@ class SlidingMetric(Metric):
     """
 
     kind: Literal["sliding"] = Field("sliding", description="kind of metric")
-    walls: Names | None = Field(
-        None, description="walls whose contacts are evaluated; default: the contacts between particles"
-    )
+    walls: Names | None = optional("walls whose contacts are evaluated", "the contacts between particles")
     quantities = (
         Quantity("sliding_share", "", "1", "share of contacts whose friction force is at the Coulomb limit"),
     )

@@ -26,7 +26,7 @@ from granflow.scene.blocks.metrics import METRIC_QUANTITIES, AnyMetric
 from granflow.scene.blocks.quantities import Number
 from granflow.scene.faults import Fault, missing, redundant, whole
 from granflow.scene.messages import suggestion_or_list
-from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, pair_list
+from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, optional, pair_list
 
 # Keys `collision_energies` and `flow_meters`
 
@@ -72,9 +72,7 @@ class FlowMeter(Model):
         description="a point on the plane [m]: the center of the disc, or a corner of the rectangle"
     )
     normal: q.Direction = Field(description="direction of positive flow; its length does not matter")
-    radius: q.PositiveLength | None = Field(
-        None, description="radius of the disc [m]; default: the whole plane"
-    )
+    radius: q.PositiveLength | None = optional("radius of the disc [m]", "the whole plane")
     sides: q.Sides | None = Field(
         None,
         description=(
@@ -118,12 +116,10 @@ class FieldGrid(GridSpec):
         "auto", description="kernel width (standard deviation) [m]; auto: the largest radius"
     )
     cutoff: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
-    interval: q.PositiveTime | None = Field(
-        None, description="time between frames [s]; default: output.interval"
-    )
-    stages: Names | None = Field(None, description="stages in which the fields are written; default: all")
-    quantities: Annotated[tuple[Text, ...], ListOf(some="[density, velocity]")] = Field(
-        tuple(FIELD_QUANTITIES), description="fields that are written; default: all"
+    interval: q.PositiveTime | None = optional("time between frames [s]", "output.interval")
+    stages: Names | None = optional("stages in which the fields are written", "all")
+    quantities: Annotated[tuple[Text, ...], ListOf(some="[density, velocity]")] = optional(
+        "fields that are written", "all", default=tuple(FIELD_QUANTITIES)
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -148,9 +144,7 @@ class Checkpoints(Model):
     """
 
     wall_clock: q.PositiveTime = Field(600.0, description="wall-clock time between checkpoints [s]")
-    interval: q.PositiveTime | None = Field(
-        None, description="simulated time between additional checkpoints [s]; default: none"
-    )
+    interval: q.PositiveTime | None = optional("simulated time between additional checkpoints [s]", "none")
     keep: q.Count = Field(2, description="number of checkpoints that are kept, the newest ones")
 
 
@@ -164,9 +158,10 @@ class Output(Model):
     """
 
     interval: q.PositiveTime = Field(description="time between VTU frames [s]")
-    timeseries_interval: q.PositiveTime = Field(
+    timeseries_interval: q.PositiveTime = optional(
+        "time between rows of timeseries.csv [s]",
+        "interval",
         default_factory=lambda given: given.get("interval"),  # None if the interval is not valid
-        description="time between rows of timeseries.csv [s]; default: interval",
     )
     particles: Flag = Field(True, description="write particles_*.vtu")
     frames_per_rank: Flag = Field(
@@ -185,8 +180,8 @@ class Output(Model):
             "measure force, torque and pressure of the particles on all walls (true) or on those in a list"
         ),
     )
-    collision_energies: CollisionEnergies | None = Field(
-        None, description="count collisions by impact energy, for collision_energies.csv; default: no counts"
+    collision_energies: CollisionEnergies | None = optional(
+        "count collisions by impact energy, for collision_energies.csv", "no counts"
     )
     flow_meters: dict[Name, FlowMeter] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field(

@@ -24,6 +24,7 @@ from granflow.scene.model import (
     choose_by,
     choose_by_first_key,
     choose_by_key,
+    optional,
 )
 
 # Keys `diameter` and `radius`
@@ -205,12 +206,10 @@ class Clump(Model):
         tuple[ClumpSphere, ...],
         ListOf(some="[{position: [0, 0, 0], radius: 1 mm}, {position: [1.5 mm, 0, 0], ...}]"),
     ] = Field(description="centers and radii of the spheres, {position: [..], radius: ..}, at most 100")
-    orientation: Orientation | None = Field(
-        None,
-        description=(
-            "orientation of new clumps: {axis: [..], angle: ..} turns the given positions; random; with "
-            "insert: {kind: positions}, also a list; default: as given"
-        ),
+    orientation: Orientation | None = optional(
+        "orientation of new clumps: {axis: [..], angle: ..} turns the given positions; random; with "
+        "insert: {kind: positions}, also a list",
+        "as given",
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -410,9 +409,7 @@ class TimedInsertion(Model):
         None, description="insertion rate, mass per second [kg/s]; instead of rate"
     )
     start: q.Time = Field(0.0, description="time of the first particle [s]")
-    end: q.PositiveTime | None = Field(
-        None, description="end of the insertion [s]; default: when all particles are inserted"
-    )
+    end: q.PositiveTime | None = optional("end of the insertion [s]", "when all particles are inserted")
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one of rate and mass_flow is given, and the end is after the start."""

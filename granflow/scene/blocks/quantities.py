@@ -7,15 +7,16 @@ scene, numbers of particles with its cube; sizes of one particle or contact do n
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, GetCoreSchemaHandler
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
 from granflow.scene.faults import Fault, value_error
-from granflow.scene.model import list_of_length, pair_list, require
+from granflow.scene.model import DIMENSION, list_of_length, pair_list, require
 from granflow.units import GivenNumber, UnitError, dimension_of, mixed_units, to_si
 
 LARGEST = 1e30
@@ -139,11 +140,28 @@ class Number:
         if not self.whole:
             unit = "|".join(re.escape(name) for name in units) if units else ".*"
             choices.append(
-                {"type": "string", "pattern": rf"^\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*({unit})?\s*$"}
+                {
+                    "type": "string",
+                    "pattern": rf"^\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*({unit})?\s*$",
+                    DIMENSION: self.dimension,
+                }
             )
         if self.words:
             choices.append({"enum": list(self.words)})
         return {"anyOf": choices} if len(choices) > 1 else number
+
+
+def unit_of(field: FieldInfo) -> str:
+    """SI unit of the numbers of a key, from its type; empty without one."""
+    units = (dimension_of(each.dimension).si_unit for each in _numbers_in(field.annotation, field.metadata))
+    return next(filter(None, units), "")
+
+
+def _numbers_in(annotation: Any, metadata: Iterable[Any] = ()) -> Iterator[Number]:
+    """The numbers in a type with its metadata: of unions, lists and vectors those of their items."""
+    yield from (each for each in metadata if isinstance(each, Number))
+    for inner in get_args(annotation):
+        yield from _numbers_in(inner, getattr(inner, "__metadata__", ()))
 
 
 # Numbers and counts

@@ -11,7 +11,7 @@ from pydantic import Field
 from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.quantities import Number
 from granflow.scene.faults import Fault, missing, redundant, whole
-from granflow.scene.model import ListOf, Model, Name, Names, Text
+from granflow.scene.model import ListOf, Model, Name, Names, Text, optional
 
 # Block `stages`: the parts of a run
 
@@ -136,9 +136,8 @@ class RunSettings(Model):
             "time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest current one"
         ),
     )
-    velocity_max: q.Speed | None = Field(
-        None,
-        description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds",
+    velocity_max: q.Speed | None = optional(
+        "largest expected impact velocity [m/s]", "estimate from drop heights and speeds"
     )
     precision: Precision = Field(
         "f64", description="floating-point precision: f64, f32, or mixed (positions in f64, all else in f32)"
@@ -221,7 +220,7 @@ class Damping(Model):
     drag: DragRate | None = Field(
         None, description="rate of a viscous background drag [1/s]: velocities decay as exp(-drag t)"
     )
-    stages: Names | None = Field(None, description="stages in which the damping acts; default: all")
+    stages: Names | None = optional("stages in which the damping acts", "all")
 
     def values(self, stage: str) -> tuple[float, float]:
         """Cundall ratio and drag rate [1/s] in a stage."""

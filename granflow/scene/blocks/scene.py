@@ -21,7 +21,7 @@ from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.run import Damping, Numerics, RunSettings, Stage
 from granflow.scene.blocks.walls import AnyWall, with_faces
 from granflow.scene.document import Document, yaml_text
-from granflow.scene.model import FileName, ListOf, Model, Name, PairName, Text, WallName
+from granflow.scene.model import FileName, ListOf, Model, Name, PairName, Text, WallName, optional
 
 Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 
@@ -50,11 +50,8 @@ class SceneInput(Model):
     contact: Contact = Field(
         description="contact models, such as {normal: zhou, tangential: mindlin, rolling: none}"
     )
-    damping: Damping | None = Field(
-        None,
-        description=(
-            "damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}; default: none"
-        ),
+    damping: Damping | None = optional(
+        "damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}", "none"
     )
     walls: Annotated[dict[WallName, AnyWall], AfterValidator(with_faces)] = Field(
         {}, description="walls by name"

@@ -16,7 +16,7 @@ from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.shapes import Axial, Rectangular, RotationStep
 from granflow.scene.faults import Fault, missing, redundant, value_error, whole
-from granflow.scene.model import FileName, Flag, ListOf, Model, Names, Text, choose_by_key
+from granflow.scene.model import FileName, Flag, ListOf, Model, Names, Text, choose_by_key, optional
 
 # Key `motion`
 
@@ -31,10 +31,8 @@ class TimedMotion(Model):
     """True for motions that respond to the force of the particles on the wall."""
 
     kind: str = Field(description="kind of motion")
-    start: q.Time | None = Field(
-        None, description="time at which the motion begins [s]; default: start of the run"
-    )
-    end: q.Time | None = Field(None, description="time at which the motion ends [s]; default: end of the run")
+    start: q.Time | None = optional("time at which the motion begins [s]", "start of the run")
+    end: q.Time | None = optional("time at which the motion ends [s]", "end of the run")
     stages: Names | None = Field(
         None, description="stages with this motion; its time starts at the first of them"
     )
@@ -114,12 +112,11 @@ class VelocityMotion(TimedMotion):
     """A velocity [m/s] that is constant, or changes linearly during a ramp at the start."""
 
     velocity: q.VelocityVector = Field(description="velocity [m/s], after the ramp if there is one")
-    ramp_duration: q.PositiveTime | None = Field(
-        None,
-        description="time from the start during which the velocity changes linearly [s]; default: no ramp",
+    ramp_duration: q.PositiveTime | None = optional(
+        "time from the start during which the velocity changes linearly [s]", "no ramp"
     )
-    initial_velocity: q.VelocityVector | None = Field(
-        None, description="with ramp_duration: velocity at the start [m/s]; default: 0"
+    initial_velocity: q.VelocityVector | None = optional(
+        "with ramp_duration: velocity at the start [m/s]", "0"
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -169,11 +166,11 @@ class Rotation(TimedMotion):
     angular_velocity: q.AngularVelocity = Field(
         description="angular velocity [rad/s], such as 30 rpm; after the ramp if there is one"
     )
-    ramp_duration: q.PositiveTime | None = Field(
-        None, description="time from the start during which the rate changes linearly [s]; default: no ramp"
+    ramp_duration: q.PositiveTime | None = optional(
+        "time from the start during which the rate changes linearly [s]", "no ramp"
     )
-    initial_angular_velocity: q.AngularVelocity | None = Field(
-        None, description="with ramp_duration: angular velocity at the start [rad/s]; default: 0"
+    initial_angular_velocity: q.AngularVelocity | None = optional(
+        "with ramp_duration: angular velocity at the start [rad/s]", "0"
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -292,8 +289,8 @@ class Servo(TimedMotion):
         None, description="prescribed pressure, force over the area of the wall [Pa]; instead of force"
     )
     velocity_max: q.Speed = Field(description="largest speed of the wall [m/s]")
-    gain: q.Positive | None = Field(
-        None, description="velocity over force difference [m/(s N)]; default: from stiffness and time step"
+    gain: q.Positive | None = optional(
+        "velocity over force difference [m/(s N)]", "from stiffness and time step"
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -344,13 +341,9 @@ class Wall(Model):
 
     shape: str = Field(description="shape of the wall")
     material: Text = Field(description="name of the wall's material")
-    appears_at: q.Time | None = Field(
-        None, description="time at which the wall appears [s]; default: start of the run"
-    )
-    vanishes_at: q.Time | None = Field(
-        None, description="time at which the wall vanishes [s]; default: never"
-    )
-    stages: Names | None = Field(None, description="stages in which the wall is present; default: all")
+    appears_at: q.Time | None = optional("time at which the wall appears [s]", "start of the run")
+    vanishes_at: q.Time | None = optional("time at which the wall vanishes [s]", "never")
+    stages: Names | None = optional("stages in which the wall is present", "all")
     motion: Annotated[tuple[MotionSpec, ...], ListOf(one=True)] = Field(
         (), description="motion of the wall: one motion or a list of motions"
     )
