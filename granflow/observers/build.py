@@ -14,7 +14,7 @@ from granflow.io.files import BackgroundWriter
 from granflow.io.tables import write_table
 from granflow.load import Scene
 from granflow.observers.frames import ContactFrames, FieldFrames, ParticleFrames, WallFrames
-from granflow.observers.meters import FlowMeter, WallForceMeter
+from granflow.observers.meters import FlowCounter, WallForceMeter
 from granflow.observers.metrics import MetricMeter, metric_meters
 from granflow.observers.observer import Observer
 from granflow.observers.progress import ProgressDisplay
@@ -126,15 +126,7 @@ def time_series_for(plan: Plan, out_dir: Path | None) -> TimeSeries:
     interval is `output.timeseries_interval`, or `output.interval` if that is not given [s].
     """
     flow_meters = {
-        name: FlowMeter(
-            meter.point,
-            meter.normal,
-            meter.radius,
-            plan.periodic_box,
-            meter.sides,
-            meter.group_by,
-            plan.scene.flow_meter_parts(name),
-        )
+        name: FlowCounter(meter, plan.periodic_box, plan.scene.flow_meter_parts(name))
         for name, meter in plan.scene.output.flow_meters.items()
     }
     wall_forces = {name: WallForceMeter(name, area) for name, area in plan.measured_areas.items()}

@@ -18,6 +18,7 @@ import numpy as np
 from granflow.arguments import items_of, shown
 from granflow.errors import GranflowError
 from granflow.geometry.periodic_box import PeriodicBox
+from granflow.scene.blocks.output import FlowMeter
 from granflow.snapshot import Snapshot
 
 # Flow through a plane
@@ -110,13 +111,12 @@ class _Sample:
     part: np.ndarray
 
 
-class FlowMeter:
-    """Net mass and number of particles through a plane, or through a disc or rectangle in it.
+class FlowCounter:
+    """Net mass and number of particles through the plane, disc or rectangle of a flow meter.
 
-    `point` (3,) [m]: on the plane, center of the disc of `radius` [m] or corner of the rectangle with the
-    edges `sides` (2, 3) [m], which are perpendicular. `normal` (3,), of any length: forward direction.
-    `periodic_box`: None without periodic axes. `group_by`: "material" or "group" for additional separate
-    counts, with the names `parts`. Particles are tracked by id between successive samples:
+    `meter`: of the scene. `periodic_box`: None without periodic axes. `parts`: names of the materials or
+    groups with separate counts, if the meter has `group_by`. Particles are tracked by id between successive
+    samples:
 
     - A center that changes sides crosses where the straight line between its two positions intersects the
       plane. It counts if that point is within the disc or rectangle: forward as plus, backward as minus.
@@ -131,21 +131,14 @@ class FlowMeter:
     """
 
     def __init__(
-        self,
-        point: Sequence[float],
-        normal: Sequence[float],
-        radius: float | None = None,
-        periodic_box: PeriodicBox | None = None,
-        sides: Sequence[Sequence[float]] | None = None,
-        group_by: str | None = None,
-        parts: Sequence[str] = (),
+        self, meter: FlowMeter, periodic_box: PeriodicBox | None = None, parts: Sequence[str] = ()
     ) -> None:
-        self.point = np.asarray(point, dtype=np.float64)
-        self.normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
-        self.radius = np.inf if radius is None else radius
-        self.sides = None if sides is None else np.asarray(sides, dtype=np.float64)
+        self.point = np.asarray(meter.point, dtype=np.float64)
+        self.normal = np.asarray(meter.normal, dtype=np.float64) / np.linalg.norm(meter.normal)
+        self.radius = np.inf if meter.radius is None else meter.radius
+        self.sides = None if meter.sides is None else np.asarray(meter.sides, dtype=np.float64)
         self._periodic_box = periodic_box
-        self._group_by = group_by
+        self._group_by = meter.group_by
         self.total = FlowCount()
         self.parts = {name: FlowCount() for name in parts}
         self._last: _Sample | None = None

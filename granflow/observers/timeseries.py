@@ -19,7 +19,7 @@ from granflow.fields import (
     WALL_QUANTITIES,
 )
 from granflow.io.tables import COLLISION_COLUMNS, COLLISION_FILE, RowFile
-from granflow.observers.meters import FlowCount, FlowMeter, WallForceMeter
+from granflow.observers.meters import FlowCount, FlowCounter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
 from granflow.observers.observer import ScheduledObserver
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
@@ -35,7 +35,7 @@ NO_ROWS = {"size": 0, "unwritten": ""}
 """State of the rows without a file."""
 SHORTEST_ROW = 0.5
 """Smallest time between two rows, as a fraction of their interval."""
-Meter = FlowMeter | WallForceMeter | MetricMeter
+Meter = FlowCounter | WallForceMeter | MetricMeter
 """Measures each snapshot of the time series."""
 
 
@@ -69,7 +69,7 @@ class TimeSeries(ScheduledObserver):
         self,
         directory: Path | None,
         interval: float,
-        flow_meters: Mapping[str, FlowMeter] | None = None,
+        flow_meters: Mapping[str, FlowCounter] | None = None,
         start: float = 0.0,
         wall_forces: Mapping[str, WallForceMeter] | None = None,
         metrics: Mapping[str, MetricMeter] | None = None,
@@ -160,7 +160,7 @@ class TimeSeries(ScheduledObserver):
         """Yield the meters of a kind by name; for flow meters the counts, of which parts have names of their
         own."""
         for name, meter in self.meters[kind].items():
-            if isinstance(meter, FlowMeter):
+            if isinstance(meter, FlowCounter):
                 yield from (
                     (f"{name}.{part}".rstrip("."), count) for part, count in meter.flow_counts().items()
                 )

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from observers.snapshots import snapshot_of
 
-from granflow.observers.meters import FlowMeter, steady_flow
+from granflow.observers.meters import FlowCounter, steady_flow
+from granflow.scene.blocks.output import FlowMeter
 
 
 def measured(meter, *samples):
@@ -26,7 +27,7 @@ def measured(meter, *samples):
 
 
 def down(radius=None):
-    return FlowMeter((0, 0, 1), (0, 0, -3), radius)
+    return FlowCounter(FlowMeter(point=(0, 0, 1), normal=(0, 0, -3), radius=radius))
 
 
 def test_repeated_crossings_change_the_count_by_their_direction():
@@ -93,7 +94,7 @@ def test_steady_flow_counts_crossings_between_the_samples_of_two_stages():
 
 
 def test_rectangle_counts_particles_within_its_sides():
-    meter = FlowMeter((0, 0, 1), (0, 0, -1), sides=((2, 0, 0), (0, 1, 0)))
+    meter = FlowCounter(FlowMeter(point=(0, 0, 1), normal=(0, 0, -1), sides=((2, 0, 0), (0, 1, 0))))
     above = {0: (1, 0.5, 2), 1: (1, 1.5, 2), 2: (2.5, 0.5, 2), 3: (-0.1, 0.5, 2), 4: (1.9, 0.1, 1.1)}
     below = {i: (x, y, 0.5) for i, (x, y, z) in above.items() if i != 4}
     assert measured(meter, above, below) == (2.0**0 + 2.0**4, 2)
@@ -109,7 +110,8 @@ def test_group_by_material_counts_each_material():
         meter.update(snapshot_of(time=time, particles=arrays))
 
     def meter():
-        return FlowMeter((0, 0, 1), (0, 0, -1), group_by="material", parts=("glass", "steel"))
+        plane = FlowMeter(point=(0, 0, 1), normal=(0, 0, -1), group_by="material")
+        return FlowCounter(plane, parts=("glass", "steel"))
 
     uninterrupted = meter()
     first = meter()

@@ -9,10 +9,11 @@ import pytest
 from observers.snapshots import snapshot_of
 
 from granflow.io.tables import read_table, table_in, write_table
-from granflow.observers.meters import FlowMeter, WallForceMeter
+from granflow.observers.meters import FlowCounter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
 from granflow.observers.timeseries import TimeSeries
 from granflow.scene.blocks.metrics import Reading
+from granflow.scene.blocks.output import FlowMeter
 
 
 def rows_of(path):
@@ -44,7 +45,7 @@ def test_rows_are_exact_and_written_once(tmp_path):
 
 
 def test_flow_meters_have_columns(tmp_path):
-    series = TimeSeries(tmp_path, 0.1, {"outlet": FlowMeter((0, 0, 0), (0, 0, -1))})
+    series = TimeSeries(tmp_path, 0.1, {"outlet": FlowCounter(FlowMeter(point=(0, 0, 0), normal=(0, 0, -1)))})
     assert series.wants == {"totals", "particles"}
     for time, height in ((0.0, 1.0), (0.5, -1.0)):
         particles = {"id": np.array([4]), "position": np.array([[0, 0, height]]), "mass": np.array([3.0])}
@@ -88,7 +89,7 @@ def measured_series(folder):
         lambda snapshot: Reading({"coordination_number": snapshot.time}), frozenset({"totals"})
     )
     return TimeSeries(
-        folder, 0.1, {"out": FlowMeter((0, 0, 0), (0, 0, -1))}, wall_forces={"lid": WallForceMeter("lid", 2.0)},
+        folder, 0.1, {"out": FlowCounter(FlowMeter(point=(0, 0, 0), normal=(0, 0, -1)))}, wall_forces={"lid": WallForceMeter("lid", 2.0)},
         metrics={"bed": metric},
     )  # fmt: skip
 
