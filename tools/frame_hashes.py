@@ -1,8 +1,7 @@
 """Bitwise regression check: hashes of the last frame of shortened versions of six scenes.
 
-    python tools/frame_hashes.py --out before.json          runs each scene in f64 and mixed, on one and two
-    threads python tools/frame_hashes.py --compare before.json      runs them again and reports each frame
-    that differs
+    python tools/frame_hashes.py --out before.json      runs each scene in f64 and mixed, on one and two threads
+    python tools/frame_hashes.py --compare before.json  runs them again and reports each frame that differs
 
 Each array of a frame has its own SHA-256; the comparison uses the set of hashes, so that an array may be
 renamed. A frame of one thread must equal the frame of two. Hashes depend on the processor and its math

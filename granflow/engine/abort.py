@@ -94,7 +94,7 @@ class ContactPair:
 
 
 @dataclass(frozen=True)
-class Change:
+class WallChange:
     """Insertion, or change of walls, during a run.
 
     `stage`: name of the stage; `appeared`: names of the new walls.
@@ -120,7 +120,7 @@ class Diagnosis:
     time_step: float
     begun: bool
     """True if a step was taken; false if only the initial forces were computed."""
-    change: Change | None
+    change: WallChange | None
     """The change after which the forces were computed; None if a step was taken since then, or before the
     first one."""
 
@@ -215,7 +215,7 @@ def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | Non
     return None
 
 
-def _change_cause(change: Change, wall: str, plan: Plan) -> str:
+def _change_cause(change: WallChange, wall: str, plan: Plan) -> str:
     """Sentence on a particle that is in a wall since an insertion, or since the wall exists.
 
     `wall`: its name as in messages.
@@ -537,7 +537,7 @@ TINY_MASS = 1e-300
 
 @np.errstate(all="ignore")  # velocities may be infinite
 def diagnose(
-    code: int, particle: int, state: State, time: float, step_taken: bool, change: Change | None
+    code: int, particle: int, state: State, time: float, step_taken: bool, change: WallChange | None
 ) -> Diagnosis:
     """Diagnosis of an abort, with the contact pair of the largest overlap; None without a contact.
 

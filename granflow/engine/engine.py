@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from granflow.engine.abort import Change, Diagnosis, diagnose
+from granflow.engine.abort import Diagnosis, WallChange, diagnose
 from granflow.engine.backend import Backend
 from granflow.engine.clumps import CLUMP_MOTION, synchronized_clumps
 from granflow.engine.codes import NO_PARTICLE
@@ -114,8 +114,8 @@ class Engine:
         self._walls_changed = False
         self._stage = plan.scene.schedule[0].name
         self._walls_appeared = list[str]()
-        self._stopping_change: Change | None = None
-        self._started = False
+        self._stopping_change: WallChange | None = None
+        self._velocities_lag = False
         self.energy_before_change: float | None = None
         self._counts_contacts = False
         self.kept_particles: HostParticles | None = None
@@ -178,7 +178,7 @@ class Engine:
         if not code:
             return None
         particle = int(self.state.control.abort_particle[0])
-        return diagnose(code, particle, self.state, self.time, self._started, self._stopping_change)
+        return diagnose(code, particle, self.state, self.time, self._velocities_lag, self._stopping_change)
 
     # Particles and walls.
 
@@ -198,7 +198,7 @@ class Engine:
         self.accounting.insert(new.material[rows], new.group[rows], self.time, energy)
         if self.energy_before_change is not None:
             self.energy_before_change += energy
-        if self._started:
+        if self._velocities_lag:
             velocity_gain = mobility_mask(arrays)[:, None] * (0.5 * self.time_step * self._gravity)
             for name in ("velocity", "clump_velocity"):
                 if name in arrays:
@@ -225,7 +225,7 @@ class Engine:
         if time_step is not None:
             state.clock.change(time_step)
         self.accounting = Accounting(outlets={name: [0.0, 0.0] for name in self.plan.scene.outlets})
-        self._started = False
+        self._velocities_lag = False
         self.energy_before_change = None
         self._stopping_change = None
         self.insert(new)
@@ -263,12 +263,12 @@ class Engine:
         self._counts_contacts = self.timing.rebuild_count > 0
         arrays = self.synchronized(MOTION)
         self.energy_before_change = self._stored_energy(arrays)
-        if self._started:
+        if self._velocities_lag:
             motion = {
                 name: values for name, values in arrays.items() if name in ("velocity", "angular_velocity")
             }
             write_particles(self.state, np.arange(self.state.count), motion)
-            self._started = False
+            self._velocities_lag = False
 
     def _refuse_with_clumps(self, what: str) -> None:
         """Raise GranflowError for a scene with clumps; `what`: subject of the message, in the plural."""
@@ -283,23 +283,23 @@ class Engine:
         after a change of the particles, the change of all energies.
         """
         before = self.energy_before_change
-        energy = self.stored_energy
+        stored_energy = self.stored_energy
         if before is None and self.plan.features.energy_budget and self._walls_changed:
             before = self._contact_energy()
-            energy = self._contact_energy
+            stored_energy = self._contact_energy
         self.stepper.poses.discard()
-        self.stepper.refresh(self.step_count, velocities_lag=self._started)
-        if self._started and self.aborted:
-            self._stopping_change = Change(self._stage, tuple(self._walls_appeared))
+        self.stepper.refresh(self.step_count, velocities_lag=self._velocities_lag)
+        if self._velocities_lag and self.aborted:
+            self._stopping_change = WallChange(self._stage, tuple(self._walls_appeared))
         else:
             self._stopping_change = None
         self._walls_appeared.clear()
         if before is not None:
-            self.accounting.inserted_energy += energy() - before
+            self.accounting.inserted_energy += stored_energy() - before
         self._walls_changed = False
         self.energy_before_change = None
-        if not self._started and not self.aborted:
-            self._started = True
+        if not self._velocities_lag and not self.aborted:
+            self._velocities_lag = True
             self._kick(-0.5 * self.time_step)
         self._update_time_step()
 
@@ -426,7 +426,7 @@ class Engine:
         A GPU adds them up by itself.
         """
         if not (needs_arrays or self.state.backend.on_cpu or self.plan.features.clumps):
-            return {}, device_sums(self.state, 0.5 * self.time_step * self._started)
+            return {}, device_sums(self.state, 0.5 * self.time_step * self._velocities_lag)
         own = self._own_synchronized(self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS))
         sums = host_sums(own, self._gravity, self.state.ranks)
         return self._in_box(self.state.ranks.gathered(own)) if needs_arrays else {}, sums
@@ -476,7 +476,7 @@ class Engine:
         clump_motion = CLUMP_MOTION if has_clumps else ()
         needed = ("mass", "velocity", "force", "fixed", *rotation, *clump_motion)
         arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, *needed))))
-        if not self._started:
+        if not self._velocities_lag:
             return arrays
         clumps = synchronized_clumps(arrays, 0.5 * self.time_step, self._gravity)
         half = 0.5 * self.time_step * mobility_mask(arrays)[:, None]
@@ -525,7 +525,7 @@ class Engine:
         load_wall_dynamics(self.state, saved["wall_dynamics"])
         self.accounting.load_state_dict(saved["accounting"])
         self.steps_since_update = saved["steps_since_update"]
-        self._started = True
+        self._velocities_lag = True
         self._walls_changed = False
         self._walls_appeared.clear()
 
@@ -550,7 +550,7 @@ class Engine:
 
         Its checkpoint has been restored here.
         """
-        self._started = earlier._started
+        self._velocities_lag = earlier._velocities_lag
         self._walls_changed = earlier._walls_changed
         self._walls_appeared = list(earlier._walls_appeared)
         self.energy_before_change = earlier.energy_before_change

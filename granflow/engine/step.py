@@ -234,7 +234,7 @@ def build_forces(state: State) -> Any:
     sets_forces_last = not holds_sums(state) or features.external_forces or features.damping != "none"
     chunk_size = state.parameter("chunk_size")
     gravity_parameter = state.parameter("gravity")
-    sum_contacts = _build_sum_contacts(state)
+    start_sums = _build_start_sums(state)
     batched_forces = build_batched_forces(state) if batched else None
     store_sums = build_store_sums(state) if batched else None
     load_sums = build_load_sums(state) if batched else None
@@ -254,7 +254,7 @@ def build_forces(state: State) -> Any:
         if ti.static(force_controlled):
             clear_wall_forces(chunk)
         for i in range(first, end):
-            force_sum, torque_sum = sum_contacts(chunk, i, gravity, pose, dt)
+            force_sum, torque_sum = start_sums(chunk, i, gravity, pose, dt)
             if ti.static(batched):
                 store_sums(worker, i, first, force_sum, torque_sum)
             else:
@@ -270,7 +270,7 @@ def build_forces(state: State) -> Any:
     return forces
 
 
-def _build_sum_contacts(state: State) -> Any:
+def _build_start_sums(state: State) -> Any:
     """Device function (chunk, i, gravity, pose, dt): sums of force and torque on one particle.
 
     Summed are the rounded weight in f64, the wall contacts and, without batches, the particle contacts. The
@@ -309,7 +309,7 @@ def _build_sum_contacts(state: State) -> Any:
         return force_sum + ti.cast(force_added, ti.f64), torque_sum + ti.cast(torque_added, ti.f64)
 
     @ti.func
-    def sum_contacts(chunk, i, gravity, pose, dt):
+    def start_sums(chunk, i, gravity, pose, dt):
         force_sum = ti.Vector.zero(ti.f64, 3)
         torque_sum = ti.Vector.zero(ti.f64, 3)
         if ti.static(exact):
@@ -332,7 +332,7 @@ def _build_sum_contacts(state: State) -> Any:
                 force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
         return force_sum, torque_sum
 
-    return sum_contacts
+    return start_sums
 
 
 # CPU: one launch for many steps
@@ -457,6 +457,7 @@ class CpuSteps:
         if computes_forces == 1 and self.control.rebuild_due[0] == 0 and self.control.abort[0] == 0:
             self.control.steps_done[0] = self.control.steps_done[0] + 1
         self.control.rebuild_due[0] = self.control.rebuild_requested[0]
+        # A launch without force phases (forcing 0) ends at its first barrier.
         continues = self.control.steps_done[0] < launch.forcing * launch.steps
         continues = continues and self.control.rebuild_due[0] == 0 and self.control.abort[0] == 0
         if number == 1:

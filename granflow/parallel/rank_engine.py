@@ -198,7 +198,9 @@ class RankEngine(Engine):
             particle = int(self.state.control.abort_particle[0])
             found = None
             if self.stepper.holds(particle) or (code == ABORT_WALL and self.communicator.is_root):
-                found = diagnose(code, particle, self.state, self.time, self._started, self._stopping_change)
+                found = diagnose(
+                    code, particle, self.state, self.time, self._velocities_lag, self._stopping_change
+                )
             return next((each for each in self.communicator.to_root(found) if each is not None), None)
 
 

@@ -235,8 +235,8 @@ cache."""
 
 
 def _chunk_size(numerics: Numerics, particle_count: int) -> int:
-    """Particles per chunk, a power of two. It depends on the scene only, because sums are computed chunk by
-    chunk."""
+    """Particles per chunk, a power of two. It depends on the scene only: machine code and lengths of arrays
+    depend on it."""
     if numerics.chunk_size != "auto":
         return int(numerics.chunk_size)
     if particle_count <= SMALL_SCENE_PARTICLES:

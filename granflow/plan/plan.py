@@ -357,9 +357,9 @@ class Plan:
         """Largest displacement [m] of a particle between rebuilds: that of fast particles, at least half the
         skin.
 
-        Half the skin in a periodic box, for whose images the skin is checked. At most half the thickness of
-        an outlet, which a particle must not cross between two rebuilds, and half the radius at mesh walls,
-        whose cells would contain too many triangles.
+        Half the skin in a periodic box, for whose images the skin is checked. Above half the skin, at most
+        half the thickness of an outlet, which a particle must not cross between two rebuilds, and half the
+        radius at mesh walls, whose cells would contain too many triangles.
         """
         if self.periodic_box.axes:
             return 0.5 * self.skin

@@ -1,4 +1,4 @@
-"""Neighbor-list rebuild: wrap, sort and delete the particles, then fill their lists, in one launch.
+"""Neighbor-list rebuild: save histories, sort the particles, fill their lists and restore the histories.
 
 `RebuildKernel` lists the phases in order: wrap the particles and save their contact histories (here); the
 grid of cells and the order of the particles by cell (`sort.py`); all fields permuted to that order (here);
@@ -108,7 +108,7 @@ class NeighborListRebuild:
         self._kernel.compile()
 
     def run(self, pose: int, workers: int) -> None:
-        """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists.
+        """Sort the particles, fill the neighbor lists, remove particles outside the domain or in an outlet.
 
         pose:     index of the wall poses at the time of the positions
         workers:  number of workers of the launch
