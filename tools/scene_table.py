@@ -130,7 +130,7 @@ def record(folder: Path) -> None:
         "date": datetime.date.fromtimestamp((folder / "result.json").stat().st_mtime).isoformat(),
         "commit": git("rev-parse", "--short", "HEAD"),
         "numbers": {quantity: numbers[quantity] for quantity in quantities if quantity in numbers},
-        "threads": int(sessions(run.log)[-1].threads),
+        "threads": sessions(run.record)[-1][1].threads,
         "wall_clock": round(numbers["wall_clock"], 1),
     }
     RESULTS.write_text(json.dumps(stored, indent=1, sort_keys=True) + "\n", encoding="utf-8")

@@ -1,50 +1,69 @@
-"""The record of a run in its output directory: `run.log` and `scene_as_run.yaml`.
+"""The record of a run in its output directory: `run.log`, `run.jsonl` and `scene_as_run.yaml`.
 
-`run_log` writes the log of a run, which the parser at the end of this file reads again for the report of the
-run: its sessions, the output of `granflow explain`, warnings and errors.
+`run_log` writes the log of a run for people, and of the same entries those that the report of the run needs
+as a record: its sessions with the output of `granflow explain`, its warnings and errors.
 """
 
+import json
 import logging
 import platform
 import re
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, fields
 from importlib import metadata
-from itertools import pairwise
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 from granflow.errors import GranflowError
 from granflow.io.files import read_regular_text, separate_from_links, write_text
 from granflow.kernel_language import KERNELS
 from granflow.visible_text import VisibleFormatter
 
+LOG = "run.log"
+"""Log of a run, for people: all entries."""
+RECORD = "run.jsonl"
+"""Record of a run, for programs: one JSON object per session, warning and error."""
+FACTS = "facts"
+"""Attribute of a log record with the fields that its entry in the record of the run has in addition."""
+
 
 @contextmanager
 def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
-    """In the block, write the records of the logger `granflow` from level INFO to `run.log` in the directory.
+    """In the block, write the entries of the logger `granflow` from level INFO to LOG in the directory.
 
-    An older log is replaced, or extended with `append`. An exception that ends the block is the last entry
-    and propagates. Creates the directory if necessary. The level of the logger is restored afterwards.
+    Those that are warnings, errors or have FACTS go to RECORD as well. Older files are replaced, or extended
+    with `append`. An exception that ends the block is the last entry and propagates. Creates the directory if
+    necessary. The level of the logger is restored afterwards.
     """
     logger = logging.getLogger("granflow")
     level_before = logger.level
-    handler = _file_handler(Path(directory), "a" if append else "w")
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    try:
-        yield logger
-    except BaseException as error:
-        for problem in getattr(error, "problems", (error,)):
-            logger.error("ended by %s: %s", type(error).__name__, problem)
-        raise
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level_before)
-        with suppress(OSError):
-            handler.close()
+    directory.mkdir(parents=True, exist_ok=True)
+    mode = "a" if append else "w"
+    with ExitStack() as handlers:
+        for name, formatter in ((LOG, LINE), (RECORD, _RecordFormatter("%(message)s"))):
+            separate_from_links(directory / name)
+            handler = _LogFile(directory / name, mode=mode, encoding="utf-8")
+            handler.setFormatter(formatter)
+            if name == RECORD:
+                handler.addFilter(_is_recorded)
+                handler.end_line()
+            logger.addHandler(handler)
+            handlers.callback(_remove, logger, handler)
+        logger.setLevel(logging.INFO)
+        handlers.callback(logger.setLevel, level_before)
+        try:
+            yield logger
+        except BaseException as error:
+            name = type(error).__name__
+            for problem in getattr(error, "problems", (error,)):
+                logger.error("ended by %s: %s", name, problem, extra={FACTS: {"ended_by": name}})
+            raise
+
+
+LINE = VisibleFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
+"""Lines of the log; control characters in messages are shown as escapes."""
 
 
 class _LogFile(logging.FileHandler):
@@ -53,14 +72,37 @@ class _LogFile(logging.FileHandler):
     def handleError(self, record: logging.LogRecord) -> None:
         """Drop the record."""
 
+    def end_line(self) -> None:
+        """End the last line of the file, which a killed session may have cut off."""
+        with suppress(OSError):
+            content = Path(self.baseFilename).read_bytes()
+            if self.stream is not None and content and not content.endswith(b"\n"):
+                self.stream.write("\n")
 
-def _file_handler(directory: Path, mode: str) -> logging.FileHandler:
-    """Return a handler that writes to `run.log`; control characters in messages are shown as escapes."""
-    directory.mkdir(parents=True, exist_ok=True)
-    separate_from_links(directory / "run.log")
-    handler = _LogFile(directory / "run.log", mode=mode, encoding="utf-8")
-    handler.setFormatter(VisibleFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    return handler
+
+class _RecordFormatter(VisibleFormatter):
+    """Formats log records as JSON objects: time, level, text and facts."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the object on one line."""
+        entry = {
+            "time": self.formatTime(record, "%Y-%m-%d %H:%M:%S"),
+            "level": record.levelname,
+            "text": super().format(record),
+        }
+        return json.dumps(entry | getattr(record, FACTS, {}))
+
+
+def _is_recorded(record: logging.LogRecord) -> bool:
+    """Whether a log record belongs in the record of the run."""
+    return record.levelno >= logging.WARNING or hasattr(record, FACTS)
+
+
+def _remove(logger: logging.Logger, handler: logging.Handler) -> None:
+    """Remove a handler and close its file; a write error is not raised."""
+    logger.removeHandler(handler)
+    with suppress(OSError):
+        handler.close()
 
 
 LOGGERS = ("granflow", "granflow.checkpoint")
@@ -121,18 +163,10 @@ def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
     return path
 
 
-# Reading the log
+# Reading the log and the record
 
 ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*)")
-"""Time, level, logger and text of an entry, see `_file_handler`."""
-COMPILED = re.compile(r"(\w+) with (\w+)(?:, (\d+) threads?)?, compiled in (.+) s")
-"""Entry with backend, precision, number of threads on a CPU and compilation time [s]."""
-RESUMED_FROM = "resumed from"
-"""Beginning of the entry of a resumed run."""
-EVENTS = ("stage ", "checkpoint at ", "done at ", RESUMED_FROM)
-"""Beginnings of the entries that follow the plan."""
-REPORTED_LEVELS = ("WARNING", "ERROR", "CRITICAL")
-"""Levels of entries that the page shows."""
+"""Time, level, logger and text of an entry of the log, see `run_log`."""
 
 
 @dataclass(frozen=True)
@@ -145,19 +179,40 @@ class LogEntry:
 
 
 @dataclass(frozen=True)
-class RunSession:
-    """One session of a run, from its start or from a checkpoint: start time, versions, backend, checkpoint.
+class SessionFacts:
+    """Facts on one session of a run, from its start or from a checkpoint.
 
-    `threads` is empty on a GPU.
+    versions:         of granflow and the packages that it uses, and the platform
+    threads:          number of CPU threads; None on a GPU
+    compile_seconds:  time of compilation [s]
+    resumed_from:     file of the checkpoint; empty for the first session
+    resumed_at:       simulated time of the checkpoint [s]
+    explanation:      output of `granflow explain`
     """
 
-    started: str
     versions: str
     arch: str
     precision: str
-    threads: str
-    compiled: str
+    threads: int | None
+    compile_seconds: float
     resumed_from: str
+    resumed_at: float
+    explanation: str
+
+
+@dataclass(frozen=True)
+class RecordEntry:
+    """One entry of the record of a run: the start of a session, a warning or an error.
+
+    session:   facts on the session that starts; None for other entries
+    ended_by:  name of the exception that ended the run; empty for other entries
+    """
+
+    time: str
+    level: str
+    text: str
+    session: SessionFacts | None = None
+    ended_by: str = ""
 
 
 def read_log(path: Path) -> list[LogEntry]:
@@ -165,14 +220,8 @@ def read_log(path: Path) -> list[LogEntry]:
 
     Lines without a time stamp continue the entry before them.
     """
-    try:
-        lines = read_regular_text(path).splitlines()
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise GranflowError(f"{path}: {error.strerror}.") from None
     entries: list[LogEntry] = []
-    for line in lines:
+    for line in _text_of(path).splitlines():
         match = ENTRY.fullmatch(line)
         if match:
             entries.append(LogEntry(match[1], match[2], match[4]))
@@ -182,32 +231,59 @@ def read_log(path: Path) -> list[LogEntry]:
     return entries
 
 
-def sessions(entries: list[LogEntry]) -> list[RunSession]:
-    """Sessions of a run in order; each begins with the entry of versions."""
-    starts = [number for number, entry in enumerate(entries) if entry.text.startswith("granflow ")]
-    return [_session(entries[start:end]) for start, end in pairwise([*starts, len(entries)])]
+def read_record(path: Path) -> list[RecordEntry]:
+    """Entries of a record; empty if the file does not exist. Raises GranflowError if it cannot be read.
+
+    Lines that are no entry are skipped: the last one of a session that was killed may be cut off.
+    """
+    entries = []
+    for line in _text_of(path).splitlines():
+        with suppress(ValueError, TypeError, RecursionError):
+            entries.append(_entry_of(json.loads(line)))
+    return entries
 
 
-def _session(entries: list[LogEntry]) -> RunSession:
-    """Session from its entries; texts are empty if the log lacks them."""
-    compiled = next(filter(None, (COMPILED.fullmatch(entry.text) for entry in entries)), None)
-    resumed_from = next((entry.text for entry in entries if entry.text.startswith(RESUMED_FROM)), "")
-    arch, precision, threads, seconds = compiled.groups("") if compiled else ("", "", "", "")
-    return RunSession(entries[0].time, entries[0].text, arch, precision, threads, seconds, resumed_from)
+def _text_of(path: Path) -> str:
+    """Content of a text file, empty if it does not exist. Raises GranflowError if it cannot be read."""
+    try:
+        return read_regular_text(path)
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        raise GranflowError(f"{path}: {error.strerror}.") from None
 
 
-def explanation(entries: list[LogEntry]) -> str:
-    """Logged output of `granflow explain` in the last session of the run: the text up to the first event."""
-    starts = [number for number, entry in enumerate(entries) if COMPILED.fullmatch(entry.text)]
-    lines: list[str] = []
-    for entry in entries[starts[-1] + 1 :] if starts else ():
-        if entry.level != "INFO" or entry.text.startswith(EVENTS):
-            break
-        lines.append(entry.text)
-    return "\n".join(lines)
+def _entry_of(found: Any) -> RecordEntry:
+    """The entry of a line of the record. Raises TypeError for other keys or types of values."""
+    if not isinstance(found, dict):
+        raise TypeError(f"{found!r} is not an object")
+    facts = found.pop("session", None)
+    session = None if facts is None else _of_declared_types(SessionFacts(**facts))
+    return _of_declared_types(RecordEntry(**found, session=session))
 
 
-def warnings_and_errors(entries: list[LogEntry]) -> Iterator[tuple[str, str, str]]:
+T = TypeVar("T", SessionFacts, RecordEntry)
+
+
+def _of_declared_types(record: T) -> T:
+    """The record. Raises TypeError if a field has another type than the declared one."""
+    for each in fields(record):
+        value = getattr(record, each.name)
+        if not isinstance(value, each.type):  # type: ignore[arg-type]
+            raise TypeError(f"{each.name} is {value!r}")
+    return record
+
+
+def sessions(entries: list[RecordEntry]) -> list[tuple[str, SessionFacts]]:
+    """Start time and facts of each session of a run, in order."""
+    return [(entry.time, entry.session) for entry in entries if entry.session is not None]
+
+
+REPORTED_LEVELS = ("WARNING", "ERROR", "CRITICAL")
+"""Levels of entries that the page shows."""
+
+
+def warnings_and_errors(entries: list[RecordEntry]) -> Iterator[tuple[str, str, str]]:
     """Time, level and text of each warning and error; repeated entries appear once, with their number."""
     count = Counter((entry.level, entry.text) for entry in entries if entry.level in REPORTED_LEVELS)
     first = {(entry.level, entry.text): entry.time for entry in reversed(entries)}

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 import numpy as np
 
 from granflow.arguments import path_of
-from granflow.errors import GranflowError
+from granflow.errors import GranflowError, RunError
 from granflow.fields import CONTACT_QUANTITIES
 from granflow.geometry.shape import sphere_mass
 from granflow.io.files import read_regular_text, resolved
 from granflow.io.frames import frame_near, is_empty, listed_frames, read_mesh, require_directory
 from granflow.io.lock import locked
-from granflow.io.log import LogEntry, read_log
+from granflow.io.log import LOG, RECORD, LogEntry, RecordEntry, read_log, read_record
 from granflow.io.tables import TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh
 from granflow.load import Scene, load_scene
@@ -189,10 +189,8 @@ class Columns(Mapping[str, np.ndarray]):
 
 SCENE = "scene_as_run.yaml"
 """Name of the resolved scene in the directory of a run."""
-RUN_FILES = (SCENE, "run.log", "timeseries.csv", "result.json", "particles.pvd")
+RUN_FILES = (SCENE, LOG, "timeseries.csv", "result.json", "particles.pvd")
 """Files that identify the directory of a run; at least one must exist."""
-ABORTED = "ended by RunError"
-"""Beginning of the last log entry of an aborted run."""
 
 
 def read_run(directory: str | os.PathLike[str]) -> "Run":
@@ -266,8 +264,8 @@ class Run:
             return "running"
         if self.result_sections:
             return "complete" if self.result_sections.get("complete", True) else "unfinished"
-        last = next((entry.text for entry in reversed(self.log) if entry.level == "ERROR"), "")
-        return "aborted" if last.startswith(ABORTED) else "unfinished"
+        last = next((entry.ended_by for entry in reversed(self.record) if entry.level == "ERROR"), "")
+        return "aborted" if last == RunError.__name__ else "unfinished"
 
     @property
     def is_running(self) -> bool:
@@ -291,7 +289,12 @@ class Run:
     @cached_property
     def log(self) -> list[LogEntry]:
         """Entries of `run.log`: time, level and text; empty without a log."""
-        return read_log(self.directory / "run.log")
+        return read_log(self.directory / LOG)
+
+    @cached_property
+    def record(self) -> list[RecordEntry]:
+        """Entries of `run.jsonl`: sessions, warnings and errors; empty without this file."""
+        return read_record(self.directory / RECORD)
 
     @cached_property
     def result_sections(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from granflow.io.checkpoint import (
 )
 from granflow.io.files import BackgroundWriter, LostFiles, remove_parts, replacing, resolved
 from granflow.io.lock import DirectoryLock, refuse_second_run, writing
-from granflow.io.log import collected_warnings, run_log, write_scene_as_run
+from granflow.io.log import LOG, RECORD, collected_warnings, run_log, write_scene_as_run
 from granflow.io.tables import COLLISION_FILE
 from granflow.load import Scene, copied_scene
 from granflow.observers.observer import Checkpointable, Schedule
@@ -35,7 +35,7 @@ from granflow.scene.blocks.output import Checkpoints
 POSITION = re.compile(r" \((?:[^()]*:\d+(?::\d+)?|--set [^()]*)\)|^\S+:\d+:\d+: ")
 """Position of a value in a warning: `(scene.yaml:31)`, `(--set KEY=VALUE)`, or `scene.yaml:31:5: ` at its
 begin."""
-CONTINUED = ("timeseries.csv", COLLISION_FILE, "run.log")
+CONTINUED = ("timeseries.csv", COLLISION_FILE, LOG, RECORD)
 """Files to which a resumed run appends."""
 SavedBy = Callable[[RankFileWriter], dict[str, Any]]
 """Returns the state for a checkpoint, after the writer has written the files of the other MPI ranks."""
@@ -494,7 +494,8 @@ RESULT_FILES = (
     "timeseries.csv",
     "result.json",
     "scene_as_run.yaml",
-    "run.log",
+    LOG,
+    RECORD,
     "checkpoint_*.npz",
     "rank_*.npz",
     "report.html",

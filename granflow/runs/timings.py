@@ -4,14 +4,16 @@ import logging
 import time as clock
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import Any
 
 from granflow.engine.engine import Engine
 from granflow.io.checkpoint import Checkpoint
-from granflow.io.log import versions
+from granflow.io.log import FACTS, SessionFacts, versions
 from granflow.plan.explain import explain
 from granflow.plan.plan import Plan
 from granflow.runs.result import Result
+from granflow.visible_text import visible, visible_line
 
 SHORTEST = 1e-9
 """Shortest wall-clock time [s] by which rates are divided."""
@@ -123,13 +125,23 @@ def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None, warnings: I
     """
     log = logging.getLogger("granflow")
     backend = engine.state.backend
-    log.info("%s", versions())
     count = backend.worker_count
+    session = SessionFacts(
+        versions=versions(),
+        arch=backend.arch,
+        precision=backend.precision,
+        threads=count if backend.on_cpu else None,
+        compile_seconds=float(engine.timing.compile),
+        resumed_from="" if resumed is None else visible_line(resumed.path),
+        resumed_at=0.0 if resumed is None else float(engine.time),
+        explanation="\n".join(map(visible, explain(plan).splitlines())),
+    )
+    log.info("%s", session.versions, extra={FACTS: {"session": asdict(session)}})
     threads = f", {count} thread{'s' if count > 1 else ''}" if backend.on_cpu else ""
     log.info(
         "%s with %s%s, compiled in %.3g s", backend.arch, backend.precision, threads, engine.timing.compile
     )
-    for line in explain(plan).splitlines():
+    for line in session.explanation.splitlines():
         log.info("%s", line)
     for warning in warnings:
         log.warning("%s", warning)

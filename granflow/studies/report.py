@@ -28,7 +28,7 @@ from granflow.fields import (
 )
 from granflow.io.files import write_text
 from granflow.io.frames import is_empty, listed_frames, read_mesh
-from granflow.io.log import explanation, sessions, warnings_and_errors
+from granflow.io.log import LOG, sessions, warnings_and_errors
 from granflow.io.tables import COLLISION_FILE, SeriesColumn, TimeSeriesTable, collision_table, read_table
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.scene.blocks.output import unit_of
@@ -97,16 +97,13 @@ def report_text(record: Run, script: str, pictures: "RunPictures | None") -> str
 
 # State and progress
 
-ENDED_BY = "ended by "
-"""Prefix of the log entry of an exception that ended a run."""
-
 
 def state_of(record: Run) -> str:
     """One sentence on how the run ended."""
     if record.is_running:
         return "The run is in progress; this page shows its present state."
     if record.result_sections:
-        parts = len(sessions(record.log))
+        parts = len(sessions(record.record))
         resumed = f"; it was resumed ({parts} sessions)" if parts > 1 else ""
         if not record.result_sections.get("complete", True):
             return (
@@ -114,8 +111,8 @@ def state_of(record: Run) -> str:
                 "it."
             )
         return f"The run is complete{resumed}."
-    text = next((entry.text for entry in reversed(record.log) if entry.text.startswith(ENDED_BY)), "")
-    why = f" ({ENDED_BY}{text.removeprefix(ENDED_BY).partition(':')[0]}: see the warnings)" if text else ""
+    name = next((entry.ended_by for entry in reversed(record.record) if entry.ended_by), "")
+    why = f" (ended by {name}: see the warnings)" if name else ""
     resume = f"granflow resume {record.directory} continues from its last checkpoint, if it has one."
     return f"The run did not finish{why}. {resume}"
 
@@ -149,12 +146,12 @@ def shown(number: Any, unit: str = "") -> str:
     return "" if number is None else str(number)
 
 
-FROM_LOG = "From run.log."
+FROM_LOG = f"As in {LOG}."
 
 
 def warnings(record: Run) -> PageTable:
     """Warnings and errors of the run."""
-    return PageTable(("time", "level", "message"), list(warnings_and_errors(record.log)), FROM_LOG)
+    return PageTable(("time", "level", "message"), list(warnings_and_errors(record.record)), FROM_LOG)
 
 
 # Pictures: a few of the course of the run, rendered if necessary, and others from `granflow render`.
@@ -734,9 +731,9 @@ def _unless_negligible(record: Run, name: str, number: Any) -> Any:
 def plan_and_problem(record: Run) -> tuple[str, str]:
     """Decisions of the plan with their reasons, and the problem if there is no plan.
 
-    They are those of the log, or recomputed from the resolved scene.
+    They are those of the last session, or recomputed from the resolved scene.
     """
-    text = explanation(record.log)
+    text = next((facts.explanation for _, facts in reversed(sessions(record.record))), "")
     if not text and not record.scene_problem:
         try:
             text = explain(plan_for(record.scene))
@@ -749,15 +746,15 @@ def machine(record: Run) -> PageTable:
     """Versions, backend and machine of each session."""
     rows = [
         (
-            each.started,
+            started,
             each.arch,
             each.precision,
-            each.threads,
-            each.compiled and f"{each.compiled} s",
+            "" if each.threads is None else str(each.threads),
+            f"{each.compile_seconds:.3g} s",
             each.versions,
-            each.resumed_from,
+            each.resumed_from and f"resumed from {each.resumed_from} at {each.resumed_at:.6g} s",
         )
-        for each in sessions(record.log)
+        for started, each in sessions(record.record)
     ]
     header = ("start", "backend", "precision", "threads", "compilation", "versions and system", "")
     return PageTable(header, rows, FROM_LOG)

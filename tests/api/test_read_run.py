@@ -9,6 +9,7 @@ import pytest
 from scene_builders import box, build_scene, particle_group
 
 import granflow as gf
+from granflow.io.log import run_log
 
 POSITIONS = 0.0098 * (np.argwhere(np.ones((3, 3, 3))) + 0.5)
 
@@ -130,7 +131,9 @@ def test_unfinished_runs_are_readable(tmp_path):
 
 
 def test_status_of_an_aborted_run(tmp_path):
-    run = stopped(tmp_path, "2026-01-02 03:04:08,000 ERROR granflow: ended by RunError: it burst\n")
+    with pytest.raises(gf.RunError), run_log(tmp_path):
+        raise gf.RunError("it burst")
+    run = stopped(tmp_path, (tmp_path / "run.log").read_text())
     assert run.status == "aborted" and run.log[-1].text == "ended by RunError: it burst"
 
 

@@ -83,6 +83,7 @@ def test_run_writes_all_files(home, plain_run):
             "result.json",
             "scene_as_run.yaml",
             "run.log",
+            "run.jsonl",
             ".lock",
         )
     }

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from granflow.io.log import run_log, write_scene_as_run
+from granflow.io.log import read_record, run_log, write_scene_as_run
 from granflow.runs.result import ExpectationResult, Result, closing_table, write_result
 
 RESULT = Result(
@@ -80,6 +80,22 @@ def test_log_records_the_run_until_an_exception_ends_it(tmp_path):
         "WARNING granflow.engine: list grown",
         "ERROR granflow: ended by RuntimeError: it broke",
     ]
+    assert [(entry.level, entry.text, entry.ended_by) for entry in read_record(tmp_path / "run.jsonl")] == [
+        ("WARNING", "list grown", ""),
+        ("ERROR", "ended by RuntimeError: it broke", "RuntimeError"),
+    ]
+
+
+def test_record_of_a_resumed_run_continues_after_a_line_that_was_cut_off(tmp_path):
+    with run_log(tmp_path) as log:
+        log.info("for people only")
+        log.warning("first")
+    with (tmp_path / "run.jsonl").open("a") as file:
+        file.write('{"time": "2026')
+    with run_log(tmp_path, append=True) as log:
+        log.warning("second\x1b[2J")
+    found = [entry.text for entry in read_record(tmp_path / "run.jsonl")]
+    assert found == ["first", "second\\x1b[2J"]
 
 
 def test_resolved_scene_is_written_as_utf_8(tmp_path):

@@ -170,7 +170,7 @@ def test_loss_in_the_first_checkpoint_interval_leaves_the_state_at_the_start(tai
     assert main(["resume", str(out), "--threads", "2", "--allow-changes"]) == 0
 
 
-@pytest.mark.parametrize("name", ["timeseries.csv", "collision_energies.csv", "run.log"])
+@pytest.mark.parametrize("name", ["timeseries.csv", "collision_energies.csv", "run.log", "run.jsonl"])
 @pytest.mark.parametrize("make", [make_pipe, os.mkdir, link_to_device], ids=["pipe", "directory", "device"])
 def test_resume_refuses_to_append_to_what_is_not_a_regular_file(
     taichi_f64, tmp_path, whole, capsys, name, make

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import sys
+from dataclasses import asdict
 from importlib.util import find_spec
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ from studies.test_page import BalanceParser
 
 from granflow import read_run
 from granflow.cli.main import main
-from granflow.io.log import explanation, read_log, sessions, warnings_and_errors
+from granflow.io.log import RecordEntry, SessionFacts, read_record, sessions, warnings_and_errors
 from granflow.io.tables import SeriesColumn, TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ParticleFrames
@@ -42,22 +43,38 @@ ROWS = [
     "0.1,fill,2,,1e-6,0.1,0.2,0,0,0,1,3,301\n",
     "0.2,pour,2,1e-6,0,0,0.5,0,3,4,1,2,302\n",
 ]
-LOG = """\
-2026-01-02 03:04:05,678 INFO granflow: granflow 0.1.0, taichi 1.7.4, Python 3.11
-2026-01-02 03:04:05,678 INFO granflow: cpu with f64, 2 threads, compiled in 1.5 s
-2026-01-02 03:04:05,678 INFO granflow: Two <beads> (two.yaml)
-2026-01-02 03:04:05,678 INFO granflow:   friction  off  every pair has friction 0
-2026-01-02 03:04:06,000 WARNING granflow: too fast
-2026-01-02 03:04:06,000 INFO granflow: stage fill begins at 0 s
-2026-01-02 03:04:07,000 WARNING granflow: too fast
-2026-01-02 03:04:08,000 ERROR granflow: ended by RunError: it burst
-at the seams
-"""
-RESUMED_LOG = """\
-2026-01-02 04:00:00,000 INFO granflow: granflow 0.2.0, taichi 1.7.4, Python 3.11
-2026-01-02 04:00:00,000 INFO granflow: cuda with f32, compiled in 2.5 s
-2026-01-02 04:00:00,000 INFO granflow: resumed from checkpoint_1.npz at 0.1 s
-"""
+PLAN = "Two <beads> (two.yaml)\n  friction  off  every pair has friction 0"
+VERSIONS = "granflow 0.1.0, taichi 1.7.4, Python 3.11"
+RECORD = [
+    RecordEntry(
+        "2026-01-02 03:04:05",
+        "INFO",
+        VERSIONS,
+        SessionFacts(VERSIONS, "cpu", "f64", 2, 1.5, "", 0.0, PLAN),
+    ),
+    RecordEntry("2026-01-02 03:04:06", "WARNING", "too fast"),
+    RecordEntry("2026-01-02 03:04:07", "WARNING", "too fast"),
+    RecordEntry(
+        "2026-01-02 03:04:08", "ERROR", "ended by RunError: it burst\nat the seams", ended_by="RunError"
+    ),
+]
+RESUMED = [
+    RecordEntry(
+        "2026-01-02 04:00:00",
+        "INFO",
+        "granflow 0.2.0, taichi 1.7.4, Python 3.11",
+        SessionFacts("granflow 0.2.0", "cuda", "f32", None, 2.5, "checkpoint_1.npz", 0.1, ""),
+    )
+]
+
+
+def lines_of(entries):
+    """Lines of a record with entries."""
+    return "".join(
+        json.dumps({name: value for name, value in asdict(each).items() if value}) + "\n" for each in entries
+    )
+
+
 RESULT = {
     "run": {"simulated_time": 0.2, "step_count": 12345, "wall_clock": 10.0},
     "timings": {"forces": 6.0, "compile": 3.0},
@@ -73,7 +90,8 @@ RESULT = {
 @pytest.fixture
 def run(tmp_path):
     (tmp_path / "timeseries.csv").write_text(HEAD + "".join(ROWS))
-    (tmp_path / "run.log").write_text(LOG)
+    (tmp_path / "run.log").write_text("")
+    (tmp_path / "run.jsonl").write_text(lines_of(RECORD))
     (tmp_path / "result.json").write_text(json.dumps(RESULT))
     (tmp_path / "scene_as_run.yaml").write_text("title: A & B\nnot a scene: at all\n")
     return tmp_path
@@ -136,7 +154,7 @@ def test_page_of_an_interrupted_run_states_reason_and_time(run):
 
 
 def test_page_of_a_resumed_run_lists_its_sessions(run):
-    (run / "run.log").write_text(LOG + RESUMED_LOG)
+    (run / "run.jsonl").write_text(lines_of(RECORD + RESUMED))
     text = text_of(run)
     assert "resumed (2 sessions)" in text and "cuda" in text and "resumed from checkpoint_1.npz" in text
 
@@ -343,23 +361,21 @@ def test_plots_offer_no_upload_of_data():
     assert "showSendToCloud: false" in page_text("page.html", plotly="/* plotly */")
 
 
-def test_log_yields_sessions_warnings_and_explanations(run):
-    (run / "run.log").write_text("a line without time and level\n" + LOG + RESUMED_LOG)
-    entries = read_log(run / "run.log")
-    first, second = sessions(entries)
-    assert (first.started, first.arch, first.precision, first.compiled) == (
-        "2026-01-02 03:04:05",
-        "cpu",
-        "f64",
-        "1.5",
-    )
-    assert (second.arch, second.resumed_from) == ("cuda", "resumed from checkpoint_1.npz at 0.1 s")
+def test_record_yields_sessions_warnings_and_explanations(run):
+    """Lines that are no entries are skipped."""
+    damaged = '[]\n5\n{"time": 1, "level": "ERROR", "text": ""}\n{"time": "", "session": {}}\n{"time": "2026-'
+    (run / "run.jsonl").write_text(lines_of(RECORD) + damaged + "\n" + lines_of(RESUMED))
+    entries = read_record(run / "run.jsonl")
+    assert entries == RECORD + RESUMED
+    first, second = (facts for _, facts in sessions(entries))
+    assert sessions(entries)[0][0] == "2026-01-02 03:04:05"
+    assert (first.arch, first.precision, first.compile_seconds) == ("cpu", "f64", 1.5)
+    assert (second.arch, second.resumed_from, second.resumed_at) == ("cuda", "checkpoint_1.npz", 0.1)
     assert [(time[-2:], level) for time, level, _ in warnings_and_errors(entries)] == [
         ("06", "warning"),
         ("08", "error"),
     ]
-    assert explanation(entries) == "", "the second session has no explanation"
-    assert explanation(read_log(run / "run.log")[: len(entries) - 3]).splitlines()[1].startswith("  friction")
+    assert first.explanation.splitlines()[1].startswith("  friction") and not second.explanation
 
 
 def test_captions_follow_from_file_names(tmp_path):
