@@ -45,6 +45,13 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.metrics import ReposeMetric as ReposeMetric
     from granflow.scene.blocks.metrics import SegregationMetric as SegregationMetric
     from granflow.scene.blocks.metrics import SlidingMetric as SlidingMetric
+    from granflow.scene.blocks.motions import FreeWall as FreeWall
+    from granflow.scene.blocks.motions import Rotation as Rotation
+    from granflow.scene.blocks.motions import Servo as Servo
+    from granflow.scene.blocks.motions import SurfaceVelocity as SurfaceVelocity
+    from granflow.scene.blocks.motions import TableMotion as TableMotion
+    from granflow.scene.blocks.motions import Translation as Translation
+    from granflow.scene.blocks.motions import Vibration as Vibration
     from granflow.scene.blocks.outlets import BoxOutlet as BoxOutlet
     from granflow.scene.blocks.outlets import DiscOutlet as DiscOutlet
     from granflow.scene.blocks.outlets import HalfSpaceOutlet as HalfSpaceOutlet
@@ -84,16 +91,9 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.walls import Cone as Cone
     from granflow.scene.blocks.walls import Cylinder as Cylinder
     from granflow.scene.blocks.walls import Disc as Disc
-    from granflow.scene.blocks.walls import FreeWall as FreeWall
     from granflow.scene.blocks.walls import MeshWall as MeshWall
     from granflow.scene.blocks.walls import Plane as Plane
     from granflow.scene.blocks.walls import Rectangle as Rectangle
-    from granflow.scene.blocks.walls import Rotation as Rotation
-    from granflow.scene.blocks.walls import Servo as Servo
-    from granflow.scene.blocks.walls import SurfaceVelocity as SurfaceVelocity
-    from granflow.scene.blocks.walls import TableMotion as TableMotion
-    from granflow.scene.blocks.walls import Translation as Translation
-    from granflow.scene.blocks.walls import Vibration as Vibration
     from granflow.scene.registration import register_contact_model as register_contact_model
     from granflow.simulation import Simulation as Simulation
     from granflow.snapshot import Snapshot as Snapshot
@@ -134,7 +134,7 @@ _LOCATIONS = {
     "FieldGrid": "granflow.scene.blocks.output.FieldGrid",
     "FileInsertion": "granflow.scene.blocks.particles.FileInsertion",
     "FlowMeter": "granflow.scene.blocks.output.FlowMeter",
-    "FreeWall": "granflow.scene.blocks.walls.FreeWall",
+    "FreeWall": "granflow.scene.blocks.motions.FreeWall",
     "FunctionError": "granflow.errors.FunctionError",
     "GranflowError": "granflow.errors.GranflowError",
     "Group": "granflow.scene.blocks.particles.Group",
@@ -164,7 +164,7 @@ _LOCATIONS = {
     "ReposeMetric": "granflow.scene.blocks.metrics.ReposeMetric",
     "RestitutionFit": "granflow.scene.blocks.materials.RestitutionFit",
     "Result": "granflow.runs.result.Result",
-    "Rotation": "granflow.scene.blocks.walls.Rotation",
+    "Rotation": "granflow.scene.blocks.motions.Rotation",
     "RotationStep": "granflow.scene.blocks.shapes.RotationStep",
     "Run": "granflow.runs.read_run.Run",
     "RunError": "granflow.errors.RunError",
@@ -172,7 +172,7 @@ _LOCATIONS = {
     "Scene": "granflow.load.Scene",
     "SceneError": "granflow.errors.SceneError",
     "SegregationMetric": "granflow.scene.blocks.metrics.SegregationMetric",
-    "Servo": "granflow.scene.blocks.walls.Servo",
+    "Servo": "granflow.scene.blocks.motions.Servo",
     "Simulation": "granflow.simulation.Simulation",
     "SizeClass": "granflow.scene.blocks.particles.SizeClass",
     "SlidingMetric": "granflow.scene.blocks.metrics.SlidingMetric",
@@ -180,11 +180,11 @@ _LOCATIONS = {
     "Stage": "granflow.scene.blocks.run.Stage",
     "StageCondition": "granflow.scene.blocks.run.StageCondition",
     "StopRun": "granflow.errors.StopRun",
-    "SurfaceVelocity": "granflow.scene.blocks.walls.SurfaceVelocity",
-    "TableMotion": "granflow.scene.blocks.walls.TableMotion",
-    "Translation": "granflow.scene.blocks.walls.Translation",
+    "SurfaceVelocity": "granflow.scene.blocks.motions.SurfaceVelocity",
+    "TableMotion": "granflow.scene.blocks.motions.TableMotion",
+    "Translation": "granflow.scene.blocks.motions.Translation",
     "UniformSizes": "granflow.scene.blocks.particles.UniformSizes",
-    "Vibration": "granflow.scene.blocks.walls.Vibration",
+    "Vibration": "granflow.scene.blocks.motions.Vibration",
     "analyze_snapshots": "granflow.observers.build.analyze_snapshots",
     "calibrate": "granflow.studies.calibration.calibrate.calibrate",
     "estimate_memory": "granflow.plan.cost.estimate_memory",

@@ -19,10 +19,11 @@ from granflow.io.checkpoint import engine_digest
 from granflow.io.files import file_digest, resolved, write_text
 from granflow.io.log import version_of
 from granflow.particles.resolve import resolved_input
+from granflow.scene.blocks.motions import TableMotion
 from granflow.scene.blocks.particles import FileInsertion, Group
 from granflow.scene.blocks.run import Precision
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.blocks.walls import MeshWall, TableMotion, Wall
+from granflow.scene.blocks.walls import MeshWall, Wall
 from granflow.scene.document import DocumentError, document_of, parse
 from granflow.scene.model import Model
 from granflow.scene.reader import document_in, scene_in

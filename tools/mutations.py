@@ -103,16 +103,16 @@ MUTATIONS = (
     # Motions of walls
     Mutation(
         "start of a vibration",
-        "granflow/geometry/motion.py",
-        "(np.sin(angle) - np.sin(motion.phase))",
+        "granflow/scene/blocks/motions.py",
+        "(np.sin(angle) - np.sin(self.phase))",
         "np.sin(angle)",
         (f"{MOTION}test_vibration_follows_the_formulas_of_the_schema",),
     ),
     Mutation(
         "end of a motion",
-        "granflow/geometry/motion.py",
-        "np.minimum(times, motion.end) - motion.start",
-        "times - motion.start",
+        "granflow/scene/blocks/motions.py",
+        "np.minimum(times, self.end_time) - self.start_time",
+        "times - self.start_time",
         (f"{MOTION}test_wall_is_at_rest_before_the_start_and_after_the_end",),
     ),
     Mutation(

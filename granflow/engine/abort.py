@@ -23,7 +23,6 @@ from granflow.engine.wall_dynamics import controlled_displacements, controlled_v
 from granflow.engine.walls import walls_of
 from granflow.geometry.mesh import Mesh
 from granflow.geometry.mesh_contact import reference_contact
-from granflow.geometry.motion import pose
 from granflow.plan.limits import COARSEST, remedy, share_of, spacing_at
 from granflow.plan.overlaps import (
     LIMIT_MARGIN,
@@ -41,6 +40,7 @@ from granflow.plan.overlaps import (
 )
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import PairCase, stable_step
+from granflow.scene.blocks.motions import pose
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 AT_REST = 1e-9

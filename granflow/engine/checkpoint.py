@@ -16,9 +16,9 @@ import numpy as np
 from granflow.engine.engine import Engine, RankFiles, host_particles
 from granflow.engine.state import NO_CHANGES, OneProcess
 from granflow.errors import GranflowError
-from granflow.geometry.motion import Motion
 from granflow.plan.arrays import particle_arrays, saved_arrays, structure_of, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
+from granflow.scene.blocks.motions import TimedMotion
 
 SavedState = dict[str, Any]
 """Numbers, texts and numpy arrays in nested dictionaries."""
@@ -85,7 +85,10 @@ def saved_particles(engine: Engine, kept: bool = False) -> SavedState:
 
 
 def restore_state(
-    engine: Engine, saved: SavedState, motions: Sequence[Sequence[Motion]], files: RankFiles | None = None
+    engine: Engine,
+    saved: SavedState,
+    motions: Sequence[Sequence[TimedMotion]],
+    files: RankFiles | None = None,
 ) -> None:
     """Restore a state into a new engine.
 

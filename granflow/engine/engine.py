@@ -54,7 +54,6 @@ from granflow.engine.totals import (
 from granflow.engine.wall_dynamics import wall_impulses
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
-from granflow.geometry.motion import Motion, pose
 from granflow.particles.group import ParticleData
 from granflow.plan.arrays import (
     DeviceArray,
@@ -64,6 +63,7 @@ from granflow.plan.arrays import (
 )
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import STEPS_BETWEEN_UPDATES
+from granflow.scene.blocks.motions import TimedMotion, pose
 from granflow.snapshot import Snapshot
 
 _T = TypeVar("_T")
@@ -231,7 +231,7 @@ class Engine:
         self.insert(new)
         self.refresh()
 
-    def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
+    def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[TimedMotion]]) -> None:
         """Set which walls are present and their motions; takes effect with the next `refresh`.
 
         present:  one entry per wall of the plan
@@ -508,7 +508,7 @@ class Engine:
         self,
         saved: Mapping[str, Any],
         particles: HostParticles,
-        motions: Sequence[Sequence[Motion]],
+        motions: Sequence[Sequence[TimedMotion]],
         files: "RankFiles | None" = None,
     ) -> None:
         """Continue from a checkpoint.
@@ -530,7 +530,7 @@ class Engine:
         self._walls_appeared.clear()
 
     def _restore_lists(
-        self, saved: Mapping[str, Any], particles: HostParticles, motions: Sequence[Sequence[Motion]]
+        self, saved: Mapping[str, Any], particles: HostParticles, motions: Sequence[Sequence[TimedMotion]]
     ) -> None:
         """Put the particles on the device; with the neighbor lists of their last rebuild, if it is known."""
         if saved["clock_at_rebuild"] is None:

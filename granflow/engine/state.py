@@ -21,7 +21,6 @@ from granflow.engine.mesh import fill_mesh
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.catalog import surface_code
-from granflow.geometry.motion import Motion
 from granflow.geometry.shape import PARAMETER_COUNT, Shape
 from granflow.kernel_language import ti
 from granflow.plan.arrays import (
@@ -36,6 +35,7 @@ from granflow.plan.arrays import (
 )
 from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
 from granflow.plan.plan import Plan, parameter_count
+from granflow.scene.blocks.motions import TimedMotion
 
 CPU_STRIDE = 512
 """Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
@@ -82,7 +82,7 @@ class State:
         self.clock = Clock(plan.time_step)
         self.count = 0
         self.ranks: Gathering = OneProcess()
-        self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
+        self.wall_motions: tuple[tuple[TimedMotion, ...], ...] = tuple(() for _ in plan.walls)
         self.parameters.write(plan, self.capacities)
         self.cell_sort.fill(plan)
         self.walls.fill(plan)

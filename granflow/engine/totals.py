@@ -25,11 +25,11 @@ from granflow.engine.sums import (
     scale_exponent,
 )
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_totals, controlled_work
-from granflow.geometry.motion import pose
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES
 from granflow.plan.time_step import stable_step
+from granflow.scene.blocks.motions import pose
 from granflow.scene.blocks.outlets import outlet_of
 from granflow.snapshot import WallPose
 

@@ -23,7 +23,6 @@ import numpy as np
 from granflow.engine.codes import ABORT_WALL
 from granflow.engine.state import State
 from granflow.engine.sums import carried, exact_totals, shares_rows, to_units
-from granflow.geometry.motion import is_running, pose
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
     CARRY_BITS,
@@ -32,6 +31,7 @@ from granflow.plan.sum_units import (
     UNIT_IMPULSE,
     UNIT_WALL_FORCE,
 )
+from granflow.scene.blocks.motions import pose
 
 # Force-controlled walls on the device
 
@@ -235,7 +235,7 @@ def upload_running(state: State, times: np.ndarray) -> None:
     if state.wall_dynamics is None:
         return
     running = [
-        is_running(state.wall_motions[controlled.wall][controlled.motion], times)
+        state.wall_motions[controlled.wall][controlled.motion].is_running(times)
         & bool(state.walls.present[controlled.wall])
         for controlled in state.plan.controlled_motions
     ]

@@ -17,13 +17,13 @@ from granflow.engine.mesh import SAME_DIRECTION, from_nearest, normal_near, tria
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
-from granflow.geometry.motion import pose
 from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.revolved import REVOLVED
 from granflow.geometry.shape import FAR_AWAY, Shape
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 from granflow.plan.joined_walls import ITSELF, OTHERS
+from granflow.scene.blocks.motions import pose
 
 # Joined walls: the contact of a particle with one face, unless it is found on another face as well
 #

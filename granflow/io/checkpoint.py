@@ -218,6 +218,8 @@ ENGINE_SOURCES = (
     "parallel",
     "particles",
     "plan",
+    "scene/blocks/motions.py",
+    "scene/blocks/outlets.py",
     "taichi_patches.py",
 )
 """Parts of the package that determine the motion of a run."""

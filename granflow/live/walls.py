@@ -1,19 +1,15 @@
 """The walls of a simulation, changed from Python while it runs: `simulation.walls[NAME]` is a `LiveWall`."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_args
 
 from granflow.engine.totals import wall_poses
 from granflow.errors import GranflowError
 from granflow.plan.wall_changes import wall_named, with_motions, without_wall
-from granflow.plan.walls import planned_motions, wall_motions
+from granflow.plan.walls import wall_motions
 from granflow.runs.run_state import RunState
-from granflow.scene.blocks.walls import Rotation, SurfaceVelocity, Translation, Vibration
+from granflow.scene.blocks.motions import AssignableMotion, TimedMotion
 from granflow.snapshot import WallPose
-
-KINDS = Rotation | Translation | Vibration | SurfaceVelocity
-"""Motions that can be assigned."""
 
 
 class LiveWall:
@@ -59,7 +55,7 @@ class LiveWall:
         self._state.change_walls(without_wall(self._state.plan, self.name, self._state.engine.time))
 
     @property
-    def motion(self) -> tuple[Any, ...]:
+    def motion(self) -> tuple[TimedMotion, ...]:
         """Motions of the wall; assign a motion, a list of them, or None to stop the wall.
 
             simulation.walls["drum"].motion = granflow.Rotation(
@@ -71,21 +67,23 @@ class LiveWall:
         kernels again. Raises GranflowError for a force-controlled wall, or a motion that is too fast for the
         time step.
         """
-        return tuple(each.given for each in wall_named(self._state.plan, self.name).motions)
+        return wall_named(self._state.plan, self.name).motions
 
     @motion.setter
-    def motion(self, given: KINDS | Sequence[KINDS] | None) -> None:
+    def motion(self, given: AssignableMotion | Sequence[AssignableMotion] | None) -> None:
         state = self._state
         time = state.engine.time
+        motions: list[Any]
         if given is None:
             motions = []
         else:
             motions = list(given) if isinstance(given, list | tuple) else [given]
         for each in motions:
-            if not isinstance(each, KINDS):
+            if not isinstance(each, AssignableMotion):
+                kinds = ", ".join(kind.__name__ for kind in get_args(AssignableMotion))
                 raise GranflowError(
-                    f"walls[{self.name!r}].motion is {each!r}, but must be a Rotation, Translation, "
-                    "Vibration, SurfaceVelocity, a list of them, or None."
+                    f"walls[{self.name!r}].motion is {each!r}, but must be a {kinds}, a list of them, or "
+                    "None."
                 )
             if each.stages is not None:
                 raise GranflowError(f"walls[{self.name!r}].motion has stages: give start and end instead.")
@@ -95,8 +93,7 @@ class LiveWall:
                 f"walls[{self.name!r}] was removed at {wall.vanishes_at:.6g} s: it cannot move."
             )
         (present,) = wall_motions([wall.motions], state.progress.stage_times)
-        planned = [each.given for each in planned_motions(motions, state.plan.scene.gravity)]
-        begun = [replace(each, start=max(each.start, time)) for each in planned]
+        begun = [each.numeric(state.plan.scene.gravity).not_before(time) for each in motions]
         state.change_walls(with_motions(state.plan, self.name, begun, time, present))
 
 

@@ -24,13 +24,13 @@ from granflow.engine.host import HostParticles, joined_particles, saved_particle
 from granflow.engine.state import NO_CHANGES, State
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
-from granflow.geometry.motion import Motion
 from granflow.io.checkpoint import CheckpointError
 from granflow.load import Scene, identity_of
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.rank_stepper import RankStepper
 from granflow.plan.build import rank_plan
 from granflow.plan.plan import Plan
+from granflow.scene.blocks.motions import TimedMotion
 from granflow.snapshot import Snapshot
 
 _T = TypeVar("_T")
@@ -159,7 +159,7 @@ class RankEngine(Engine):
         self,
         saved: Mapping[str, Any],
         particles: HostParticles | None,
-        motions: Sequence[Sequence[Motion]],
+        motions: Sequence[Sequence[TimedMotion]],
         files: RankFiles | None = None,
     ) -> None:
         """As `Engine`; on the root with particles and the sums of all ranks, on the others without any.

@@ -19,10 +19,10 @@ from granflow.particles.close_pairs import near_pairs
 from granflow.particles.file import UNIT, ParticleTable, rows_of, unassigned_rows, unit_factor
 from granflow.particles.group import SceneGroup, groups_of
 from granflow.particles.sampling import count_for_volume
+from granflow.scene.blocks.motions import MOST_ROWS, TABLE_COLUMNS, TableMotion
 from granflow.scene.blocks.particles import FileInsertion, FileSummary, Group, InletInsertion, RainInsertion
 from granflow.scene.blocks.quantities import LARGEST_COUNT, Number
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.blocks.walls import MOST_ROWS, TABLE_COLUMNS, TableMotion
 from granflow.scene.messages import nearest
 from granflow.scene.model import Model
 

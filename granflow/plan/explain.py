@@ -14,7 +14,6 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from granflow.arguments import refuse_other
-from granflow.geometry.motion import TableRotation, TableTranslation
 from granflow.geometry.shape import sphere_mass
 from granflow.load import Scene
 from granflow.particles.group import SceneGroup
@@ -173,18 +172,10 @@ def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:
 def _table_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the motions from tables: duration, largest velocity and acceleration."""
     for wall in plan.walls:
-        for motion in (each.given for each in wall.motions):
-            if isinstance(motion, TableTranslation | TableRotation):
-                table = motion.table
-                length = "m" if isinstance(motion, TableTranslation) else "rad"
-                largest = (
-                    f"at most {table.largest_rate:.3g} {length}/s and {table.largest_change_of_rate:.3g} "
-                    f"{length}/s2"
-                )
-                rows = f"{len(table.times)} rows from {table.times[0]:g} to {table.times[-1]:g} s"
-                yield ExplainRow(
-                    wall.name, f"{table.values[-1]:.4g} {length} at the end", f"{rows}, {largest}"
-                )
+        for motion in wall.motions:
+            described = motion.description()
+            if described is not None:
+                yield ExplainRow(wall.name, *described)
 
 
 def _materials(plan: Plan) -> str:

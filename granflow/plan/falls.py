@@ -22,7 +22,6 @@ import numpy as np
 
 from granflow.geometry.catalog import triangles
 from granflow.geometry.mesh import Mesh
-from granflow.geometry.motion import SurfaceVelocity, top_speed
 from granflow.geometry.periodic_box import AXES
 from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.revolved import REVOLVED
@@ -31,7 +30,8 @@ from granflow.particles.insertion import insertion_region
 from granflow.particles.sampling import BoxSampler, CylinderSampler, RegionSampler, SlabSampler, sampler_of
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import ImpactVelocity, image_speed, initial_speeds
-from granflow.plan.walls import PlannedMotion, PlannedWall
+from granflow.plan.walls import PlannedWall
+from granflow.scene.blocks.motions import SurfaceVelocity, TimedMotion
 from granflow.scene.blocks.particles import (
     Group,
     InletInsertion,
@@ -172,11 +172,11 @@ def _heights(plan: Plan, up: np.ndarray) -> dict[str, float]:
     return {name: max(top - low, 0.0) for name, top in tops.items() if top is not None}
 
 
-def _is_level_belt(motion: PlannedMotion, up: np.ndarray) -> bool:
+def _is_level_belt(motion: TimedMotion, up: np.ndarray) -> bool:
     """Whether a motion is the surface velocity of a belt that does not go up."""
-    if not isinstance(motion.given, SurfaceVelocity):
+    if not isinstance(motion, SurfaceVelocity):
         return False
-    velocities = np.array([motion.given.velocity, motion.given.initial_velocity])
+    velocities = motion.velocities
     return bool(np.all(velocities @ up <= LEVEL * np.linalg.norm(velocities, axis=1)))
 
 
@@ -184,8 +184,7 @@ def _belt_speed(walls: Iterable[PlannedWall]) -> float:
     """Largest surface speed [m/s] of walls whose motions are those of belts."""
     fastest = 0.0
     for wall in walls:
-        belts = [each.given for each in wall.motions if isinstance(each.given, SurfaceVelocity)]
-        fastest = max(fastest, sum(top_speed(each) for each in belts))
+        fastest = max(fastest, sum(each.surface_speed for each in wall.motions))
     return fastest
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from granflow.contact import registry
 from granflow.geometry.catalog import Surface, area_of, distance_from, triangles
 from granflow.geometry.mesh import Mesh
-from granflow.geometry.motion import pose
 from granflow.geometry.plane import HALF_SPACE, NORMAL, POINT
 from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
@@ -40,6 +39,7 @@ from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, surface_speed
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.motions import Servo, Translation, Vibration, pose
 from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.particles import (
     Clump,
@@ -50,7 +50,7 @@ from granflow.scene.blocks.particles import (
     RainInsertion,
 )
 from granflow.scene.blocks.shapes import Axial, Rectangular
-from granflow.scene.blocks.walls import Servo, Translation, Vibration, Wall
+from granflow.scene.blocks.walls import Wall
 
 
 def forecasts_of(plan: Plan) -> Iterator[Forecast]:

@@ -12,11 +12,11 @@ import numpy as np
 from granflow.geometry.catalog import Surface, reach_about, triangles
 from granflow.geometry.mesh import Mesh
 from granflow.geometry.mesh_contact import classify_edges
-from granflow.geometry.motion import ForceControlled, Rotation, SurfaceVelocity, TableRotation
 from granflow.geometry.plane import DIRECTION1, DIRECTION2, HALF_SPACE, NORMAL, POINT, RECTANGLE
 from granflow.geometry.revolved import AXIS, FACET_COUNT, REVOLVED
 from granflow.geometry.shape import Shape, is_parallel
-from granflow.plan.walls import PlannedMotion, PlannedWall
+from granflow.plan.walls import PlannedWall
+from granflow.scene.blocks.motions import TableMotion, TimedMotion
 
 ITSELF, OTHERS = 1, 2
 """Bits of `joints_of`: parts of the wall touch each other; the wall touches other walls."""
@@ -76,13 +76,16 @@ def _motions_of_surface(wall: PlannedWall) -> tuple[object, ...]:
 
     A force-controlled motion is that of its wall only.
     """
-    moving = tuple(each for each in wall.motions if not isinstance(each.given, SurfaceVelocity))
-    if any(isinstance(each.given, ForceControlled) for each in moving):
+    moving = tuple(each for each in wall.motions if not each.is_belt)
+    if any(each.force_controlled for each in moving):
         return (wall.name,)
-    turning = [each.given for each in moving if isinstance(each.given, Rotation | TableRotation)]
-    reaches = [reach_about(wall.shape, np.array(each.point), np.array(each.axis), np.inf) for each in turning]
+    turning = [each for each in moving if each.rotates]
+    reaches = [reach_about(wall.shape, *each.point_and_axis, np.inf) for each in turning]
     only_turns_in_place = len(turning) == len(moving) and all(reach == 0.0 for reach in reaches)
-    return () if only_turns_in_place else moving
+    if only_turns_in_place:
+        return ()
+    # Rows of tables are not compared.
+    return (wall.name,) if any(isinstance(each, TableMotion) for each in moving) else moving
 
 
 def _can_coincide(one: PlannedWall, other: PlannedWall, tolerance: float, moves_alike: bool) -> bool:
@@ -90,7 +93,7 @@ def _can_coincide(one: PlannedWall, other: PlannedWall, tolerance: float, moves_
     surface = one.shape
     other_surface = other.shape
     assert isinstance(surface, Shape) and isinstance(other_surface, Shape)
-    turns = any(isinstance(m.given, Rotation | TableRotation) for w in (one, other) for m in _motions_in(w))
+    turns = any(each.rotates for wall in (one, other) for each in _motions_in(wall))
     normal = surface.parameters[NORMAL]
     other_normal = other_surface.parameters[NORMAL]
     is_parallel = bool(np.linalg.norm(normal - other_normal) <= ANGLE_TOLERANCE)
@@ -100,7 +103,7 @@ def _can_coincide(one: PlannedWall, other: PlannedWall, tolerance: float, moves_
     return turns or is_parallel
 
 
-def _motions_in(wall: PlannedWall) -> tuple[PlannedMotion, ...]:
+def _motions_in(wall: PlannedWall) -> tuple[TimedMotion, ...]:
     """The motions of a wall, none if they do not move its surface."""
     return wall.motions if _motions_of_surface(wall) else ()
 

@@ -8,21 +8,18 @@ one step.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from granflow.contact import theory
 from granflow.errors import SceneError
 from granflow.geometry.catalog import distance_from, reach_about
-from granflow.geometry.motion import Motion, TableRotation, TableTranslation, single_rotation
 from granflow.geometry.periodic_box import AXES, PeriodicBox
 from granflow.load import Scene
 from granflow.plan.stages import always
 from granflow.plan.time_step import STEP_SHARE, PairCase
 from granflow.plan.walls import PlannedWall
-from granflow.scene.blocks.quantities import Vector3
-from granflow.scene.blocks.walls import Rotation, Vibration
+from granflow.scene.blocks.motions import single_rotation
 
 # The domain: width of periodic boxes, walls that cross periodic boundaries, and domains that expand.
 
@@ -83,7 +80,8 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
         rotation = single_rotation([each.at(times) for each in wall.motions])
         if rotation is None:
             continue
-        reach = reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), math.inf)
+        point, axis = rotation.point_and_axis
+        reach = reach_about(wall.shape, point, axis, math.inf)
         if math.isinf(reach):
             raise SceneError(
                 f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is unbounded and rotates, "
@@ -201,18 +199,18 @@ def refuse_fast_motion(scene: Scene, walls: Sequence[PlannedWall], time_step: fl
     largest permitted time step. `walls`: those of the scene in numeric form.
     """
     problems = []
-    planned = {wall.name: wall.motions for wall in walls}
-    for name, wall in scene.walls.items():
-        for index, motion in enumerate(wall.motion):
+    for wall in walls:
+        name = wall.name
+        for index, motion in enumerate(wall.motions):
             key = f"walls.{name}.motion.{index}"
-            shortest = _shortest_row(planned[name][index].given)
+            shortest = motion.shortest_row
             if time_step > shortest * (1.0 + 1e-9):
                 problems.append(
                     f"{scene.locate('walls', name, 'motion', index)}: {key} has rows that are {shortest:.3g} "
                     f"s apart, less than the time step of {time_step:.3g} s. Give fewer rows, or set "
                     f"run.time_step to {shortest:.2g} s or less."
                 )
-            period = _period(motion, scene.gravity)
+            period = motion.period
             if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
                 problems.append(
                     f"{scene.locate('walls', name, 'motion')}: {key} has a period of {period:.3g} s, shorter "
@@ -221,23 +219,6 @@ def refuse_fast_motion(scene: Scene, walls: Sequence[PlannedWall], time_step: fl
                 )
     if problems:
         raise SceneError(problems)
-
-
-def _shortest_row(motion: Motion) -> float:
-    """Shortest time [s] between two rows of a table; infinite for other motions."""
-    return motion.table.shortest_step if isinstance(motion, TableTranslation | TableRotation) else math.inf
-
-
-def _period(motion: Any, gravity: Vector3) -> float:
-    """Period 2 pi / w [s] of a vibration or rotation; infinite without motion (w = 0 or amplitude 0), and for
-    other motions."""
-    rate = 0.0
-    if isinstance(motion, Rotation):
-        rate = max(abs(motion.angular_velocity), abs(motion.initial_angular_velocity or 0.0))
-    elif isinstance(motion, Vibration):
-        amplitude, frequency = motion.amplitude_and_angular_frequency(gravity)
-        rate = frequency if amplitude else 0.0
-    return 2.0 * math.pi / rate if rate else math.inf
 
 
 # Displacements in one step, of particles at the start, walls, and images of a sheared box.

@@ -25,7 +25,6 @@ from granflow.contact.material import PairMaterial, Solid
 from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.catalog import area_of, distance_from
-from granflow.geometry.motion import pose
 from granflow.geometry.shape import sphere_mass, sphere_volume
 from granflow.load import Scene
 from granflow.particles.close_pairs import near_pairs
@@ -37,6 +36,7 @@ from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.wall_control import section
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.motions import pose
 from granflow.scene.blocks.particles import (
     FileInsertion,
     Group,

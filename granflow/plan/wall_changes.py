@@ -10,11 +10,17 @@ from dataclasses import replace
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.geometry import motion
 from granflow.geometry.catalog import reach_about
 from granflow.plan.joined_walls import joints_of
 from granflow.plan.plan import Plan
-from granflow.plan.walls import PlannedMotion, PlannedWall
+from granflow.plan.walls import PlannedWall
+from granflow.scene.blocks.motions import (
+    Placement,
+    TimedMotion,
+    placement_at,
+    single_rotation,
+    speed_bound,
+)
 
 
 def wall_named(plan: Plan, name: str) -> PlannedWall:
@@ -33,7 +39,7 @@ def without_wall(plan: Plan, name: str, time: float) -> Plan:
 
 
 def with_motions(
-    plan: Plan, name: str, motions: Sequence[motion.Motion], time: float, present: Sequence[motion.Motion]
+    plan: Plan, name: str, motions: Sequence[TimedMotion], time: float, present: Sequence[TimedMotion]
 ) -> Plan:
     """The plan with a wall that moves with `motions` from `time` [s], from the pose of its present motions
     there.
@@ -44,13 +50,12 @@ def with_motions(
     if any(controlled.name == name for controlled in plan.controlled_motions):
         raise GranflowError(f"walls[{name!r}] is force-controlled: its motion cannot be changed.")
     try:
-        motion.single_rotation(motions)
+        single_rotation(motions)
     except ValueError:
         raise GranflowError(
             f"walls[{name!r}].motion has two rotations, but a wall can have at most one."
         ) from None
-    placed = (motion.placement_at(present, time), *motions)
-    return with_wall(plan, replace(wall, motions=tuple(PlannedMotion(each, None) for each in placed)))
+    return with_wall(plan, replace(wall, motions=(placement_at(present, time), *motions)))
 
 
 def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
@@ -71,7 +76,7 @@ def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
         )
     walls = tuple(wall if each.name == wall.name else each for each in plan.walls)
     joints = joints_of(walls, plan.radius_max, plan.periodic_box.axes)
-    has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)
+    has_belt = any(each.is_belt for each in wall.motions)
     features = replace(
         plan.features,
         joined_walls=plan.features.joined_walls or any(joints),
@@ -94,34 +99,18 @@ def _speed(plan: Plan, wall: PlannedWall) -> float:
     A rotation of a placed wall is about an axis in space; the axis through the wall at rest is inversely
     placed.
     """
-    motions = [each.given for each in wall.motions if each.stages is None]
-    rotation = motion.single_rotation(motions)
+    motions = [each for each in wall.motions if each.stages is None]
+    rotation = single_rotation(motions)
     reach = 0.0
     if rotation is not None:
-        point = np.array(rotation.point)
-        axis = np.array(rotation.axis)
+        point, axis = rotation.point_and_axis
         corners = np.abs([plan.domain_low - point, plan.domain_high - point]).max(axis=0)
-        if isinstance(motions[0], motion.Placement):
+        if isinstance(motions[0], Placement):
             turned = np.array(motions[0].rotation).T
             point = turned @ (point - np.array(motions[0].translation))
             axis = turned @ axis
         reach = reach_about(wall.shape, point, axis, float(np.linalg.norm(corners)))
-    return motion.speed_bound(motions, reach)
-
-
-# Changed walls in checkpoints.
-
-MOTIONS = {
-    kind.__name__: kind
-    for kind in (
-        motion.Translation,
-        motion.Rotation,
-        motion.Vibration,
-        motion.SurfaceVelocity,
-        motion.Placement,
-    )
-}
-"""Motions that checkpoints contain, by name."""
+    return speed_bound(motions, reach)
 
 
 def changed_walls(plan: Plan, original: Plan) -> Mapping[str, PlannedWall]:

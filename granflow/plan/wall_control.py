@@ -15,12 +15,11 @@ import numpy as np
 from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.catalog import area_of
-from granflow.geometry.shape import unit
 from granflow.load import Scene
 from granflow.plan.time_step import PairCase
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.walls import FreeWall, Servo
+from granflow.scene.blocks.motions import FreeWall, Servo
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ def controlled_motions_of(
     """
     controlled_motions = []
     for index, wall in enumerate(walls):
-        for number, given in enumerate(scene.walls[wall.name].motion):
+        for number, given in enumerate(wall.motions):
             if isinstance(given, Servo | FreeWall):
                 layer = _layer(scene, wall, given, law, pair_cases, velocity, step)
                 controlled = _servo if isinstance(given, Servo) else _free
@@ -147,7 +146,7 @@ def _servo(
         motion=number,
         name=wall.name,
         kind="servo",
-        direction=_unit(given),
+        direction=given.direction,
         force=force,
         gain=gain,
         lag=gain * layer.count * layer.resistance,
@@ -175,7 +174,7 @@ def _free(
             f"particles within reach the wall oscillates too fast for a step of {step:.3g} s: set it to "
             f"{min_mass:.2g} kg or more, or lower run.time_step."
         )
-    direction = _unit(given)
+    direction = given.direction
     weight = given.mass * float(np.dot(scene.gravity, direction))
     return ControlledMotion(
         wall=index,
@@ -207,7 +206,7 @@ def _layer(
     A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
     """
     radius = min(pair_case.radius for pair_case in pair_cases)
-    area = area_of(wall.shape) or section(scene.domain, _unit(given))
+    area = area_of(wall.shape) or section(scene.domain, given.direction)
     sphere_count = sum(group.sphere_count for group in scene.particles.values())
     in_layer = area / (2.0 * sqrt(3.0) * radius**2)
     responses = [law.present_response(*case.dashpot_arguments, velocity, step) for case in pair_cases]
@@ -224,11 +223,6 @@ def section(domain: Domain, direction: Sequence[float] | np.ndarray) -> float:
     """Projected area [m2] of the domain along a direction (3,), unit vector."""
     size = np.subtract(domain.max, domain.min)
     return float(np.abs(direction) @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]])
-
-
-def _unit(given: Any) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in unit(given.direction))
-    return x, y, z
 
 
 def describe(controlled: ControlledMotion) -> Iterator[tuple[str, str]]:

@@ -1,65 +1,34 @@
 """Walls of a scene in numeric form: shapes at rest, motions, presence, and largest speeds.
 
-`planned_walls` reads the meshes, joins the edges that surfaces of revolution share, and converts motions to
-SI units and unit vectors. A motion or a wall that is limited to stages gets its times when the stages
-begin.
+`planned_walls` reads the meshes and joins the edges that surfaces of revolution share. Motions are those of
+the scene with unit vectors and without optional values. A motion or a wall that is limited to stages gets its
+times when the stages begin.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.geometry import motion, plane, revolved
+from granflow.geometry import plane, revolved
 from granflow.geometry.catalog import Surface, reach_about
 from granflow.geometry.mesh import Mesh, mesh_of
 from granflow.geometry.mesh_file import read_triangles
-from granflow.geometry.motion import MotionTable, TableRotation, TableTranslation, rotation_matrices
+from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.revolved import join_shared_edges
 from granflow.geometry.shape import Shape, unit
 from granflow.io.files import FormatError, resolved
 from granflow.load import Scene
 from granflow.plan.stages import StageTimes, always
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.motions import TimedMotion, single_rotation, speed_bound
 from granflow.scene.blocks.quantities import Vector3
-from granflow.scene.blocks.walls import (
-    AnyWall,
-    Cone,
-    Cylinder,
-    Disc,
-    FreeWall,
-    MeshWall,
-    Plane,
-    Rectangle,
-    Rotation,
-    Servo,
-    SurfaceVelocity,
-    TableMotion,
-    Translation,
-    Wall,
-)
-
-
-@dataclass(frozen=True)
-class PlannedMotion:
-    """One motion of a wall; with `stages`, it runs from the start of the first of them to the end of the
-    last."""
-
-    given: motion.Motion
-    stages: tuple[str, ...] | None
-
-    def at(self, stage_times: StageTimes) -> motion.Motion:
-        """The motion with its times [s], given those of the stages; infinite if its stages have not begun."""
-        if self.stages is None:
-            return self.given
-        started = [stage_times[name] for name in self.stages if name in stage_times]
-        start, end = (started[0][0], started[-1][1]) if started else (inf, inf)
-        return replace(self.given, start=start, end=end)
+from granflow.scene.blocks.walls import AnyWall, Cone, Cylinder, Disc, MeshWall, Plane, Rectangle, Wall
 
 
 @dataclass(frozen=True)
@@ -74,7 +43,7 @@ class PlannedWall:
     name: str
     shape: Surface
     material: int
-    motions: tuple[PlannedMotion, ...]
+    motions: tuple[TimedMotion, ...]
     stages: tuple[str, ...] | None
     appears_at: float
     vanishes_at: float
@@ -117,7 +86,7 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
             name=name,
             shape=surfaces[name],
             material=material_numbers[wall.material],
-            motions=planned_motions(wall.motion, scene.gravity),
+            motions=tuple(each.numeric(scene.gravity) for each in wall.motion),
             stages=wall.stages,
             appears_at=wall.appears_at or 0.0,
             vanishes_at=inf if wall.vanishes_at is None else wall.vanishes_at,
@@ -145,68 +114,17 @@ def shape_of(wall: AnyWall) -> Shape:
 
 def is_force_controlled(wall: AnyWall) -> bool:
     """True if the forces of the particles move this wall."""
-    return any(isinstance(each, Servo | FreeWall) for each in wall.motion)
+    return any(each.force_controlled for each in wall.motion)
 
 
 def has_belt(wall: AnyWall) -> bool:
     """True if the wall has a surface velocity."""
-    return any(isinstance(each, SurfaceVelocity) for each in wall.motion)
-
-
-def planned_motions(motions: Sequence[Any], gravity: Sequence[float]) -> tuple[PlannedMotion, ...]:
-    """Motions of a wall of the scene in numeric form: unit vectors, SI units.
-
-    `gravity` (3,) [m/s2]: for amplitudes given by Gamma.
-    """
-    return tuple(PlannedMotion(_motion(each, gravity), each.stages) for each in motions)
-
-
-def _motion(given: Any, gravity: Sequence[float]) -> motion.Motion:
-    """One motion in numeric form, with the start and end [s] of the scene."""
-    start = given.start or 0.0
-    end = inf if given.end is None else given.end
-    if isinstance(given, Servo | FreeWall):
-        return motion.ForceControlled(start, end)
-    if isinstance(given, Translation | SurfaceVelocity):
-        kind = motion.Translation if isinstance(given, Translation) else motion.SurfaceVelocity
-        initial = given.initial_velocity or (0.0, 0.0, 0.0)
-        return kind(given.velocity, start, end, initial, given.ramp_duration or 0.0)
-    if isinstance(given, TableMotion):
-        return _table_motion(given, start, end)
-    if isinstance(given, Rotation):
-        return motion.Rotation(
-            given.point,
-            _unit_vector(given.axis),
-            given.angular_velocity,
-            start,
-            end,
-            given.initial_angular_velocity or 0.0,
-            given.ramp_duration or 0.0,
-        )
-    amplitude, omega = given.amplitude_and_angular_frequency(gravity)
-    return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
-
-
-def _table_motion(given: TableMotion, start: float, end: float) -> TableTranslation | TableRotation:
-    """A motion from a table in numeric form; the scene is resolved, so that the columns are known."""
-    column = given.column
-    assert column is not None and given.times is not None
-    build = MotionTable.of_rates if "velocit" in column else MotionTable.of_values
-    table = build(given.times, getattr(given, column))
-    if given.direction is not None:
-        return TableTranslation(_unit_vector(given.direction), table, start, end)
-    assert given.point is not None
-    return TableRotation(given.point, _unit_vector(given.axis), table, start, end)
-
-
-def _unit_vector(given: Any) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in unit(given))
-    return x, y, z
+    return any(each.is_belt for each in wall.motion)
 
 
 def wall_motions(
-    motions: Iterable[Sequence[PlannedMotion]], stage_times: StageTimes
-) -> tuple[tuple[motion.Motion, ...], ...]:
+    motions: Iterable[Sequence[TimedMotion]], stage_times: StageTimes
+) -> tuple[tuple[TimedMotion, ...], ...]:
     """Motions of each wall with their times [s], given the times of the stages that have begun."""
     return tuple(tuple(each.at(stage_times) for each in of_wall) for of_wall in motions)
 
@@ -234,12 +152,13 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
     times = always(scene.schedule)
     for wall in walls:
         motions = [each.at(times) for each in wall.motions]
-        rotation = motion.single_rotation(motions)
+        rotation = single_rotation(motions)
         reach = 0.0
         if rotation is not None:
-            max_distance = float(np.linalg.norm(np.abs(corners - rotation.point).max(axis=0)))
-            reach = reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), max_distance)
-        speeds[wall.name] = motion.speed_bound(motions, reach)
+            point, axis = rotation.point_and_axis
+            max_distance = float(np.linalg.norm(np.abs(corners - point).max(axis=0)))
+            reach = reach_about(wall.shape, point, axis, max_distance)
+        speeds[wall.name] = speed_bound(motions, reach)
     return speeds
 
 
@@ -249,40 +168,21 @@ def surface_speed(scene: Scene) -> float:
 
     Points of a rotating wall are assumed to be at most half the diagonal of the domain from the axis.
     """
-    times = always(scene.schedule)
     extent = _domain_size(scene.domain)
     fastest = 0.0
     for wall in scene.walls.values():
-        motions = [each.at(times) for each in planned_motions(wall.motion, scene.gravity)]
+        motions = [each.numeric(scene.gravity) for each in wall.motion]
         controlled_speed = max(
             sum(
-                _force_controlled_speed(scene.gravity, each, extent)
-                for each in wall.motion
-                if is_in_stage(each, stage.name)
+                each.controlled_speed(scene.gravity, extent)
+                for each in motions
+                if each.is_in_stage(stage.name)
             )
             for stage in scene.schedule
         )
-        belt = sum(motion.top_speed(each) for each in motions if isinstance(each, motion.SurfaceVelocity))
-        fastest = max(fastest, motion.speed_bound(motions, extent / 2) + belt + controlled_speed)
+        belt = sum(each.surface_speed for each in motions)
+        fastest = max(fastest, speed_bound(motions, extent / 2) + belt + controlled_speed)
     return fastest
-
-
-def is_in_stage(given: Any, stage: str) -> bool:
-    """Whether a motion of the scene can be active in a stage."""
-    return given.stages is None or stage in given.stages
-
-
-def _force_controlled_speed(gravity: Sequence[float], given: Any, distance: float) -> float:
-    """Largest speed [m/s] of a force-controlled motion: `velocity_max` of a servo, free fall of a free
-    wall."""
-    if isinstance(given, Servo):
-        return given.velocity_max
-    if isinstance(given, FreeWall):
-        acceleration = (
-            abs(float(np.dot(gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
-        )
-        return float(np.sqrt(2.0 * acceleration * distance))
-    return 0.0
 
 
 # Mesh walls: reads and places their files, and reports probable mistakes.

@@ -7,14 +7,13 @@ written out is no difference. `ALLOWED_CHANGES` lists the keys that may change.
 import hashlib
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields, replace
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.geometry.motion import Motion, Placement, pose
 from granflow.io.checkpoint import LARGEST_REAL, Checkpoint, CheckpointError, Part, engine_digest
 from granflow.io.log import version_of
 from granflow.load import Scene, copied_scene, scene_of
@@ -22,10 +21,11 @@ from granflow.plan.arrays import particle_arrays, saved_arrays
 from granflow.plan.plan import ExternalForce, Plan
 from granflow.plan.stages import StageTimes
 from granflow.plan.sum_units import SumUnits
-from granflow.plan.wall_changes import MOTIONS, changed_walls, wall_named, with_wall
-from granflow.plan.walls import PlannedMotion, PlannedWall, planned_motions, wall_motions
+from granflow.plan.wall_changes import changed_walls, wall_named, with_wall
+from granflow.plan.walls import PlannedWall, wall_motions
 from granflow.runs.checkpoint_checks import check_engine, check_run
 from granflow.runs.observer_list import ObserverList
+from granflow.scene.blocks.motions import MOTIONS, Placement, TimedMotion, pose
 from granflow.scene.blocks.scene import SceneInput
 
 
@@ -235,7 +235,9 @@ def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: flo
     """
     stage_times: StageTimes = saved["stage_progress"]["stage_times"]
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
-    motions_before = [planned_motions(wall.motion, before.gravity) for wall in before.walls.values()]
+    motions_before = [
+        [each.numeric(before.gravity) for each in wall.motion] for wall in before.walls.values()
+    ]
     motions = [
         wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])
     ]
@@ -250,7 +252,7 @@ def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: flo
             )
 
 
-def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np.ndarray:
+def _positions(motions: Sequence[TimedMotion], time: float, points: np.ndarray) -> np.ndarray:
     """Return the positions (n, 3) [m] at `time` [s] of points (n, 3) [m] at rest that move with a wall."""
     pose_at_time = pose(motions, np.array([time]))
     return (
@@ -349,8 +351,6 @@ KEYS = (
 """Keys of the changes in a checkpoint, and of what the plan of another scene would change."""
 MOST_PARTICLES = 2**31 - 2
 """Largest capacity: indices on the device are 32-bit integers."""
-MATRIX_FIELDS = {"rotation"}
-"""Fields of motions with nine numbers; the others are numbers or vectors."""
 
 
 def saved_changes(plan: Plan, original: Plan, observers: ObserverList) -> dict[str, Any]:
@@ -449,10 +449,16 @@ def _numbers(part: Part, width: int) -> float | tuple[float, ...]:
 
 def _saved_wall(wall: PlannedWall) -> dict[str, Any]:
     """End of a changed wall [s], and its motions if a program has changed them, otherwise None."""
-    motions = [each.given for each in wall.motions]
-    is_placed = bool(motions) and isinstance(motions[0], Placement)
-    saved = [{"kind": type(each).__name__, **_lists(asdict(each))} for each in motions] if is_placed else None
+    is_placed = bool(wall.motions) and isinstance(wall.motions[0], Placement)
+    saved = [_saved_motion(each) for each in wall.motions] if is_placed else None
     return {"vanishes_at": wall.vanishes_at, "motions": saved}
+
+
+def _saved_motion(motion: TimedMotion) -> dict[str, Any]:
+    """Name of the class of a motion, and its numbers."""
+    return {"kind": type(motion).__name__} | {
+        name: _lists(getattr(motion, name)) for name in motion.number_counts
+    }
 
 
 def _lists(values: Any) -> Any:
@@ -468,23 +474,19 @@ def _restored_wall(part: Part, wall: PlannedWall) -> PlannedWall:
     wall = replace(wall, vanishes_at=part["vanishes_at"].number(0.0))
     if part["motions"].value is None:
         return wall
-    return replace(
-        wall, motions=tuple(PlannedMotion(_restored(each), None) for each in part["motions"].items())
-    )
+    return replace(wall, motions=tuple(_restored(each) for each in part["motions"].items()))
 
 
-def _restored(part: Part) -> Motion:
+def _restored(part: Part) -> TimedMotion:
     """One motion. Raises CheckpointError."""
     kind = MOTIONS[part["kind"].text(MOTIONS)]
-    types = {each.name: each.type for each in fields(kind)}
-    part.mapping(("kind", *types))
+    part.mapping(("kind", *kind.number_counts))
     values: dict[str, Any] = {}
-    for name, field_type in types.items():
-        if name in MATRIX_FIELDS and kind is Placement:
+    for name, count in kind.number_counts.items():
+        if count == 9:
             values[name] = tuple(_numbers(row, 3) for row in part[name].items(3))
         elif name in ("start", "end"):
             values[name] = part[name].number(0.0)
         else:
-            values[name] = _numbers(part[name], 1 if field_type is float else 3)
-    motion: Motion = kind(**values)
-    return motion
+            values[name] = _numbers(part[name], count)
+    return kind.model_construct(**values)

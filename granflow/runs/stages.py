@@ -16,7 +16,6 @@ from granflow.engine.engine import Engine, RestState
 from granflow.engine.wall_dynamics import controlled_forces
 from granflow.errors import GranflowError
 from granflow.geometry.catalog import area_of
-from granflow.geometry.motion import is_running
 from granflow.load import Scene
 from granflow.observers.timeseries import Row
 from granflow.plan.plan import Plan
@@ -91,7 +90,7 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
     forces = controlled_forces(engine.state)
     middle = np.array([engine.time - 0.5 * engine.time_step])
     for index, motion in enumerate(engine.plan.controlled_motions):
-        running = is_running(engine.state.wall_motions[motion.wall][motion.motion], middle)[0]
+        running = engine.state.wall_motions[motion.wall][motion.motion].is_running(middle)[0]
         if motion.kind != "servo" or not (running and present[motion.wall]):
             continue
         series = np.array([sample[index] for sample in samples] or [forces[index]])

@@ -30,6 +30,7 @@ from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
+from granflow.scene.blocks.motions import MotionSpec, Servo, Vibration
 from granflow.scene.blocks.particles import (
     BoxRegion,
     CylinderRegion,
@@ -45,7 +46,7 @@ from granflow.scene.blocks.quantities import Vector3
 from granflow.scene.blocks.run import Damping
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.shapes import Box
-from granflow.scene.blocks.walls import FACES, FreeWall, MotionSpec, Plane, Servo, Vibration, Wall
+from granflow.scene.blocks.walls import FACES, Plane, Wall
 from granflow.scene.document import Document, Problem
 from granflow.scene.faults import Fault, KeyPath, missing, whole
 from granflow.scene.messages import nearest, problem_at, suggestion_or_list, unknown, unknown_names
@@ -523,7 +524,7 @@ def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
     The limits of their gain and mass are computed for one time step.
     """
     scene = parts.scene
-    controlled = [(path, each) for path, each in _motions(scene) if isinstance(each, Servo | FreeWall)]
+    controlled = [(path, each) for path, each in _motions(scene) if each.force_controlled]
     for path, motion in controlled:
         has_pressure = isinstance(motion, Servo) and motion.pressure is not None
         if has_pressure and isinstance(scene.walls[str(path[1])], Plane):

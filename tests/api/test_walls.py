@@ -4,20 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from geometry.motions import rotation, table, translation, vibration
 from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
-from granflow.geometry.motion import (
-    MotionTable,
-    Rotation,
-    TableRotation,
-    Translation,
-    Vibration,
-    placement_at,
-    pose,
-)
 from granflow.plan.build import plan_for
 from granflow.plan.wall_changes import with_motions
+from granflow.scene.blocks.motions import placement_at, pose
 
 GRAVITY = 9.81
 
@@ -95,9 +88,9 @@ def test_rotation_is_controlled_step_by_step(taichi_f64):
 def test_placement_continues_any_motion():
     """The pose is continuous, and a rotation about another axis turns the placed wall as a rigid body."""
     earlier = (
-        Rotation((0.1, 0.2, 0.0), (0.0, 0.0, 1.0), 2.0),
-        Translation((0.3, 0.0, 0.1)),
-        Vibration((0.0, 1.0, 0.0), 0.01, 50.0),
+        rotation((0.1, 0.2, 0.0), (0.0, 0.0, 1.0), 2.0),
+        translation((0.3, 0.0, 0.1)),
+        vibration((0.0, 1.0, 0.0), 0.01, 50.0),
     )
     points = np.random.default_rng(1).normal(size=(5, 3))
     time = 0.4
@@ -108,8 +101,8 @@ def test_placement_continues_any_motion():
 
     placed = placement_at(earlier, time)
     rate = 1.5
-    turning = Rotation((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), rate, start=time)
-    later = (placed, turning, Translation((0.0, 0.0, 0.2), start=time))
+    turning = rotation((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), rate, start=time)
+    later = (placed, turning, translation((0.0, 0.0, 0.2), start=time))
     before = moved(earlier, time)
     np.testing.assert_allclose(moved(later, time), before, atol=1e-12)
     cosine = math.cos(rate * 0.3)
@@ -145,7 +138,7 @@ def test_changes_that_are_not_possible_are_refused(taichi_f64):
 
 def test_rotations_by_tables_count_as_rotations():
     plan = plan_for(resting())
-    table = TableRotation((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), MotionTable.of_values([0.0, 1.0], [0.0, 0.1]))
-    second = Rotation((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 1.0, 0.0, 0.0)
+    first = table((0.0, 1.0), angles=(0.0, 0.1), point=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
+    second = rotation((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 1.0)
     with pytest.raises(gf.GranflowError, match="two rotations, but a wall can have at most one"):
-        with_motions(plan, "side", [table, second], 0.0, [])
+        with_motions(plan, "side", [first, second], 0.0, [])

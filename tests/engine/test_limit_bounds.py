@@ -6,8 +6,8 @@ from geometry.meshes import sheet, write
 from scene_builders import build_scene, particle_group, plane, prepared_simulation
 
 from granflow.engine.codes import ABORT_REASONS, NO_PARTICLE
-from granflow.geometry.motion import ForceControlled
 from granflow.plan.capacities import REACH_STEPS
+from granflow.scene.blocks.motions import FreeWall
 from granflow.simulation import Simulation
 
 NEAR = 1e-6
@@ -174,7 +174,7 @@ def test_the_displacement_of_a_free_wall_has_the_same_limits(taichi_f64):
         numerics={"skin": SKIN}, run={"duration": 1.0, "time_step": STEP, "velocity_max": 1.0},
     )  # fmt: skip
     simulation = Simulation(scene)
-    simulation.engine.set_walls([True], [[ForceControlled()]])
+    simulation.engine.set_walls([True], [[FreeWall(direction=[0, 0, 1], mass=1.0)]])
 
     def after(displacement):
         simulation.engine.state.wall_dynamics.velocity[0] = displacement / STEP

@@ -5,18 +5,19 @@ from math import inf, pi
 
 import numpy as np
 import pytest
+from geometry.motions import rotation, surface_velocity, translation, vibration
 
 from granflow.geometry.catalog import reach_about
-from granflow.geometry.motion import Rotation, SurfaceVelocity, Translation, Vibration, pose, speed_bound
 from granflow.geometry.plane import half_space, rectangle
 from granflow.geometry.revolved import cylinder, disc
+from granflow.scene.blocks.motions import pose, speed_bound
 from granflow.scene.reference import json_schema
 
 AXIS = (2 / 3, -1 / 3, 2 / 3)
 MOTIONS = [
-    Vibration((0.6, 0.0, 0.8), 0.01, 2 * pi * 25, phase=0.7, start=0.2, end=0.9),
-    Translation((0.1, 0.2, -0.3), start=0.1, end=0.5),
-    Rotation((0.3, 0.1, 0.2), AXIS, 5.0, start=0.3, end=0.8),
+    vibration((0.6, 0.0, 0.8), 0.01, 2 * pi * 25, phase=0.7, start=0.2, end=0.9),
+    translation((0.1, 0.2, -0.3), start=0.1, end=0.5),
+    rotation((0.3, 0.1, 0.2), AXIS, 5.0, start=0.3, end=0.8),
 ]
 
 
@@ -46,7 +47,7 @@ def test_vibration_follows_the_formulas_of_the_schema():
             "t": times - start,
         }
         expected = {name: eval(formulas[name], {"sin": np.sin, "cos": np.cos, **known}) for name in formulas}
-        found = pose([Vibration((0, 0, 1), amplitude, angular_frequency, phase, start)], times)
+        found = pose([vibration((0, 0, 1), amplitude, angular_frequency, phase=phase, start=start)], times)
         np.testing.assert_allclose(found.offset[:, 2], expected["displacement"], atol=1e-17)
         np.testing.assert_allclose(found.velocity[:, 2], expected["velocity"], atol=1e-15)
         assert found.offset[0, 2] == 0.0
@@ -87,26 +88,26 @@ def test_poses_are_continuous():
 
 def test_motion_with_infinite_start_does_not_move():
     """The start of a motion that depends on a stage is infinite until the stage begins."""
-    not_started = [Vibration((0, 0, 1), 0.1, 10.0, start=inf), Rotation((0, 0, 0), (0, 0, 1), 1.0, start=inf)]
-    poses = pose(not_started, np.array([0.0, 1e6]))
+    motions = [vibration((0, 0, 1), 0.1, 10.0), rotation((0, 0, 0), (0, 0, 1), 1.0)]
+    poses = pose([each.not_before(inf) for each in motions], np.array([0.0, 1e6]))
     np.testing.assert_array_equal(poses.offset, 0.0)
     np.testing.assert_array_equal(poses.rotation, np.broadcast_to(np.eye(3), (2, 3, 3)))
 
 
 def test_rotation_follows_the_right_hand_rule():
-    poses = pose([Rotation((1, 0, 0), (0, 0, 1), pi / 2)], np.array([1.0]))
+    poses = pose([rotation((1, 0, 0), (0, 0, 1), pi / 2)], np.array([1.0]))
     np.testing.assert_allclose(poses.rotation[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     np.testing.assert_allclose(
-        moved(np.array([[2.0, 0, 0]]), [Rotation((1, 0, 0), (0, 0, 1), pi / 2)], 1.0)[0, 0], [1, 1, 0]
+        moved(np.array([[2.0, 0, 0]]), [rotation((1, 0, 0), (0, 0, 1), pi / 2)], 1.0)[0, 0], [1, 1, 0]
     )
 
 
 def test_rotations_stay_orthogonal():
-    rotation = pose([Rotation((0, 0, 0), AXIS, 7.0)], np.linspace(0, 100, 50)).rotation
+    matrices = pose([rotation((0, 0, 0), AXIS, 7.0)], np.linspace(0, 100, 50)).rotation
     np.testing.assert_allclose(
-        rotation @ rotation.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-14
+        matrices @ matrices.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-14
     )
-    np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(matrices), 1.0, atol=1e-14)
 
 
 def test_no_motion_is_rest():
@@ -124,15 +125,13 @@ def test_speed_bound_is_the_maximum_speed():
     assert speed_bound([], 1.0) == 0.0
     bound = speed_bound(MOTIONS, 0.4)
     assert bound == pytest.approx(0.01 * 50 * pi + np.sqrt(0.14) + 5.0 * 0.4)
-    vibration = pose([Vibration((0, 0, 1), 0.01, 10.0)], np.linspace(0, 1, 1000))
-    assert np.abs(vibration.velocity).max() == pytest.approx(
-        speed_bound([Vibration((0, 0, 1), 0.01, 10.0)], 1.0)
-    )
+    poses = pose([vibration((0, 0, 1), 0.01, 10.0)], np.linspace(0, 1, 1000))
+    assert np.abs(poses.velocity).max() == pytest.approx(speed_bound([vibration((0, 0, 1), 0.01, 10.0)], 1.0))
 
 
 RAMPS = [
-    Translation((0.1, 0.2, -0.3), start=0.1, end=0.9, initial_velocity=(0.0, -0.4, 0.2), ramp_duration=0.25),
-    Rotation(
+    translation((0.1, 0.2, -0.3), start=0.1, end=0.9, initial_velocity=(0.0, -0.4, 0.2), ramp_duration=0.25),
+    rotation(
         (0.3, 0.1, 0.2), AXIS, 5.0, start=0.3, end=0.8, initial_angular_velocity=-3.0, ramp_duration=0.2
     ),
 ]
@@ -170,12 +169,14 @@ def test_velocities_of_ramps_are_derivatives_of_the_pose():
 
 def test_speed_bound_contains_the_start_of_ramps():
     assert speed_bound(RAMPS, 0.4) == pytest.approx(np.sqrt(0.2) + 5.0 * 0.4)
-    assert speed_bound([RAMPS[1], Translation((0.0, 0.0, 0.1))], 1.0) == pytest.approx(5.1)
+    assert speed_bound([RAMPS[1], translation((0.0, 0.0, 0.1))], 1.0) == pytest.approx(5.1)
 
 
 def test_surface_velocity_turns_with_the_wall_and_does_not_move_it():
-    surface = SurfaceVelocity((0.0, 3.0, 0.0), start=0.5, initial_velocity=(0.0, 1.0, 0.0), ramp_duration=1.0)
-    turning = Rotation((1, 0, 0), (0, 0, 1), pi / 2)
+    surface = surface_velocity(
+        (0.0, 3.0, 0.0), start=0.5, initial_velocity=(0.0, 1.0, 0.0), ramp_duration=1.0
+    )
+    turning = rotation((1, 0, 0), (0, 0, 1), pi / 2)
     found, alone = (pose(motions, np.array([0.4, 1.0, 2.0])) for motions in ([turning, surface], [turning]))
     np.testing.assert_allclose(found.surface_velocity, [[0, 0, 0], [-2, 0, 0], [0, -3, 0]], atol=1e-15)
     for name in ("offset", "rotation", "velocity", "angular_velocity", "pivot"):

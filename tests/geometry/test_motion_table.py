@@ -5,9 +5,11 @@ from math import pi
 
 import numpy as np
 import pytest
+from geometry.motions import table as table_motion
 from scipy.integrate import trapezoid
 
-from granflow.geometry.motion import MotionTable, TableRotation, TableTranslation, pose, speed_bound
+from granflow.geometry.motion import MotionTable
+from granflow.scene.blocks.motions import pose, speed_bound
 
 TIMES, VALUES = (0.0, 0.2, 0.5, 0.6, 1.0), (0.3, 0.4, 0.4, 1.0, 0.1)
 RATES = (0.0, 2.0, 2.0, -1.0, 0.0)
@@ -56,9 +58,8 @@ def test_rates_are_continuous_derivatives_within_their_bounds(table):
 def test_a_densely_tabulated_sine_is_a_vibration():
     """The error of the displacement is of second order in the spacing of the rows at the extrema."""
     times = np.linspace(0.0, 1.0, 201)
-    motion = TableTranslation(
-        (0.0, 0.0, 1.0), MotionTable.of_values(times, 0.01 * np.sin(2 * pi * times)), start=0.5
-    )
+    displacements = 0.01 * np.sin(2 * pi * times)
+    motion = table_motion(times, displacements=displacements, direction=(0.0, 0.0, 1.0), start=0.5)
     at = 0.5 + np.linspace(0.0, 0.999, 777)
     found = pose([motion], at)
     np.testing.assert_allclose(
@@ -68,8 +69,8 @@ def test_a_densely_tabulated_sine_is_a_vibration():
 
 
 def test_the_wall_is_at_rest_outside_the_table():
-    motion = TableTranslation(
-        (1.0, 0.0, 0.0), MotionTable.of_values((0.1, 0.2), (0.0, 3.0)), start=1.0, end=1.15
+    motion = table_motion(
+        (0.1, 0.2), displacements=(0.0, 3.0), direction=(1.0, 0.0, 0.0), start=1.0, end=1.15
     )
     found = pose([motion], np.array([0.0, 1.05, 1.12, 1.5, 9.0]))
     np.testing.assert_allclose(found.offset[:, 0], [0.0, 0.0, 0.6, 1.5, 1.5], atol=1e-12)
@@ -77,7 +78,7 @@ def test_the_wall_is_at_rest_outside_the_table():
 
 
 def test_angles_turn_the_wall_about_the_axis():
-    motion = TableRotation((1, 0, 0), (0, 0, 1), MotionTable.of_values((0.0, 1.0, 2.0), (0.0, pi / 2, pi)))
+    motion = table_motion((0.0, 1.0, 2.0), angles=(0.0, pi / 2, pi), point=(1, 0, 0), axis=(0, 0, 1))
     found = pose([motion], np.array([1.0, 2.5]))
     np.testing.assert_allclose(found.rotation @ [1, 0, 0], [[0, 1, 0], [-1, 0, 0]], atol=1e-15)
     np.testing.assert_allclose(found.angular_velocity, [[0, 0, pi / 2], [0, 0, 0]], atol=1e-15)

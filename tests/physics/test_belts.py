@@ -9,7 +9,7 @@ from scene_builders import SOFT, build_scene, particle_group, plane, run_and_sam
 
 from granflow.contact import theory
 from granflow.io.frames import read_mesh
-from granflow.scene.blocks.walls import SurfaceVelocity
+from granflow.scene.blocks.motions import SurfaceVelocity
 from granflow.simulation import Simulation
 
 RADIUS, GRAVITY, FRICTION, SPEED = 0.005, 9.81, 0.2, 0.1

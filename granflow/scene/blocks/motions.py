@@ -1,0 +1,778 @@
+"""Key `motion` of walls: a kind of motion is one class below, with its keys and its pose at given times.
+
+The class also has the largest speed, the period and the keys in checkpoints. A motion of a scene has its
+values as given; `numeric` returns a motion of the same class with unit vectors and without optional values.
+Plan, engine, live walls and checkpoints have such motions, and only these have poses and speeds.
+
+A wall is in its rest pose until its first motion starts and keeps its pose when its last motion ends.
+Translations and vibrations add; at most one rotation turns the wall, about an axis that translates with it.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import pairwise
+from math import inf
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
+
+import numpy as np
+from pydantic import Field
+
+from granflow.geometry.motion import MotionTable, Poses, ramp, rotation_matrices
+from granflow.geometry.shape import unit
+from granflow.scene.blocks import quantities as q
+from granflow.scene.blocks.quantities import Number
+from granflow.scene.faults import Fault, missing, redundant, whole
+from granflow.scene.model import FileName, ListOf, Model, Names, choose_by_key, optional
+
+
+class TimedMotion(Model):
+    """A motion from `start` to `end` or during stages; by default during the whole run.
+
+    Motions of the same wall are superposed; a wall has at most one rotation.
+    """
+
+    force_controlled: ClassVar[bool] = False
+    """True for motions that respond to the force of the particles on the wall."""
+    is_belt: ClassVar[bool] = False
+    """True if the surface moves along itself and the wall does not."""
+    number_counts: ClassVar[Mapping[str, int]] = {}
+    """Keys in checkpoints with their count of numbers; empty for kinds that a program cannot assign."""
+
+    kind: str = Field(description="kind of motion")
+    start: q.Time | None = optional("time at which the motion begins [s]", "start of the run")
+    end: q.Time | None = optional("time at which the motion ends [s]", "end of the run")
+    stages: Names | None = Field(
+        None, description="stages with this motion; its time starts at the first of them"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless either times or stages are given, and the end is after the start."""
+        if self.stages is not None and (self.start is not None or self.end is not None):
+            yield redundant("stages", "start or end", keep="either the times or the stages")
+        elif self.end is not None and self.end <= (self.start or 0.0):
+            yield Fault(("end",), f"the motion must end after its start at {self.start or 0.0:g} s")
+
+    @property
+    def start_time(self) -> float:
+        """Start [s]; 0 by default."""
+        return self.start or 0.0
+
+    @property
+    def end_time(self) -> float:
+        """End [s]; infinite by default."""
+        return inf if self.end is None else self.end
+
+    def numeric(self, gravity: Sequence[float]) -> "TimedMotion":
+        """This motion with unit vectors and without optional values.
+
+        `gravity` (3,) [m/s2]: for amplitudes given by gamma.
+        """
+        times = {"start": self.start_time, "end": self.end_time}
+        return self.model_copy(update=times | self._numbers(gravity))
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        """Values of `numeric` besides start and end that differ from those given."""
+        return {}
+
+    def at(self, stage_times: Mapping[str, tuple[float, float]]) -> "TimedMotion":
+        """This motion with its times [s], given those of the stages; infinite if its stages have not begun.
+
+        With `stages` it runs from the start of the first of them to the end of the last.
+        """
+        if self.stages is None:
+            return self
+        started = [stage_times[name] for name in self.stages if name in stage_times]
+        start, end = (started[0][0], started[-1][1]) if started else (inf, inf)
+        return self.model_copy(update={"start": start, "end": end})
+
+    def not_before(self, time: float) -> "TimedMotion":
+        """This motion with a start at `time` [s] or later."""
+        return self.model_copy(update={"start": max(self.start_time, time)})
+
+    def is_in_stage(self, stage: str) -> bool:
+        """Whether the motion can be active in a stage."""
+        return self.stages is None or stage in self.stages
+
+    def elapsed(self, times: np.ndarray) -> np.ndarray:
+        """Elapsed time (k,) [s]: 0 before the start, constant after the end."""
+        return np.maximum(np.minimum(times, self.end_time) - self.start_time, 0.0)
+
+    def is_running(self, times: np.ndarray) -> np.ndarray:
+        """Whether (k,) the motion is active at each time (k,) [s]: start <= t < end."""
+        return (self.start_time <= times) & (times < self.end_time)
+
+    def displacement_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement (k, 3) [m] and velocity (k, 3) [m/s] of the wall at `times` (k,) [s].
+
+        The velocity is zero outside start <= t < end.
+        """
+        return np.zeros((len(times), 3)), np.zeros((len(times), 3))
+
+    def surface_velocity(self, times: np.ndarray) -> np.ndarray:
+        """Velocity (k, 3) [m/s] of the surface along itself at `times` (k,) [s]."""
+        return np.zeros((len(times), 3))
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the motion is a rotation; it then has `point_and_axis` and `angle_and_rate`."""
+        return False
+
+    @property
+    def point_and_axis(self) -> tuple[np.ndarray, np.ndarray]:
+        """A point (3,) [m] on the axis in the rest pose, and the axis (3,), a unit vector, right-handed."""
+        raise NotImplementedError
+
+    def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Angle (k,) [rad] and angular velocity (k,) [rad/s] at `times` (k,) [s].
+
+        The angular velocity is also that outside start <= t < end.
+        """
+        raise NotImplementedError
+
+    def top_speed(self, reach: float) -> float:
+        """Largest speed [m/s] of geometry that moves at most at a distance `reach` [m] from the axis."""
+        return 0.0
+
+    @property
+    def surface_speed(self) -> float:
+        """Largest speed [m/s] of the surface along itself."""
+        return 0.0
+
+    def controlled_speed(self, gravity: Sequence[float], distance: float) -> float:
+        """Largest speed [m/s] of a motion by forces, within a `distance` [m]; 0 for other motions."""
+        return 0.0
+
+    @property
+    def period(self) -> float:
+        """Period [s]; infinite for motions without."""
+        return inf
+
+    @property
+    def shortest_row(self) -> float:
+        """Shortest time [s] between two rows of a table; infinite for other motions."""
+        return inf
+
+    def description(self) -> tuple[str, str] | None:
+        """What `granflow explain` shows of a table: its last value, and its rows; None for other motions."""
+        return None
+
+    def _ramp_faults(self, name: str, ramp_duration: float | None) -> Iterator[Fault]:
+        """Yield a fault for an initial value of the velocity `name` without ramp."""
+        if getattr(self, f"initial_{name}") is not None and ramp_duration is None:
+            yield missing(("ramp_duration",), f"the time during which initial_{name} changes to {name}")
+
+
+class Vibration(TimedMotion):
+    """Sinusoidal motion along a direction from the given position; t is the time since the start [s].
+
+        displacement:  amplitude * (sin(angular_frequency * t + phase) - sin(phase))
+        velocity:      amplitude * angular_frequency * cos(angular_frequency * t + phase)
+
+    The position is continuous at the start; the velocity is too if phase is 90 deg or -90 deg. The center of
+    the oscillation is at -amplitude * sin(phase) from the given position. At the end the wall stops at its
+    position.
+
+    >>> gf.Vibration(direction=[0, 0, 1], amplitude="2 mm", frequency="25 Hz")
+    Vibration(direction=(0.0, 0.0, 1.0), amplitude=0.002, frequency=25.0)
+    """
+
+    number_counts: ClassVar[Mapping[str, int]] = {
+        "direction": 3,
+        "amplitude": 1,
+        "angular_frequency": 1,
+        "phase": 1,
+        "start": 1,
+        "end": 1,
+    }
+
+    kind: Literal["vibration"] = Field("vibration", description="kind of motion")
+    direction: q.Direction = Field(description="direction of the motion; its length does not matter")
+    amplitude: q.UnscaledLength | None = Field(
+        None, description="amplitude, half of the peak-to-peak value [m]"
+    )
+    frequency: q.Frequency | None = Field(None, description="frequency [Hz]")
+    angular_frequency: q.PositiveAngularVelocity | None = Field(None, description="angular frequency [rad/s]")
+    gamma: q.Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
+    phase: q.Angle = Field(
+        0.0,
+        description=(
+            "phase at the start [rad]; 0: the wall starts at full speed from the center of the oscillation"
+        ),
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly two of amplitude, frequency (of either kind) and gamma are given."""
+        yield from super().faults()
+        if self.frequency is not None and self.angular_frequency is not None:
+            yield redundant("angular_frequency", "frequency")
+            return
+        rate = self.frequency if self.frequency is not None else self.angular_frequency
+        given = sum(value is not None for value in (self.amplitude, rate, self.gamma))
+        if given != 2:
+            count = ("none", "one", "two", "all three")[given]
+            yield whole((), f"gives {count} of amplitude, frequency and gamma; give exactly two of them")
+
+    def amplitude_and_angular_frequency(self, gravity: Sequence[float]) -> tuple[float, float]:
+        """Amplitude A [m] and angular frequency w [rad/s], from those given and gamma.
+
+            gamma = A w^2 / |g|
+
+        `gravity` g (3,) [m/s2].
+        """
+        omega = self.angular_frequency
+        if omega is None and self.frequency is not None:
+            omega = 2 * math.pi * self.frequency
+        peak = (self.gamma or 0.0) * math.hypot(*gravity)
+        if omega is None:
+            assert self.amplitude is not None
+            return self.amplitude, math.sqrt(peak / self.amplitude)
+        return (peak / omega**2 if self.amplitude is None else self.amplitude), omega
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        amplitude, omega = self.amplitude_and_angular_frequency(gravity)
+        return {
+            "direction": _unit_vector(self.direction),
+            "amplitude": amplitude,
+            "frequency": None,
+            "angular_frequency": omega,
+            "gamma": None,
+        }
+
+    def displacement_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`; the displacement is continuous at the start."""
+        assert self.amplitude is not None and self.angular_frequency is not None
+        angle = self.angular_frequency * self.elapsed(times) + self.phase
+        displacement = self.amplitude * (np.sin(angle) - np.sin(self.phase))
+        rate = self.amplitude * self.angular_frequency * np.cos(angle) * self.is_running(times)
+        direction = np.asarray(self.direction, dtype=np.float64)
+        return np.outer(displacement, direction), np.outer(rate, direction)
+
+    def top_speed(self, reach: float) -> float:
+        """A w."""
+        assert self.amplitude is not None and self.angular_frequency is not None
+        return abs(self.amplitude * self.angular_frequency)
+
+    @property
+    def period(self) -> float:
+        """2 pi / w [s]; infinite without motion (w = 0 or amplitude 0)."""
+        rate = self.angular_frequency if self.amplitude else 0.0
+        return 2.0 * math.pi / rate if rate else inf
+
+
+class VelocityMotion(TimedMotion):
+    """A velocity [m/s] that is constant, or changes linearly during a ramp at the start."""
+
+    number_counts: ClassVar[Mapping[str, int]] = {
+        "velocity": 3,
+        "start": 1,
+        "end": 1,
+        "initial_velocity": 3,
+        "ramp_duration": 1,
+    }
+
+    velocity: q.VelocityVector = Field(description="velocity [m/s], after the ramp if there is one")
+    ramp_duration: q.PositiveTime | None = optional(
+        "time from the start during which the velocity changes linearly [s]", "no ramp"
+    )
+    initial_velocity: q.VelocityVector | None = optional(
+        "with ramp_duration: velocity at the start [m/s]", "0"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an initial velocity without ramp."""
+        yield from super().faults()
+        yield from self._ramp_faults("velocity", self.ramp_duration)
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        return {
+            "initial_velocity": self.initial_velocity or (0.0, 0.0, 0.0),
+            "ramp_duration": self.ramp_duration or 0.0,
+        }
+
+    @property
+    def velocities(self) -> np.ndarray:
+        """Velocity (3,) [m/s] after the ramp, and at the start: (2, 3)."""
+        return np.array([self.velocity, self.initial_velocity or (0.0, 0.0, 0.0)], dtype=np.float64)
+
+    def _displacement_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Integral (k, 3) [m] of the velocity, and the velocity (k, 3) [m/s] at `times` (k,) [s]."""
+        time_active = self.elapsed(times)
+        velocity, initial = self.velocities
+        change = velocity - initial
+        lag, remaining = ramp(self.ramp_duration or 0.0, time_active)
+        rate = velocity - np.outer(remaining, change)
+        displacement = np.outer(time_active, velocity) - np.outer(lag, change)
+        return displacement, self.is_running(times)[:, None] * rate
+
+    @property
+    def _top_speed(self) -> float:
+        """Largest speed [m/s], at the start or at the end of the ramp."""
+        ends = np.linalg.norm(self.velocities, axis=1)
+        return float(ends.max()) if self.ramp_duration else float(ends[0])
+
+
+class Translation(VelocityMotion):
+    """Motion at a velocity [m/s] that is constant, or changes linearly during a ramp at the start.
+
+    >>> gf.Translation(velocity=[0, 0, "10 cm/s"], start="0.5 s")
+    Translation(start=0.5, velocity=(0.0, 0.0, 0.1))
+    """
+
+    kind: Literal["translation"] = Field("translation", description="kind of motion")
+
+    def displacement_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        return self._displacement_and_rate(times)
+
+    def top_speed(self, reach: float) -> float:
+        """|v|."""
+        return self._top_speed
+
+
+class SurfaceVelocity(VelocityMotion):
+    """Velocity of the surface along itself, as of a conveyor belt: the surface moves, the shape of the wall
+    does not.
+
+    The velocity is given in the frame of the wall and rotates with it. At each contact the component in the
+    contact plane acts, v - (v . n) n: friction drives the particles, and faces across the velocity are at
+    rest.
+
+    >>> gf.SurfaceVelocity(velocity=["1 m/s", 0, 0], ramp_duration="0.2 s").velocity
+    (1.0, 0.0, 0.0)
+    """
+
+    is_belt: ClassVar[bool] = True
+
+    kind: Literal["surface_velocity"] = Field("surface_velocity", description="kind of motion")
+
+    def surface_velocity(self, times: np.ndarray) -> np.ndarray:
+        """See `TimedMotion`."""
+        return self._displacement_and_rate(times)[1]
+
+    @property
+    def surface_speed(self) -> float:
+        """See `TimedMotion`."""
+        return self._top_speed
+
+
+class Rotation(TimedMotion):
+    """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at
+    the start.
+
+    The torque on the wall refers to `point`.
+
+    >>> gf.Rotation(point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm").angular_velocity
+    3.141592653589793
+    """
+
+    number_counts: ClassVar[Mapping[str, int]] = {
+        "point": 3,
+        "axis": 3,
+        "angular_velocity": 1,
+        "start": 1,
+        "end": 1,
+        "initial_angular_velocity": 1,
+        "ramp_duration": 1,
+    }
+
+    kind: Literal["rotation"] = Field("rotation", description="kind of motion")
+    point: q.Point = Field(description="a point on the axis [m]")
+    axis: q.Direction = Field(description="direction of the axis; its length does not matter")
+    angular_velocity: q.AngularVelocity = Field(
+        description="angular velocity [rad/s], such as 30 rpm; after the ramp if there is one"
+    )
+    ramp_duration: q.PositiveTime | None = optional(
+        "time from the start during which the rate changes linearly [s]", "no ramp"
+    )
+    initial_angular_velocity: q.AngularVelocity | None = optional(
+        "with ramp_duration: angular velocity at the start [rad/s]", "0"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an initial angular velocity without ramp."""
+        yield from super().faults()
+        yield from self._ramp_faults("angular_velocity", self.ramp_duration)
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        return {
+            "axis": _unit_vector(self.axis),
+            "initial_angular_velocity": self.initial_angular_velocity or 0.0,
+            "ramp_duration": self.ramp_duration or 0.0,
+        }
+
+    @property
+    def rotates(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def point_and_axis(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        return _point_and_axis(self.point, self.axis)
+
+    def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        time_active = self.elapsed(times)
+        final = self.angular_velocity
+        lag, remaining = ramp(self.ramp_duration or 0.0, time_active)
+        change = final - (self.initial_angular_velocity or 0.0)
+        return final * time_active - change * lag, final - change * remaining
+
+    @property
+    def _top_rate(self) -> float:
+        """Largest magnitude of the angular velocity [rad/s]."""
+        return max(abs(self.angular_velocity), abs(self.initial_angular_velocity or 0.0))
+
+    def top_speed(self, reach: float) -> float:
+        """|angular velocity| reach."""
+        return self._top_rate * reach
+
+    @property
+    def period(self) -> float:
+        """2 pi / w [s] at the largest rate; infinite without motion."""
+        return 2.0 * math.pi / self._top_rate if self._top_rate else inf
+
+
+TABLE_COLUMNS = {
+    "displacements": "length",
+    "velocities": "velocity",
+    "angles": "angle",
+    "angular_velocities": "angular_velocity",
+}
+"""Columns of a table of a motion besides the times, and their dimensions."""
+MOST_ROWS = 10_000
+"""Largest number of rows of a table; the resolved scene contains them."""
+_T = TypeVar("_T")
+_Column = Annotated[tuple[_T, ...], ListOf(some="[0, 0.1, 0.2]")]
+_Displacement = Annotated[float, Number("length")]
+
+
+class TableMotion(TimedMotion):
+    """Motion from a table, a CSV file or lists: times, and displacements, velocities, angles or angular
+    velocities.
+
+    Times count from the start of the motion. Velocities are linear between rows; displacements and angles are
+    interpolated with a continuous velocity and without overshoot (Fritsch & Butland), and count from the
+    first row. The wall is at rest before the first and after the last row.
+
+    >>> times = [0, "10 ms", "20 ms"]
+    >>> gf.TableMotion(direction=[0, 0, 1], times=times, displacements=[0, "1 mm", 0]).displacements
+    (0.0, 0.001, 0.0)
+    """
+
+    kind: Literal["table"] = Field("table", description="kind of motion")
+    file: FileName | None = Field(
+        None,
+        description=(
+            "CSV file with the columns time and displacement, velocity, angle or angular_velocity, such as "
+            "time [ms], displacement [mm]; path relative to the folder of the scene"
+        ),
+    )
+    direction: q.Direction | None = Field(None, description="direction of displacements or velocities")
+    point: q.Point | None = Field(None, description="with angles: a point on the axis [m]")
+    axis: q.Direction | None = Field(None, description="with angles: direction of the axis, right-handed")
+    times: _Column[q.Time] | None = Field(
+        None, description="times [s], ascending; instead of a file, or from it"
+    )
+    displacements: _Column[_Displacement] | None = Field(
+        None, description="displacements along the direction [m]"
+    )
+    velocities: _Column[q.Velocity] | None = Field(None, description="velocities along the direction [m/s]")
+    angles: _Column[q.Angle] | None = Field(None, description="angles about the axis [rad]")
+    angular_velocities: _Column[q.AngularVelocity] | None = Field(
+        None, description="rates about the axis [rad/s]"
+    )
+
+    @property
+    def column(self) -> str | None:
+        """Name of the given column besides the times; None if it is not known yet, or several are given."""
+        given = [name for name in TABLE_COLUMNS if getattr(self, name) is not None]
+        return given[0] if len(given) == 1 else None
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the table contains angles or angular velocities, so that the axis is given."""
+        return self.axis is not None
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the table is complete and a direction, or point and axis, belong to it."""
+        yield from super().faults()
+        if self.file is None and (self.times is None or self.column is None):
+            yield whole((), f"has no table: give file, or times and one of {', '.join(TABLE_COLUMNS)}")
+        elif self.times is not None and self.column is not None:
+            yield from self._row_faults(self.times, getattr(self, self.column))
+        if self.direction is None and (self.point is None or self.axis is None):
+            yield whole((), "has neither direction (translation) nor point and axis (rotation)")
+        elif self.direction is not None and (self.point is not None or self.axis is not None):
+            yield redundant("direction", "point or axis")
+        elif self.column is not None and self.column.startswith("ang") == (self.direction is not None):
+            needed = "direction" if self.direction is None else "point and axis"
+            yield whole((), f"contains {self.column.replace('_', ' ')}, which require {needed}")
+
+    def _row_faults(self, times: tuple[float, ...], values: tuple[float, ...]) -> Iterator[Fault]:
+        if len(times) < 2 or len(times) > MOST_ROWS:
+            yield Fault(("times",), f"a table has 2 to {MOST_ROWS} rows")
+        if len(values) != len(times):
+            yield Fault((str(self.column),), f"{len(times)} values are expected, one for each of the times")
+        for index, (before, after) in enumerate(pairwise(times), start=1):
+            if after <= before:
+                yield Fault(("times", index), f"times must ascend, and the one before is {before:g} s")
+                return
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        if self.direction is not None:
+            return {"direction": _unit_vector(self.direction)}
+        assert self.axis is not None
+        return {"axis": _unit_vector(self.axis)}
+
+    @cached_property
+    def table(self) -> MotionTable:
+        """The rows; the scene is resolved, so that the columns are known."""
+        column = self.column
+        assert column is not None and self.times is not None
+        build = MotionTable.of_rates if "velocit" in column else MotionTable.of_values
+        return build(self.times, getattr(self, column))
+
+    def displacement_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        if self.rotates:
+            return super().displacement_and_rate(times)
+        direction = np.asarray(self.direction, dtype=np.float64)
+        displacement, rate = self.table.at(self.elapsed(times))
+        return np.outer(displacement, direction), np.outer(rate * self.is_running(times), direction)
+
+    @property
+    def point_and_axis(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        assert self.point is not None and self.axis is not None
+        return _point_and_axis(self.point, self.axis)
+
+    def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        return self.table.at(self.elapsed(times))
+
+    def top_speed(self, reach: float) -> float:
+        """Largest rate of the table, times `reach` if it contains angles."""
+        return self.table.largest_rate * (reach if self.rotates else 1.0)
+
+    @property
+    def shortest_row(self) -> float:
+        """See `TimedMotion`."""
+        return self.table.shortest_step
+
+    def description(self) -> tuple[str, str] | None:
+        """Last value; number of rows, duration, and largest velocity and acceleration."""
+        table = self.table
+        length = "rad" if self.rotates else "m"
+        rows = f"{len(table.times)} rows from {table.times[0]:g} to {table.times[-1]:g} s"
+        largest = (
+            f"at most {table.largest_rate:.3g} {length}/s and {table.largest_change_of_rate:.3g} {length}/s2"
+        )
+        return f"{table.values[-1]:.4g} {length} at the end", f"{rows}, {largest}"
+
+
+class Servo(TimedMotion):
+    """A servo wall: its velocity follows the difference between prescribed and measured force.
+
+        v = gain (F - f),      |v| <= velocity_max
+
+    F: prescribed force, f: force of the wall on the particles [N], both along `direction`. Gravity does not
+    act on it.
+
+    >>> gf.Servo(direction=[0, 0, -1], pressure="2 kPa", velocity_max="1 m/s").pressure
+    2000.0
+    """
+
+    force_controlled: ClassVar[bool] = True
+
+    kind: Literal["servo"] = Field("servo", description="kind of motion")
+    direction: q.Direction = Field(
+        description="direction of the force on the particles; its length does not matter"
+    )
+    force: q.PositiveForce | None = Field(None, description="prescribed force on the particles [N]")
+    pressure: q.Pressure | None = Field(
+        None, description="prescribed pressure, force over the area of the wall [Pa]; instead of force"
+    )
+    velocity_max: q.Speed = Field(description="largest speed of the wall [m/s]")
+    gain: q.Positive | None = optional(
+        "velocity over force difference [m/(s N)]", "from stiffness and time step"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one of force and pressure is given."""
+        yield from super().faults()
+        if self.force is None and self.pressure is None:
+            yield whole((), "has no prescribed force: give force or pressure")
+        elif self.force is not None and self.pressure is not None:
+            yield redundant("pressure", "force")
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        return {"direction": _unit_vector(self.direction)}
+
+    def controlled_speed(self, gravity: Sequence[float], distance: float) -> float:
+        """`velocity_max`."""
+        return self.velocity_max
+
+
+class FreeWall(TimedMotion):
+    """A free wall: a rigid body that contact forces, gravity and a given force move along one direction.
+
+        M dv/dt = f + M g + force - damping v
+
+    f: force of the particles on the wall [N], g: gravity [m/s2], both along `direction`. The wall starts at
+    rest.
+
+    >>> gf.FreeWall(direction=[0, 0, 1], mass="200 g").mass
+    0.2
+    """
+
+    force_controlled: ClassVar[bool] = True
+
+    kind: Literal["free"] = Field("free", description="kind of motion")
+    direction: q.Direction = Field(description="direction of the motion; its length does not matter")
+    mass: q.Mass = Field(description="mass of the wall [kg]")
+    force: q.Force = Field(0.0, description="additional force along the direction [N]")
+    damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        return {"direction": _unit_vector(self.direction)}
+
+    def controlled_speed(self, gravity: Sequence[float], distance: float) -> float:
+        """Speed of a free fall by the distance, with the given force."""
+        acceleration = abs(float(np.dot(gravity, self.direction))) + abs(self.force) / self.mass
+        return float(np.sqrt(2.0 * acceleration * distance))
+
+
+MotionSpec = Annotated[
+    Vibration | Translation | Rotation | TableMotion | SurfaceVelocity | Servo | FreeWall,
+    choose_by_key("kind"),
+]
+"""Any kind of motion; the key `kind` selects it."""
+
+AssignableMotion = Rotation | Translation | Vibration | SurfaceVelocity
+"""Kinds of motion that a program can assign to a wall; checkpoints contain them."""
+
+
+class Placement(TimedMotion):
+    """Pose that earlier motions have reached: p at rest is now at `rotation @ p + translation`.
+
+    It is the first motion of a wall to which a program has assigned motions, and no part of a scene.
+
+    rotation:     rows of the matrix
+    translation:  [m]
+    pivot:        [m], point of the wall at rest that a later rotation does not define
+    """
+
+    number_counts: ClassVar[Mapping[str, int]] = {
+        "rotation": 9,
+        "translation": 3,
+        "pivot": 3,
+        "start": 1,
+        "end": 1,
+    }
+
+    kind: Literal["placement"] = "placement"
+    rotation: tuple[tuple[float, ...], ...]
+    translation: tuple[float, ...]
+    pivot: tuple[float, ...]
+
+
+MOTIONS: Mapping[str, type[TimedMotion]] = {
+    kind.__name__: kind for kind in (*get_args(AssignableMotion), Placement)
+}
+"""Kinds of motion that checkpoints contain, by name."""
+
+
+def _unit_vector(given: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in unit(given))
+    return x, y, z
+
+
+def _point_and_axis(point: Sequence[float], axis: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    return np.asarray(point, dtype=np.float64), np.asarray(axis, dtype=np.float64)
+
+
+# The pose of a wall with several motions: at most one is a rotation, and the first can be a placement.
+
+
+def pose(motions: Sequence[TimedMotion], times: np.ndarray) -> Poses:
+    """Pose of a wall at `times` (k,) [s], or at one time; the rest pose without motions.
+
+    Force-controlled motions are ignored: the device integrates them. After a placement, the points of all
+    motions are those of the placed wall. Raises ValueError for two rotations.
+    """
+    if motions and isinstance(motions[0], Placement):
+        return _placed(motions[0], pose(motions[1:], times), single_rotation(motions) is not None)
+    times = np.atleast_1d(np.asarray(times, dtype=np.float64))
+    offset, velocity, surface_velocity = np.zeros((3, len(times), 3))
+    for motion in motions:
+        displacement, rate = motion.displacement_and_rate(times)
+        offset += displacement
+        velocity += rate
+        surface_velocity += motion.surface_velocity(times)
+    rotation, angular_velocity, pivot = _rotation_of(single_rotation(motions), times)
+    turned = np.einsum("kij,kj->ki", rotation, surface_velocity)
+    return Poses(offset, rotation, velocity, angular_velocity, pivot, turned)
+
+
+def _placed(placement: Placement, later: Poses, is_rotating: bool) -> Poses:
+    """Poses of a placed wall that moves on.
+
+        x = R (R0 p + t0 - q) + q + d,    pivot = R0^T (q - t0)
+
+    later:        poses R, d of the motions after the placement, with their pivot q
+    is_rotating:  the motions contain a rotation about q; without it, the pivot of the placement remains
+    """
+    rotation = np.array(placement.rotation)
+    translation = np.array(placement.translation)
+    pivot = rotation.T @ (later.pivot - translation) if is_rotating else np.array(placement.pivot)
+    center = later.pivot if is_rotating else rotation @ pivot + translation
+    turned = later.rotation @ rotation
+    offset = later.offset + center - pivot
+    return replace(later, offset=offset, rotation=turned, pivot=pivot)
+
+
+def _rotation_of(motion: TimedMotion | None, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s], pivot (3,) [m] at `times` (k,)."""
+    if motion is None:
+        return np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy(), np.zeros((len(times), 3)), np.zeros(3)
+    point, axis = motion.point_and_axis
+    angle, rate = motion.angle_and_rate(times)
+    return rotation_matrices(axis, angle), np.outer(rate * motion.is_running(times), axis), point
+
+
+def placement_at(motions: Sequence[TimedMotion], time: float) -> Placement:
+    """The pose of a wall with these motions at `time` [s], at which they end."""
+    reached = pose(motions, np.array([time]))
+    rotation = reached.rotation[0]
+    pivot = reached.pivot
+    translation = reached.offset[0] + pivot - rotation @ pivot
+    return Placement.model_construct(
+        rotation=tuple(tuple(map(float, row)) for row in rotation),
+        translation=tuple(map(float, translation)),
+        pivot=tuple(map(float, pivot)),
+        start=0.0,
+        end=inf,
+    )
+
+
+def single_rotation(motions: Sequence[TimedMotion]) -> TimedMotion | None:
+    """The rotation among the motions, or None. Raises ValueError for more than one."""
+    rotations = [motion for motion in motions if motion.rotates]
+    if len(rotations) > 1:
+        raise ValueError("A wall can have at most one rotation.")
+    return rotations[0] if rotations else None
+
+
+def speed_bound(motions: Sequence[TimedMotion], reach: float) -> float:
+    """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
+
+    `reach` [m]: largest distance from the axis of a rotation of geometry that moves (`catalog.reach_about`).
+    Force-controlled motions and surface velocities are ignored.
+    """
+    bound = 0.0
+    for motion in motions:
+        bound += motion.top_speed(reach)
+    return bound
