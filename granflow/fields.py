@@ -88,7 +88,7 @@ def _always(features: Any) -> bool:
 
 @dataclass(frozen=True)
 class FieldSpec(Quantity):
-    """Definition of one property of the particles, a scalar or a vector.
+    """Definition of one property of the particles: a scalar, a vector, or a quaternion.
 
     Allocation, sorting, insertion, checkpoints and their validation, snapshots, VTU files and the memory
     estimate are derived from it.

@@ -24,6 +24,8 @@ To write a model:
     A function that changes the history copies it, changes the copy and returns it. A function that is
     evaluated for many contacts at once has no `if` on a value of the contact, but `ti.select`.
 5.  Write `reference` in numpy, from the publication and not from the device function: the tests compare them.
+    Two names of options have a meaning for others: `damping` of a surface model is a multiple of the dashpot
+    of the normal model, and `stiffness` of a tangential model is the spring that limits the time step.
 6.  For a normal model, give the closed forms of a binary collision, from which the time step follows.
 7.  Register the record: in `granflow.contact.registry`, or from a program with
     `granflow.register_contact_model`.

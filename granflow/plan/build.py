@@ -82,6 +82,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
 
 def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     """The plan of a scene, without forecasts. Raises the errors of `plan_for`."""
+    # What is there: walls, particles, and how fast they meet.
     materials = _used_materials(scene)
     walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})
     impact_velocity = max_impact_velocity(scene)
@@ -91,6 +92,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     radius_min = 0.5 * min(group.diameters[0] for group in groups)
     radius_max = 0.5 * max(group.diameters[1] for group in groups)
 
+    # Contact laws of all pairs, from which the switches of the kernels follow.
     models = active_models(scene)
     solids = {name: solid(given) for name, given in scene.materials.items()}
     pairs = pair_materials(scene, models, solids)
@@ -103,6 +105,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     refuse_coarse(scene, radius_min)
     refuse_coarse_liquid(scene, features.liquid_transfer)
 
+    # The time step of the stiffest possible contact, and what moves in one step.
     pair_cases = pair_cases_of(scene, groups, solids, pairs)
     adhesion = adhesion_velocity(laws, pair_cases)
     step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)

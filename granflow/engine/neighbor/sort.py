@@ -567,7 +567,7 @@ def sort_phases(state: State) -> list[Phase]:
     """Order of the particles by cell, by id within a cell; deleted particles come last, in any order.
 
     Reads:   position, id
-    Writes:  cell_start, order
+    Writes:  cell_start, order, block_sum; coordination_number, as memory for the cell of each particle
     """
     particles = state.particles
     sorting = state.cell_sort

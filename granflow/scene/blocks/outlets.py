@@ -175,6 +175,11 @@ class DiscOutlet(OutletRegion):
         across = np.linalg.norm(from_point - along[:, None] * normal, axis=1)
         return np.asarray(np.minimum(along, self.disc.radius - across))
 
+    @property
+    def thickness(self) -> float:
+        """Diameter [m]."""
+        return 2.0 * self.disc.radius
+
 
 Outlet = Annotated[
     BoxOutlet | HalfSpaceOutlet | DiscOutlet,
