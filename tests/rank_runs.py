@@ -64,7 +64,7 @@ def main(name, path, kind):
     else:
         serve(
             communicator,
-            lambda: engine(plan_for(scene), start("cpu", scene.run.precision, threads), communicator, scene),
+            lambda: engine(plan_for(scene), start("cpu", scene.run.precision, threads), communicator),
         )
 
 
@@ -73,10 +73,10 @@ def faulty_engine(kind):
     ranks."""
 
     class FaultyEngine(RankEngine):
-        def __init__(self, plan, backend, communicator, scene):
+        def __init__(self, plan, backend, communicator):
             if kind == "failing_start" and not communicator.is_root:
                 raise ArithmeticError(FAULT.format(time.time()))
-            super().__init__(plan, backend, communicator, scene)
+            super().__init__(plan, backend, communicator)
 
         def advance(self, steps):
             with self.communicator.commanding("advance", (steps,)):

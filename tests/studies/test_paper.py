@@ -7,21 +7,7 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
 from granflow.studies.bench import collide
-from granflow.studies.paper import (
-    comparison,
-)
-from granflow.studies.paper import (
-    figures as accuracy,
-)
-from granflow.studies.paper import (
-    figures as loops,
-)
-from granflow.studies.paper import (
-    figures as residual,
-)
-from granflow.studies.paper import (
-    figures as velocity,
-)
+from granflow.studies.paper import figures, report
 from granflow.studies.paper.figures import PAPER_CASES, small_soft_case, thornton_restitution
 
 RESTITUTIONS = np.array([0.1, 0.2, 0.5, 0.7, 0.9, 1.0])
@@ -70,22 +56,22 @@ def hertz_numbers(case):
 
 
 def test_residual_overlap_and_duration_match_figure_1_and_the_table(taichi_f64):
-    outcomes = residual.residual_run(RESTITUTIONS)
+    outcomes = figures.residual_run(RESTITUTIONS)
     exact = np.array([1.0 - root_of_equation_8(e) for e in RESTITUTIONS])
     assert outcomes.overlap_residual / outcomes.overlap_max == pytest.approx(exact, abs=2e-5)
     assert outcomes.restitution == pytest.approx(RESTITUTIONS, rel=1e-3)
     scales = [solved(e, 1.0, 1.0, 1.0)[0] / 1.25**0.4 for e in RESTITUTIONS]
-    k, mass = hertz_numbers(residual.CASE)
+    k, mass = hertz_numbers(figures.CASE)
     time_scale = (1.25 * mass / k) ** 0.4
-    diameters = residual.CASE.durations(np.ones(1), np.ones(1))[0] / (np.array(scales) * time_scale)
+    diameters = figures.CASE.durations(np.ones(1), np.ones(1))[0] / (np.array(scales) * time_scale)
     assert outcomes.duration == pytest.approx(diameters * scales * time_scale, rel=5e-3)
-    figure_data = residual.residual_figure(outcomes, RESTITUTIONS)
+    figure_data = figures.residual_figure(outcomes, RESTITUTIONS)
     assert figure_data.columns["duration_over_ts_theory"] == pytest.approx(scales, rel=1e-6)
     assert all(deviation.is_within_target for deviation in figure_data.deviations)
 
 
 def test_error_of_the_closed_form_is_within_the_bound_of_figure_2():
-    figure_data = residual.error_figure(np.linspace(0.0, 0.999, 300))
+    figure_data = figures.error_figure(np.linspace(0.0, 0.999, 300))
     exact = np.array([1.0 - root_of_equation_8(e) for e in figure_data.columns["restitution"]])
     e = figure_data.columns["restitution"]
     c = 0.8**2.5
@@ -96,7 +82,7 @@ def test_error_of_the_closed_form_is_within_the_bound_of_figure_2():
 
 def test_restitution_duration_and_spring_match_figures_3_to_5(taichi_f64):
     """e(v), T(v) and the spring of Eq. 19 on both steels, at 200 steps for the shortest collision."""
-    columns = velocity.velocity_columns(velocity.velocity_run(SPEEDS), SPEEDS)
+    columns = figures.velocity_columns(figures.velocity_run(SPEEDS), SPEEDS)
     constants = (3.0432, 0.540, 0.310e9, 8030.0), (0.1418, 0.3114, 2.03e9, 7830.0)
     for case, (sigma, psi, strength, density) in zip(PAPER_CASES, constants, strict=True):
         of_case = columns["material"] == case.name
@@ -110,18 +96,18 @@ def test_restitution_duration_and_spring_match_figures_3_to_5(taichi_f64):
         assert columns["duration_theory"][of_case] == pytest.approx(durations, rel=1e-7)
         springs = mass * SPEEDS**2 / largest**2  # the whole kinetic energy is stored at dmax
         assert columns["spring_simulated"][of_case] == pytest.approx(springs, rel=1e-3)
-    figures = velocity.restitution_figure(columns), velocity.duration_figure(columns)
-    assert all(deviation.is_within_target for figure_data in figures for deviation in figure_data.deviations)
+    drawn = figures.restitution_figure(columns), figures.duration_figure(columns)
+    assert all(deviation.is_within_target for figure_data in drawn for deviation in figure_data.deviations)
 
 
 def test_spring_of_a_small_soft_particle_matches_the_papers_estimate(taichi_f64):
     """R 1e-4 m, E 1e8 Pa, 1e3 kg/m3, 1 to 10 m/s: of the order of 1e3 N/m."""
     speeds = np.array([1.0, 10.0])
-    outcomes = velocity.estimate_run(speeds)
+    outcomes = figures.estimate_run(speeds)
     k, mass = hertz_numbers(small_soft_case())
     largest = (1.25 * mass * speeds**2 / k) ** 0.4
-    assert velocity.spring_of(outcomes) == pytest.approx(mass * speeds**2 / largest**2, rel=1e-3)
-    assert np.all(np.abs(np.log10(velocity.spring_of(outcomes)) - 3.0) < 0.5)
+    assert figures.spring_of(outcomes) == pytest.approx(mass * speeds**2 / largest**2, rel=1e-3)
+    assert np.all(np.abs(np.log10(figures.spring_of(outcomes)) - 3.0) < 0.5)
 
 
 def rounding_of_forces(case, diameter):
@@ -133,11 +119,13 @@ def rounding_of_forces(case, diameter):
 
 
 def test_force_overlap_loops_match_equation_4(taichi_f64):
-    outcomes = loops.loop_run()
-    figure_data = loops.loop_figure(outcomes)
+    outcomes = figures.loop_run()
+    figure_data = figures.loop_figure(outcomes)
     duration = 200 * outcomes.time_step  # of each collision; those of e = 0 have the largest spheres
-    rounding = rounding_of_forces(loops.CASE, loops.CASE.diameter_lasting(duration, 0.0, loops.VELOCITY))
-    for index, e in enumerate(loops.LOOP_RESTITUTIONS):
+    rounding = rounding_of_forces(
+        figures.CASE, figures.CASE.diameter_lasting(duration, 0.0, figures.VELOCITY)
+    )
+    for index, e in enumerate(figures.LOOP_RESTITUTIONS):
         of_case = figure_data.columns["restitution"] == e
         share = figure_data.columns["overlap_over_max"][of_case]
         force = figure_data.columns["force_over_max"][of_case]
@@ -159,9 +147,9 @@ def test_force_overlap_loops_match_equation_4(taichi_f64):
 
 
 def test_accuracy_at_200_steps_is_within_its_target(taichi_f64, monkeypatch):
-    monkeypatch.setattr(accuracy, "ACCURACY_RESTITUTIONS", np.array([0.1, 0.4, 1.0]))
-    monkeypatch.setattr(accuracy, "PHASES", 4)
-    figure_data = accuracy.accuracy_figure(*accuracy.accuracy_run())
+    monkeypatch.setattr(figures, "ACCURACY_RESTITUTIONS", np.array([0.1, 0.4, 1.0]))
+    monkeypatch.setattr(figures, "PHASES", 4)
+    figure_data = figures.accuracy_figure(*figures.accuracy_run())
     assert all(deviation.is_within_target for deviation in figure_data.deviations)
     at_steps = {int(steps): figure_data.columns["duration_deviation"][figure_data.columns["steps_per_contact"] == steps]
           for steps in (50, 400)}  # fmt: skip
@@ -197,7 +185,7 @@ def test_thornton_restitution_follows_from_the_energies(ratio):
 def test_every_contact_model_reaches_the_restitution_of_equation_12(taichi_f64):
     """At the reference velocity every contact model of the catalog has the restitution of Eq. 12 for both
     steels."""
-    found = comparison.compare(np.array([comparison.REFERENCE_VELOCITY]))
+    found = report.compare(np.array([report.REFERENCE_VELOCITY]))
     assert not found.refused
     wanted = [np.exp(-3.0432 / (np.sqrt(0.93e9 / 8030.0) - 1.0) ** 0.54),
               np.exp(-0.1418 / (np.sqrt(6.09e9 / 7830.0) - 1.0) ** 0.3114)]  # fmt: skip
