@@ -105,7 +105,7 @@ def test_unwritable_output_directory_is_rejected(home):
             subprocess.run(["umount", str(read_only)], check=True)
     assert process.returncode == 2, process.stderr
     assert messages(process) == [
-        f"granflow: closed/run: {'Read-only file system' if root else 'Permission denied'}."
+        f"granflow: {read_only / 'run'}: {'Read-only file system' if root else 'Permission denied'}."
     ]
 
 
