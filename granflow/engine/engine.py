@@ -112,7 +112,7 @@ class Engine:
         self.steps_since_update = 0
         self._gravity = np.array(plan.scene.gravity)
         self._walls_changed = False
-        self._stage = plan.scene.schedule[0].name
+        self._stage = plan.stages[0].name
         self._walls_appeared = list[str]()
         self._stopping_change: WallChange | None = None
         self._velocities_lag = False

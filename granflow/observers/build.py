@@ -46,7 +46,7 @@ def observers_for(
     """
     output = plan.scene.output
     observers: list[Observer] = []
-    has_conditions = any(stage.until for stage in plan.scene.schedule)
+    has_conditions = any(stage.until for stage in plan.stages)
     if (
         out_dir is not None
         or output.flow_meters
@@ -94,7 +94,7 @@ def observers_for(
     if out_dir is not None and output.collision_energies is not None:
         observers.append(CollisionEnergies(out_dir, output.interval, plan.collision_edges))
     if progress:
-        observers.append(ProgressDisplay([(stage.name, stage.longest) for stage in plan.scene.schedule]))
+        observers.append(ProgressDisplay([(stage.name, stage.longest) for stage in plan.stages]))
     return observers
 
 

@@ -259,14 +259,14 @@ def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
     `allow_long` allows an excessive run time.
     """
     _refuse_no_step(plan)
-    steps = duration_of(plan) / plan.time_step
+    steps = plan.scene.longest_duration / plan.time_step
     if steps > CLOCK_STEPS:
         raise SceneError(
             f"{_steps_text(plan, steps)}, more than the {CLOCK_STEPS:.2g} that time in f64 resolves."
         )
     seconds = least_run_time(plan)
     if seconds > LONGEST and not allow_long:
-        steps = duration_of(plan) / plan.longest_time_step
+        steps = plan.scene.longest_duration / plan.longest_time_step
         years = f"{seconds / YEAR:.3g}"
         raise SceneError(
             f"{_steps_text(plan, steps)}. With a particle count of {plan.particle_capacity} and "
@@ -279,7 +279,7 @@ def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
 def _refuse_no_step(plan: Plan) -> None:
     """Raise SceneError for the first stage that is shorter than one time step."""
     step = plan.time_step
-    for stage in plan.scene.schedule:
+    for stage in plan.stages:
         if stage.longest < step * (1.0 - ROUNDING):
             enough = float(f"{1.05 * step:.2g}")  # two digits, and not below the step
             key, where = plan.scene.end_of_stage(stage.name)
@@ -297,7 +297,7 @@ def least_run_time(plan: Plan) -> float:
 
     N: steps of the longest possible duration, P: particles, W: frames, rows and checkpoints.
     """
-    steps = duration_of(plan) / plan.longest_time_step
+    steps = plan.scene.longest_duration / plan.longest_time_step
     of_steps = steps / MAX_STEPS_PER_SECOND
     of_particles = steps * plan.particle_capacity / MAX_PARTICLE_STEPS_PER_SECOND
     return max(of_steps, of_particles) + _writes(plan) / WRITES_PER_SECOND
@@ -308,20 +308,15 @@ def typical_run_time(plan: Plan) -> float:
 
     The number of particles or the number of steps determines it, whichever takes longer.
     """
-    steps = ceil(duration_of(plan) / plan.time_step)
+    steps = ceil(plan.scene.longest_duration / plan.time_step)
     of_particles = steps * plan.particle_capacity / TYPICAL_PARTICLE_STEPS_PER_SECOND
     return max(of_particles, steps / TYPICAL_STEPS_PER_SECOND)
-
-
-def duration_of(plan: Plan) -> float:
-    """Longest simulated time [s] of all stages."""
-    return plan.scene.longest_duration
 
 
 def _writes(plan: Plan) -> float:
     """Number of frames, rows and checkpoints at intervals of simulated time: at most one of each per step."""
     output = plan.scene.output
-    duration = duration_of(plan)
+    duration = plan.scene.longest_duration
     intervals = (output.interval, output.timeseries_interval, output.checkpoint.interval)
     steps = duration / plan.longest_time_step
     return sum(min(duration / interval, steps) for interval in intervals if interval is not None)
@@ -337,6 +332,6 @@ def _steps_text(plan: Plan, steps: float) -> str:
     else:
         where = scene.locate("run", "duration")
     return (
-        f"{where}: {duration_of(plan):.3g} s in time steps of {plan.time_step:.3g} s "
+        f"{where}: {plan.scene.longest_duration:.3g} s in time steps of {plan.time_step:.3g} s "
         f"({plan.step.limited_by}) are {float(ceil(steps)):.3g} steps"
     )

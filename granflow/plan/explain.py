@@ -20,7 +20,6 @@ from granflow.particles.group import SceneGroup
 from granflow.plan.cost import (
     TYPICAL_PARTICLE_STEPS_PER_SECOND,
     MemoryEstimate,
-    duration_of,
     estimate_memory,
     typical_run_time,
 )
@@ -236,14 +235,14 @@ def _history_text(plan: Plan) -> str:
 
 def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of precision, simulated time, numbers of steps and frames, and the estimated run time on a CPU."""
-    longest = duration_of(plan)
+    longest = plan.scene.longest_duration
     steps = ceil(longest / plan.time_step)
     prefix = ""
     stages_at_most = ""
-    if any(stage.has_condition for stage in plan.scene.schedule):
+    if any(stage.has_condition for stage in plan.stages):
         prefix = "at most "
         stages_at_most = ", if every stage reaches its maximum duration"
-    stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.scene.schedule)
+    stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.stages)
     yield ExplainRow("precision", plan.scene.run.precision, "")
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
     yield ExplainRow("steps", f"{prefix}{count(steps)}", "")

@@ -83,7 +83,7 @@ def _overlap_forecasts(plan: Plan) -> Iterator[Forecast]:
 def _warnings(plan: Plan, overlaps: Sequence[Forecast]) -> Iterator[str]:
     """The sentences on probable mistakes; `overlaps`: those to expect."""
     scene = plan.scene
-    times = nominal_times(plan.scene.schedule)
+    times = nominal_times(plan.stages)
     static = max((each.overlap for each in overlaps if each.cause != "impact"), default=0.0)
     impact = max((each.overlap for each in overlaps if each.cause == "impact"), default=0.0)
     yield from file_warnings(scene.particles, static, impact)

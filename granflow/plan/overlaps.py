@@ -818,7 +818,7 @@ def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
 
     Groups in regions are compared with walls by `region_warnings`.
     """
-    times = nominal_times(plan.scene.schedule)
+    times = nominal_times(plan.stages)
     for number, (name, group) in enumerate(plan.scene.particles.items()):
         own = np.flatnonzero(particles.group == number)
         if group.fixed or not len(own) or region_of(group) is not None:

@@ -53,6 +53,7 @@ from granflow.plan.time_step import (
 )
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import MeshNote, PlannedWall
+from granflow.scene.blocks.run import Stage
 
 # Forces on particles that a program adds with device functions.
 
@@ -196,6 +197,11 @@ class Plan:
     run."""
     has_ghosts: bool = False
     """Whether neighbor lists contain ghosts: those of one of several MPI ranks, see `build.rank_plan`."""
+
+    @cached_property
+    def stages(self) -> tuple[Stage, ...]:
+        """`scene.schedule`, made once: the time loop reads it at each launch."""
+        return self.scene.schedule
 
     @property
     def time_step(self) -> float:

@@ -102,7 +102,7 @@ class RunState:
         The observers receive the initial state when the run begins, until which `is_unobserved` is True.
         """
         if not self.progress.stage_times:
-            self.begin_stage(self.engine.plan.scene.schedule[0])
+            self.begin_stage(self.engine.plan.stages[0])
             self.is_unobserved = True
 
     def begin_stage(self, stage: Stage) -> None:
@@ -169,9 +169,7 @@ class RunState:
         counts = {group.name: group.count for group in engine.plan.groups}
         check_streams(checkpoint, self.insertion.state_dict(), counts)
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
-        progress.load_state_dict(
-            saved["stage_progress"], engine.plan.scene.schedule, reopened, change.keeps_course
-        )
+        progress.load_state_dict(saved["stage_progress"], engine.plan.stages, reopened, change.keeps_course)
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
         restore_state(engine, saved["engine"], motions, rank_files_of(checkpoint))
         engine.set_stage(progress.stage)

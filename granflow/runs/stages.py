@@ -299,7 +299,7 @@ class StageProgress:
     @classmethod
     def of(cls, plan: Plan) -> "StageProgress":
         """Return the progress before the first step."""
-        return cls(plan.scene.schedule[0].name, wall_change_times(plan.walls))
+        return cls(plan.stages[0].name, wall_change_times(plan.walls))
 
     def begin(self, stage: Stage, time: float) -> None:
         """Begin a stage at `time` [s]."""

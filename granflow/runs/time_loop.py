@@ -60,13 +60,13 @@ class TimeLoop:
     @property
     def stages_ended(self) -> bool:
         """Whether the last stage has ended."""
-        return self.state.progress.has_ended(self.engine.plan.scene.schedule[-1].name)
+        return self.state.progress.has_ended(self.engine.plan.stages[-1].name)
 
     @property
     def _stage(self) -> Stage:
         """The present stage."""
         name = self.state.progress.stage
-        return next(stage for stage in self.engine.plan.scene.schedule if stage.name == name)
+        return next(stage for stage in self.engine.plan.stages if stage.name == name)
 
     def run(self, end: float, within_stages: bool = False) -> None:
         """Run the stages that have not ended, to their ends or to `end` [s].
@@ -79,7 +79,7 @@ class TimeLoop:
         """
         progress = self.state.progress
         self._begin_run()
-        for stage in self.engine.plan.scene.schedule:
+        for stage in self.engine.plan.stages:
             if progress.has_ended(stage.name):
                 continue
             if self.engine.time < end:
@@ -207,7 +207,7 @@ class TimeLoop:
             return
         if self.state.is_unobserved:  # begun by a snapshot; Python may have changed the state since
             self.prepare()
-        self._begin_stage(self.engine.plan.scene.schedule[0])
+        self._begin_stage(self.engine.plan.stages[0])
         self.state.is_unobserved = False
         try:
             self.notify_all(frozenset())
