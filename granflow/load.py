@@ -24,9 +24,9 @@ from granflow.scene.blocks.particles import FileInsertion, Group
 from granflow.scene.blocks.run import Precision
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.walls import MeshWall, Wall
-from granflow.scene.document import DocumentError, document_of, parse
-from granflow.scene.model import Model
 from granflow.scene.reader import document_in, scene_in
+from granflow.schema.document import DocumentError, document_of, parse
+from granflow.schema.model import Model
 from granflow.visible_text import html_table, numbered, visible_line
 
 # The resolved scene

@@ -22,7 +22,7 @@ SUFFIXES = (".py", ".md", ".html", ".yaml", ".yml", ".toml")
 ANY = "*"
 ALLOWED = {
     "CHANGELOG.md": (ANY,),  # names renamed keys
-    "granflow/scene/messages.py": (ANY,),  # table of renamed keys
+    "granflow/schema/messages.py": (ANY,),  # table of renamed keys
     "granflow/particles/file.py": ("grain", "grains"),  # column names of other programs
     "tests/scene/test_suggest.py": (ANY,),  # renamed keys as input
     "tests/tools/test_banned_words.py": (ANY,),  # banned words as input

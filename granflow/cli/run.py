@@ -650,7 +650,7 @@ VERBS = {"sweeps": "sweep", "calibration": "calibrate"}
 def examples(options: argparse.Namespace) -> int:
     """`granflow examples`: list the names and titles of the shipped scenes, sweeps and calibrations."""
     from granflow.io.files import example_paths
-    from granflow.scene.document import parse
+    from granflow.schema.document import parse
 
     paths = example_paths()
     width = max(map(len, paths))
@@ -726,7 +726,7 @@ def example_path(name: str) -> Path:
     Raises GranflowError for an unknown name.
     """
     from granflow.io.files import example_paths
-    from granflow.scene.messages import suggestion_or_list
+    from granflow.schema.messages import suggestion_or_list
 
     paths = example_paths()
     known = name.removesuffix(".yaml")

@@ -22,7 +22,7 @@ from granflow.particles.group import ParticleData, SceneGroup
 from granflow.plan.plan import Plan
 from granflow.runs.run_state import RunState
 from granflow.scene.checks import pair_name, possible_contacts
-from granflow.scene.messages import suggestion_sentence
+from granflow.schema.messages import suggestion_sentence
 
 # Arrays of properties
 

@@ -21,10 +21,10 @@ from granflow.particles.group import SceneGroup, groups_of
 from granflow.particles.sampling import count_for_volume
 from granflow.scene.blocks.motions import MOST_ROWS, TABLE_COLUMNS, TableMotion
 from granflow.scene.blocks.particles import FileInsertion, FileSummary, Group, InletInsertion, RainInsertion
-from granflow.scene.blocks.quantities import LARGEST_COUNT, Number
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.messages import nearest
-from granflow.scene.model import Model
+from granflow.schema.messages import nearest
+from granflow.schema.model import Model
+from granflow.schema.quantities import LARGEST_COUNT, Number
 
 ROUNDING_SHARE = 1e-9
 """Tolerance for rounding at the end of an insertion, as a fraction of one particle."""

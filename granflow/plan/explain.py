@@ -28,8 +28,8 @@ from granflow.plan.plan import Plan
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
 from granflow.scene.blocks.contact import LawSettings
-from granflow.scene.blocks.quantities import unit_of
 from granflow.scene.blocks.run import Stage
+from granflow.schema.quantities import unit_of
 
 WIDTH = 100
 """Width of the text in columns."""

@@ -27,8 +27,8 @@ from granflow.load import Scene
 from granflow.plan.stages import StageTimes, always
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.motions import TimedMotion, single_rotation, speed_bound
-from granflow.scene.blocks.quantities import Vector3
 from granflow.scene.blocks.walls import AnyWall, Cone, Cylinder, Disc, MeshWall, Plane, Rectangle, Wall
+from granflow.schema.quantities import Vector3
 
 
 @dataclass(frozen=True)

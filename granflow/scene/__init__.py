@@ -1,6 +1,6 @@
-"""Scene files: reading, validation and messages.
+"""Scene files: the blocks, their reading and checks.
 
-`blocks` is the schema, one module per block of a scene file; `blocks.scene.SceneInput` is a whole scene as
-written. `document` reads YAML with positions, `reader` makes a `SceneInput` of it, `checks` finds
-contradictions between the blocks, `messages` and `suggest` say what is wrong, `reference` explains the keys.
+`blocks` has one module per block of a scene file; `blocks.scene.SceneInput` is a whole scene as written.
+`reader` makes a `SceneInput` of a file, `checks` finds contradictions between the blocks, `reference`
+explains the keys. The language that the blocks are written in is `granflow.schema`.
 """

@@ -42,15 +42,15 @@ from granflow.scene.blocks.particles import (
     RectangleFace,
     TimedInsertion,
 )
-from granflow.scene.blocks.quantities import Vector3
 from granflow.scene.blocks.run import Damping
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.shapes import Box
 from granflow.scene.blocks.walls import FACES, Plane, Wall
-from granflow.scene.document import Document, Problem
-from granflow.scene.faults import Fault, KeyPath, missing, whole
-from granflow.scene.messages import nearest, problem_at, suggestion_or_list, unknown, unknown_names
-from granflow.scene.model import faults_of
+from granflow.schema.document import Document, Problem
+from granflow.schema.faults import Fault, KeyPath, missing, whole
+from granflow.schema.messages import nearest, problem_at, suggestion_or_list, unknown, unknown_names
+from granflow.schema.model import faults_of
+from granflow.schema.quantities import Vector3
 from granflow.visible_text import alternatives
 
 

@@ -19,7 +19,7 @@ from granflow.errors import FileError, SceneError
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.checks import PartialScene, consistency_problems, partial_scene_of
-from granflow.scene.document import (
+from granflow.schema.document import (
     Document,
     DocumentError,
     MappingEntry,
@@ -29,8 +29,8 @@ from granflow.scene.document import (
     document_of,
     parse,
 )
-from granflow.scene.messages import dotted, model_at, nearest, problem_at, problems_of, suggestion_sentence
-from granflow.scene.model import Model, faults_of
+from granflow.schema.messages import dotted, model_at, nearest, problem_at, problems_of, suggestion_sentence
+from granflow.schema.model import Model, faults_of
 
 M = TypeVar("M", bound=Model)
 

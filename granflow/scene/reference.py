@@ -20,8 +20,8 @@ from ruamel.yaml import YAML
 from granflow.io.files import example_paths
 from granflow.scene.blocks.metrics import METRICS
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.messages import nearest
-from granflow.scene.model import DEFAULT_IN_WORDS, DIMENSION, NOTES
+from granflow.schema.messages import nearest
+from granflow.schema.model import DEFAULT_IN_WORDS, DIMENSION, NOTES
 from granflow.units import DIMENSIONS, Dimension
 
 # JSON Schema of scene files, for completion and validation in editors

@@ -14,7 +14,7 @@ from granflow.errors import GranflowError
 from granflow.scene import checks, reference
 from granflow.scene.blocks import contact, materials
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.model import Model
+from granflow.schema.model import Model
 from granflow.units import DIMENSIONS
 
 

@@ -25,7 +25,7 @@ from granflow.fields import (
     WALL_QUANTITIES,
 )
 from granflow.load import identity_of
-from granflow.scene.messages import nearest
+from granflow.schema.messages import nearest
 from granflow.studies.run_process import RunInputs, RunRequest, source_digest
 from granflow.units import number_of
 

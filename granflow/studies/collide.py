@@ -15,7 +15,7 @@ from granflow import GranflowError, Plan, SceneError
 from granflow.contact import theory
 from granflow.contact.registry import models
 from granflow.scene.blocks.materials import PRESETS
-from granflow.scene.messages import suggestion_sentence
+from granflow.schema.messages import suggestion_sentence
 from granflow.studies.bench import LONGEST, Collision, CollisionBench, Impact, run_duration
 
 

@@ -19,7 +19,7 @@ from granflow.errors import FileError, GranflowError
 from granflow.io.files import read_regular
 from granflow.io.tables import table_in
 from granflow.scene.blocks.materials import PRESETS
-from granflow.scene.messages import suggestion_or_list
+from granflow.schema.messages import suggestion_or_list
 from granflow.studies.figures import COLORS, POINTS, draw_to, write_columns
 from granflow.units import UnitError, to_si, with_unit
 

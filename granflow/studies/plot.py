@@ -24,7 +24,7 @@ from granflow.io.tables import (
     series_in,
     table_of_run,
 )
-from granflow.scene.messages import suggestion_sentence
+from granflow.schema.messages import suggestion_sentence
 from granflow.studies.figures import COLORS, FULL_WIDTH, draw_to, stacked_panels
 from granflow.studies.interactive_plots import (
     DASHES,

@@ -21,7 +21,7 @@ from granflow import Scene, plan_for, read_run
 from granflow.errors import GranflowError
 from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.io.files import replacing
-from granflow.scene.messages import nearest
+from granflow.schema.messages import nearest
 from granflow.studies.figures import COLORS, styled_figure
 from granflow.studies.frames import (
     OPENING,

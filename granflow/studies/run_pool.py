@@ -22,9 +22,9 @@ from pydantic import Field
 from granflow.errors import GranflowError
 from granflow.io.lock import holder_of
 from granflow.io.machine import worker_count
-from granflow.scene.blocks import quantities as q
-from granflow.scene.model import ListOf, Model, Text
 from granflow.scene.reader import validated_file
+from granflow.schema import quantities as q
+from granflow.schema.model import ListOf, Model, Text
 from granflow.studies.checked_run import CheckedRun
 from granflow.studies.run_process import (
     CRASHED,

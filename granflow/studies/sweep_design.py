@@ -11,11 +11,11 @@ import numpy as np
 from pydantic import Field, Tag
 from scipy.stats import qmc
 
-from granflow.scene.blocks import quantities as q
-from granflow.scene.blocks.quantities import GivenQuantity, Number, bound_faults
 from granflow.scene.blocks.scene import Seed
-from granflow.scene.faults import Fault, missing, whole
-from granflow.scene.model import FileName, ListOf, Model, Text, choose_by, choose_by_key, shorthand
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault, missing, whole
+from granflow.schema.model import FileName, ListOf, Model, Text, choose_by, choose_by_key, shorthand
+from granflow.schema.quantities import GivenQuantity, Number, bound_faults
 from granflow.studies.checked_run import si_value
 from granflow.units import in_si, mixed_units
 

@@ -61,7 +61,7 @@ def saved_scene(folder, text=FILE, **motion):
     given["walls"]["floor"]["motion"] = [
         {"kind": "table", "file": "lift.csv"} | (motion or {"direction": [0, 0, 1]})
     ]
-    from granflow.scene.document import yaml_text
+    from granflow.schema.document import yaml_text
 
     path = folder / "scene.yaml"
     path.write_text(yaml_text(given))

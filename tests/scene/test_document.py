@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from granflow.scene.document import DocumentError, parse
+from granflow.schema.document import DocumentError, parse
 
 SCALARS = [
     ("012", 12),

@@ -8,7 +8,7 @@ from plan.scenes import TEXT, scene_of
 
 from granflow.errors import SceneError
 from granflow.load import Scene, load_scene
-from granflow.scene.messages import SYNONYMS, nearest
+from granflow.schema.messages import SYNONYMS, nearest
 
 SCENES = Path(__file__).parents[2] / "scenes"
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import granflow
 from docsite.markdown import anchor
-from granflow.scene.model import Model
+from granflow.schema.model import Model
 
 INTRODUCTION = """\
 # Python interface

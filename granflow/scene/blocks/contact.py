@@ -13,8 +13,8 @@ from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
 from granflow.contact.law import SLOTS, Amount, Choice, ContactModel, Option
-from granflow.scene.blocks.quantities import Number
-from granflow.scene.model import Model, ShortForm, choose_by, choose_by_key, shorthand
+from granflow.schema.model import Model, ShortForm, choose_by, choose_by_key, shorthand
+from granflow.schema.quantities import Number
 
 
 class LawSettings(Model):
@@ -76,6 +76,24 @@ class Contact(Model):
             return dict(given.settings())
         model = registry.models(slot).get(given)
         return {key: option.default for key, option in model.options.items()} if model else {}
+
+    @classmethod
+    def hint(cls, key: str, word: str) -> str:
+        """What a name that is not one of a slot needs: options, another slot, or a registration."""
+        own = registry.models(key).get(word)
+        if own is not None and own.needs_options:
+            return _needed_options(own)
+        other = next((slot for slot in SLOTS if slot != key and word in registry.models(slot)), None)
+        if other is not None:
+            return f". {word} is given as contact.{other}: {word}"
+        return ". Register a model of your own before: granflow.register_contact_model"
+
+
+def _needed_options(model: ContactModel) -> str:
+    """Sentence on the options that a model requires."""
+    required = {key: each for key, each in model.options.items() if each.default is None}
+    given = ", ".join(f"{key}: {getattr(each, 'example', '...')}" for key, each in required.items())
+    return f". {model.name} requires {' and '.join(required)}, such as {{law: {model.name}, {given}}}"
 
 
 # The keys of the slots

@@ -7,11 +7,11 @@ import numpy as np
 from pydantic import Field
 
 from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
-from granflow.scene.blocks import quantities as q
-from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.shapes import Box
-from granflow.scene.faults import Fault
-from granflow.scene.model import ListOf, Model
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault
+from granflow.schema.model import ListOf, Model
+from granflow.schema.quantities import Number
 
 Axis = Literal["x", "y", "z"]
 ShearRate = Annotated[float, Number("rate", noun="a shear rate")]

@@ -7,11 +7,11 @@ from pydantic import Field
 
 from granflow.geometry.coarse_grid import CoarseGrid
 from granflow.geometry.periodic_box import AXES
-from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.shapes import Box
-from granflow.scene.faults import Fault, whole
-from granflow.scene.model import Model, optional
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault, whole
+from granflow.schema.model import Model, optional
 
 MOST_CELLS = 2_000_000
 """Largest number of cells of a grid: one frame of this size takes about 1 GB of memory."""

@@ -13,11 +13,11 @@ from pydantic import ConfigDict, Field, Tag, model_validator
 from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
-from granflow.scene.blocks import quantities as q
-from granflow.scene.blocks.quantities import Number
-from granflow.scene.faults import value_error
-from granflow.scene.messages import suggestion_or_list
-from granflow.scene.model import Model, Text, choose_by, optional, pair_list, required_unless
+from granflow.schema import quantities as q
+from granflow.schema.faults import value_error
+from granflow.schema.messages import suggestion_or_list
+from granflow.schema.model import Model, Text, choose_by, optional, pair_list, required_unless
+from granflow.schema.quantities import Number
 
 # Block `materials`
 

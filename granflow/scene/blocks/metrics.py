@@ -16,15 +16,15 @@ from pydantic import Field
 from granflow.fields import Quantity, by_name
 from granflow.geometry.coarse_grid import CoarseGrid
 from granflow.geometry.shape import frame_along, sphere_volume
-from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.grids import GridSpec
 from granflow.scene.blocks.particles import Group
-from granflow.scene.blocks.quantities import Vector3
 from granflow.scene.blocks.shapes import Box
-from granflow.scene.faults import Fault, whole
-from granflow.scene.messages import unknown_names
-from granflow.scene.model import Model, Names, choose_by_key, optional
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault, whole
+from granflow.schema.messages import unknown_names
+from granflow.schema.model import Model, Names, choose_by_key, optional
+from granflow.schema.quantities import Vector3
 from granflow.snapshot import CONTACTS, PARTICLES, Snapshot, mobile_particles, selected
 
 # What a metric is

@@ -21,10 +21,10 @@ from pydantic import Field
 
 from granflow.geometry.motion import MotionTable, Poses, ramp, rotation_matrices
 from granflow.geometry.shape import unit
-from granflow.scene.blocks import quantities as q
-from granflow.scene.blocks.quantities import Number
-from granflow.scene.faults import Fault, missing, redundant, whole
-from granflow.scene.model import FileName, ListOf, Model, Names, choose_by_key, optional
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault, missing, redundant, whole
+from granflow.schema.model import FileName, ListOf, Model, Names, choose_by_key, optional
+from granflow.schema.quantities import Number
 
 
 class TimedMotion(Model):

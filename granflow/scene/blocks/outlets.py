@@ -15,9 +15,9 @@ from pydantic import Field
 
 from granflow.device_functions import ti
 from granflow.geometry.shape import unit
-from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.shapes import Box
-from granflow.scene.model import Model, choose_by_first_key
+from granflow.schema import quantities as q
+from granflow.schema.model import Model, choose_by_first_key
 
 
 class OutletRegion(Model):

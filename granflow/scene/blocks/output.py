@@ -20,13 +20,13 @@ from granflow.fields import (
     WALL_QUANTITIES,
 )
 from granflow.geometry.shape import are_perpendicular
-from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.grids import GridSpec
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES, AnyMetric
-from granflow.scene.blocks.quantities import Number
-from granflow.scene.faults import Fault, missing, redundant, whole
-from granflow.scene.messages import suggestion_or_list
-from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, optional, pair_list
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault, missing, redundant, whole
+from granflow.schema.messages import suggestion_or_list
+from granflow.schema.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, optional, pair_list
+from granflow.schema.quantities import Number
 
 # Keys `collision_energies` and `flow_meters`
 

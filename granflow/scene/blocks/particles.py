@@ -11,11 +11,10 @@ import numpy as np
 from pydantic import AfterValidator, Field, Tag, model_validator
 
 from granflow.geometry.clump import ClumpShape, clump_shape
-from granflow.scene.blocks import quantities as q
-from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.shapes import Box, CylinderShape, Rectangular, RotationStep
-from granflow.scene.faults import Fault, KeyPath, missing, redundant, whole, whole_error
-from granflow.scene.model import (
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault, KeyPath, missing, redundant, whole, whole_error
+from granflow.schema.model import (
     FileName,
     Flag,
     ListOf,
@@ -26,6 +25,7 @@ from granflow.scene.model import (
     choose_by_key,
     optional,
 )
+from granflow.schema.quantities import Number
 
 # Keys `diameter` and `radius`
 

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from granflow.scene.blocks import quantities as q
-from granflow.scene.blocks.quantities import Number
-from granflow.scene.faults import Fault, missing, redundant, whole
-from granflow.scene.model import ListOf, Model, Name, Names, Text, optional
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault, missing, redundant, whole
+from granflow.schema.model import ListOf, Model, Name, Names, Text, optional
+from granflow.schema.quantities import Number
 
 # Block `stages`: the parts of a run
 

@@ -10,18 +10,18 @@ from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
-from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.materials import Material, MaterialPair
 from granflow.scene.blocks.outlets import Outlet
 from granflow.scene.blocks.output import Expectation, Output
 from granflow.scene.blocks.particles import Group
-from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.run import Damping, Numerics, RunSettings, Stage
 from granflow.scene.blocks.walls import AnyWall, with_faces
-from granflow.scene.document import Document, yaml_text
-from granflow.scene.model import FileName, ListOf, Model, Name, PairName, Text, WallName, optional
+from granflow.schema import quantities as q
+from granflow.schema.document import Document, yaml_text
+from granflow.schema.model import FileName, ListOf, Model, Name, PairName, Text, WallName, optional
+from granflow.schema.quantities import Number
 
 Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from granflow.geometry.shape import are_perpendicular
-from granflow.scene.blocks import quantities as q
-from granflow.scene.faults import Fault
-from granflow.scene.model import Model
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault
+from granflow.schema.model import Model
 
 
 class Box(Model):

@@ -10,12 +10,12 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
-from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.motions import MotionSpec
-from granflow.scene.blocks.quantities import Number
 from granflow.scene.blocks.shapes import Axial, Rectangular, RotationStep
-from granflow.scene.faults import Fault, redundant, value_error, whole
-from granflow.scene.model import FileName, Flag, ListOf, Model, Names, Text, choose_by_key, optional
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault, redundant, value_error, whole
+from granflow.schema.model import FileName, Flag, ListOf, Model, Names, Text, choose_by_key, optional
+from granflow.schema.quantities import Number
 
 
 class Wall(Model):

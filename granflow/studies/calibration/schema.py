@@ -10,13 +10,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from granflow.scene.blocks import quantities as q
 from granflow.scene.blocks.output import unit_of
-from granflow.scene.blocks.quantities import GivenQuantity, NumberWithUnit, bound_faults
 from granflow.scene.blocks.scene import Seed
-from granflow.scene.faults import Fault, missing, redundant, whole
-from granflow.scene.messages import suggestion_or_list
-from granflow.scene.model import FileName, ListOf, Model, Name, Text
+from granflow.schema import quantities as q
+from granflow.schema.faults import Fault, missing, redundant, whole
+from granflow.schema.messages import suggestion_or_list
+from granflow.schema.model import FileName, ListOf, Model, Name, Text
+from granflow.schema.quantities import GivenQuantity, NumberWithUnit, bound_faults
 from granflow.units import GivenNumber, in_si, in_unit, mixed_units, unit_conflict
 
 Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[pairs.glass-glass.friction]")]

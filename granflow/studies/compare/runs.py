@@ -34,7 +34,7 @@ from granflow.contact import theory
 from granflow.contact.registry import models
 from granflow.io.files import file_digest, replacing
 from granflow.load import copied_scene
-from granflow.scene.messages import suggestion_or_list
+from granflow.schema.messages import suggestion_or_list
 from granflow.studies.checked_run import run_identity
 from granflow.studies.compare.bed import (
     FORCE_EDGES,

@@ -20,10 +20,8 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from granflow.contact import registry
-from granflow.contact.law import SLOTS
-from granflow.scene.document import Document, Node, Problem
-from granflow.scene.faults import Fault, KeyPath, missing, whole
+from granflow.schema.document import Document, Node, Problem
+from granflow.schema.faults import Fault, KeyPath, missing, whole
 
 _CLOSE = 0.6  # similarity from which a name is suggested
 
@@ -342,7 +340,7 @@ class _SchemaError:
             if near:
                 hint = f". Did you mean {near}?"
             else:
-                hint = _options(self.path, word) or _registration(self.path)
+                hint = self._hint(word)
             return Fault(self.path, self.context["reason"] + hint)
         key = self.context["key"]
         names = [name for name in names if name not in ("number", "list", "none")]
@@ -363,11 +361,16 @@ class _SchemaError:
         if near:
             hint = f". Did you mean {near}?"
         else:
-            hint = _elsewhere(word) or _registration(path)
+            hint = self._hint(word)
         words = ", ".join(allowed)
         if len(allowed) > 1:
             words = f"one of {words}"
         return Fault(path, f"it must be {words}{hint}")
+
+    def _hint(self, word: str) -> str:
+        """What the model says about an unknown word of its key, see `Model.hint`."""
+        hint = getattr(model_at(self.schema, self.loc[:-1]), "hint", None)
+        return hint(str(self.loc[-1]), word) if hint else ""
 
 
 def _keys(model: type[BaseModel] | None) -> list[str]:
@@ -375,38 +378,10 @@ def _keys(model: type[BaseModel] | None) -> list[str]:
     return [field.alias or name for name, field in model.model_fields.items()] if model else []
 
 
-# Hints at the end of a message
-
-
 def _word(node: Node) -> str:
     """A word as written, also that of `{law: WORD}`; empty for another mapping or a list."""
     law = node.child("law")
     return node.text if law is None else law.text
-
-
-def _options(path: KeyPath, word: str) -> str:
-    """Sentence on the options that a contact model requires; empty for other words."""
-    slot = str(path[1]) if path[:1] == ("contact",) and len(path) > 1 else ""
-    model = registry.models(slot).get(word) if slot in SLOTS else None
-    if model is None:
-        return ""
-    required = {key: each for key, each in model.options.items() if each.default is None}
-    if not required:
-        return ""
-    given = ", ".join(f"{key}: {getattr(each, 'example', '...')}" for key, each in required.items())
-    return f". {word} requires {' and '.join(required)}, such as {{law: {word}, {given}}}"
-
-
-def _elsewhere(word: str) -> str:
-    """Sentence on a contact model of another slot; empty for other words."""
-    slot = next((slot for slot in SLOTS if word in registry.models(slot)), None)
-    return f". {word} is given as contact.{slot}: {word}" if slot else ""
-
-
-def _registration(path: KeyPath) -> str:
-    """Sentence, after the list of contact models, on those of a program; empty for other keys."""
-    is_model = path[:1] == ("contact",) and path[1:2] and path[1] in SLOTS and path[2:] in ((), ("law",))
-    return ". Register a model of your own before: granflow.register_contact_model" if is_model else ""
 
 
 # The part of the schema at the location of an error

@@ -1,8 +1,8 @@
 """Building blocks of the schema: the immutable base model, unions, lists, texts and names.
 
-The blocks of a scene are subclasses of `Model`; the types of their fields are here and in
-`blocks.quantities`. A value that is valid by itself may contradict another one: `Model.faults` yields such
-contradictions.
+The blocks of a scene and the options of contact models are subclasses of `Model`; the types of their
+fields are here and in `quantities`. A value that is valid by itself may contradict another one:
+`Model.faults` yields such contradictions.
 """
 
 import re
@@ -22,9 +22,9 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from granflow.errors import SceneError
-from granflow.scene.document import document_of
-from granflow.scene.faults import Fault, KeyPath, value_error
-from granflow.scene.messages import problem_at, problems_of, selecting_keys, tag_of
+from granflow.schema.document import document_of
+from granflow.schema.faults import Fault, KeyPath, value_error
+from granflow.schema.messages import problem_at, problems_of, selecting_keys, tag_of
 from granflow.visible_text import visible
 
 # Base model of all blocks
@@ -89,6 +89,12 @@ class Model(BaseModel):
             value = getattr(self, name)
             if name not in hidden and (each.is_required() or value != each.get_default()):
                 yield name, value
+
+    @classmethod
+    def hint(cls, key: str, word: str) -> str:
+        """End of the message on a word that is not one of those of a key, such as ". Did you mean X?"; by
+        default empty."""
+        return ""
 
     def faults(self) -> Iterator[Fault]:
         """Yield inconsistencies between the fields of this part; each field by itself is valid."""

@@ -15,8 +15,8 @@ from pydantic import AfterValidator, GetCoreSchemaHandler
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
-from granflow.scene.faults import Fault, value_error
-from granflow.scene.model import DIMENSION, list_of_length, pair_list, require
+from granflow.schema.faults import Fault, value_error
+from granflow.schema.model import DIMENSION, list_of_length, pair_list, require
 from granflow.units import GivenNumber, UnitError, dimension_of, mixed_units, to_si
 
 LARGEST = 1e30

@@ -28,7 +28,7 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
-from granflow.scene.faults import KeyPath
+from granflow.schema.faults import KeyPath
 
 # The tree
 

@@ -1,7 +1,7 @@
 """What the schema reports about an invalid scene: errors of one value, and faults between values.
 
 A validator of one value raises `value_error` or `whole_error`, to which pydantic adds the key path. A check
-of several values yields a `Fault`, which has a key path. `granflow.scene.messages` turns both into messages.
+of several values yields a `Fault`, which has a key path. `granflow.schema.messages` turns both into messages.
 """
 
 from dataclasses import dataclass
