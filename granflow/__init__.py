@@ -61,10 +61,10 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.output import FieldGrid as FieldGrid
     from granflow.scene.blocks.output import FlowMeter as FlowMeter
     from granflow.scene.blocks.output import Output as Output
+    from granflow.scene.blocks.particle_shapes.clump import Clump as Clump
+    from granflow.scene.blocks.particle_shapes.clump import ClumpSphere as ClumpSphere
     from granflow.scene.blocks.particles import BoxRegion as BoxRegion
     from granflow.scene.blocks.particles import ClassSizes as ClassSizes
-    from granflow.scene.blocks.particles import Clump as Clump
-    from granflow.scene.blocks.particles import ClumpSphere as ClumpSphere
     from granflow.scene.blocks.particles import CylinderRegion as CylinderRegion
     from granflow.scene.blocks.particles import DiscFace as DiscFace
     from granflow.scene.blocks.particles import FileInsertion as FileInsertion
@@ -115,8 +115,8 @@ _LOCATIONS = {
     "CenterOfMassMetric": "granflow.scene.blocks.metrics.CenterOfMassMetric",
     "Checkpoints": "granflow.scene.blocks.output.Checkpoints",
     "ClassSizes": "granflow.scene.blocks.particles.ClassSizes",
-    "Clump": "granflow.scene.blocks.particles.Clump",
-    "ClumpSphere": "granflow.scene.blocks.particles.ClumpSphere",
+    "Clump": "granflow.scene.blocks.particle_shapes.clump.Clump",
+    "ClumpSphere": "granflow.scene.blocks.particle_shapes.clump.ClumpSphere",
     "CollisionEnergies": "granflow.scene.blocks.output.CollisionEnergies",
     "Cone": "granflow.scene.blocks.walls.Cone",
     "Contact": "granflow.scene.blocks.contact.Contact",

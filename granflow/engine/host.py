@@ -558,7 +558,7 @@ def _films(plan: Plan, new: ParticleData) -> np.ndarray:
 
 def sphere_rows(plan: Plan, new: ParticleData) -> np.ndarray:
     """Row (k,) in `new` of each of the k spheres: that of its clump, or its own."""
-    sizes = np.array([1 if group.clump is None else len(group.clump) for group in plan.groups])
+    sizes = np.array([group.shape.sphere_count for group in plan.groups])
     return np.repeat(np.arange(len(new)), sizes[new.group])
 
 
@@ -583,21 +583,14 @@ def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int)
     arrays |= {name: np.zeros((count, 3)) for name in ("clump_inertia", "clump_offset")}
     for number, group in enumerate(plan.groups):
         own = np.flatnonzero(new.group[row] == number)
-        if group.clump is not None and len(own):
+        body = group.shape.body
+        if body is not None and len(own):
             assert new.orientation is not None
-            shape = group.clump
-            density = float(_densities(plan)[new.material[row[own[0]]]])
             arrays["clump"][own] = first_id + first[row[own]]
-            arrays["radius"][own], arrays["clump_offset"][own] = (
-                shape.radius[member[own]],
-                shape.offset[member[own]],
-            )
-            arrays["mass"][own] = density * shape.volume * shape.volume_share[member[own]]
-            arrays["clump_mass"][own], arrays["clump_inertia"][own] = (
-                density * shape.volume,
-                density * shape.moments,
-            )
-            arrays["orientation"][own] = product(new.orientation[row[own]], shape.principal_axes)
+            density = _densities(plan)[new.material[row[own]]]
+            for name, values in body.sphere_arrays(density, member[own]).items():
+                arrays[name][own] = values
+            arrays["orientation"][own] = product(new.orientation[row[own]], body.principal_axes)
     return arrays | _motion_of_spheres(arrays)
 
 

@@ -1,4 +1,4 @@
-"""Shape of a clump, a rigid body of spheres that may overlap: volume, center, moments; numpy only.
+"""Body of a clump, a rigid body of spheres that may overlap: volume, center, moments; numpy only.
 
 Regions in which spheres overlap count once: the moments are integrals over the union of the spheres, which
 the last part of this file computes.
@@ -15,7 +15,7 @@ DIAGONAL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class ClumpShape:
+class ClumpBody:
     """A clump of k spheres of homogeneous density; overlapping regions count once.
 
     volume:          of the union of the spheres [m3]
@@ -53,6 +53,17 @@ class ClumpShape:
         """
         return np.asarray(self.radius**3 / np.sum(self.radius**3))
 
+    def sphere_arrays(self, density: np.ndarray, member: np.ndarray) -> dict[str, np.ndarray]:
+        """Fields of n spheres: densities (n,) [kg/m3], indices (n,) in their clumps."""
+        mass = density * self.volume
+        return {
+            "radius": self.radius[member],
+            "clump_offset": self.offset[member],
+            "mass": mass * self.volume_share[member],
+            "clump_mass": mass,
+            "clump_inertia": density[:, None] * self.moments,
+        }
+
     def spheres(self, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
         """Centers (n, k, 3) [m] of the spheres of clumps at (n, 3) [m] with orientations (n, 4).
 
@@ -63,8 +74,8 @@ class ClumpShape:
 
 
 @lru_cache(maxsize=64)
-def clump_shape(position: tuple[tuple[float, float, float], ...], radius: tuple[float, ...]) -> ClumpShape:
-    """The shape of spheres with centers [m] and radii [m].
+def clump_body(position: tuple[tuple[float, float, float], ...], radius: tuple[float, ...]) -> ClumpBody:
+    """The body of spheres with centers [m] and radii [m].
 
     I = tr(J) - J with J the integral of x x about the center of mass
     """
@@ -77,7 +88,7 @@ def clump_shape(position: tuple[tuple[float, float, float], ...], radius: tuple[
     second = second - volume * np.outer(center, center)
     moments, axes = _principal(np.trace(second) * np.eye(3) - second)
     center = origin + scale * center
-    return ClumpShape(
+    return ClumpBody(
         volume=scale**3 * volume,
         center=center,
         moments=scale**5 * moments,

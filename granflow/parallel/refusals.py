@@ -39,7 +39,7 @@ def refuse_on_ranks(arch: str = "cpu", forces: Sequence[object] = (), scene: Sce
         return
     alone = "run without a communicator (without --mpi)"
     cohesion = scene.contact.name("cohesion")
-    if any(group.clump is not None for group in scene.particles.values()):
+    if not all(group.shape.on_ranks for group in scene.particles.values()):
         raise GranflowError(f"Clumps do not work on MPI ranks: {alone}.")
     if cohesion in registry.liquid_models():
         raise GranflowError(f"contact.cohesion: {cohesion} does not work on MPI ranks: {alone}.")

@@ -6,7 +6,7 @@ group.
 """
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import log, sqrt
@@ -15,9 +15,9 @@ import numpy as np
 
 from granflow.arguments import shown
 from granflow.errors import GranflowError
-from granflow.geometry.clump import ClumpShape, about, random_orientations
 from granflow.particles.packing import RegionFullError
-from granflow.scene.blocks.particles import Clump, Group, ThermalMotion
+from granflow.scene.blocks.particle_shapes.shape import ParticleShape
+from granflow.scene.blocks.particles import Group, ThermalMotion
 from granflow.scene.blocks.scene import SceneInput
 
 
@@ -25,8 +25,7 @@ from granflow.scene.blocks.scene import SceneInput
 class SceneGroup:
     """A group of a scene: the scene, its name there, and its index among the groups.
 
-    `clump` is the shape of its particles, None for spheres; `diameters` [m] are the smallest and the largest
-    of its spheres.
+    `diameters` [m] are the smallest and the largest of its spheres.
     """
 
     scene: SceneInput
@@ -59,9 +58,9 @@ class SceneGroup:
         return self.spec.diameters
 
     @property
-    def clump(self) -> ClumpShape | None:
-        """Shape of its particles; None for spheres."""
-        return None if self.spec.clump is None else self.spec.clump.shape
+    def shape(self) -> ParticleShape:
+        """Shape of its particles."""
+        return self.spec.shape
 
     @property
     def liquid_content(self) -> float:
@@ -108,11 +107,6 @@ class SceneGroup:
     def orientation_random(self, batch: int) -> np.random.Generator:
         """The generator of random orientations of a batch of clumps."""
         return np.random.default_rng(np.random.SeedSequence((*self.seeds, 2, batch)))
-
-    @property
-    def particle_mass(self) -> float | None:
-        """Mass [kg] of each clump; None for spheres."""
-        return None if self.spec.clump is None else self.density * self.spec.clump.shape.volume
 
 
 def groups_of(scene: SceneInput) -> dict[str, SceneGroup]:
@@ -209,21 +203,8 @@ def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray, ba
         radius=radius,
         material=np.full(count, group.material_number, dtype=np.int32),
         group=np.full(count, group.number, dtype=np.int32),
-        orientation=None
-        if group.spec.clump is None
-        else orientations(group.spec.clump, count, partial(group.orientation_random, batch)),
+        orientation=group.shape.orientations(count, partial(group.orientation_random, batch)),
     )
-
-
-def orientations(clump: Clump, count: int, random: Callable[[], np.random.Generator]) -> np.ndarray:
-    """Orientations (count, 4) of new clumps; `random`: creates the generator of random orientations."""
-    if clump.orientation is None:
-        return np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-    if clump.orientation == "random":
-        return random_orientations(count, random())
-    rotations = clump.orientation if isinstance(clump.orientation, tuple) else (clump.orientation,)
-    turns = about(np.array([each.axis for each in rotations]), np.array([each.angle for each in rotations]))
-    return np.broadcast_to(turns, (count, 4)).copy()
 
 
 EXCEEDED = 1e-3

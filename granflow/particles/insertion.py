@@ -13,7 +13,7 @@ import numpy as np
 
 from granflow.errors import SceneError
 from granflow.geometry.periodic_box import PeriodicBox
-from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.geometry.shape import sphere_volume
 from granflow.particles.close_pairs import overlaps_any
 from granflow.particles.file import particles_from_file
 from granflow.particles.group import ParticleData, SceneGroup, groups_of, particles_of, shortfall
@@ -151,9 +151,7 @@ class Inserter:
             raise ValueError(f"{group.name} has neither insert: {{kind: rain}} nor insert: {{kind: inlet}}.")
         self.start = insertion.start
         self.radius = ordered_diameters(spec.sizes, spec.count, group.random()) / 2
-        self.mass = sphere_mass(self.radius, group.density)
-        if group.particle_mass is not None:
-            self.mass = np.full(spec.count, group.particle_mass)
+        self.mass = group.shape.volume(self.radius) * group.density
         self.due_at = self.start + _delays(insertion, self.mass)
         self.interval = (
             1.0 / insertion.rate

@@ -16,7 +16,6 @@ from pydantic.fields import FieldInfo
 from granflow.arguments import refuse_other
 from granflow.geometry.shape import sphere_mass
 from granflow.load import Scene
-from granflow.particles.group import SceneGroup
 from granflow.plan.cost import (
     TYPICAL_PARTICLE_STEPS_PER_SECOND,
     MemoryEstimate,
@@ -140,7 +139,7 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the numbers and sizes of the particles, the materials, and the skin."""
-    groups = ", ".join(f"{group.name} {count(group.count)}{_spheres_of(group)}" for group in plan.groups)
+    groups = ", ".join(f"{group.name} {count(group.count)}{group.shape.title}" for group in plan.groups)
     yield ExplainRow("particles", count(plan.particle_capacity), groups)
     same = plan.radius_min == plan.radius_max
     largest = "" if same else f" to {plan.radius_max:.4g}"
@@ -151,11 +150,6 @@ def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     share = f"{plan.skin / plan.radius_min:.3g} of the smallest radius"
     given = "" if plan.scene.numerics.skin == "auto" else f" ({plan.scene.where('numerics', 'skin')})"
     yield ExplainRow("skin", f"{plan.skin:.4g} m", share + given)
-
-
-def _spheres_of(group: SceneGroup) -> str:
-    """Number of spheres of each clump of a group; empty for spheres."""
-    return "" if group.clump is None else f" clumps of {len(group.clump)} spheres"
 
 
 def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:

@@ -106,7 +106,7 @@ def _rows(
     yield "friction", "tangential" in models, _model_reason(scene, models, "tangential")
     yield "rolling", _name(models, "rolling"), _model_reason(scene, models, "rolling")
     yield "twisting", _name(models, "twisting"), _model_reason(scene, models, "twisting")
-    clumps = [name for name, group in groups.items() if group.clump]
+    clumps = [name for name, group in groups.items() if group.shape.rotates]
     has_torques = any(slot in models for slot in ("tangential", "rolling", "twisting"))
     if clumps:
         why = "required by clumps"

@@ -7,6 +7,7 @@ particles in `initial_overlaps`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 from math import ceil, dist, hypot, inf, pi, sqrt
 
@@ -42,7 +43,6 @@ from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.motions import Servo, Translation, Vibration, pose
 from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.particles import (
-    Clump,
     DiscFace,
     FileInsertion,
     Group,
@@ -80,6 +80,11 @@ def _overlap_forecasts(plan: Plan) -> Iterator[Forecast]:
         yield below
 
 
+def _key_and_place(scene: Scene, *path: str | int) -> str:
+    """A key and its place in the scene file."""
+    return f"{'.'.join(map(str, path))} ({scene.where(*path)})"
+
+
 def _warnings(plan: Plan, overlaps: Sequence[Forecast]) -> Iterator[str]:
     """The sentences on probable mistakes; `overlaps`: those to expect."""
     scene = plan.scene
@@ -88,7 +93,8 @@ def _warnings(plan: Plan, overlaps: Sequence[Forecast]) -> Iterator[str]:
     impact = max((each.overlap for each in overlaps if each.cause == "impact"), default=0.0)
     yield from file_warnings(scene.particles, static, impact)
     yield from size_warnings(scene)
-    yield from clump_warnings(scene)
+    for name, group in scene.particles.items():
+        yield from group.shape.warnings(partial(_key_and_place, scene, "particles", name))
     yield from wall_warnings(scene, plan.walls, times)
     yield from coincidence_warnings(scene, plan.walls)
     yield from region_warnings(plan, times)
@@ -220,87 +226,6 @@ def _likely_unit(length: float, limit: float) -> str:
     if MILLI * length > limit:
         return "Check the units of both."
     return f"Check the unit: {length:.3g} mm is {MILLI * length:.3g} m."
-
-
-# Clumps with a sphere that occurs twice, or with a gap between their spheres.
-
-SAME_SPHERE = 1e-6
-"""Distance and difference of radii, over the radius, below which spheres are equal, or a gap below which they
-touch."""
-COMMON_OVERLAP = 0.1
-"""Overlap over the smaller radius of the position that closes a gap."""
-
-
-def clump_warnings(scene: Scene) -> Iterator[str]:
-    """A sentence for each clump with a sphere that occurs twice, and for each whose spheres are not
-    connected.
-
-    The forces on a sphere that occurs twice count twice, and volume and inertia once.
-    """
-    for name, group in scene.particles.items():
-        if group.clump is not None:
-            yield from _repeated_spheres(scene, name, group.clump)
-            yield from _clump_gaps(scene, name, group.clump)
-
-
-def _repeated_spheres(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
-    """A sentence on the first sphere that equals an earlier one, with the number of further ones."""
-    centers, radii, distance = _clump_spheres(clump)
-    scale = SAME_SPHERE * np.minimum.outer(radii, radii)
-    equal = (distance <= scale) & (np.abs(np.subtract.outer(radii, radii)) <= scale)
-    repeated = [k for k in range(len(radii)) if equal[k, :k].any()]
-    if repeated:
-        index = repeated[0]
-        first = int(equal[index].argmax())
-        shifted = centers[index] + [radii[index], 0.0, 0.0]
-        more = f" ({len(repeated) - 1} more of its spheres are repeated)" if len(repeated) > 1 else ""
-        yield (
-            f"{_sphere_key(scene, name, index)} is {_position_text(centers[index])} m with the radius "
-            f"{radii[index]:.4g} m, the same sphere as spheres.{first}{more}: its contacts count twice. "
-            f"Remove it, or give it another position such as {_position_text(shifted)} m."
-        )
-
-
-def _clump_gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
-    """A sentence on the narrowest gap between the spheres that are connected with the first one and the
-    others."""
-    from scipy.sparse.csgraph import connected_components  # imported here: most scenes have no clump
-
-    centers, radii, distance = _clump_spheres(clump)
-    gap = distance - np.add.outer(radii, radii)
-    count, part = connected_components(gap <= SAME_SPHERE * np.minimum.outer(radii, radii))
-    if count == 1:
-        return
-    of_first = part == part[0]
-    gap[~np.outer(of_first, ~of_first)] = np.inf
-    near, far = divmod(int(gap.argmin()), len(radii))
-    reach = radii[near] + radii[far] - COMMON_OVERLAP * min(radii[near], radii[far])
-    closed = centers[near] + (centers[far] - centers[near]) * (reach / distance[near, far])
-    others = ", with the spheres connected with it," if (part == part[far]).sum() > 1 else ""
-    yield (
-        f"{_sphere_key(scene, name, far)} is {_position_text(centers[far])} m, {gap[near, far]:.3g} m away "
-        f"from the surface of spheres.{near}, which is the nearest one of the others: the spheres of this "
-        f"clump form {count} separate bodies that move as one. Move it{others} to a position such as "
-        f"{_position_text(closed)} m, which closes the gap, or give the bodies groups of their own."
-    )
-
-
-def _clump_spheres(clump: Clump) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centers (k, 3) [m], radii (k,) [m], and distances (k, k) [m] of the centers."""
-    centers = np.array([each.position for each in clump.spheres])
-    radii = np.array([each.radius for each in clump.spheres])
-    return centers, radii, np.linalg.norm(centers[:, None] - centers[None], axis=2)
-
-
-def _sphere_key(scene: Scene, name: str, index: int) -> str:
-    """Key and place of the position of a sphere."""
-    path = ("particles", name, "clump", "spheres", index, "position")
-    return f"{'.'.join(map(str, path))} ({scene.where(*path)})"
-
-
-def _position_text(values: np.ndarray) -> str:
-    """Coordinates in the form of the scene."""
-    return "[" + ", ".join(f"{each + 0.0:.4g}" for each in values) + "]"
 
 
 # Walls that are far outside the domain, walls that leave it, and coincident walls.
@@ -499,7 +424,7 @@ def _distance_from_bed(plan: Plan, motion: ControlledMotion, area: float) -> flo
     """Distance [m] of a servo with an area [m2] from the bed."""
     scene = plan.scene
     is_loose = plan.laws.cohesion is not None or any(
-        group.clump is not None for group in scene.particles.values()
+        group.shape.packs_loosely for group in scene.particles.values()
     )
     height = solid_volume(scene.particles) / ((LOOSEST if is_loose else LOOSE) * area)
     layer = max(group.outer_diameters[1] for group in scene.particles.values())
@@ -663,9 +588,8 @@ def _largest_flow(
     along = sqrt(initial**2 + 2.0 * falling * depth)
     slide = float(np.linalg.norm(gravity - (gravity @ normal) * normal))
     across = sqrt(float(np.sum((velocity - (velocity @ normal) * normal) ** 2)) + 2.0 * slide * width)
-    volume = mean_volume(group)
-    if group.clump is not None:
-        volume = sphere_volume(0.5 * group.outer_diameters[1])
+    outer = group.shape.outer_diameter
+    volume = mean_volume(group) if outer is None else sphere_volume(0.5 * outer)
     flow = area * along + width * depth * across
     return DENSEST_FLOW * float(flow) / volume, DENSEST_FLOW * region.volume / volume
 

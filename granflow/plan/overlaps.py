@@ -25,10 +25,10 @@ from granflow.contact.material import PairMaterial, Solid
 from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.catalog import area_of, distance_from
-from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
 from granflow.particles.close_pairs import near_pairs
-from granflow.particles.group import ParticleData, SceneGroup, orientations
+from granflow.particles.group import ParticleData, SceneGroup
 from granflow.particles.sampling import BoxSampler, CylinderSampler, draw_diameters, sampler_of
 from granflow.plan.falls import region_of
 from granflow.plan.plan import Forecast, Plan
@@ -335,9 +335,8 @@ def _of_wall(plan: Plan, group: SceneGroup, wall: str) -> TouchingPair:
 
 
 def _mass(plan: Plan, group: SceneGroup, radius: float) -> float:
-    """Mass [kg] of a sphere of a group with a radius [m], or of the clump to which it belongs."""
-    density = plan.solids[group.material].density
-    return sphere_mass(radius, density) if group.clump is None else group.clump.volume * density
+    """Mass [kg] that moves with a sphere of a group with a radius [m]: that of the particle."""
+    return group.shape.mass_of_sphere(radius, plan.solids[group.material].density)
 
 
 # Static pressures of the weight of the bed and of force-controlled walls, and their contact forces.
@@ -447,8 +446,8 @@ def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
 def mean_volume(group: Group) -> float:
     """Mean volume [m3] of the particles of a group, of clumps or of a sample of at most SAMPLED_DIAMETERS
     spheres."""
-    if group.clump is not None:
-        return group.clump.shape.volume
+    if group.shape.body is not None:
+        return group.shape.body.volume
     if isinstance(group.insert, FileInsertion):
         diameters = np.array(group.diameters)
     else:
@@ -800,7 +799,7 @@ def region_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
         if radius > region.radius_max:
             continue  # the particles do not fit: reported when they are generated
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
-        bodies = spheres_by_particle(group, points, np.full(SAMPLES, radius), None)
+        bodies = group.shape.placed_spheres(points, np.full(SAMPLES, radius), None)
         start = getattr(group.insert, "start", 0.0)
         for wall, overlap in _overlaps(plan.walls, bodies, start, times):
             share = float(np.mean(overlap > plan.scene.numerics.max_overlap))
@@ -825,8 +824,8 @@ def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
             continue
         points = particles.position[own]
         turns = particles.orientation
-        bodies = spheres_by_particle(
-            group, points, particles.radius[own], None if turns is None else turns[own]
+        bodies = group.shape.placed_spheres(
+            points, particles.radius[own], None if turns is None else turns[own]
         )
         for wall, overlap in _overlaps(plan.walls, bodies, 0.0, times):
             count = int((overlap > plan.scene.numerics.max_overlap).sum())
@@ -870,7 +869,7 @@ def _started(times: StageTimes, time: float) -> Mapping[str, tuple[float, float]
     return {name: span for name, span in times.items() if span[0] <= time}
 
 
-# The spheres of particles: of a clump all of its spheres, of other particles the particle itself.
+# The spheres of particles.
 
 
 def spheres_of(scene: Scene, particles: ParticleData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -882,23 +881,8 @@ def spheres_of(scene: Scene, particles: ParticleData) -> tuple[np.ndarray, np.nd
     for number, group in enumerate(scene.particles.values()):
         own = np.flatnonzero(particles.group == number)
         turns = None if particles.orientation is None else particles.orientation[own]
-        center, radius = spheres_by_particle(group, particles.position[own], particles.radius[own], turns)
+        center, radius = group.shape.placed_spheres(particles.position[own], particles.radius[own], turns)
         centers.append(center.reshape(-1, 3))
         radii.append(radius.reshape(-1))
         owners.append(np.repeat(own, radius.shape[1]))
     return np.concatenate(centers), np.concatenate(radii), np.concatenate(owners)
-
-
-def spheres_by_particle(
-    group: Group, points: np.ndarray, radius: np.ndarray, orientation: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Centers (n, k, 3) [m] and radii (n, k) [m] of the k spheres of each particle at `points` (n, 3) [m].
-
-    `radius` (n,) [m]: of spheres. `orientation` (n, 4): of clumps; None for those of new clumps.
-    """
-    if group.clump is None:
-        return points[:, None], radius[:, None]
-    shape = group.clump.shape
-    if orientation is None:
-        orientation = orientations(group.clump, len(points), lambda: np.random.default_rng(1))
-    return shape.spheres(points, orientation), np.broadcast_to(shape.radius, (len(points), len(shape)))

@@ -252,6 +252,7 @@ def _pair_case(
 
 def _mass_ratio(group: SceneGroup | None) -> float:
     """Mass of a clump over that of its smallest sphere; 1 for spheres and walls."""
-    if group is None or group.clump is None:
+    if group is None:
         return 1.0
-    return group.clump.volume / sphere_mass(0.5 * group.diameters[0], 1.0)
+    smallest = 0.5 * group.diameters[0]
+    return group.shape.mass_of_sphere(smallest, 1.0) / sphere_mass(smallest, 1.0)

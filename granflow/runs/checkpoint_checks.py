@@ -307,10 +307,7 @@ def _check_positions(particles: Part, count: int, plan: Plan) -> None:
     rounding = np.abs(at_rebuild).max(initial=0.0) * float(np.finfo(np.float32).eps)
     if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.reach_max + rounding):
         raise particles["position"].error("is farther from position_at_rebuild than its reach")
-    margin = (
-        max([plan.skin, *(each.clump.outer_radius + plan.skin for each in plan.groups if each.clump)])
-        + rounding
-    )
+    margin = plan.skin + max(0.5 * (group.shape.outer_diameter or 0.0) for group in plan.groups) + rounding
     low, high = plan.domain_low - margin, plan.domain_high + margin
     if plan.scene.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
         raise particles["position_at_rebuild"].error("is outside the domain")
@@ -445,9 +442,8 @@ def check_clumps(
     """
     count = len(ids)
     clump = particles["clump"].integers(count, low=-1).astype(np.int64)
-    shapes = [each.clump for each in plan.groups]
-    size = np.array([1 if shape is None else len(shape) for shape in shapes])[group]
-    if np.any((clump >= 0) != np.array([shape is not None for shape in shapes])[group]):
+    size = np.array([each.shape.sphere_count for each in plan.groups])[group]
+    if np.any((clump >= 0) != np.array([each.shape.body is not None for each in plan.groups])[group]):
         raise particles["clump"].error("differs from the groups in accounting")
     if np.any(particles["clump_size"].integers(count) != size):
         raise particles["clump_size"].error("differs from the number of spheres in the scene")
@@ -466,16 +462,15 @@ def _check_shapes(
     count = len(group)
     radius = particles["radius"].floats(len(group)).astype(float)
     mass = sphere_mass(radius, density)
-    inertia = np.zeros((count, 3))
-    offset = np.zeros((count, 3))
-    of_body = mass.copy()
-    for number, shape in enumerate(each.clump for each in plan.groups):
+    expected = {"mass": mass, "clump_mass": mass.copy()}
+    expected |= {name: np.zeros((count, 3)) for name in ("clump_inertia", "clump_offset")}
+    for number, body in enumerate(each.shape.body for each in plan.groups):
         rows = group == number
-        if shape is not None:
-            of_body[rows] = density[rows] * shape.volume
-            mass[rows] = of_body[rows] * shape.volume_share[member[rows]]
-            inertia[rows], offset[rows] = density[rows, None] * shape.moments, shape.offset[member[rows]]
-    expected = {"clump_mass": of_body, "clump_inertia": inertia, "clump_offset": offset}
+        if body is not None:
+            arrays = body.sphere_arrays(density[rows], member[rows])
+            for name, values in expected.items():
+                values[rows] = arrays[name]
+    mass = expected.pop("mass")
     for name, values in expected.items():
         scale = np.abs(values).max(axis=tuple(range(1, values.ndim)), keepdims=True)
         if np.any(np.abs(particles[name].floats(*values.shape) - values) > CLUMP_ROUNDING * scale):

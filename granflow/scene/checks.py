@@ -399,27 +399,11 @@ def _round_extent(a: Vector3, b: Vector3, axis: Vector3, radius: float) -> Itera
         yield min(p, q) - reach, max(p, q) + reach
 
 
-def unsupported_with_clumps(parts: PartialScene) -> Iterator[Fault]:
-    """Clumps exclude sheared boxes, damping of all motion, adaptive steps, earlier runs and fields."""
-    scene = parts.scene
-    names = [name for name, group in scene.particles.items() if group.clump is not None]
-    if not names:
-        return
-    clumps = f"cannot be combined with the clumps of particles.{names[0]}"
-    if scene.damping is not None:
-        yield whole(("damping",), f"{clumps}: it acts on single spheres; remove one of the two")
-    if scene.domain.lees_edwards is not None:
-        yield whole(
-            ("domain", "lees_edwards"), f"{clumps}, which cross no sheared boundary; remove one of the two"
-        )
-    if scene.run.time_step == "adaptive":
-        yield whole(("run", "time_step"), f"{clumps}; give a number, or leave it out")
-    if scene.start_from is not None:
-        yield whole(("start_from",), f"{clumps}: it reads spheres only; remove one of the two")
-    if scene.output.fields:
-        yield whole(
-            ("output", "fields"), f"{clumps}: stresses need the forces inside a clump; remove one of the two"
-        )
+def unsupported_shapes(parts: PartialScene) -> Iterator[Fault]:
+    """The first group of each shape of particles excludes parts of the scene."""
+    groups = {type(group.shape): name for name, group in reversed(parts.scene.particles.items())}
+    for name in groups.values():
+        yield from parts.scene.particles[name].shape.faults_in_scene(parts.scene, name)
 
 
 def liquid_content(parts: PartialScene) -> Iterator[Fault]:
@@ -746,7 +730,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     ((), some_particles),
     (("domain",), inside_domain),
     (("domain", "particles", "output"), lees_edwards),
-    (("domain", "run", "output"), unsupported_with_clumps),
+    (("domain", "run", "output"), unsupported_shapes),
     (("contact",), liquid_content),
     (("output", "stages", "domain"), field_grids),
     (("output", "gravity", "domain"), metrics),

@@ -6,7 +6,7 @@ from clumps import ROD, about, clump_group
 from scene_builders import build_scene, plane, run_and_sample
 from scipy.special import ellipj
 
-from granflow.geometry.clump import clump_shape, matrices
+from granflow.geometry.clump import clump_body, matrices
 from granflow.simulation import Simulation
 
 ASYMMETRIC = [[0.0, 0.0, 0.0], [4e-3, 0.0, 0.0], [0.0, 2.5e-3, 0.0]]
@@ -14,7 +14,7 @@ DENSITY = 2500.0
 
 
 def shape_of(centers, radius=0.002):
-    return clump_shape(tuple(map(tuple, centers)), (radius,) * len(centers))
+    return clump_body(tuple(map(tuple, centers)), (radius,) * len(centers))
 
 
 def body_rates(particles):

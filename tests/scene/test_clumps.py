@@ -8,7 +8,7 @@ from clumps import ROD, about, clump_group
 from scene_builders import SOFT, build_scene, particle_group, plane
 
 from granflow.errors import GranflowError, SceneError
-from granflow.geometry.clump import clump_shape, matrices
+from granflow.geometry.clump import clump_body, matrices
 from granflow.load import Scene
 from granflow.parallel.refusals import refuse_on_ranks
 from granflow.particles.insertion import initial_particles
@@ -104,7 +104,7 @@ def test_ranks_are_refused():
 
 def test_mass_of_a_group_gives_the_number_of_clumps():
     """The mass of a clump is density times the volume of the union of its spheres."""
-    mass = SOFT["density"] * clump_shape(tuple(map(tuple, ROD)), (0.002,) * len(ROD)).volume
+    mass = SOFT["density"] * clump_body(tuple(map(tuple, ROD)), (0.002,) * len(ROD)).volume
     packed = clump_group([[0, 0, 0]]) | {
         "count": None,
         "mass": 37.2 * mass,

@@ -34,7 +34,7 @@ def test_heap_of_rods_is_steeper_than_that_of_spheres(taichi_f64):
         rods = load_scene(SCENES / "clumps.yaml", ["output.interval=1000 s", f"seed={seed}"])
         data = rods.to_dict()
         group = data["particles"]["rods"]
-        group["diameter"] = (6.0 / np.pi * rods.particles["rods"].clump.shape.volume) ** (1.0 / 3.0)
+        group["diameter"] = (6.0 / np.pi * rods.particles["rods"].shape.body.volume) ** (1.0 / 3.0)
         del group["clump"]
         retained["rods"].append(retained_volume(rods))
         retained["spheres"].append(retained_volume(Scene.from_dict(data)))

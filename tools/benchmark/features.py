@@ -259,7 +259,7 @@ def feature_costs(
     Raises GranflowError without particles at that time, RunError if a variant aborts, SceneError with clumps.
     """
     for name, group in scene.particles.items():
-        if group.clump:
+        if group.shape.rotates:
             raise SceneError(
                 f"{scene.locate('particles', name, 'clump')}: the cost of features cannot be measured "
                 "with clumps, because each variant starts from single particles; give a scene without clumps."

@@ -10,8 +10,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, Tag, model_validator
 
-from granflow.geometry.clump import ClumpShape, clump_shape
-from granflow.scene.blocks.shapes import Box, CylinderShape, Rectangular, RotationStep
+from granflow.scene.blocks.particle_shapes.clump import Clump
+from granflow.scene.blocks.particle_shapes.shape import SPHERE, ParticleShape
+from granflow.scene.blocks.shapes import Box, CylinderShape, Rectangular
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, KeyPath, missing, redundant, whole, whole_error
 from granflow.schema.model import (
@@ -155,79 +156,6 @@ RadiusOrMany = Annotated[
     ),
 ]
 """One radius [m] for all particles, or one for each."""
-
-
-# Key `clump`
-
-MOST_SPHERES = 100
-"""Largest number of spheres of a clump: the integration of each sphere adds up the forces on all of them."""
-
-
-class ClumpSphere(Model):
-    """One sphere of a clump.
-
-    >>> gf.ClumpSphere(position=[0, 0, "1 mm"], radius="2 mm").radius
-    0.002
-    """
-
-    position: q.UnscaledPoint = Field(
-        description="center [m]; the origin of all centers of a clump is arbitrary"
-    )
-    radius: q.UnscaledLength = Field(description="radius [m]")
-
-
-def _orientation_tag(value: Any) -> str | None:
-    if isinstance(value, list | tuple):
-        return "<list>"
-    if isinstance(value, dict | RotationStep):
-        return "<one>"
-    return "<random>" if value == "random" else None
-
-
-Orientation = Annotated[
-    Annotated[Literal["random"], Tag("<random>")]
-    | Annotated[RotationStep, Tag("<one>")]
-    | Annotated[tuple[RotationStep, ...], Tag("<list>")],
-    choose_by(_orientation_tag, "it must be random, {axis: [..], angle: ..}, or a list of these rotations"),
-]
-"""Random orientations, one rotation for all clumps, or one for each."""
-
-
-class Clump(Model):
-    """A rigid body of spheres, which may overlap; its density is that of the material, and overlaps count
-    once.
-
-    >>> spheres = [gf.ClumpSphere(position=[x, 0, 0], radius="2 mm") for x in (0, 0.003)]
-    >>> gf.Clump(spheres=spheres, orientation="random").orientation
-    'random'
-    """
-
-    spheres: Annotated[
-        tuple[ClumpSphere, ...],
-        ListOf(some="[{position: [0, 0, 0], radius: 1 mm}, {position: [1.5 mm, 0, 0], ...}]"),
-    ] = Field(description="centers and radii of the spheres, {position: [..], radius: ..}, at most 100")
-    orientation: Orientation | None = optional(
-        "orientation of new clumps: {axis: [..], angle: ..} turns the given positions; random; with "
-        "insert: {kind: positions}, also a list",
-        "as given",
-    )
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault for more than MOST_SPHERES spheres."""
-        if len(self.spheres) > MOST_SPHERES:
-            yield whole(("spheres",), f"has {len(self.spheres)} spheres, but the limit is {MOST_SPHERES}")
-
-    @property
-    def shape(self) -> ClumpShape:
-        """Volume, moments of inertia and spheres of the clump."""
-        return clump_shape(
-            tuple(each.position for each in self.spheres), tuple(each.radius for each in self.spheres)
-        )
-
-    @property
-    def outer_diameter(self) -> float:
-        """Diameter [m] of the smallest sphere around the center of mass that contains the clump."""
-        return 2.0 * self.shape.outer_radius
 
 
 # Keys `velocity`, `angular_velocity` and `thermal`
@@ -580,7 +508,12 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     @property
     def sphere_count(self) -> int:
         """Number of spheres: those of all clumps, or the number of particles. Raises as `count`."""
-        return self.count * (1 if self.clump is None else len(self.clump.spheres))
+        return self.count * self.shape.sphere_count
+
+    @property
+    def shape(self) -> ParticleShape:
+        """Shape of the particles."""
+        return SPHERE if self.clump is None else self.clump
 
     @property
     def diameters(self) -> tuple[float, float]:
@@ -591,19 +524,17 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     @property
     def outer_diameters(self) -> tuple[float, float]:
-        """As `diameters`, but of the spheres around clumps: the size of the particles when they are
-        inserted."""
-        if self.clump is None:
-            return self.diameters
-        return self.clump.outer_diameter, self.clump.outer_diameter
+        """As `diameters`, but of the particles when they are inserted: those of the spheres around clumps."""
+        outer = self.shape.outer_diameter
+        return self.diameters if outer is None else (outer, outer)
 
     def size_spans(self) -> list[tuple[float, float]]:
         """Ranges of the diameters [m] of spheres, in ascending order; one range for a continuous
         distribution."""
         if isinstance(self.insert, FileInsertion) and self.insert.found is not None:
             return [(self.insert.found.diameter_min, self.insert.found.diameter_max)]
-        if self.clump is not None:
-            return [(each, each) for each in sorted({2.0 * sphere.radius for sphere in self.clump.spheres})]
+        if self.shape.diameters:
+            return [(each, each) for each in self.shape.diameters]
         sizes = self.sizes
         if isinstance(sizes, float):
             return [(sizes, sizes)]
@@ -620,8 +551,8 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
         The outer diameter of clumps. Raises ValueError if a file defines them.
         """
-        if self.clump is not None:
-            return self.clump.outer_diameter
+        if self.shape.outer_diameter is not None:
+            return self.shape.outer_diameter
         if self.diameter is not None:
             return self.diameter
         if self.radius is None:
@@ -650,8 +581,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         yield from self._amount_faults()
         yield from self._list_faults()
         yield from self._size_faults()
-        if self.clump is not None:
-            yield from self._clump_faults()
+        yield from self.shape.faults_in_group(self)
         if self.thermal is not None:
             yield from self._thermal_faults(self.thermal)
         if self.fixed:
@@ -665,10 +595,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     def _size_faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one of diameter, radius, clump and file defines the sizes."""
         given = [key for key in ("diameter", "radius") if getattr(self, key) is not None]
-        if self.clump is not None:
-            yield from (
-                Fault((key,), f"the spheres of the clump define the sizes; remove {key}") for key in given
-            )
+        if self.shape.diameters:
             return
         if not given and self.insert.kind != "file":
             yield missing(("diameter",), "diameter [m], or a size distribution")
@@ -718,14 +645,6 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         elif thermal.zero_momentum and self.count_given == 1:
             reason = "one particle has momentum; write zero_momentum: false, or give two particles"
             yield whole(("thermal",), f"cannot have zero momentum: {reason}")
-
-    def _clump_faults(self) -> Iterator[Fault]:
-        """Clumps move, and are inserted by the scene."""
-        if self.fixed:
-            yield Fault(("fixed",), "clumps cannot be fixed; build the body of fixed spheres without clump")
-        if self.insert.kind in ("file", "python"):
-            kinds = "positions, lattice, pack, rain or inlet"
-            yield Fault(("insert", "kind"), f"clumps are not inserted in this way; use {kinds}")
 
     def _fixed_faults(self) -> Iterator[Fault]:
         """Fixed particles must exist from the start and be at rest."""

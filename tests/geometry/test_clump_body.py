@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 
-from granflow.geometry.clump import clump_shape, matrices, of_matrix, product, random_orientations
+from granflow.geometry.clump import clump_body, matrices, of_matrix, product, random_orientations
 
 
 def shape_of(centers, radii):
-    return clump_shape(tuple(map(tuple, np.asarray(centers, float).tolist())), tuple(map(float, radii)))
+    return clump_body(tuple(map(tuple, np.asarray(centers, float).tolist())), tuple(map(float, radii)))
 
 
 def two_spheres(radius, distance):

@@ -1,0 +1,1 @@
+"""Shapes of particles: one record per shape, in one file each."""
