@@ -9,9 +9,10 @@ contact files, energy budget, time step and the tests of all models (tests/conta
 To write a model:
 
 1.  Choose the base class, and give `name`, `source` and `limits`. `required` lists what it must define.
-2.  Declare the options of the model (`Amount`, `Choice`) and the keys of `pairs` that it needs (`PairOption`)
-    in the record. `from_scene` reads the options in a `ModelRequest`, `pair_constants` the properties of a
-    pair in a `PairMaterial`. Numbers of the scene that all pairs share are `parameters`. No number is a
+2.  Declare the options of the model as fields of a subclass of `Options`, and the keys of `pairs` that it
+    needs as fields of one of `PairProperties`, with the types of `granflow.schema.quantities`: they have the
+    unit and the limits. `from_scene` reads the options in a `ModelRequest`, `pair_constants` the properties
+    of a pair in a `PairMaterial`. Numbers of the scene that all pairs share are `parameters`. No number is a
     literal of a device function, so that another value compiles nothing.
 3.  Declare what a contact remembers in `history`, as `HistoryField` records.
 4.  Write the device functions (`ti.func`). They take and return values only; the arguments are structs:
@@ -35,15 +36,18 @@ To write a model:
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from types import SimpleNamespace
-from typing import Any, ClassVar, Literal, Protocol, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 
 import numpy as np
+from pydantic import Field
 
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import DeviceObject, is_from_outside, ti
+from granflow.schema.model import Model, example_of
+from granflow.schema.quantities import Number
 
 # Laws of all slots
 
@@ -52,7 +56,7 @@ from granflow.device_functions import DeviceObject, is_from_outside, ti
 class ModelRequest:
     """What a scene says about one slot, from which a model makes its law.
 
-    options:          those of the model in `contact`, numbers in SI units
+    options:          those of the model in `contact`, an instance of `ContactModel.options`
     pairs:            effective constants of all pairs of materials that can be in contact
     velocity_max:     largest expected impact velocity [m/s]
     unloading_angle:  theta of a model that bounds its unloading tangent by theta^2 M/dt^2
@@ -60,7 +64,7 @@ class ModelRequest:
     radius_eff_max:   largest effective radius of a contact [m]: that of the largest particle at a wall
     """
 
-    options: Mapping[str, Any]
+    options: Any
     pairs: tuple[PairMaterial, ...]
     velocity_max: float
     unloading_angle: float
@@ -126,7 +130,7 @@ class Law(DeviceObject):
         return {}
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Values of `constant_names` for a pair of materials; by default the pair options of the same names.
+        """Values of `constant_names` for a pair of materials; by default its properties of the same names.
 
         Raises ValueError for a pair that the model does not support.
         """
@@ -251,7 +255,7 @@ class NormalLaw(Law):
     """True for a model that bounds its unloading tangent by the time step, see `least_restitution`."""
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Values of `constant_names`: the effective moduli [Pa], by default followed by pair options.
+        """Values of `constant_names`: the effective moduli [Pa], by default followed by pair properties.
 
         Raises ValueError for a pair that the model does not support.
         """
@@ -688,82 +692,63 @@ class CohesionLaw(Law):
 # Records: the keys that a model adds to a scene
 
 
-@dataclass(frozen=True)
-class Amount:
-    """An option that is one number, in SI units or with a unit; required if it has no default.
+class Options(Model):
+    """Options of a contact model: its keys in `contact` in addition to its name; this class has none.
 
-    description:  meaning, for the schema and the documentation
-    example:      value with unit, for messages
-    dimension:    "number" if dimensionless (the default), "length", "velocity", "stiffness", ...: the keys of
-                  `granflow.units.DIMENSIONS`, which a wrong one lists
-    noun:         noun with article, for messages
-    limits:       `above`, `at_least`, `at_most`, in SI units; None: no limit
-    default:      value if the option is omitted
+    A subclass declares them as fields, each with a description, and with a default or an example.
     """
 
-    description: str
-    example: str
-    dimension: str = "number"
-    noun: str = ""
-    above: float | None = None
-    at_least: float | None = None
-    at_most: float | None = None
-    default: float | None = None
+    with_numbers: ClassVar[Mapping[str, str]] = {}
+    """Options that take a fixed value if the restitution of every pair is a number, by key."""
+
+
+class PairProperties(Model):
+    """Keys of `pairs` that a contact model requires; if all are 0 for all pairs, the model is left out.
+
+    A subclass declares them as fields, each with a description and an example, without a default.
+    """
 
 
 @dataclass(frozen=True)
-class Choice:
-    """An option that is one of `words`, or a mapping with one key of `keyed`: onset, {value: 1e4 N/m}.
+class Remedy:
+    """What to write for a property of a pair, for the message on a missing key; metadata of its type."""
 
-    default:       word if the option is omitted; None: the option is required
-    with_numbers:  word used in place of the default if the restitution of every pair is a number
-    """
-
-    description: str
-    words: tuple[str, ...]
-    keyed: Mapping[str, Amount] = field(default_factory=dict)
-    default: str | None = None
-    with_numbers: str | None = None
+    text: str = "give a value, or 0"
 
 
-Option: TypeAlias = Amount | Choice
+FrictionCoefficient = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
 
 
-@dataclass(frozen=True)
-class PairOption:
-    """A key of `pairs` that a contact model requires; if it is 0 for all pairs, the model is left out.
+class SlidingFriction(PairProperties):
+    """Sliding friction, which every pair has, for every tangential model."""
 
-    key:     name of the key
-    amount:  meaning and limits of the value, which has no default
-    remedy:  what to write, for the message on a missing key
-    """
-
-    key: str
-    amount: Amount
-    remedy: str = "give a value, or 0"
+    friction: FrictionCoefficient = Field(
+        description="Coulomb friction coefficient; 0 for no friction", examples=["0.5"]
+    )
 
 
-FRICTION = PairOption("friction", Amount("Coulomb friction coefficient; 0 for no friction", "0.5"))
-"""Sliding friction, which every pair has, for every tangential model."""
-ROLLING_FRICTION = PairOption(
-    "rolling_friction",
-    Amount("rolling friction coefficient", "0.1", noun="a friction coefficient", at_least=0),
-    "give the coefficient, or 0 to disable rolling friction",
-)
-"""Rolling friction, shared by the rolling models."""
-WORK_OF_ADHESION = PairOption(
-    "work_of_adhesion",
-    Amount(
-        "work of adhesion w [J/m2]: energy per area that separates the two surfaces; twice the surface "
-        "energy of equal materials",
-        "50 mJ/m2",
-        "surface_energy",
-        "a work of adhesion",
-        at_least=0,
-    ),
-    "give it in J/m2, or 0 to disable cohesion",
-)
-"""Work of adhesion, shared by the models of dry adhesion."""
+class RollingFriction(PairProperties):
+    """Rolling friction, shared by the rolling models."""
+
+    rolling_friction: Annotated[
+        FrictionCoefficient, Remedy("give the coefficient, or 0 to disable rolling friction")
+    ] = Field(description="rolling friction coefficient", examples=["0.1"])
+
+
+class WorkOfAdhesion(PairProperties):
+    """Work of adhesion, shared by the models of dry adhesion."""
+
+    work_of_adhesion: Annotated[
+        float,
+        Number("surface_energy", noun="a work of adhesion", at_least=0),
+        Remedy("give it in J/m2, or 0 to disable cohesion"),
+    ] = Field(
+        description="work of adhesion w [J/m2]: energy per area that separates the two surfaces; twice the "
+        "surface energy of equal materials",
+        examples=["50 mJ/m2"],
+    )
+
+
 SLOTS: Mapping[str, type[Law]] = {
     "normal": NormalLaw,
     "tangential": TangentialLaw,
@@ -781,21 +766,18 @@ materials."""
 class ContactModel:
     """A contact model of one slot, declared in one file.
 
-    law:           class with the functions of the model and its `name`, `source` and `limits`
-    summary:       description in one sentence
-    options:       keys of the model in `contact`, in addition to its name
-    pair_options:  keys of `pairs` that the model requires
-    restitution:   form of the restitution that a normal model requires of a pair
-    example:       options of a common variant, for studies of single collisions; given if options are
-                   required
+    law:              class with the functions of the model and its `name`, `source` and `limits`
+    summary:          description in one sentence
+    options:          class of the keys of the model in `contact`, in addition to its name
+    pair_properties:  class of the keys of `pairs` that the model requires
+    restitution:      form of the restitution that a normal model requires of a pair
     """
 
     law: type[Law]
     summary: str
-    options: Mapping[str, Option] = field(default_factory=dict)
-    pair_options: tuple[PairOption, ...] = ()
+    options: type[Options] = Options
+    pair_properties: type[PairProperties] = PairProperties
     restitution: RestitutionInput = "positive number"
-    example: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -808,6 +790,15 @@ class ContactModel:
         return next(slot for slot, base in SLOTS.items() if issubclass(self.law, base))
 
     @property
-    def needs_options(self) -> bool:
-        """Whether a scene requires options in addition to the name of the model."""
-        return any(option.default is None for option in self.options.values())
+    def required_options(self) -> dict[str, str]:
+        """Options without a default, by key, each with its example."""
+        return {
+            key: str(example_of(each))
+            for key, each in self.options.model_fields.items()
+            if each.is_required()
+        }
+
+    @property
+    def example(self) -> dict[str, Any]:
+        """Options of a common variant in SI units, for studies of single collisions: those required."""
+        return self.options(**self.required_options).model_dump(include=set(self.required_options))

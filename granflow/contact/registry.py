@@ -7,7 +7,11 @@ needs, and their layout in arrays.
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+from pydantic.fields import FieldInfo
+
+from granflow.arguments import shown
 from granflow.contact.cohesion import capillary, capillary_transfer, dmt, jkr, sjkr, van_der_waals
 from granflow.contact.law import (
     SLOTS,
@@ -16,7 +20,8 @@ from granflow.contact.law import (
     HistoryField,
     Law,
     NormalLaw,
-    PairOption,
+    Options,
+    PairProperties,
     RollingLaw,
     TangentialLaw,
     TwistingLaw,
@@ -26,6 +31,7 @@ from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornt
 from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import linear_history, mindlin
 from granflow.contact.twisting import marshall, torsion_spring
+from granflow.schema.model import example_of
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -50,22 +56,20 @@ def models(slot: str) -> Mapping[str, ContactModel]:
     return _MODELS[slot]
 
 
-def pair_options() -> dict[str, PairOption]:
-    """The keys of `pairs` that any model requires."""
+def pair_properties() -> dict[str, FieldInfo]:
+    """The keys of `pairs` that any model requires, with their declarations."""
     return {
-        option.key: option
+        key: each
         for slot in _MODELS.values()
         for model in slot.values()
-        for option in model.pair_options
+        for key, each in model.pair_properties.model_fields.items()
     }
 
 
 def models_with(key: str) -> dict[str, list[str]]:
     """Slots and names of the models that require a key of `pairs`."""
     found = {
-        slot: [
-            name for name, model in named.items() if any(option.key == key for option in model.pair_options)
-        ]
+        slot: [name for name, model in named.items() if key in model.pair_properties.model_fields]
         for slot, named in _MODELS.items()
     }
     return {slot: names for slot, names in found.items() if names}
@@ -92,14 +96,31 @@ def _problems(model: ContactModel) -> Iterator[str]:
     elif model.name in _MODELS[model.slot]:
         yield f"a {model.slot} model of this name exists"
     yield from _undefined(model)
-    known = pair_options()
-    for option in model.pair_options:
-        if not _NAME.fullmatch(option.key) or option.key in ("restitution", "model"):
-            yield f"{option.key} is not a valid key of pairs"
-        elif known.get(option.key, option) != option:
-            yield f"the key {option.key} of pairs exists with another meaning"
-        elif option.amount.default is not None:
-            yield f"the key {option.key} of pairs has a default; a physical property has none"
+    yield from _undeclared(model)
+
+
+def _undeclared(model: ContactModel) -> Iterator[str]:
+    """Reasons why the options of a model or its properties of pairs are not valid."""
+    for given, base in ((model.options, Options), (model.pair_properties, PairProperties)):
+        if not (isinstance(given, type) and issubclass(given, base)):
+            yield f"{shown(given)} is not a subclass of {base.__module__}.{base.__name__}"
+            return
+    for key, each in model.options.model_fields.items():
+        if each.is_required() and example_of(each) is None:
+            yield f"the option {key} has neither a default nor an example"
+    known = pair_properties()
+    for key, each in model.pair_properties.model_fields.items():
+        if not _NAME.fullmatch(key) or key in ("restitution", "model"):
+            yield f"{key} is not a valid key of pairs"
+        elif _meaning(known.get(key, each)) != _meaning(each):
+            yield f"the key {key} of pairs exists with another meaning"
+        elif not each.is_required():
+            yield f"the key {key} of pairs has a default; a physical property has none"
+
+
+def _meaning(field: FieldInfo) -> tuple[Any, ...]:
+    """What a key means: its type, limits and description."""
+    return field.annotation, field.metadata, field.description
 
 
 def _undefined(model: ContactModel) -> Iterator[str]:

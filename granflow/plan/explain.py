@@ -357,7 +357,7 @@ def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
     if (
         isinstance(model, LawSettings)
         and path[:2] == ("contact", "normal")
-        and model.fixed_by_numbers().get(str(path[-1])) == getattr(model, str(path[-1]))
+        and model.record.options.with_numbers.get(str(path[-1])) == getattr(model, str(path[-1]))
     ):
         return "the restitution of every pair is a number, independent of the velocity"
     return _REASONS.get(path[-1], "default")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from granflow.contact import registry
-from granflow.contact.law import FRICTION, ContactModel
+from granflow.contact.law import ContactModel
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, size_classes
 from granflow.plan.walls import has_belt, is_force_controlled
@@ -265,12 +265,12 @@ def _name(models: Mapping[str, ContactModel], slot: str) -> str:
 
 
 def _model_reason(scene: Scene, models: Mapping[str, ContactModel], slot: str) -> str:
-    """The first pair with a value other than 0 of a pair option of the model, or why the model is not
+    """The first pair with a value other than 0 of a pair property of the model, or why the model is not
     active."""
     model = registry.models(slot).get(scene.contact.name(slot))
-    keys = [option.key for option in model.pair_options] if model else []
+    keys = list(model.pair_properties.model_fields) if model else []
     if slot == "tangential":
-        keys = keys or [FRICTION.key]
+        keys = keys or ["friction"]
     elif model is None:
         return f"contact.{slot} is none ({scene.where('contact', slot)})"
     if not keys:
@@ -285,9 +285,9 @@ def _rate_reason(scene: Scene, law_is_damped: bool) -> str:
     """The damping ratio, or the property of the contact model, that makes forces depend on velocities."""
     normal = scene.contact.normal
     options = scene.contact.options("normal")
-    damping_ratio = options.get("damping_ratio")
+    damping_ratio = getattr(options, "damping_ratio", None)
     if damping_ratio is not None:
-        rests = not law_is_damped and options.get("rest_damping")
+        rests = not law_is_damped and getattr(options, "rest_damping", None)
         addition = ", and rest_damping acts only on contacts that reload" if rests else ""
         return (
             f"contact.normal.damping_ratio is {damping_ratio:g}{addition} "

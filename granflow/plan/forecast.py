@@ -800,12 +800,12 @@ def _unused_cohesion(scene: Scene) -> Iterator[str]:
     """A sentence on the parameters of a cohesion that is switched off."""
     if scene.contact.name("cohesion") != "none":
         return
-    for option in registry.pair_options().values():
-        models = registry.models_with(option.key)
-        names = [name for name, pair in scene.pairs.items() if getattr(pair, option.key)]
+    for key in registry.pair_properties():
+        models = registry.models_with(key)
+        names = [name for name, pair in scene.pairs.items() if getattr(pair, key)]
         if list(models) == ["cohesion"] and names:
             yield (
-                f"pairs.{names[0]}.{option.key} ({scene.where('pairs', names[0], option.key)}) is not used, "
+                f"pairs.{names[0]}.{key} ({scene.where('pairs', names[0], key)}) is not used, "
                 f"because contact.cohesion is none; {' or '.join(models['cohesion'])} would use it."
             )
 

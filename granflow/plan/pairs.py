@@ -38,8 +38,8 @@ PairMaterials = Mapping[tuple[str, str], PairMaterial]
 def active_models(scene: Scene) -> dict[str, ContactModel]:
     """The contact models of the scene by slot.
 
-    A model with pair options is active only if a pair has a value other than 0; slots without an active model
-    are absent.
+    A model with properties of pairs is active only if a pair has a value other than 0; slots without an
+    active model are absent.
     """
     found = {}
     for slot in SLOTS:
@@ -52,9 +52,8 @@ def active_models(scene: Scene) -> dict[str, ContactModel]:
 
 def _acts(model: ContactModel, pairs: Iterable[MaterialPair]) -> bool:
     """Whether a model acts between any of the pairs."""
-    return not model.pair_options or any(
-        getattr(pair, option.key) for pair in pairs for option in model.pair_options
-    )
+    keys = model.pair_properties.model_fields
+    return not keys or any(getattr(pair, key) for pair in pairs for key in keys)
 
 
 def build_laws(
@@ -95,7 +94,7 @@ def _refuse_dashpot(scene: Scene, slot: str) -> None:
     damped = [
         name for name, model in registry.models("normal").items() if getattr(model.law, "has_dashpot", False)
     ]
-    damping = scene.contact.options(slot)["damping"]
+    damping = scene.contact.options(slot).damping
     raise SceneError(
         f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, a multiple of "
         "the dashpot from which the normal model obtains the restitution, but "
@@ -146,7 +145,7 @@ def _pair_material(
     else:
         restitution = given
     surface = [models[slot] for slot in ("tangential", "rolling", "twisting") if slot in models]
-    options = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_options()}
+    options = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_properties()}
     return PairMaterial(
         modulus_eff(a, b),
         shear_modulus_eff(a, b),
@@ -155,7 +154,7 @@ def _pair_material(
         yield_strength(a, b),
         options,
         has_tangential_force=any(_acts(model, [pair]) for model in surface),
-        tangential_stiffness=scene.contact.options("tangential").get("stiffness"),
+        tangential_stiffness=getattr(scene.contact.options("tangential"), "stiffness", None),
     )
 
 

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations_with_replacement, product
-from typing import Annotated, Any, get_origin
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, Field, create_model
 
 from granflow.contact import registry
-from granflow.contact.law import FRICTION
+from granflow.contact.law import Remedy
 from granflow.fields import (
     ENERGY_BUDGET_QUANTITIES,
     FLOW_METER_QUANTITIES,
@@ -255,21 +255,23 @@ def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, in
     return found
 
 
-def pair_options(parts: PartialScene) -> Iterator[Fault]:
+def pair_properties(parts: PartialScene) -> Iterator[Fault]:
     """Keys of pairs require the contact model that declares them, and vice versa."""
     contact = parts.scene.contact
     for key, pair in parts.scene.pairs.items():
-        for option in registry.pair_options().values():
-            path: KeyPath = ("pairs", key, option.key)
-            value = getattr(pair, option.key)
-            known = registry.models_with(option.key)
+        for name, each in registry.pair_properties().items():
+            path: KeyPath = ("pairs", key, name)
+            value = getattr(pair, name)
+            known = registry.models_with(name)
             users = {slot: contact.name(slot) for slot, names in known.items() if contact.name(slot) in names}
             if users and value is None:
-                slot, name = next(iter(users.items()))
-                yield missing(path, f"contact.{slot} is {name}; {option.remedy}")
+                slot, user = next(iter(users.items()))
+                remedy = next((note for note in each.metadata if isinstance(note, Remedy)), Remedy()).text
+                yield missing(path, f"contact.{slot} is {user}; {remedy}")
             elif value and not users and not _is_switched_off(contact, known):
                 slot, names = next(iter(known.items()))
-                remedy = "write 0" if option.key == FRICTION.key else f"remove {option.key}"
+                required = type(pair).model_fields[name].is_required()
+                remedy = "write 0" if required else f"remove {name}"
                 reason = f"contact.{slot} is {contact.name(slot)}; {remedy}, or choose {' or '.join(names)}"
                 yield Fault(path, reason)
 
@@ -315,14 +317,15 @@ def _restitution_fit(parts: PartialScene, key: str, fit: RestitutionFit) -> Iter
     """
     normal = parts.scene.contact.normal
     path = ("pairs", key, "restitution")
-    settings = normal.settings()
     without_yield = _without_yield_strength(parts, key)
-    fixed = [name for name, word in normal.fixed_by_numbers().items() if settings[name] == word]
+    fixed = [key for key, word in normal.record.options.with_numbers.items() if getattr(normal, key) == word]
     if normal.record.restitution != "number or fit":
         yield Fault(path, f"the contact model {normal.law} requires a number, above 0 and at most 1")
     elif fixed:
-        words = [word for word in normal.words(fixed[0]) if word != settings[fixed[0]]]
-        reason = f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which requires a number; "
+        given = getattr(normal, fixed[0])
+        known = get_args(type(normal).model_fields[fixed[0]].annotation)
+        words = [word for word in known if word != given]
+        reason = f"contact.normal.{fixed[0]} is {given}, which requires a number; "
         yield Fault(path, f"{reason}or write {' or '.join(words)}")
     elif fit.limit_velocity is None and without_yield:
         remedy = (
@@ -721,7 +724,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     ((), materials_exist),
     ((), material_names),
     (("particles",), possible_contacts_have_a_pair),
-    (("contact",), pair_options),
+    (("contact",), pair_properties),
     (("contact",), restitution),
     (("stages",), stage_names),
     (("stages", "run"), duration),

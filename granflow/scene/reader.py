@@ -137,9 +137,10 @@ def _resolved_law(scene: SceneInput) -> SceneInput:
     """
     normal = scene.contact.normal
     has_fit = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
-    if has_fit or not normal.fixed_by_numbers():
+    with_numbers = normal.record.options.with_numbers
+    if has_fit or not with_numbers:
         return scene
-    fixed = normal.model_copy(update=normal.fixed_by_numbers())
+    fixed = normal.model_copy(update=with_numbers)
     return scene.model_copy(update={"contact": scene.contact.model_copy(update={"normal": fixed})})
 
 

@@ -3,19 +3,17 @@
 A model is checked, added to the registry of contact models, and becomes a value of `contact` in the schema.
 """
 
-from collections.abc import Iterator
 from inspect import unwrap
 
 from granflow.arguments import refuse_other, shown
 from granflow.contact import registry
-from granflow.contact.law import SLOTS, Amount, Choice, ContactModel
+from granflow.contact.law import SLOTS, ContactModel
 from granflow.device_functions import run_time_branches, source_lines
 from granflow.errors import GranflowError
 from granflow.scene import checks, reference
 from granflow.scene.blocks import contact, materials
 from granflow.scene.blocks.scene import SceneInput
 from granflow.schema.model import Model
-from granflow.units import DIMENSIONS
 
 
 def register_contact_model(model: ContactModel) -> None:
@@ -34,12 +32,6 @@ def register_contact_model(model: ContactModel) -> None:
         raise GranflowError(
             f"the law of a contact model is {shown(model.law)}, but must be a subclass of {bases}."
         )
-    for amount in _amounts(model):
-        if amount.dimension not in DIMENSIONS:
-            raise GranflowError(
-                f"contact model {model.law.__name__}: the dimension {amount.dimension} is not one of "
-                f"{', '.join(DIMENSIONS)}"
-            )
     _refuse_without_source(model)
     _refuse_branches(model)
     try:
@@ -47,13 +39,6 @@ def register_contact_model(model: ContactModel) -> None:
     except ValueError as error:
         raise GranflowError(str(error)) from None
     _use_registry()
-
-
-def _amounts(model: ContactModel) -> Iterator[Amount]:
-    """The numbers that the options and pair options of a model declare."""
-    yield from (option.amount for option in model.pair_options)
-    for option in model.options.values():
-        yield from option.keyed.values() if isinstance(option, Choice) else [option]
 
 
 def _refuse_without_source(model: ContactModel) -> None:

@@ -425,8 +425,8 @@ def tag_of(member: Any) -> str:
     """Tag of a member of a union in the locations of errors.
 
     The tag is a name in angle brackets, which distinguish it from keys: that of the pydantic `Tag` of the
-    member, else the value of its key such as `kind`, else its first key; for plain values none, list or
-    number.
+    member, else the value of its key such as `kind`, else its first key; for plain values the only word,
+    none, list or number.
     """
     if get_origin(member) is Annotated:
         explicit = [meta.tag for meta in get_args(member)[1:] if isinstance(meta, Tag)]
@@ -436,6 +436,8 @@ def tag_of(member: Any) -> str:
         return f"<{next(iter(words), None) or next(iter(member.model_fields))}>"
     if member is NoneType:
         return "<none>"
+    if get_origin(member) is Literal and len(get_args(member)) == 1:
+        return f"<{get_args(member)[0]}>"
     return "<list>" if get_origin(member) is tuple else "<number>"
 
 

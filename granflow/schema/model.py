@@ -8,7 +8,7 @@ fields are here and in `quantities`. A value that is valid by itself may contrad
 import re
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -19,6 +19,7 @@ from pydantic import (
     ValidationError,
     WithJsonSchema,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
 from granflow.errors import SceneError
@@ -145,6 +146,13 @@ def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
     return change
 
 
+def example_of(field: FieldInfo) -> Any:
+    """Example of the value of a key: that of its declaration, else the first of its words, else None."""
+    if field.examples:
+        return field.examples[0]
+    return get_args(field.annotation)[0] if get_origin(field.annotation) is Literal else None
+
+
 # Unions: a value selects the member by a key, by its first key, or by its form
 
 Tagger = Callable[[Any, Collection[str]], str | None]
@@ -189,12 +197,17 @@ def choose_by_key(key: str) -> Choice:
     return Choice(tag, {"key": key})
 
 
-def choose_by_first_key(reason: str) -> Choice:
-    """Choose a model by its first key, as `box` of `{box: {...}}`; else the error "X is Y, but REASON."."""
+def choose_by_first_key(reason: str, words: tuple[str, ...] = ()) -> Choice:
+    """Choose a model by its first key, as `box` of `{box: {...}}`; else the error "X is Y, but REASON.".
+
+    `words`: texts that are valid too; the union has a `Literal` for each.
+    """
 
     def tag(value: Any, tags: Collection[str]) -> str | None:
         if isinstance(value, BaseModel):
             return tag_of(type(value))
+        if isinstance(value, str):
+            return f"<{value}>" if value in words else None
         return next((each for each in tags if isinstance(value, dict) and each.strip("<>") in value), None)
 
     return Choice(tag, {"reason": reason})

@@ -15,9 +15,10 @@ from pydantic import AfterValidator, GetCoreSchemaHandler
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
+from granflow.errors import GranflowError
 from granflow.schema.faults import Fault, value_error
 from granflow.schema.model import DIMENSION, list_of_length, pair_list, require
-from granflow.units import GivenNumber, UnitError, dimension_of, mixed_units, to_si
+from granflow.units import DIMENSIONS, GivenNumber, UnitError, dimension_of, mixed_units, to_si
 
 LARGEST = 1e30
 """Largest magnitude of an SI number in a scene."""
@@ -48,6 +49,12 @@ class Number:
     words: tuple[str, ...] = ()
     whole: bool = False
     scaling: int = 0
+
+    def __post_init__(self) -> None:
+        """Raises GranflowError for an unknown dimension."""
+        if self.dimension not in (*DIMENSIONS, "any"):
+            known = ", ".join(DIMENSIONS)
+            raise GranflowError(f"the dimension {self.dimension} is not one of {known}.")
 
     def read(self, value: Any) -> float | int | str:
         """Convert a value from the file to a number within the bounds (SI), or to one of the words.
@@ -153,8 +160,12 @@ class Number:
 
 def unit_of(field: FieldInfo) -> str:
     """SI unit of the numbers of a key, from its type; empty without one."""
-    units = (dimension_of(each.dimension).si_unit for each in _numbers_in(field.annotation, field.metadata))
-    return next(filter(None, units), "")
+    return next(filter(None, (dimension_of(each.dimension).si_unit for each in numbers_of(field))), "")
+
+
+def numbers_of(field: FieldInfo) -> list[Number]:
+    """The numbers in the type of a key: one, or those of a vector, list or union."""
+    return list(_numbers_in(field.annotation, field.metadata))
 
 
 def _numbers_in(annotation: Any, metadata: Iterable[Any] = ()) -> Iterator[Number]:

@@ -29,8 +29,9 @@ def pair_with(**options):
 def law_of(name, pair):
     """The cohesion model of this name for a pair, with its example options and the energy budget."""
     model = models("cohesion")[name]
+    given = {"max_bridge_volume": 1e-15} if name == "capillary_transfer" else {}
     return model.law.from_scene(
-        ModelRequest(model.example, (pair,), 1.0, 0.5, energy_budget=True, radius_eff_max=RADIUS)
+        ModelRequest(model.options(**given), (pair,), 1.0, 0.5, energy_budget=True, radius_eff_max=RADIUS)
     )
 
 

@@ -109,7 +109,7 @@ def request(name, restitution, settings=lambda units: {}):
     def build(units):
         model = models("normal")[name]
         pair = pair_of(restitution, units)
-        given = {key: each.default for key, each in model.options.items()} | settings(units)
+        given = model.options(**settings(units))
         return ContactLaws(model.law.from_scene(ModelRequest(given, (pair,), units.velocity, ANGLE)))
 
     return build

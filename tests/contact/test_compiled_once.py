@@ -3,6 +3,7 @@ kernels."""
 
 import os
 from dataclasses import dataclass
+from typing import Literal, get_args, get_origin
 
 import numpy as np
 from contact.cases import kernel_for
@@ -10,7 +11,7 @@ from contact.surface_paths import surface_kernel
 from contact.test_registry import RECORDS
 from subprocess_runner import in_subprocess
 
-from granflow.contact.law import Amount, ModelRequest, NormalLaw, RollingLaw, TangentialLaw, TwistingLaw
+from granflow.contact.law import ModelRequest, NormalLaw, RollingLaw, TangentialLaw, TwistingLaw
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.normal.zhou import Zhou
@@ -19,22 +20,27 @@ from granflow.engine import backend
 from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 
 
+def choices(annotation, number):
+    """Values of an option by its type: the number, each word, or a mapping with each key."""
+    if get_origin(annotation) is Literal:
+        return list(get_args(annotation))
+    if members := get_args(annotation):
+        return [value for member in members for value in choices(member, number)]
+    return [number] if annotation is float else [dict.fromkeys(annotation.model_fields, number)]
+
+
 def variants(model, number):
     """Laws of a record for each word and key of its choices, with every number equal to `number`."""
-    values = {
-        key: [number]
-        if isinstance(option, Amount)
-        else [*option.words, *({key: number} for key in option.keyed)]
-        for key, option in model.options.items()
-    }
-    first = {key: choices[0] for key, choices in values.items()}
-    settings = [first, *({**first, key: value} for key, choices in values.items() for value in choices[1:])]
+    values = {key: choices(each.annotation, number) for key, each in model.options.model_fields.items()}
+    first = {key: each[0] for key, each in values.items()}
+    settings = [first, *({**first, key: value} for key, each in values.items() for value in each[1:])]
     fit = model.restitution == "number or fit"
     restitution = VelocityRestitution(number, 0.9 * number, 1.0 + number) if fit else number
-    options = {option.key: number for option in model.pair_options}
+    options = dict.fromkeys(model.pair_properties.model_fields, number)
     pair = PairMaterial(4e7 * number, 1e7, restitution, number, yield_strength=1e6 * number, options=options)
     return [
-        model.law.from_scene(ModelRequest(given, (pair,), number, 0.9 * number, True)) for given in settings
+        model.law.from_scene(ModelRequest(model.options(**given), (pair,), number, 0.9 * number, True))
+        for given in settings
     ]
 
 

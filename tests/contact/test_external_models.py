@@ -4,23 +4,25 @@ import json
 import shutil
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import meshio
 import numpy as np
 import pytest
 from contact import test_normal_laws as generic
 from contact.cases import SI, Case, number
+from pydantic import Field
 from resume.runs import files_of, states_of
 
 from granflow import SceneError, load_scene, register_contact_model
 from granflow.cli.main import main
 from granflow.contact.law import (
-    Amount,
     CohesionLaw,
     ContactModel,
     HistoryField,
     ModelRequest,
-    PairOption,
+    Options,
+    PairProperties,
     RollingLaw,
 )
 from granflow.contact.material import PairMaterial
@@ -31,6 +33,7 @@ from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
 from granflow.scene.reference import json_schema
 from granflow.scene.registration import unregister_contact_model
+from granflow.schema.quantities import NotNegative, Number
 from granflow.simulation import Simulation
 
 
@@ -47,7 +50,7 @@ class Sticky(CohesionLaw):
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Sticky":
-        return cls(request.options["saturation"])
+        return cls(request.options.saturation)
 
     @property
     def parameters(self):
@@ -101,22 +104,24 @@ class Viscous(RollingLaw):
         return torque, history_new, lost
 
 
-STICKY = ContactModel(
-    Sticky,
-    "attraction that increases to a constant",
-    options={
-        "saturation": Amount("overlap [m] at half the attraction", "1 um", "length", "an overlap", above=0)
-    },
-    pair_options=(PairOption("attraction", Amount("largest attraction [N]", "1 mN", "force", at_least=0)),),
-    example={"saturation": 1e-6},
-)
-VISCOUS = ContactModel(
-    Viscous,
-    "syrupy rolling torque",
-    pair_options=(
-        PairOption("rolling_viscosity", Amount("torque over rolling rate [N m s]", "1e-6", at_least=0)),
-    ),
-)
+class StickyOptions(Options):
+    saturation: Annotated[float, Number("length", noun="an overlap", above=0)] = Field(
+        description="overlap [m] at half the attraction", examples=["1 um"]
+    )
+
+
+class StickyPair(PairProperties):
+    attraction: Annotated[float, Number("force", at_least=0)] = Field(
+        description="largest attraction [N]", examples=["1 mN"]
+    )
+
+
+class ViscousPair(PairProperties):
+    rolling_viscosity: NotNegative = Field(description="torque over rolling rate [N m s]", examples=["1e-6"])
+
+
+STICKY = ContactModel(Sticky, "attraction that increases to a constant", StickyOptions, StickyPair)
+VISCOUS = ContactModel(Viscous, "syrupy rolling torque", pair_properties=ViscousPair)
 SCENE = """\
 title: External models
 gravity: [0, 0, -9.81]

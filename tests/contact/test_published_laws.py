@@ -17,7 +17,8 @@ BY_NAME = {case.name: case for case in CASES}
 
 def law_of(name, pair, **settings):
     """The normal model of that name for one pair."""
-    return models("normal")[name].law.from_scene(ModelRequest(settings, (pair,), 1.0, 0.5))
+    model = models("normal")[name]
+    return model.law.from_scene(ModelRequest(model.options(**settings), (pair,), 1.0, 0.5))
 
 
 def terminal(event):

@@ -4,13 +4,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from contact.test_external_models import Sticky
+from contact.test_external_models import Sticky, StickyOptions
+from pydantic import Field
 
 from granflow import GranflowError, Scene, load_scene, register_contact_model
-from granflow.contact.law import Amount, ContactModel, NormalLaw
+from granflow.contact.law import ContactModel, NormalLaw, Options, PairProperties
 from granflow.contact.normal.hertz import Hertz
 from granflow.device_functions import ti
 from granflow.scene.registration import unregister_contact_model
+from granflow.schema.quantities import Number
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,18 @@ class Incomplete(NormalLaw):
     name = "incomplete"
     source = "this test, 2026"
     limits = "a model without physical basis"
+
+
+class WithoutExample(Options):
+    size: float = Field(description="x")
+
+
+class OtherFriction(PairProperties):
+    friction: float = Field(description="x")
+
+
+class WithDefault(PairProperties):
+    stickiness: float = Field(0.0, description="x")
 
 
 @pytest.mark.parametrize(
@@ -32,15 +46,29 @@ class Incomplete(NormalLaw):
             "begins with modulus_e",
         ),
         (
-            ContactModel(Sticky, "x", options={"size": Amount("x", "1 m", "lenght")}),
-            "dimension lenght is not one of",
+            ContactModel(Sticky, "x", options={"size": 1.0}),
+            "is not a subclass of granflow.contact.law.Options",
         ),
+        (
+            ContactModel(Sticky, "x", options=WithoutExample),
+            "option size has neither a default nor an example",
+        ),
+        (
+            ContactModel(Sticky, "x", pair_properties=OtherFriction),
+            "key friction of pairs exists with another meaning",
+        ),
+        (ContactModel(Sticky, "x", pair_properties=WithDefault), "key stickiness of pairs has a default"),
     ],
 )
 def test_incomplete_models_are_refused_at_registration(model, message):
     """Without the refusal, the first scene fails with a traceback from the time step or the kernels."""
     with pytest.raises(GranflowError, match=message):
         register_contact_model(model)
+
+
+def test_an_option_of_an_unknown_dimension_is_refused_where_it_is_declared():
+    with pytest.raises(GranflowError, match="the dimension lenght is not one of number, "):
+        Number("lenght")
 
 
 def test_a_model_without_source_is_refused_at_registration():
@@ -59,7 +87,7 @@ def test_a_scene_from_before_the_registration_is_written_without_a_warning(recwa
     model = ContactModel(
         type("Later", (Sticky,), {"name": "later"}),
         "x",
-        options={"saturation": Amount("x", "1 um", "length", "an overlap", above=0)},
+        options=StickyOptions,
     )
     register_contact_model(model)
     try:

@@ -1,6 +1,6 @@
 """Requirements on every tangential and rolling model of the catalog."""
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -8,34 +8,45 @@ from contact.cases import SI, Units
 from contact.surface_paths import NUMBERS, VECTORS, evaluate_surface, evaluate_surface_reference
 from contact.test_registry import RECORDS
 
-from granflow.contact.law import ModelRequest
+from granflow.contact.law import ContactModel, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.tangential import linear_history, mindlin
 from granflow.contact.twisting import marshall, torsion_spring
+from granflow.schema.quantities import numbers_of
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A model with some of its options; by default those of its example."""
+
+    model: ContactModel
+    given: dict | None = None
+
+    @property
+    def options(self):
+        return self.model.options(**(self.model.example if self.given is None else self.given))
+
+    def __str__(self):
+        given = self.model.example if self.given is None else self.given
+        return "-".join([self.model.slot, self.model.name, *map(str, given.values())])
+
 
 VARIANTS = [
-    replace(mindlin.MODEL, example={"increments": "displacement"}),
-    replace(mindlin.MODEL, example={"increments": "displacement", "unloading": "kept", "damping": 0.7}),
-    replace(mindlin.MODEL, example={"unloading": "kept"}),
-    replace(mindlin.MODEL, example={"damping": 1.3}),
-    replace(marshall.MODEL, example={"damping": 1.3}),
-    replace(torsion_spring.MODEL, example={"stiffness": 1e-3, "damping": 5e-9}),
-    replace(linear_history.MODEL, example={"stiffness": 3e4, "damping": 0.5}),
+    *(Variant(model) for model in RECORDS if model.slot in ("tangential", "rolling", "twisting")),
+    Variant(mindlin.MODEL, {"increments": "displacement"}),
+    Variant(mindlin.MODEL, {"increments": "displacement", "unloading": "kept", "damping": 0.7}),
+    Variant(mindlin.MODEL, {"unloading": "kept"}),
+    Variant(mindlin.MODEL, {"damping": 1.3}),
+    Variant(marshall.MODEL, {"damping": 1.3}),
+    Variant(torsion_spring.MODEL, {"stiffness": 1e-3, "damping": 5e-9}),
+    Variant(linear_history.MODEL, {"stiffness": 3e4, "damping": 0.5}),
 ]
-MODELS = [*(model for model in RECORDS if model.slot in ("tangential", "rolling", "twisting")), *VARIANTS]
-
-
-def name_of(model):
-    """Name of a test case."""
-    return "-".join([model.slot, model.name, *(str(value) for value in model.example.values())])
-
-
-every_model = pytest.mark.parametrize("model", MODELS, ids=name_of)
-every_limited_model = pytest.mark.parametrize(
-    "model", [model for model in MODELS if model.pair_options], ids=name_of
+every_variant = pytest.mark.parametrize("variant", VARIANTS, ids=str)
+every_limited_variant = pytest.mark.parametrize(
+    "variant", [each for each in VARIANTS if each.model.pair_properties.model_fields], ids=str
 )
 COEFFICIENT = 0.3
-"""Friction coefficient, and value of every other pair option in SI units; lengths are 1e-5 times this."""
+"""Friction coefficient, and value of every other property of the pair in SI units; lengths are 1e-5 times this."""
 RADIUS, MASS, TIME_STEP = 0.01, 0.01, 1e-5
 STIFFNESS, LOAD, SLIP, RATE = 1e4, 2.0, 2e-5, 1e3
 """The spring reaches its limit COEFFICIENT * LOAD after three steps of SLIP [m]; largest RATE [rad/s]."""
@@ -57,18 +68,22 @@ def scales(units):
     }  # fmt: skip
 
 
-def law_and_pair(model, coefficient=COEFFICIENT, units=SI):
-    """The law of a record with its example options, and a pair with the same value for all pair options."""
-    given = {key: each.default for key, each in model.options.items()} | dict(model.example)
-    dimensions = {key: getattr(each, "dimension", None) for key, each in model.options.items()}
-    given |= {key: value * scales(units)[dimensions[key]] for key, value in given.items() if dimensions[key]}
-    sizes = {"length": 1e-5}
-    options = {
-        each.key: coefficient * sizes.get(each.amount.dimension, 1.0) * scales(units)[each.amount.dimension]
-        for each in model.pair_options
-    }
+def law_and_pair(variant, coefficient=COEFFICIENT, units=SI):
+    """The law of a variant, and a pair with the same value for all its properties."""
+    model = variant.model
+    given = variant.options.model_dump()
+    for key, each in model.options.model_fields.items():
+        for number in numbers_of(each):
+            given[key] *= scales(units)[number.dimension]
+    options = {}
+    for key, each in model.pair_properties.model_fields.items():
+        (number,) = numbers_of(each)
+        size = {"length": 1e-5}.get(number.dimension, 1.0)
+        options[key] = coefficient * size * scales(units)[number.dimension]
     pair = PairMaterial(4e7, 1.2e7, 0.5, coefficient, options=options)
-    return model.law.from_scene(ModelRequest(given, (pair,), 1.0, 0.5, energy_budget=True)), pair
+    return model.law.from_scene(
+        ModelRequest(model.options(**given), (pair,), 1.0, 0.5, energy_budget=True)
+    ), pair
 
 
 def paths(contacts, steps, seed=1, steady=False):
@@ -103,11 +118,11 @@ def paths(contacts, steps, seed=1, steady=False):
     }  # fmt: skip
 
 
-@every_model
-def test_device_equals_its_numpy_reference(taichi_f64, model):
+@every_variant
+def test_device_equals_its_numpy_reference(taichi_f64, variant):
     """Within one rounding of the largest force for each of the 30 steps; slip and roll reach the limit on the
     way."""
-    law, pair = law_and_pair(model)
+    law, pair = law_and_pair(variant)
     numbers, vectors = paths(contacts=100, steps=30)
     found = evaluate_surface(law, pair, numbers, vectors)
     force, history = evaluate_surface_reference(law, pair, numbers, vectors)
@@ -117,9 +132,9 @@ def test_device_equals_its_numpy_reference(taichi_f64, model):
     np.testing.assert_allclose(found.history / scale, history / scale, rtol=0.0, atol=30 * 2.0**-52)
 
 
-@every_model
-def test_exchange_of_the_partners_changes_the_sign_exactly(taichi_f64, model):
-    law, pair = law_and_pair(model)
+@every_variant
+def test_exchange_of_the_partners_changes_the_sign_exactly(taichi_f64, variant):
+    law, pair = law_and_pair(variant)
     numbers, vectors = paths(contacts=50, steps=30, seed=2)
     found = evaluate_surface(law, pair, numbers, vectors)
     exchanged = evaluate_surface(law, pair, numbers, {name: -value for name, value in vectors.items()})
@@ -130,18 +145,18 @@ def test_exchange_of_the_partners_changes_the_sign_exactly(taichi_f64, model):
     np.testing.assert_array_equal(exchanged.history, found.history * signs)
 
 
-@every_model
-def test_a_contact_at_rest_has_no_force(taichi_f64, model):
-    law, pair = law_and_pair(model)
+@every_variant
+def test_a_contact_at_rest_has_no_force(taichi_f64, variant):
+    law, pair = law_and_pair(variant)
     numbers, vectors = paths(contacts=20, steps=5, seed=3)
     still = vectors | {name: 0.0 * vectors[name] for name in ("slip", "slip_rate", "rolling_rate")}
     assert not evaluate_surface(law, pair, numbers, still).force.any()
 
 
-@every_model
-def test_evaluation_without_motion_changes_no_displacement(taichi_f64, model):
+@every_variant
+def test_evaluation_without_motion_changes_no_displacement(taichi_f64, variant):
     """After an insertion, the forces are evaluated again with a time step of 0 and the present rates."""
-    law, pair = law_and_pair(model)
+    law, pair = law_and_pair(variant)
     numbers, vectors = paths(contacts=20, steps=2, seed=6, steady=True)
     numbers = {name: np.broadcast_to(value, (20, 2)).copy() for name, value in numbers.items()}
     for name in ("slip", "slip_rate", "rolling_rate"):
@@ -156,20 +171,20 @@ def test_evaluation_without_motion_changes_no_displacement(taichi_f64, model):
     np.testing.assert_allclose(found.loss[:, 1], 0.0, atol=1e-14 * found.stored.max())
 
 
-@every_limited_model
-def test_force_is_zero_without_coefficient_or_load(taichi_f64, model):
+@every_limited_variant
+def test_force_is_zero_without_coefficient_or_load(taichi_f64, variant):
     numbers, vectors = paths(contacts=20, steps=10, seed=4)
-    law, pair = law_and_pair(model)
+    law, pair = law_and_pair(variant)
     assert evaluate_surface(law, pair, numbers, vectors).force.any()
     assert not evaluate_surface(law, pair, numbers | {"normal_load": 0.0}, vectors).force.any()
-    assert not evaluate_surface(*law_and_pair(model, 0.0), numbers, vectors).force.any()
+    assert not evaluate_surface(*law_and_pair(variant, 0.0), numbers, vectors).force.any()
 
 
-@every_model
-def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64, model):
+@every_variant
+def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64, variant):
     """Work by the trapezoid rule on contacts of constant normal, stiffness and load that return to their
     start."""
-    law, pair = law_and_pair(model)
+    law, pair = law_and_pair(variant)
     numbers, vectors = paths(contacts=200, steps=24, seed=5, steady=True)
     there_and_back = {name: np.concatenate([value, -value], axis=1) for name, value in vectors.items()}
     there_and_back |= {
@@ -181,7 +196,9 @@ def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64
     found = evaluate_surface(law, pair, numbers, there_and_back)
     before = np.concatenate([np.zeros_like(found.force[:, :1]), found.force[:, :-1]], axis=1)
     path = (
-        there_and_back["slip"] if model.slot == "tangential" else TIME_STEP * there_and_back["rolling_rate"]
+        there_and_back["slip"]
+        if variant.model.slot == "tangential"
+        else TIME_STEP * there_and_back["rolling_rate"]
     )
     work = -0.5 * np.sum((before + found.force) * path, axis=2).sum(axis=1)
     accounted = found.stored[:, -1] + found.loss.sum(axis=1)
@@ -191,21 +208,21 @@ def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64
     assert found.stored.min() >= 0.0
 
 
-@every_model
+@every_variant
 @pytest.mark.parametrize(
     "units", [Units(1e3, 1.0, 1.0), Units(1.0, 1e-3, 1.0), Units(1.0, 1.0, 1e6)], ids=str
 )
-def test_force_and_energy_scale_with_the_units(taichi_f64, model, units):
+def test_force_and_energy_scale_with_the_units(taichi_f64, variant, units):
     numbers, vectors = paths(contacts=20, steps=20, seed=6)
-    law, pair = law_and_pair(model)
+    law, pair = law_and_pair(variant)
     plain = evaluate_surface(law, pair, numbers, vectors)
     scale = scales(units)
     scaled = evaluate_surface(
-        *law_and_pair(model, units=units),
+        *law_and_pair(variant, units=units),
         {name: numbers[name] * scale[name] for name in NUMBERS},
         {name: vectors[name] * scale[name] for name in VECTORS},
     )
-    force = scale["force" if model.slot == "tangential" else "torque"]
+    force = scale["force" if variant.model.slot == "tangential" else "torque"]
     size = np.abs(plain.force).max()
     np.testing.assert_allclose(scaled.force / force, plain.force, rtol=0.0, atol=1e-13 * size)
     energy = np.abs(plain.loss).max()

@@ -162,8 +162,8 @@ def test_every_contact_model_has_a_page_with_its_facts():
         slot, model = models.find(name)
         facts = models.facts(name)
         assert model.law.source in facts and model.law.limits in facts
-        assert all(f"contact.{slot}.{key}" in facts for key in model.options)
-        assert all(f"pairs.NAME.{option.key}" in facts for option in model.pair_options)
+        assert all(f"contact.{slot}.{key}" in facts for key in model.options.model_fields)
+        assert all(f"pairs.NAME.{key}" in facts for key in model.pair_properties.model_fields)
 
 
 @pytest.mark.parametrize(

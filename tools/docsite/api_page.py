@@ -65,9 +65,9 @@ PARTS: Mapping[str, Mapping[str, Sequence[str]]] = {
     "Contact models of your own": {
         "granflow.contact.law": (
             "ContactModel",
-            "Amount",
-            "Choice",
-            "PairOption",
+            "Options",
+            "PairProperties",
+            "Remedy",
             "Law",
             "HistoryField",
             "ModelRequest",

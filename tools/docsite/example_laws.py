@@ -64,9 +64,8 @@ def example_pair(name: str) -> PairMaterial:
 def example_law(slot: str, name: str, **options: Any) -> Law:
     """Law of a registered model with its example options, defaults, and `options`."""
     model = registry.models(slot)[name]
-    defaults = {key: option.default for key, option in model.options.items() if option.default is not None}
     request = ModelRequest(
-        {**defaults, **model.example, **options},
+        model.options(**model.example | options),
         (example_pair(name) if slot == "normal" else pair(),),
         LARGEST_VELOCITY,
         UNLOADING_ANGLE,

@@ -3,10 +3,13 @@ history."""
 
 from collections.abc import Iterator
 
+from pydantic.fields import FieldInfo
+
 from docsite.example_laws import example_law
 from docsite.markdown import code, table
 from granflow.contact import registry
-from granflow.contact.law import SLOTS, Amount, ContactModel, Option
+from granflow.contact.law import SLOTS, ContactModel
+from granflow.schema.model import example_of
 
 PICTURES = {
     "normal": (
@@ -82,10 +85,11 @@ def names() -> Iterator[str]:
 
 def _options(slot: str, model: ContactModel) -> str:
     """Table of the keys of a model in `contact` and in `pairs`."""
-    rows = [(code(f"contact.{slot}.{key}"), *_option(option)) for key, option in model.options.items()]
+    rows = [
+        (code(f"contact.{slot}.{key}"), *_facts(each)) for key, each in model.options.model_fields.items()
+    ]
     rows += [
-        (code(f"pairs.NAME.{each.key}"), each.amount.description, "required", code(each.amount.example))
-        for each in model.pair_options
+        (code(f"pairs.NAME.{key}"), *_facts(each)) for key, each in model.pair_properties.model_fields.items()
     ]
     if not rows:
         return f"**Keys:** none besides {code(f'contact.{slot}: {model.name}')}.\n"
@@ -93,9 +97,7 @@ def _options(slot: str, model: ContactModel) -> str:
     return f"**Keys** ([all scene keys](../reference/scene.md)):\n\n{keys}"
 
 
-def _option(option: Option) -> tuple[str, str, str]:
-    """Meaning, default and example of an option."""
-    default = "required" if option.default is None else code(f"{option.default}")
-    if isinstance(option, Amount):
-        return option.description, default, code(option.example)
-    return option.description, default, code(option.words[0])
+def _facts(field: FieldInfo) -> tuple[str, str, str]:
+    """Meaning, default and example of a key."""
+    default = "required" if field.is_required() else code(f"{field.default}")
+    return field.description or "", default, code(f"{example_of(field)}")

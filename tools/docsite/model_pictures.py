@@ -47,6 +47,8 @@ VARIANTS: dict[str, Sequence[tuple[str, dict[str, Any]]]] = {
 """Label and options of the curves of a normal model; other models have one curve."""
 BRIDGE_VOLUMES = (1e-17, 1e-16, 1e-15)
 """Volumes [m3] of the bridges in the picture of a model that transfers liquid."""
+OPTIONS = {"capillary_transfer": {"max_bridge_volume": BRIDGE_VOLUMES[-1]}}
+"""Options of the pictured cohesion models that require some."""
 
 
 def picture(slot: str, name: str) -> str:
@@ -175,7 +177,8 @@ def _cohesion(name: str) -> str:
     figure, (axis,) = _figure(1)
     material = PairMaterial(MODULUS, 0.3 * MODULUS, 1.0, 0.0, options=ADHESION)
     model = registry.models("cohesion")[name]
-    law: Any = model.law.from_scene(ModelRequest(model.example, (material,), 1.0, 0.5, radius_eff_max=RADIUS))
+    options = model.options(**OPTIONS.get(name, {}))
+    law: Any = model.law.from_scene(ModelRequest(options, (material,), 1.0, 0.5, radius_eff_max=RADIUS))
     constants = SimpleNamespace(**dict(zip(law.constant_names, law.pair_constants(material), strict=True)))
     overlap = np.linspace(max(1e-6, 0.2 * law.range), -1.1 * law.range, 2000)
     starts: list[tuple[str, dict[str, float]]] = [("", {})]

@@ -10,11 +10,15 @@ tension, t the contact angle. `capillary_transfer` uses the same bridges, with a
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from granflow.contact.cohesion.bond import BondLaw
-from granflow.contact.law import Amount, ContactModel, ContactState, ModelRequest, PairOption
+from granflow.contact.law import ContactModel, ContactState, ModelRequest, PairProperties, Remedy
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import ti
+from granflow.schema.quantities import Number
 
 # Force, energy and rupture distance of a bridge of a given volume
 
@@ -90,22 +94,20 @@ def rupture_factor(contact_angle: float) -> float:
 
 # The model
 
-SURFACE_TENSION = PairOption(
-    "surface_tension",
-    Amount(
-        "surface tension of the liquid [J/m2], the same as N/m",
-        "72 mN/m",
-        "surface_energy",
-        "a surface tension",
-        at_least=0,
-    ),
-    "give it in N/m, or 0 to disable cohesion",
-)
-CONTACT_ANGLE = PairOption(
-    "contact_angle",
-    Amount("contact angle of the liquid [rad]", "20 deg", "angle", "an angle", at_least=0, at_most=1.57),
-    "give the angle, or 0 for a liquid that wets completely",
-)
+
+class Wetting(PairProperties):
+    """Liquid between two surfaces, for the models of liquid bridges."""
+
+    surface_tension: Annotated[
+        float,
+        Number("surface_energy", noun="a surface tension", at_least=0),
+        Remedy("give it in N/m, or 0 to disable cohesion"),
+    ] = Field(description="surface tension of the liquid [J/m2], the same as N/m", examples=["72 mN/m"])
+    contact_angle: Annotated[
+        float,
+        Number("angle", noun="an angle", at_least=0, at_most=1.57),
+        Remedy("give the angle, or 0 for a liquid that wets completely"),
+    ] = Field(description="contact angle of the liquid [rad]", examples=["20 deg"])
 
 
 @dataclass(frozen=True)
@@ -166,16 +168,18 @@ def _rupture_distance(pair: PairMaterial) -> float:
     return rupture_factor(pair.options["contact_angle"]) * float(pair.options["liquid_volume"] ** (1.0 / 3.0))
 
 
+class LiquidBridges(Wetting):
+    """Properties of pairs of the model."""
+
+    liquid_volume: Annotated[
+        float,
+        Number("volume", noun="a volume", at_least=0),
+        Remedy("give it in m3, or 0 for a pair without liquid"),
+    ] = Field(description="volume of each liquid bridge [m3]", examples=["10 nl"])
+
+
 MODEL = ContactModel(
     Capillary,
     "liquid bridges of constant volume from first contact to rupture (Willett et al. 2000)",
-    pair_options=(
-        SURFACE_TENSION,
-        CONTACT_ANGLE,
-        PairOption(
-            "liquid_volume",
-            Amount("volume of each liquid bridge [m3]", "10 nl", "volume", "a volume", at_least=0),
-            "give it in m3, or 0 for a pair without liquid",
-        ),
-    ),
+    pair_properties=LiquidBridges,
 )

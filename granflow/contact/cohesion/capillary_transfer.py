@@ -12,20 +12,22 @@ liquid, see `granflow.engine.liquid`; `form` gets the volume from it.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from granflow.contact.cohesion.capillary import (
-    CONTACT_ANGLE,
     SOURCE,
-    SURFACE_TENSION,
+    Wetting,
     bridge_attraction,
     bridge_energy,
     reference_attraction,
     rupture_factor,
 )
-from granflow.contact.law import Amount, CohesionLaw, ContactModel, ContactState, HistoryField, ModelRequest
+from granflow.contact.law import CohesionLaw, ContactModel, ContactState, HistoryField, ModelRequest, Options
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import power, ti
+from granflow.schema.quantities import Number
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class CapillaryTransfer(CohesionLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "CapillaryTransfer":
         """The law that a scene requests."""
-        largest = request.options["max_bridge_volume"]
+        largest = request.options.max_bridge_volume
         factor = max(rupture_factor(pair.options["contact_angle"]) for pair in request.pairs)
         return cls(largest, factor * float(largest ** (1.0 / 3.0)), request.energy_budget)
 
@@ -141,19 +143,19 @@ class CapillaryTransfer(CohesionLaw):
         return 4.0 * math.pi * radius_eff * self.pair_constants(pair)[0]
 
 
+class CapillaryTransferOptions(Options):
+    """Options of the model."""
+
+    max_bridge_volume: Annotated[float, Number("volume", noun="a volume", above=0)] = Field(
+        description="largest volume of a bridge [m3]: the films keep the rest; it determines the range of "
+        "the neighbor lists",
+        examples=["10 nl"],
+    )
+
+
 MODEL = ContactModel(
     CapillaryTransfer,
     "liquid bridges that take their volume from films on the particles and return it at rupture",
-    options={
-        "max_bridge_volume": Amount(
-            "largest volume of a bridge [m3]: the films keep the rest; it determines the range of the "
-            "neighbor lists",
-            "10 nl",
-            "volume",
-            "a volume",
-            above=0,
-        )
-    },
-    pair_options=(SURFACE_TENSION, CONTACT_ANGLE),
-    example={"max_bridge_volume": 1e-15},
+    options=CapillaryTransferOptions,
+    pair_properties=Wetting,
 )

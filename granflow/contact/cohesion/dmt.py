@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.law import WORK_OF_ADHESION, CohesionLaw, ContactModel, ContactState
+from granflow.contact.law import CohesionLaw, ContactModel, ContactState, WorkOfAdhesion
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import ti
 
@@ -48,5 +48,5 @@ class Dmt(CohesionLaw):
 MODEL = ContactModel(
     Dmt,
     "constant attraction during contact (Derjaguin, Muller & Toporov 1975)",
-    pair_options=(WORK_OF_ADHESION,),
+    pair_properties=WorkOfAdhesion,
 )

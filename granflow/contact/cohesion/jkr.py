@@ -20,7 +20,7 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.cohesion.bond import BondLaw
-from granflow.contact.law import WORK_OF_ADHESION, ContactModel, ContactState, ModelRequest
+from granflow.contact.law import ContactModel, ContactState, ModelRequest, WorkOfAdhesion
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import power, ti
 
@@ -155,5 +155,5 @@ def _scale(pair: PairMaterial, radius_eff: float) -> float:
 MODEL = ContactModel(
     Jkr,
     "elastic spheres with adhesion that pulls beyond contact (Johnson, Kendall & Roberts 1971)",
-    pair_options=(WORK_OF_ADHESION,),
+    pair_properties=WorkOfAdhesion,
 )

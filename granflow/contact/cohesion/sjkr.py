@@ -8,9 +8,13 @@ Luding (2008) uses f_n + k_c d.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
-from granflow.contact.law import Amount, CohesionLaw, ContactModel, ContactState, PairOption
+from pydantic import Field
+
+from granflow.contact.law import CohesionLaw, ContactModel, ContactState, PairProperties, Remedy
 from granflow.device_functions import ti
+from granflow.schema.quantities import Number
 
 
 @dataclass(frozen=True)
@@ -46,20 +50,18 @@ class Sjkr(CohesionLaw):
         return contact.constants.cohesion_energy_density * area, {}
 
 
+class CohesionEnergy(PairProperties):
+    """Properties of pairs of the model."""
+
+    cohesion_energy_density: Annotated[
+        float,
+        Number("energy_density", noun="a cohesion energy density", at_least=0),
+        Remedy("give it in J/m3, or 0 to disable cohesion"),
+    ] = Field(description="cohesion energy density [J/m3]", examples=["1e4 J/m3"])
+
+
 MODEL = ContactModel(
     Sjkr,
     "force: cohesion energy density times contact area",
-    pair_options=(
-        PairOption(
-            "cohesion_energy_density",
-            Amount(
-                "cohesion energy density [J/m3]",
-                "1e4 J/m3",
-                "energy_density",
-                "a cohesion energy density",
-                at_least=0,
-            ),
-            "give it in J/m3, or 0 to disable cohesion",
-        ),
-    ),
+    pair_properties=CohesionEnergy,
 )

@@ -2,11 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from granflow.contact import theory
-from granflow.contact.law import Amount, CohesionLaw, ContactModel, ContactState, ModelRequest, PairOption
+from granflow.contact.law import CohesionLaw, ContactModel, ContactState, ModelRequest, PairProperties, Remedy
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import ti
+from granflow.schema.quantities import Number
 
 CUTOFF = 30.0
 """Distance over s_0 beyond which the force is 0; it is 0.1 % of the force in contact there."""
@@ -77,26 +81,25 @@ class VanDerWaals(CohesionLaw):
         return max(super().equivalent_velocity(pair, radius_eff, mass_eff), by_slope)
 
 
+class HamakerAttraction(PairProperties):
+    """Properties of pairs of the model."""
+
+    hamaker_constant: Annotated[
+        float,
+        Number("energy", noun="an energy", at_least=0),
+        Remedy("give it in J, or 0 to disable cohesion"),
+    ] = Field(description="Hamaker constant [J]", examples=["65 zJ"])
+    separation: Annotated[float, Number("length", noun="a distance", above=0), Remedy("give it in m")] = (
+        Field(
+            description="separation s_0 [m] of the surfaces in contact: 0.165 nm for smooth spheres, larger "
+            "for rough ones",
+            examples=["0.165 nm"],
+        )
+    )
+
+
 MODEL = ContactModel(
     VanDerWaals,
     "van der Waals attraction up to a cut-off (Hamaker 1937)",
-    pair_options=(
-        PairOption(
-            "hamaker_constant",
-            Amount("Hamaker constant [J]", "65 zJ", "energy", "an energy", at_least=0),
-            "give it in J, or 0 to disable cohesion",
-        ),
-        PairOption(
-            "separation",
-            Amount(
-                "separation s_0 [m] of the surfaces in contact: 0.165 nm for smooth spheres, larger for "
-                "rough ones",
-                "0.165 nm",
-                "length",
-                "a distance",
-                above=0,
-            ),
-            "give it in m",
-        ),
-    ),
+    pair_properties=HamakerAttraction,
 )

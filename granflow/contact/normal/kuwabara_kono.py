@@ -9,12 +9,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
+from pydantic import Field
+
 from granflow.contact import theory
-from granflow.contact.law import Amount, ContactModel, ContactState, ModelRequest
+from granflow.contact.law import ContactModel, ContactState, ModelRequest, Options
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal.hertz import HertzSpring
 from granflow.contact.step_corrections import build_step_mean, reference_step_mean
 from granflow.device_functions import power, ti
+from granflow.schema import quantities as q
 
 DAMPING_POWER = 0.5
 """Exponent of the overlap in the dissipative force."""
@@ -56,7 +59,7 @@ class KuwabaraKono(HertzSpring):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "KuwabaraKono":
         """The law that a scene requests."""
-        return cls(request.options["reference_velocity"])
+        return cls(request.options.reference_velocity)
 
     @property
     def rate_dependent(self) -> bool:
@@ -122,20 +125,20 @@ class KuwabaraKono(HertzSpring):
         return self.pair_constants(pair)[2] * k**0.6 * mass_eff**0.4 * math.sqrt(largest)
 
 
+class KuwabaraKonoOptions(Options):
+    """Options of the model."""
+
+    reference_velocity: q.Speed = Field(
+        description="approach velocity [m/s] at which e equals the restitution of the pair",
+        examples=["1 m/s"],
+    )
+
+
 MODEL = ContactModel(
     KuwabaraKono,
     "Viscoelastic spheres: Hertz spring with damping proportional to the square root of the overlap; e "
     "decreases with velocity (Kuwabara & Kono 1987).",
-    options={
-        "reference_velocity": Amount(
-            "approach velocity [m/s] at which e equals the restitution of the pair",
-            "1 m/s",
-            "velocity",
-            "a speed",
-            above=0,
-        )
-    },
-    example={"reference_velocity": 1.0},
+    options=KuwabaraKonoOptions,
 )
 
 

@@ -1,46 +1,63 @@
 """Linear spring and dashpot. The stiffness is a number, or follows from Eq. 19 of Zhou (2011).
 
-`SpringLaw` is the base class of the models `linear`, `walton_braun` and `luding`, `STIFFNESS` their option.
-The stiffness of a contact is constant from first contact to separation.
+`SpringLaw` is the base class of the models `linear`, `walton_braun` and `luding`, `SpringOptions` that of
+their options. The stiffness of a contact is constant from first contact to separation.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from granflow.contact import theory
 from granflow.contact.law import (
-    Amount,
-    Choice,
     ContactModel,
     ContactState,
     HistoryField,
     ModelRequest,
     NormalLaw,
+    Options,
 )
 from granflow.contact.material import PairMaterial
 from granflow.contact.step_corrections import build_step_mean, reference_step_mean
 from granflow.device_functions import DeviceObject, power, ti
+from granflow.schema import quantities as q
+from granflow.schema.model import Model, choose_by_first_key
+from granflow.schema.quantities import Number
 
-STIFFNESS = Choice(
-    "spring stiffness: onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), "
-    "{reference_velocity: 1 m/s} (Eq. 19 at this velocity) or {value: 1e4 N/m}",
-    words=("onset",),
-    keyed={
-        "reference_velocity": Amount(
-            "approach velocity [m/s] at which the spring stores the same energy as a Hertz contact",
-            "1 m/s",
-            "velocity",
-            "a speed",
-            above=0,
+
+class SpringAtVelocity(Model):
+    """Stiffness with the energy of a Hertz contact at a velocity (Zhou 2011, Eq. 19)."""
+
+    reference_velocity: q.Speed = Field(
+        description="approach velocity [m/s] at which the spring stores the same energy as a Hertz contact",
+        examples=["1 m/s"],
+    )
+
+
+class SpringValue(Model):
+    """Stiffness as a number."""
+
+    value: Annotated[float, Number("stiffness", above=0)] = Field(
+        description="stiffness [N/m] of the spring, for all pairs and particle sizes", examples=["1e4 N/m"]
+    )
+
+
+class SpringOptions(Options):
+    """Option of every model with a linear spring."""
+
+    stiffness: Annotated[
+        Literal["onset"] | SpringAtVelocity | SpringValue,
+        choose_by_first_key(
+            "it must be onset, {reference_velocity: 1 m/s} or {value: 1e4 N/m}", words=("onset",)
         ),
-        "value": Amount(
-            "stiffness [N/m] of the spring, for all pairs and particle sizes", "1e4 N/m", "stiffness", above=0
-        ),
-    },
-)
-"""Option of every model with a linear spring."""
+    ] = Field(
+        description="spring stiffness: onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), "
+        "{reference_velocity: 1 m/s} (Eq. 19 at this velocity) or {value: 1e4 N/m}",
+        examples=["onset"],
+    )
 
 
 @ti.func
@@ -70,11 +87,10 @@ class Spring(DeviceObject):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Spring":
         """Spring from the option `stiffness`; the floor is a share of the largest velocity."""
-        given: str | Mapping[str, float] = request.options["stiffness"]
-        keyed: Mapping[str, float] = {} if isinstance(given, str) else given
+        given = request.options.stiffness
         return cls(
-            keyed.get("value"),
-            keyed.get("reference_velocity"),
+            given.value if isinstance(given, SpringValue) else None,
+            given.reference_velocity if isinstance(given, SpringAtVelocity) else None,
             theory.MIN_VELOCITY_SHARE * request.velocity_max,
         )
 
@@ -288,6 +304,4 @@ class Linear(SpringLaw):
         return 2.0 * self.pair_constants(pair)[2] * float(np.sqrt(stiffness * mass_eff))
 
 
-MODEL = ContactModel(
-    Linear, "Linear spring and dashpot.", options={"stiffness": STIFFNESS}, example={"stiffness": "onset"}
-)
+MODEL = ContactModel(Linear, "Linear spring and dashpot.", options=SpringOptions)

@@ -10,11 +10,12 @@ Beyond the limit overlap the contact is elastic along the kp line: the limit bra
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from granflow.contact.law import (
-    Amount,
     ClosedFormCollision,
     ContactModel,
     ContactState,
@@ -22,8 +23,9 @@ from granflow.contact.law import (
     ModelRequest,
 )
 from granflow.contact.material import PairMaterial
-from granflow.contact.normal.linear import STIFFNESS, Spring, SpringLaw, quarter_period
+from granflow.contact.normal.linear import Spring, SpringLaw, SpringOptions, quarter_period
 from granflow.device_functions import ti
+from granflow.schema.quantities import Number
 
 # Closed forms of a binary collision
 
@@ -150,9 +152,7 @@ class Luding(ClosedFormCollision, SpringLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Luding":
         """The law that a scene requests."""
-        return cls(
-            Spring.from_scene(request), request.options["plasticity_depth"], request.options["tension"]
-        )
+        return cls(Spring.from_scene(request), request.options.plasticity_depth, request.options.tension)
 
     @property
     def attracts(self) -> bool:
@@ -303,28 +303,24 @@ def _reference_loss(k1: float, growth: float, largest: float) -> float:
     return 0.5 * k1 * largest * residual
 
 
+class LudingOptions(SpringOptions):
+    """Options of the model."""
+
+    plasticity_depth: Annotated[float, Number(noun="a ratio", above=0, at_most=1)] = Field(
+        description="ratio of the largest residual overlap to 2 R (R: effective radius), such as 0.05",
+        examples=["0.05"],
+    )
+    tension: Annotated[float, Number(noun="a ratio", at_least=0)] = Field(
+        0.0,
+        description="ratio of the stiffness kc of the tension line -kc d to the loading stiffness; 0: no "
+        "tension",
+        examples=["0.2"],
+    )
+
+
 MODEL = ContactModel(
     Luding,
     "Bilinear, with plasticity that increases up to a limit overlap, elastic beyond it (Luding 2008); the "
     "restitution of a pair applies at the limit.",
-    options={
-        "stiffness": STIFFNESS,
-        "plasticity_depth": Amount(
-            "ratio of the largest residual overlap to 2 R (R: effective radius), such as 0.05",
-            "0.05",
-            "number",
-            "a ratio",
-            above=0,
-            at_most=1,
-        ),
-        "tension": Amount(
-            "ratio of the stiffness kc of the tension line -kc d to the loading stiffness; 0: no tension",
-            "0.2",
-            "number",
-            "a ratio",
-            at_least=0,
-            default=0.0,
-        ),
-    },
-    example={"stiffness": "onset", "plasticity_depth": 0.05, "tension": 0.0},
+    options=LudingOptions,
 )

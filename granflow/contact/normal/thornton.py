@@ -7,22 +7,25 @@ previous maximum overlap, as an elastic sphere of a larger radius.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from pydantic import Field
 
 from granflow.contact import theory
 from granflow.contact.law import (
-    Amount,
     ClosedFormCollision,
     ContactModel,
     ContactState,
     HistoryField,
     ModelRequest,
     NormalLaw,
+    Options,
 )
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import ti
+from granflow.schema.quantities import Number
 
 
 @ti.func
@@ -166,7 +169,7 @@ class Thornton(ClosedFormCollision, NormalLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Thornton":
         """The law that a scene requests."""
-        return cls(request.options["yield_ratio"])
+        return cls(request.options.yield_ratio)
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
@@ -253,19 +256,19 @@ class Thornton(ClosedFormCollision, NormalLaw):
         return self.collision(pair, radius_eff, mass_eff, velocity).overlap_max
 
 
+class ThorntonOptions(Options):
+    """Options of the model."""
+
+    yield_ratio: Annotated[float, Number(noun="a ratio", above=0)] = Field(
+        description="ratio of the maximum contact pressure to the yield strength: 1.6 at the onset of yield "
+        "below the surface (Thornton 1997), 2.8 for a fully plastic contact (Johnson 1985)",
+        examples=["1.6"],
+    )
+
+
 MODEL = ContactModel(
     Thornton,
     "Elastic, perfectly plastic spheres: restitution follows from the yield strength (Thornton 1997).",
-    options={
-        "yield_ratio": Amount(
-            "ratio of the maximum contact pressure to the yield strength: 1.6 at the onset of yield below "
-            "the surface (Thornton 1997), 2.8 for a fully plastic contact (Johnson 1985)",
-            "1.6",
-            "number",
-            "a ratio",
-            above=0,
-        )
-    },
+    options=ThorntonOptions,
     restitution="nothing",
-    example={"yield_ratio": 1.6},
 )

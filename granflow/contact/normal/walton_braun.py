@@ -3,11 +3,16 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
-from granflow.contact.law import Amount, Choice, ContactModel, ContactState, HistoryField, ModelRequest
+from pydantic import Field
+
+from granflow.contact.law import ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.normal.linear import STIFFNESS, Spring, SpringLaw, quarter_period
+from granflow.contact.normal.linear import Spring, SpringLaw, SpringOptions, quarter_period
 from granflow.device_functions import ti
+from granflow.schema import quantities as q
+from granflow.schema.model import Model, choose_by_first_key
 
 
 @dataclass(frozen=True)
@@ -33,8 +38,9 @@ class WaltonBraun(SpringLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "WaltonBraun":
         """The law that a scene requests."""
-        given = request.options["unloading"]
-        return cls(Spring.from_scene(request), None if given == "constant" else given["reference_velocity"])
+        given = request.options.unloading
+        velocity = given.reference_velocity if isinstance(given, RestitutionAtVelocity) else None
+        return cls(Spring.from_scene(request), velocity)
 
     @property
     def velocity_dependent(self) -> bool:
@@ -134,26 +140,31 @@ class WaltonBraun(SpringLaw):
         return stiffness / self.restitution(pair, radius_eff, mass_eff, velocity) ** 2
 
 
+class RestitutionAtVelocity(Model):
+    """Unloading with the restitution of the pair at a velocity."""
+
+    reference_velocity: q.Speed = Field(
+        description="approach velocity [m/s] at which e equals the restitution of the pair",
+        examples=["1 m/s"],
+    )
+
+
+class WaltonBraunOptions(SpringOptions):
+    """Options of the model."""
+
+    unloading: Annotated[
+        Literal["constant"] | RestitutionAtVelocity,
+        choose_by_first_key("it must be constant or {reference_velocity: 1 m/s}", words=("constant",)),
+    ] = Field(
+        description="constant (k2 = k1 / e^2: constant restitution) or {reference_velocity: 1 m/s} (k2 "
+        "increases with the maximum force; e decreases with velocity and equals the restitution of the pair "
+        "at this velocity)",
+        examples=["constant"],
+    )
+
+
 MODEL = ContactModel(
     WaltonBraun,
     "Bilinear: stiffness k1 on loading, the steeper k2 on unloading (Walton & Braun 1986).",
-    options={
-        "stiffness": STIFFNESS,
-        "unloading": Choice(
-            "constant (k2 = k1 / e^2: constant restitution) or {reference_velocity: 1 m/s} (k2 increases "
-            "with the maximum force; e decreases with velocity and equals the restitution of the pair at "
-            "this velocity)",
-            words=("constant",),
-            keyed={
-                "reference_velocity": Amount(
-                    "approach velocity [m/s] at which e equals the restitution of the pair",
-                    "1 m/s",
-                    "velocity",
-                    "a speed",
-                    above=0,
-                )
-            },
-        ),
-    },
-    example={"stiffness": "onset", "unloading": "constant"},
+    options=WaltonBraunOptions,
 )

@@ -26,19 +26,19 @@ The file follows this order: the equations as device functions, the additions, t
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
 from granflow.contact import theory
 from granflow.contact.law import (
-    Amount,
-    Choice,
     ContactModel,
     ContactState,
     HistoryField,
     ModelRequest,
     NormalLaw,
+    Options,
 )
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.step_corrections import (
@@ -50,6 +50,7 @@ from granflow.contact.step_corrections import (
     turning_point,
 )
 from granflow.device_functions import exponential, power, ti
+from granflow.schema.quantities import Number
 
 # The unloading curve and its parameters (Zhou 2011, Eqs. 4, 7, 8 and 12)
 
@@ -238,13 +239,13 @@ class Zhou(NormalLaw):
     def from_scene(cls, request: ModelRequest) -> "Zhou":
         """The law that a scene requests; constant restitution if that of every pair is a number."""
         fitted = any(isinstance(pair.restitution, VelocityRestitution) for pair in request.pairs)
-        restitution_at: RestitutionAt = request.options["restitution_at"] if fitted else "constant"
+        restitution_at: RestitutionAt = request.options.restitution_at if fitted else "constant"
         elastic = all(pair.restitution == 1.0 for pair in request.pairs)
         return cls(
             restitution_at,
             request.unloading_angle,
-            request.options["damping_ratio"],
-            0.0 if elastic else request.options["rest_damping"],
+            request.options.damping_ratio,
+            0.0 if elastic else request.options.rest_damping,
             any(is_inelastic(pair) for pair in request.pairs),
         )
 
@@ -751,38 +752,36 @@ def reference_inelastic(contact: ContactState, k: float, rate: float) -> tuple[f
 
 REST_DAMPING = 0.1
 """Default of the option `rest_damping`."""
+
+
+class ZhouOptions(Options):
+    """Options of the model."""
+
+    with_numbers: ClassVar[Mapping[str, str]] = {"restitution_at": "constant"}
+
+    restitution_at: RestitutionAt = Field(
+        "impact",
+        description="velocity at which e is evaluated: impact (at first contact), max_overlap (from the "
+        "maximum overlap, Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if the "
+        "restitution of every pair is a number)",
+    )
+    damping_ratio: Annotated[float, Number(noun="a damping ratio", at_least=0, at_most=1)] = Field(
+        0.0,
+        description="damping ratio of the viscous force on the elastic branch; 0: no viscous force, 1: "
+        "critical damping",
+        examples=["0.1"],
+    )
+    rest_damping: Annotated[float, Number(noun="a damping ratio", at_least=0, at_most=0.5)] = Field(
+        REST_DAMPING,
+        description="damping ratio of a viscous force on contacts that are compressed again without having "
+        "separated, as in a bed at rest; binary collisions are not affected; 0: no such force",
+        examples=["0.1"],
+    )
+
+
 MODEL = ContactModel(
     Zhou,
     "Hertz loading, nonlinear plastic unloading (Zhou 2011).",
-    options={
-        "restitution_at": Choice(
-            "velocity at which e is evaluated: impact (at first contact), max_overlap (from the maximum "
-            "overlap, Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if the "
-            "restitution of every pair is a number)",
-            words=("impact", "max_overlap", "constant"),
-            default="impact",
-            with_numbers="constant",
-        ),
-        "damping_ratio": Amount(
-            "damping ratio of the viscous force on the elastic branch; 0: no viscous force, 1: critical "
-            "damping",
-            "0.1",
-            "number",
-            "a damping ratio",
-            at_least=0,
-            at_most=1,
-            default=0.0,
-        ),
-        "rest_damping": Amount(
-            "damping ratio of a viscous force on contacts that are compressed again without having "
-            "separated, as in a bed at rest; binary collisions are not affected; 0: no such force",
-            "0.1",
-            "number",
-            "a damping ratio",
-            at_least=0,
-            at_most=0.5,
-            default=REST_DAMPING,
-        ),
-    },
+    options=ZhouOptions,
     restitution="number or fit",
 )

@@ -5,7 +5,7 @@ CDT is discontinuous at zero rate; at small rates the bound of `bounded_torque` 
 
 from dataclasses import dataclass
 
-from granflow.contact.law import ROLLING_FRICTION, ContactModel, SurfaceState
+from granflow.contact.law import ContactModel, RollingFriction, SurfaceState
 from granflow.contact.rolling.bounded_torque import BoundedTorque
 from granflow.device_functions import ti
 
@@ -29,4 +29,4 @@ class Cdt(BoundedTorque):
         return float(contact.constants.rolling_friction * contact.radius_eff * contact.normal_load)
 
 
-MODEL = ContactModel(Cdt, "constant directional torque", pair_options=(ROLLING_FRICTION,))
+MODEL = ContactModel(Cdt, "constant directional torque", pair_properties=RollingFriction)

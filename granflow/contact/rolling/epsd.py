@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from granflow.contact.law import (
-    ROLLING_FRICTION,
     ContactModel,
     HistoryField,
+    RollingFriction,
     RollingLaw,
     SurfaceState,
     in_contact_plane,
@@ -84,4 +84,4 @@ class Epsd(RollingLaw):
         return spring * history.angle.dot(history.angle)
 
 
-MODEL = ContactModel(Epsd, "elastic-plastic spring torque", pair_options=(ROLLING_FRICTION,))
+MODEL = ContactModel(Epsd, "elastic-plastic spring torque", pair_properties=RollingFriction)

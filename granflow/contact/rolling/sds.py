@@ -6,23 +6,24 @@ The dashpot is 2 eta sqrt(I k), k the rolling stiffness of EPSD (Ai et al. 2011,
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from granflow.contact.law import (
-    ROLLING_FRICTION,
-    Amount,
     ContactModel,
     HistoryField,
     ModelRequest,
-    PairOption,
+    Remedy,
+    RollingFriction,
     SurfaceState,
     in_contact_plane,
     reference_in_contact_plane,
 )
 from granflow.contact.rolling.epsd import Epsd
 from granflow.device_functions import ti
+from granflow.schema.quantities import Number
 
 BELOW_LIMIT = 1.0 - 1e-6
 """Torque over the limit up to which the spring counts as elastic, so that rounding does not decide."""
@@ -86,21 +87,18 @@ class Sds(Epsd):
         return spring_torque + dashpot, {**history, **({"dashpot": dashpot} if self.energy_budget else {})}
 
 
+class RollingResistance(RollingFriction):
+    """Properties of pairs of the model."""
+
+    rolling_damping: Annotated[
+        float,
+        Number(noun="a damping ratio", at_least=0, at_most=1),
+        Remedy("give the ratio, or 0 for no dashpot"),
+    ] = Field(description="damping ratio of the rolling dashpot; 1: critical", examples=["0.3"])
+
+
 MODEL = ContactModel(
     Sds,
     "elastic-plastic spring torque with a dashpot",
-    pair_options=(
-        ROLLING_FRICTION,
-        PairOption(
-            "rolling_damping",
-            Amount(
-                "damping ratio of the rolling dashpot; 1: critical",
-                "0.3",
-                noun="a damping ratio",
-                at_least=0,
-                at_most=1,
-            ),
-            "give the ratio, or 0 for no dashpot",
-        ),
-    ),
+    pair_properties=RollingResistance,
 )

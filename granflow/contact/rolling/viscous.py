@@ -1,10 +1,14 @@
 """Viscous rolling torque (Brilliantov & Poeschel 1998): proportional to load and rolling rate."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from granflow.contact.law import Amount, ContactModel, PairOption, SurfaceState
+from pydantic import Field
+
+from granflow.contact.law import ContactModel, PairProperties, Remedy, SurfaceState
 from granflow.contact.rolling.bounded_torque import BoundedTorque
 from granflow.device_functions import ti
+from granflow.schema import quantities as q
 
 
 @dataclass(frozen=True)
@@ -33,14 +37,16 @@ class Viscous(BoundedTorque):
         return float(contact.constants.rolling_dissipation * velocity * contact.normal_load)
 
 
+class RollingDissipation(PairProperties):
+    """Properties of pairs of the model."""
+
+    rolling_dissipation: Annotated[q.Time, Remedy("give it in s, or 0 to disable rolling friction")] = Field(
+        description="dissipative constant A of rolling [s]", examples=["1e-3 s"]
+    )
+
+
 MODEL = ContactModel(
     Viscous,
     "torque proportional to load and rolling rate (Brilliantov & Poeschel 1998)",
-    pair_options=(
-        PairOption(
-            "rolling_dissipation",
-            Amount("dissipative constant A of rolling [s]", "1e-3 s", "time", "a time", at_least=0),
-            "give it in s, or 0 to disable rolling friction",
-        ),
-    ),
+    pair_properties=RollingDissipation,
 )

@@ -2,10 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
-from granflow.contact.law import FRICTION, Amount, ContactModel, ModelRequest, SurfaceState
-from granflow.contact.tangential.mindlin import DAMPING, Mindlin
+from pydantic import Field
+
+from granflow.contact.law import ContactModel, ModelRequest, Options, SlidingFriction, SurfaceState
+from granflow.contact.tangential.mindlin import DampingFactor, Mindlin
 from granflow.device_functions import ti
+from granflow.schema.quantities import Number
 
 
 @dataclass(frozen=True)
@@ -21,7 +25,7 @@ class LinearHistory(Mindlin):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "LinearHistory":
         """The law that a scene requests."""
-        return cls(damping=request.options["damping"], spring_stiffness=request.options["stiffness"])
+        return cls(damping=request.options.damping, spring_stiffness=request.options.stiffness)
 
     @property
     def parameters(self) -> Mapping[str, float]:
@@ -43,15 +47,18 @@ class LinearHistory(Mindlin):
         return self.spring_stiffness, 1.0
 
 
+class LinearHistoryOptions(Options):
+    """Options of the model."""
+
+    stiffness: Annotated[float, Number("stiffness", above=0)] = Field(
+        description="tangential stiffness [N/m], for all pairs and particle sizes", examples=["1e4 N/m"]
+    )
+    damping: DampingFactor = 0.0
+
+
 MODEL = ContactModel(
     LinearHistory,
     "linear spring of given stiffness with history, Coulomb limit",
-    options={
-        "stiffness": Amount(
-            "tangential stiffness [N/m], for all pairs and particle sizes", "1e4 N/m", "stiffness", above=0
-        ),
-        "damping": DAMPING,
-    },
-    pair_options=(FRICTION,),
-    example={"stiffness": 1e4},
+    options=LinearHistoryOptions,
+    pair_properties=SlidingFriction,
 )

@@ -6,17 +6,17 @@ and mindlin_rescale/force of LAMMPS.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
 from granflow.contact.law import (
-    FRICTION,
-    Amount,
-    Choice,
     ContactModel,
     HistoryField,
     ModelRequest,
+    Options,
+    SlidingFriction,
     SurfaceState,
     TangentialLaw,
     in_contact_plane,
@@ -30,14 +30,13 @@ from granflow.contact.tangential.spring import (
     spring_loss,
 )
 from granflow.device_functions import ti
+from granflow.schema.quantities import Number
 
-DAMPING = Amount(
-    "tangential dashpot over the dashpot of the normal model; 0: none",
-    "1",
-    noun="a damping factor",
-    at_least=0,
-    default=0.0,
-)
+DampingFactor = Annotated[
+    float,
+    Number(noun="a damping factor", at_least=0),
+    Field(description="tangential dashpot over the dashpot of the normal model; 0: none", examples=["1"]),
+]
 """Option `damping` of the tangential models: eta_t / eta_n, x_gamma_t of LAMMPS."""
 
 
@@ -67,7 +66,7 @@ class Mindlin(TangentialLaw):
     def from_scene(cls, request: ModelRequest) -> "Mindlin":
         """The law that a scene requests."""
         options = request.options
-        return cls(options["increments"] == "force", options["unloading"] == "rescaled", options["damping"])
+        return cls(options.increments == "force", options.unloading == "rescaled", options.damping)
 
     @property
     def damped(self) -> bool:
@@ -201,22 +200,25 @@ class Mindlin(TangentialLaw):
         return 0.5 * self.stiffness(constants, contact) * history.displacement.dot(history.displacement)
 
 
+class MindlinOptions(Options):
+    """Options of the model."""
+
+    increments: Literal["force", "displacement"] = Field(
+        "force",
+        description="quantity that a change of the stiffness preserves: the force (each step adds an "
+        "increment of force), or the displacement",
+    )
+    unloading: Literal["rescaled", "kept"] = Field(
+        "rescaled",
+        description="rescaled: the force decreases with the contact radius during unloading; kept: it does "
+        "not",
+    )
+    damping: DampingFactor = 0.0
+
+
 MODEL = ContactModel(
     Mindlin,
     "spring with history, Coulomb limit",
-    options={
-        "increments": Choice(
-            "quantity that a change of the stiffness preserves: the force (each step adds an increment of "
-            "force), or the displacement",
-            ("force", "displacement"),
-            default="force",
-        ),
-        "unloading": Choice(
-            "rescaled: the force decreases with the contact radius during unloading; kept: it does not",
-            ("rescaled", "kept"),
-            default="rescaled",
-        ),
-        "damping": DAMPING,
-    },
-    pair_options=(FRICTION,),
+    options=MindlinOptions,
+    pair_properties=SlidingFriction,
 )

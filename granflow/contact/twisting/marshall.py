@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from granflow.contact.law import FRICTION, ContactModel, ModelRequest, SurfaceState
+from granflow.contact.law import ContactModel, ModelRequest, Options, SlidingFriction, SurfaceState
 from granflow.contact.material import PairMaterial
-from granflow.contact.tangential.mindlin import DAMPING
+from granflow.contact.tangential.mindlin import DampingFactor
 from granflow.contact.twisting.torsion_spring import TorsionLaw
 from granflow.device_functions import ti
 
@@ -30,7 +30,7 @@ class Marshall(TorsionLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Marshall":
         """The law that a scene requests."""
-        damping = request.options["damping"]
+        damping = request.options.damping
         return cls(damping > 0.0, request.energy_budget, damping)
 
     @property
@@ -66,9 +66,15 @@ class Marshall(TorsionLaw):
         return stiffness, coefficient, limit
 
 
+class MarshallOptions(Options):
+    """Options of the model."""
+
+    damping: DampingFactor = 0.0
+
+
 MODEL = ContactModel(
     Marshall,
     "twisting friction of the contact area (Marshall 2009)",
-    options={"damping": DAMPING},
-    pair_options=(FRICTION,),
+    options=MarshallOptions,
+    pair_properties=SlidingFriction,
 )

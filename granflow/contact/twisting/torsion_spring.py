@@ -7,20 +7,23 @@ their signs, and the twist angle does not.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from granflow.contact.law import (
-    Amount,
     ContactModel,
     HistoryField,
     ModelRequest,
-    PairOption,
+    Options,
+    PairProperties,
+    Remedy,
     SurfaceState,
     TwistingLaw,
 )
 from granflow.device_functions import ti
+from granflow.schema.quantities import Number
 
 
 @dataclass(frozen=True)
@@ -116,8 +119,8 @@ class TorsionSpring(TorsionLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "TorsionSpring":
         """The law that a scene requests."""
-        stiffness = request.options["stiffness"]
-        damping = request.options["damping"]
+        stiffness = request.options.stiffness
+        damping = request.options.damping
         return cls(damping > 0.0, request.energy_budget, stiffness, damping)
 
     @property
@@ -140,30 +143,30 @@ class TorsionSpring(TorsionLaw):
         return self.torsion_stiffness, self.torsion_damping, limit
 
 
+class TorsionSpringOptions(Options):
+    """Options of the model."""
+
+    stiffness: Annotated[float, Number("torsion_stiffness", noun="a twisting stiffness", above=0)] = Field(
+        description="twisting stiffness [Nm/rad]", examples=["1 mNm/rad"]
+    )
+    damping: Annotated[float, Number("torsion_damping", noun="a twisting dashpot", at_least=0)] = Field(
+        0.0, description="twisting dashpot [Nms]", examples=["1 uNms"]
+    )
+
+
+class TwistingFriction(PairProperties):
+    """Properties of pairs of the model."""
+
+    twisting_friction: Annotated[
+        float,
+        Number("length", noun="a length", at_least=0),
+        Remedy("give the length, or 0 to disable twisting friction"),
+    ] = Field(description="largest twisting torque over the normal force [m]", examples=["10 um"])
+
+
 MODEL = ContactModel(
     TorsionSpring,
     "torsion spring and dashpot with a limit",
-    options={
-        "stiffness": Amount(
-            "twisting stiffness [Nm/rad]", "1 mNm/rad", "torsion_stiffness", "a twisting stiffness", above=0
-        ),
-        "damping": Amount(
-            "twisting dashpot [Nms]",
-            "1 uNms",
-            "torsion_damping",
-            "a twisting dashpot",
-            at_least=0,
-            default=0.0,
-        ),
-    },
-    pair_options=(
-        PairOption(
-            "twisting_friction",
-            Amount(
-                "largest twisting torque over the normal force [m]", "10 um", "length", "a length", at_least=0
-            ),
-            "give the length, or 0 to disable twisting friction",
-        ),
-    ),
-    example={"stiffness": 1e-3},
+    options=TorsionSpringOptions,
+    pair_properties=TwistingFriction,
 )

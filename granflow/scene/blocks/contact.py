@@ -1,49 +1,31 @@
-"""Schema of the block `contact`, generated from the options of the registered contact models.
+"""Schema of the block `contact`: the registered contact models with their options.
 
 `Contact` has one key per slot of the registry: normal, tangential, rolling, twisting, cohesion. The value is
-the name of a model, or a mapping with the key `law` and the options of the model. The schema class of a model
-with options is created here; its fields follow from the `Amount` and `Choice` records of the model.
+the name of a model, or a mapping with the key `law` and the options of the model. The schema class of such a
+mapping is created here: it adds `law` to the class of the options.
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, Union
+from functools import cache
+from typing import Annotated, Any, Literal, Union
 
 from pydantic import Field, Tag, create_model
 from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
-from granflow.contact.law import SLOTS, Amount, Choice, ContactModel, Option
+from granflow.contact.law import SLOTS, ContactModel, Options
 from granflow.schema.model import Model, ShortForm, choose_by, choose_by_key, shorthand
-from granflow.schema.quantities import Number
 
 
 class LawSettings(Model):
     """A contact model and its options; base class of one schema class per contact model with options."""
 
     law: str
-    of: ClassVar[ContactModel | None] = None
 
     @property
     def record(self) -> ContactModel:
         """The registered record of a normal model."""
         return registry.models("normal")[self.law]
-
-    def settings(self) -> dict[str, Any]:
-        """The options by key, in SI units, without the name of the contact model."""
-        return self.model_dump(exclude={"law"})
-
-    def words(self, key: str) -> tuple[str, ...]:
-        """Words that an option accepts."""
-        option = self.record.options[key]
-        return option.words if isinstance(option, Choice) else ()
-
-    def fixed_by_numbers(self) -> dict[str, str]:
-        """Options, by key, that take a fixed value if the restitution of every pair is a number."""
-        return {
-            key: option.with_numbers
-            for key, option in self.record.options.items()
-            if isinstance(option, Choice) and option.with_numbers is not None
-        }
 
 
 class Contact(Model):
@@ -69,19 +51,19 @@ class Contact(Model):
         given = getattr(self, slot)
         return given if isinstance(given, str) else str(given.law)
 
-    def options(self, slot: str) -> dict[str, Any]:
-        """Options of the model of a slot, in SI units."""
+    def options(self, slot: str) -> Any:
+        """Options of the model of a slot: an instance of its class `ContactModel.options`."""
         given = getattr(self, slot)
         if not isinstance(given, str):
-            return dict(given.settings())
+            return given
         model = registry.models(slot).get(given)
-        return {key: option.default for key, option in model.options.items()} if model else {}
+        return model.options() if model else Options()
 
     @classmethod
     def hint(cls, key: str, word: str) -> str:
         """What a name that is not one of a slot needs: options, another slot, or a registration."""
         own = registry.models(key).get(word)
-        if own is not None and own.needs_options:
+        if own is not None and own.required_options:
             return _needed_options(own)
         other = next((slot for slot in SLOTS if slot != key and word in registry.models(slot)), None)
         if other is not None:
@@ -91,9 +73,9 @@ class Contact(Model):
 
 def _needed_options(model: ContactModel) -> str:
     """Sentence on the options that a model requires."""
-    required = {key: each for key, each in model.options.items() if each.default is None}
-    given = ", ".join(f"{key}: {getattr(each, 'example', '...')}" for key, each in required.items())
-    return f". {model.name} requires {' and '.join(required)}, such as {{law: {model.name}, {given}}}"
+    given = ", ".join(f"{key}: {example}" for key, example in model.required_options.items())
+    needed = " and ".join(model.required_options)
+    return f". {model.name} requires {needed}, such as {{law: {model.name}, {given}}}"
 
 
 # The keys of the slots
@@ -112,7 +94,7 @@ def use_registry() -> None:
 def _normal() -> tuple[Any, Any]:
     """Annotation and field of `normal`, whose value is always a mapping or expanded to one."""
     models = registry.models("normal")
-    words = tuple(name for name, model in models.items() if not model.needs_options)
+    words = tuple(name for name, model in models.items() if not model.required_options)
     annotation: Any = Annotated[
         Union[tuple(Annotated[_model(model), Tag(f"<{name}>")] for name, model in models.items())],  # noqa: UP007
         choose_by_key("law"),
@@ -132,10 +114,10 @@ _LAST_WORDS = {"cohesion": ", with any normal contact model"}
 def _slot(slot: str) -> tuple[Any, Any]:
     """Annotation and field of another slot: a name, or a mapping for a model with options."""
     models = registry.models(slot)
-    words = tuple(name for name, model in models.items() if not model.needs_options)
+    words = tuple(name for name, model in models.items() if not model.required_options)
     words = (*words, "none") if slot == "tangential" else ("none", *words)
     texts = [name if name == "none" else f"{name} ({models[name].summary})" for name in words]
-    mappings = {name: _model(model) for name, model in models.items() if model.options}
+    mappings = {name: _model(model) for name, model in models.items() if model.options.model_fields}
     examples = [f"{{law: {name}, ...}}" for name in mappings if name not in words]
     annotation: Any = Literal[words]
     if mappings:
@@ -161,73 +143,18 @@ def _slot_tagger(words: tuple[str, ...], models: dict[str, type[LawSettings]]) -
     return tag
 
 
-# The schema class of a model, and the types of its options
+# The schema class of a model
 
 
+@cache
 def _model(model: ContactModel) -> type[LawSettings]:
-    """The schema class of one contact model, with a field for each of its options; the same at each call."""
+    """The schema class of one contact model: its name and its options; the same at each call."""
     name = f"{_camel(model.name)}{_camel(model.slot)}"
-    known = globals().get(name)
-    if known is not None and known.of is model:
-        return known
-    fields: dict[str, Any] = {
-        "law": (Literal[model.name], Field(description=f"name of the {model.slot} contact model"))
-    }
-    for key, option in model.options.items():
-        fields[key] = (_annotation(option, f"{model.name}_{key}"), _field(option))
-    created = create_model(name, __base__=LawSettings, __doc__=model.summary, **fields)
-    created.of = model
-    globals()[name] = created  # where pickle finds it
-    return created
-
-
-def _field(setting: Option) -> Any:
-    if setting.default is None:
-        return Field(description=setting.description)
-    return Field(setting.default, description=setting.description)
-
-
-def _annotation(setting: Option, name: str) -> Any:
-    """The type of a parameter; `name` is unique and the prefix of the names of the models in it."""
-    if isinstance(setting, Amount):
-        bounds = (setting.above, setting.at_least, setting.at_most)
-        return Annotated[float, Number(setting.dimension, setting.noun, *bounds)]
-    if not setting.keyed:
-        return Literal[setting.words]
-    models = {key: _keyed(key, amount, f"{name}_{key}") for key, amount in setting.keyed.items()}
-    members = [Annotated[Literal[word], Tag(f"<{word}>")] for word in setting.words]
-    members += [Annotated[model, Tag(f"<{key}>")] for key, model in models.items()]
-    by = choose_by(_tagger(setting.words, models), f"it must be {_either(_examples(setting))}")
-    return Annotated[Union[tuple(members)], by]  # noqa: UP007
-
-
-def _tagger(words: tuple[str, ...], models: dict[str, type[Model]]) -> Callable[[Any], str | None]:
-    """Function that returns the tag of a parameter value: its word, or the key of its mapping.
-
-    None if neither matches.
-    """
-
-    def tag(value: Any) -> str | None:
-        if isinstance(value, str):
-            return f"<{value}>" if value in words else None
-        for key, model in models.items():
-            if isinstance(value, model) or (isinstance(value, dict) and key in value):
-                return f"<{key}>"
-        return None
-
-    return tag
-
-
-def _keyed(key: str, amount: Amount, name: str) -> type[Model]:
-    """The schema class of a parameter value that is a mapping with a single key and a number."""
-    fields: dict[str, Any] = {key: (_annotation(amount, name), _field(amount))}
-    created = create_model(_camel(name), __base__=Model, __doc__=amount.description, **fields)
-    globals()[_camel(name)] = created  # where pickle finds it
-    return created
-
-
-def _examples(setting: Choice) -> list[str]:
-    return [*setting.words, *(f"{{{key}: {amount.example}}}" for key, amount in setting.keyed.items())]
+    law: Any = (Literal[model.name], Field(description=f"name of the {model.slot} contact model"))
+    bases: Any = (LawSettings,) if model.options is Options else (model.options, LawSettings)
+    # where pickle finds it
+    globals()[name] = create_model(name, __base__=bases, __doc__=model.summary, law=law)
+    return globals()[name]
 
 
 def _either(texts: list[str]) -> str:

@@ -1,7 +1,7 @@
 """Schema of the blocks `materials` and `pairs`: properties of one material, and of two in contact.
 
 A preset supplies the values of a material, or of a restitution that depends on velocity. Contact models
-declare further keys of pairs (`PairOption`), which `use_registry` adds to `MaterialPair`.
+declare further keys of pairs (`PairProperties`), which `use_registry` adds to `MaterialPair`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, Tag, model_validator
 from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
+from granflow.contact.law import FrictionCoefficient
 from granflow.schema import quantities as q
 from granflow.schema.faults import value_error
 from granflow.schema.messages import suggestion_or_list
@@ -126,7 +127,6 @@ class Material(Model):
 # Block `pairs`
 
 RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
-FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
 
 
 class RestitutionFit(Model):
@@ -187,7 +187,7 @@ class MaterialPair(Model):
             "unless the normal contact model derives it from the materials"
         ),
     )
-    friction: FrictionNumber = Field(description="Coulomb friction coefficient; 0 for no friction")
+    friction: FrictionCoefficient = Field(description="Coulomb friction coefficient; 0 for no friction")
 
 
 def use_registry() -> None:
@@ -198,16 +198,18 @@ def use_registry() -> None:
     fields = MaterialPair.__pydantic_fields__
     for key in set(fields) - set(MaterialPair.__annotations__):
         del fields[key]
-    for key, option in registry.pair_options().items():
+    for key, each in registry.pair_properties().items():
         if key not in fields:
-            amount = option.amount
-            bounds = (amount.above, amount.at_least, amount.at_most)
-            annotation: Any = Annotated[float, Number(amount.dimension, amount.noun, *bounds)] | None
+            annotation: Any = each.annotation
+            for note in each.metadata:
+                annotation = Annotated[annotation, note]
             needed = " or ".join(
                 f"contact.{slot}: {' or '.join(names)}" for slot, names in registry.models_with(key).items()
             )
-            field = Field(None, description=f"{amount.description}; required with {needed}")
-            fields[key] = FieldInfo.from_annotated_attribute(annotation, field)
+            field = Field(
+                None, description=f"{each.description}; required with {needed}", examples=each.examples
+            )
+            fields[key] = FieldInfo.from_annotated_attribute(annotation | None, field)
 
 
 use_registry()

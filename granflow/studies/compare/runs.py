@@ -130,9 +130,9 @@ def _normals(scene: Scene, laws: Sequence[str], velocity: float) -> Iterator[tup
             yield LINEAR_KEYS[0], "linear per contact", {"law": name, "stiffness": "onset"}
             yield LINEAR_KEYS[1], f"linear of {velocity:.3g} m/s", {"law": name, "stiffness": at}
         elif name == scene.contact.normal.law:
-            yield name, name, {"law": name, **scene.contact.normal.settings()}
+            yield name, name, scene.contact.normal.model_dump()
         else:
-            example = dict(models("normal")[name].example)
+            example = models("normal")[name].example
             if "reference_velocity" in example:
                 example["reference_velocity"] = velocity
             yield name, name, {"law": name, **example}
