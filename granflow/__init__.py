@@ -34,6 +34,17 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.contact import Contact as Contact
     from granflow.scene.blocks.domain import Domain as Domain
     from granflow.scene.blocks.domain import LeesEdwards as LeesEdwards
+    from granflow.scene.blocks.insertions import BoxRegion as BoxRegion
+    from granflow.scene.blocks.insertions import CylinderRegion as CylinderRegion
+    from granflow.scene.blocks.insertions import DiscFace as DiscFace
+    from granflow.scene.blocks.insertions import FileInsertion as FileInsertion
+    from granflow.scene.blocks.insertions import InletInsertion as InletInsertion
+    from granflow.scene.blocks.insertions import LatticeInsertion as LatticeInsertion
+    from granflow.scene.blocks.insertions import PackInsertion as PackInsertion
+    from granflow.scene.blocks.insertions import PositionsInsertion as PositionsInsertion
+    from granflow.scene.blocks.insertions import PythonInsertion as PythonInsertion
+    from granflow.scene.blocks.insertions import RainInsertion as RainInsertion
+    from granflow.scene.blocks.insertions import RectangleFace as RectangleFace
     from granflow.scene.blocks.materials import Material as Material
     from granflow.scene.blocks.materials import MaterialPair as MaterialPair
     from granflow.scene.blocks.materials import RestitutionFit as RestitutionFit
@@ -63,21 +74,10 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.output import Output as Output
     from granflow.scene.blocks.particle_shapes.clump import Clump as Clump
     from granflow.scene.blocks.particle_shapes.clump import ClumpSphere as ClumpSphere
-    from granflow.scene.blocks.particles import BoxRegion as BoxRegion
     from granflow.scene.blocks.particles import ClassSizes as ClassSizes
-    from granflow.scene.blocks.particles import CylinderRegion as CylinderRegion
-    from granflow.scene.blocks.particles import DiscFace as DiscFace
-    from granflow.scene.blocks.particles import FileInsertion as FileInsertion
     from granflow.scene.blocks.particles import Group as Group
-    from granflow.scene.blocks.particles import InletInsertion as InletInsertion
-    from granflow.scene.blocks.particles import LatticeInsertion as LatticeInsertion
     from granflow.scene.blocks.particles import LogNormalSizes as LogNormalSizes
     from granflow.scene.blocks.particles import NormalSizes as NormalSizes
-    from granflow.scene.blocks.particles import PackInsertion as PackInsertion
-    from granflow.scene.blocks.particles import PositionsInsertion as PositionsInsertion
-    from granflow.scene.blocks.particles import PythonInsertion as PythonInsertion
-    from granflow.scene.blocks.particles import RainInsertion as RainInsertion
-    from granflow.scene.blocks.particles import RectangleFace as RectangleFace
     from granflow.scene.blocks.particles import SizeClass as SizeClass
     from granflow.scene.blocks.particles import UniformSizes as UniformSizes
     from granflow.scene.blocks.run import Damping as Damping
@@ -110,7 +110,7 @@ os.environ.setdefault("HOME", os.path.expanduser("~"))
 _LOCATIONS = {
     "Box": "granflow.scene.blocks.shapes.Box",
     "BoxOutlet": "granflow.scene.blocks.outlets.BoxOutlet",
-    "BoxRegion": "granflow.scene.blocks.particles.BoxRegion",
+    "BoxRegion": "granflow.scene.blocks.insertions.BoxRegion",
     "BoxWall": "granflow.scene.blocks.walls.BoxWall",
     "CenterOfMassMetric": "granflow.scene.blocks.metrics.CenterOfMassMetric",
     "Checkpoints": "granflow.scene.blocks.output.Checkpoints",
@@ -123,25 +123,25 @@ _LOCATIONS = {
     "ContentMetric": "granflow.scene.blocks.metrics.ContentMetric",
     "CoordinationMetric": "granflow.scene.blocks.metrics.CoordinationMetric",
     "Cylinder": "granflow.scene.blocks.walls.Cylinder",
-    "CylinderRegion": "granflow.scene.blocks.particles.CylinderRegion",
+    "CylinderRegion": "granflow.scene.blocks.insertions.CylinderRegion",
     "Damping": "granflow.scene.blocks.run.Damping",
     "Disc": "granflow.scene.blocks.walls.Disc",
-    "DiscFace": "granflow.scene.blocks.particles.DiscFace",
+    "DiscFace": "granflow.scene.blocks.insertions.DiscFace",
     "DiscOutlet": "granflow.scene.blocks.outlets.DiscOutlet",
     "Domain": "granflow.scene.blocks.domain.Domain",
     "Expectation": "granflow.scene.blocks.output.Expectation",
     "FabricMetric": "granflow.scene.blocks.metrics.FabricMetric",
     "FieldGrid": "granflow.scene.blocks.output.FieldGrid",
-    "FileInsertion": "granflow.scene.blocks.particles.FileInsertion",
+    "FileInsertion": "granflow.scene.blocks.insertions.FileInsertion",
     "FlowMeter": "granflow.scene.blocks.output.FlowMeter",
     "FreeWall": "granflow.scene.blocks.motions.FreeWall",
     "FunctionError": "granflow.errors.FunctionError",
     "GranflowError": "granflow.errors.GranflowError",
     "Group": "granflow.scene.blocks.particles.Group",
     "HalfSpaceOutlet": "granflow.scene.blocks.outlets.HalfSpaceOutlet",
-    "InletInsertion": "granflow.scene.blocks.particles.InletInsertion",
+    "InletInsertion": "granflow.scene.blocks.insertions.InletInsertion",
     "LaceyMetric": "granflow.scene.blocks.metrics.LaceyMetric",
-    "LatticeInsertion": "granflow.scene.blocks.particles.LatticeInsertion",
+    "LatticeInsertion": "granflow.scene.blocks.insertions.LatticeInsertion",
     "LeesEdwards": "granflow.scene.blocks.domain.LeesEdwards",
     "LogNormalSizes": "granflow.scene.blocks.particles.LogNormalSizes",
     "Material": "granflow.scene.blocks.materials.Material",
@@ -151,16 +151,16 @@ _LOCATIONS = {
     "Numerics": "granflow.scene.blocks.run.Numerics",
     "Output": "granflow.scene.blocks.output.Output",
     "OutputError": "granflow.errors.OutputError",
-    "PackInsertion": "granflow.scene.blocks.particles.PackInsertion",
+    "PackInsertion": "granflow.scene.blocks.insertions.PackInsertion",
     "ParticleData": "granflow.particles.group.ParticleData",
     "ParticleForce": "granflow.live.forces.ParticleForce",
     "Plan": "granflow.plan.plan.Plan",
     "Plane": "granflow.scene.blocks.walls.Plane",
-    "PositionsInsertion": "granflow.scene.blocks.particles.PositionsInsertion",
-    "PythonInsertion": "granflow.scene.blocks.particles.PythonInsertion",
-    "RainInsertion": "granflow.scene.blocks.particles.RainInsertion",
+    "PositionsInsertion": "granflow.scene.blocks.insertions.PositionsInsertion",
+    "PythonInsertion": "granflow.scene.blocks.insertions.PythonInsertion",
+    "RainInsertion": "granflow.scene.blocks.insertions.RainInsertion",
     "Rectangle": "granflow.scene.blocks.walls.Rectangle",
-    "RectangleFace": "granflow.scene.blocks.particles.RectangleFace",
+    "RectangleFace": "granflow.scene.blocks.insertions.RectangleFace",
     "ReposeMetric": "granflow.scene.blocks.metrics.ReposeMetric",
     "RestitutionFit": "granflow.scene.blocks.materials.RestitutionFit",
     "Result": "granflow.runs.result.Result",

@@ -20,7 +20,7 @@ from granflow.io.files import file_digest, resolved, write_text
 from granflow.io.log import version_of
 from granflow.particles.resolve import resolved_input
 from granflow.scene.blocks.motions import TableMotion
-from granflow.scene.blocks.particles import FileInsertion, Group
+from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import Precision
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.walls import MeshWall, Wall
@@ -134,8 +134,8 @@ class Scene(SceneInput):
                 if motion.kind == "table" and motion.file is not None:
                     yield f"walls.{name}.motion.{index}.file", motion.file
         for name, group in self.particles.items():
-            if isinstance(group.insert, FileInsertion):
-                yield f"particles.{name}.insert.file", group.insert.file
+            if group.insert.source is not None:
+                yield f"particles.{name}.insert.file", group.insert.source
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as YAML: another process reads and checks it again, without its particle files."""
@@ -171,11 +171,11 @@ class Scene(SceneInput):
         if self.start_from is not None:
             return []
         return [
-            f"{self.locate('particles', name, 'insert', 'kind')}: particles.{name}.insert.kind is python: a "
-            "Python program adds these particles, and a command line has none. Choose another kind, such as "
-            "lattice or file."
+            f"{self.locate('particles', name, 'insert', 'kind')}: particles.{name}.insert.kind is "
+            f"{group.insert.kind}: a Python program adds these particles, and a command line has none. "
+            "Choose another kind, such as lattice or file."
             for name, group in self.particles.items()
-            if group.insert.kind == "python"
+            if group.insert.from_program
         ]
 
     def refuse_program(self) -> None:
@@ -346,9 +346,9 @@ def _wall_with(wall: Wall, copies: Mapping[str, str]) -> Wall:
 
 def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
     """A group with the path of the copy of its particle file."""
-    if not isinstance(group.insert, FileInsertion):
+    if group.insert.source is None:
         return group
-    insertion = group.insert.model_copy(update={"file": copies[group.insert.file]})
+    insertion = group.insert.model_copy(update={"file": copies[group.insert.source]})
     return group.model_copy(update={"insert": insertion})
 
 

@@ -17,7 +17,6 @@ from granflow.io.files import FormatError, read_regular_text, resolved
 from granflow.io.tables import Table, is_number, table_in
 from granflow.io.vtu import read_vtu
 from granflow.particles.group import ParticleData, SceneGroup, particles_of
-from granflow.scene.blocks.particles import FileInsertion
 from granflow.units import UnitError, to_si
 
 # Tables of particles: text with named columns in common formats, or a VTU frame.
@@ -364,23 +363,23 @@ def table_of(group: SceneGroup) -> ParticleTable:
 
     Raises ValueError for a group without a file, and SceneError if the file cannot be read or is invalid.
     """
-    insertion = group.spec.insert
-    if not isinstance(insertion, FileInsertion):
+    source = group.spec.insert.source
+    if source is None:
         raise ValueError(f"{group.name} is not read from a file.")
     try:
-        path = resolved(group.scene.folder / insertion.file)
+        path = resolved(group.scene.folder / source)
     except OSError as error:
         raise SceneError(
-            f"{group.scene.folder / insertion.file}: the file cannot be read: {error.strerror}."
+            f"{group.scene.folder / source}: the file cannot be read: {error.strerror}."
         ) from None
     location = group.locate("insert", "file")
     if not path.exists():
         key = f"particles.{group.name}.insert.file"
         raise SceneError(
-            f"{location}: {key} is {insertion.file}, but there is no such file; its path is relative to the "
+            f"{location}: {key} is {source}, but there is no such file; its path is relative to the "
             "folder of the scene."
         )
-    return read_particles(group.scene.folder / insertion.file)
+    return read_particles(group.scene.folder / source)
 
 
 def rows_of(group: SceneGroup) -> ParticleTable:
@@ -405,9 +404,9 @@ def unassigned_rows(groups: Iterable[SceneGroup]) -> list[str]:
     skipped."""
     files: dict[str, list[SceneGroup]] = {}
     for group in groups:
-        insertion = group.spec.insert
-        if isinstance(insertion, FileInsertion) and (group.scene.folder / insertion.file).exists():
-            files.setdefault(insertion.file, []).append(group)
+        source = group.spec.insert.source
+        if source is not None and (group.scene.folder / source).exists():
+            files.setdefault(source, []).append(group)
     problems = []
     for sharing in files.values():
         table = table_of(sharing[0])

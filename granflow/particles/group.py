@@ -15,7 +15,7 @@ import numpy as np
 
 from granflow.arguments import shown
 from granflow.errors import GranflowError
-from granflow.particles.packing import RegionFullError
+from granflow.geometry.packing import RegionFullError
 from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 from granflow.scene.blocks.particles import Group, ThermalMotion
 from granflow.scene.blocks.scene import SceneInput
@@ -232,8 +232,7 @@ def largest_speed(thermal: ThermalMotion, count: int) -> float:
 
 def shortfall(group: SceneGroup, error: RegionFullError) -> str:
     """Error message for a group that does not fit, with the source position of its count."""
-    where = "face" if group.spec.insert.kind == "inlet" else "region"
     return (
         f"{group.locate('count')}: particles.{group.name}.count is {group.spec.count}, but "
-        f"{error.shortfall} in its {where}. {error.remedy}"
+        f"{error.shortfall} in its {group.spec.insert.place}. {error.remedy}"
     )

@@ -12,53 +12,35 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.geometry.close_pairs import overlaps_any
+from granflow.geometry.packing import RegionFullError, Spheres, check_width
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.geometry.shape import sphere_volume
-from granflow.particles.close_pairs import overlaps_any
 from granflow.particles.file import particles_from_file
 from granflow.particles.group import ParticleData, SceneGroup, groups_of, particles_of, shortfall
-from granflow.particles.packing import RegionFullError, Spheres, check_width, fill_lattice, pack_at_random
-from granflow.particles.sampling import (
-    CylinderSampler,
-    RegionSampler,
-    SlabSampler,
-    draw_diameters,
-    ordered_diameters,
-    sampler_of,
-)
-from granflow.scene.blocks.particles import (
-    DiscFace,
-    FileInsertion,
-    InletInsertion,
-    LatticeInsertion,
-    PackInsertion,
-    PositionsInsertion,
-    RainInsertion,
-)
+from granflow.particles.sampling import draw_diameters, ordered_diameters
+from granflow.scene.blocks.insertions import TimedInsertion
 from granflow.scene.blocks.scene import SceneInput
 
 # Initial particles.
-
-INSERTION_ORDER = ("positions", "file", "lattice", "pack")
-"""Groups with given positions first, random packings last, so that each kind can avoid the particles before
-it."""
 
 
 def initial_particles(scene: SceneInput, earlier: Mapping[str, ParticleData] | None = None) -> ParticleData:
     """All particles at t = 0, group by group in the order of the scene.
 
-    Groups in `earlier` keep their particles from an earlier run; the other groups avoid them. Particles do
-    not overlap, except where given positions or files overlap. Groups with rain, inlet or python have no
-    particles yet.
+    Groups in `earlier` keep their particles from an earlier run; the other groups avoid them, and those of
+    kinds before theirs (`InsertionKind.order`). Particles do not overlap, except where given positions or
+    files overlap. Groups with rain, inlet or python have no particles yet.
 
     Raises SceneError with one message for each group that does not fit.
     """
     inserted: dict[str, ParticleData] = dict(earlier or {})
     remaining = {name: group for name, group in groups_of(scene).items() if name not in inserted}
     problems: list[str] = []
-    for kind in INSERTION_ORDER:
+    orders = {order for each in remaining.values() if (order := each.spec.insert.order) is not None}
+    for order in sorted(orders):
         for name, group in remaining.items():
-            if group.spec.insert.kind == kind:
+            if group.spec.insert.order == order:
                 try:
                     inserted[name] = insert_group(group, all_spheres(inserted, scene.domain.periodic_box()))
                 except RegionFullError as error:
@@ -86,19 +68,11 @@ def insert_group(group: SceneGroup, existing: Spheres) -> ParticleData:
     Raises RegionFullError if a lattice or packing does not fit, and SceneError for an invalid file.
     """
     spec = group.spec
-    insertion = group.spec.insert
-    if isinstance(insertion, FileInsertion):
+    if spec.insert.source is not None:
         return particles_from_file(group)
     random = group.random()
     radius = draw_diameters(spec.sizes, spec.count, random) / 2
-    if isinstance(insertion, PositionsInsertion):
-        position = np.array(insertion.positions, dtype=np.float64).reshape(-1, 3)
-    elif isinstance(insertion, LatticeInsertion):
-        position = fill_lattice(sampler_of(insertion.region), radius, insertion.jitter, existing, random)
-    else:
-        assert isinstance(insertion, PackInsertion)
-        position = pack_at_random(sampler_of(insertion.region), radius, existing, random)
-    return particles_of(group, position, radius)
+    return particles_of(group, spec.insert.centers(radius, existing, random), radius)
 
 
 # Insertion during the run: inserters run on the host.
@@ -123,7 +97,7 @@ first."""
 
 
 class Inserter:
-    """Inserter of one group (rain or inlet); the sizes and their order are drawn at construction.
+    """Inserter of one group, such as rain or inlet; the sizes and their order are drawn at construction.
 
     Particle k is due at start + k / rate, or, with a mass flow rate, at
 
@@ -138,7 +112,7 @@ class Inserter:
     `queued` (q,) int64: particle numbers in the order of priority. `batch`: particles per batch. `interval`
     [s]: mean time between particles. `next_time` [s]: time of the next batch; infinite after the last.
 
-    Raises ValueError for a group without rain or inlet, and RegionFullError if the largest particle does not
+    Raises ValueError for a group of another kind, and RegionFullError if the largest particle does not
     fit into the region.
     """
 
@@ -146,23 +120,19 @@ class Inserter:
         self.group = group
         self.group_name = group.name
         spec = group.spec
-        insertion = group.spec.insert
-        if not isinstance(insertion, RainInsertion | InletInsertion):
-            raise ValueError(f"{group.name} has neither insert: {{kind: rain}} nor insert: {{kind: inlet}}.")
+        insertion = spec.insert
+        if not isinstance(insertion, TimedInsertion):
+            raise ValueError(f"{group.name} has no particles that enter during the run.")
         self.start = insertion.start
         self.radius = ordered_diameters(spec.sizes, spec.count, group.random()) / 2
         self.mass = group.shape.volume(self.radius) * group.density
-        self.due_at = self.start + _delays(insertion, self.mass)
-        self.interval = (
-            1.0 / insertion.rate
-            if insertion.rate
-            else float(self.mass.mean()) / (insertion.mass_flow or math.inf)
-        )
+        self.due_at = self.start + insertion.delays(self.mass)
+        self.interval = insertion.interval(float(self.mass.mean()))
         for array in (self.radius, self.mass, self.due_at):
             array.setflags(write=False)
         gathered = math.ceil(spec.count / MAX_BATCHES)
-        self.region = insertion_region(
-            insertion, self.radius.max(), np.array(spec.velocity, float), gathered * self.interval
+        self.region = insertion.region_for(
+            self.radius.max(), np.array(spec.velocity, float), gathered * self.interval
         )
         check_width(self.region, self.radius.max())
         self.batch = batch_size(self.radius, self.region.volume)
@@ -268,14 +238,14 @@ class Inserter:
 
 
 def inserters(scene: SceneInput) -> tuple[Inserter, ...]:
-    """Inserters of all groups with rain or inlet, in the order of the scene.
+    """Inserters of all groups whose particles enter during the run, in the order of the scene.
 
     Raises SceneError with one message for each group that does not fit into its region.
     """
     inserters = []
     problems = []
     for group in groups_of(scene).values():
-        if isinstance(group.spec.insert, RainInsertion | InletInsertion):
+        if isinstance(group.spec.insert, TimedInsertion):
             try:
                 inserters.append(Inserter(group))
             except RegionFullError as error:
@@ -296,33 +266,3 @@ def batch_size(radius: np.ndarray, volume: float) -> int:
     mean_volume = float(np.mean(sphere_volume(radius)))
     capacity = int(BATCH_FRACTION * volume / mean_volume)
     return max(1, min(math.ceil(len(radius) / MAX_BATCHES), capacity))
-
-
-def _delays(insertion: RainInsertion | InletInsertion, mass: np.ndarray) -> np.ndarray:
-    """Due times (n,) [s] after the start, for the masses (n,) [kg] in the order of insertion."""
-    if insertion.rate is not None:
-        return np.arange(len(mass)) / insertion.rate
-    assert insertion.mass_flow is not None
-    return (np.cumsum(mass) - mass) / insertion.mass_flow
-
-
-def insertion_region(
-    insertion: RainInsertion | InletInsertion, radius: float, velocity: np.ndarray, gathered: float
-) -> RegionSampler:
-    """Insertion region: as given, or the volume behind a face that particles cross in the time of one batch.
-
-    `radius` [m]: largest; `velocity` (3,) [m/s] of the group; `gathered` [s]: time of one batch. The depth is
-    one diameter plus the normal velocity times that time.
-    """
-    if isinstance(insertion, RainInsertion):
-        return sampler_of(insertion.region)
-    if isinstance(insertion.face, DiscFace):
-        disc = insertion.face.disc
-        normal = np.array(disc.normal) / math.hypot(*disc.normal)
-        depth = 2.0 * radius + max(float(velocity @ normal), 0.0) * gathered
-        return CylinderSampler(np.array(disc.center), disc.center + depth * normal, disc.radius)
-    rectangle = insertion.face.rectangle
-    first, second = np.array(rectangle.sides, float)
-    normal = np.cross(first, second) / np.linalg.norm(np.cross(first, second))
-    depth = 2.0 * radius + max(float(velocity @ normal), 0.0) * gathered
-    return SlabSampler(np.array(rectangle.corner), first, second, depth)

@@ -13,14 +13,15 @@ import numpy as np
 from pydantic.fields import FieldInfo
 
 from granflow.errors import FileError, SceneError
+from granflow.geometry.close_pairs import near_pairs
 from granflow.io.files import FormatError, resolved
 from granflow.io.tables import Table, read_table
-from granflow.particles.close_pairs import near_pairs
 from granflow.particles.file import UNIT, ParticleTable, rows_of, unassigned_rows, unit_factor
 from granflow.particles.group import SceneGroup, groups_of
 from granflow.particles.sampling import count_for_volume
+from granflow.scene.blocks.insertions import FileSummary, TimedInsertion
 from granflow.scene.blocks.motions import MOST_ROWS, TABLE_COLUMNS, TableMotion
-from granflow.scene.blocks.particles import FileInsertion, FileSummary, Group, InletInsertion, RainInsertion
+from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.scene import SceneInput
 from granflow.schema.messages import nearest
 from granflow.schema.model import Model
@@ -60,11 +61,11 @@ def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
 def _resolved_group(group: SceneGroup, read: bool) -> Group:
     """One group with its count. Raises SceneError."""
     insertion = group.spec.insert
-    if not isinstance(insertion, FileInsertion):
+    if insertion.source is None:
         return _with_count(group)
-    if insertion.found is not None and not (read and (group.scene.folder / insertion.file).exists()):
+    if insertion.summary is not None and not (read and (group.scene.folder / insertion.source).exists()):
         return group.spec
-    return _with_rows(group, insertion)
+    return _with_rows(group)
 
 
 def _at_scale_1(scene: SceneInput) -> tuple[SceneInput, list[str]]:
@@ -75,7 +76,7 @@ def _at_scale_1(scene: SceneInput) -> tuple[SceneInput, list[str]]:
     if scene.scale == 1.0:
         return scene, []
     for name, group in scene.particles.items():
-        if group.insert.kind in ("positions", "file"):
+        if group.insert.has_rows:
             raise SceneError(
                 f"{scene.locate('scale')}: scale is {scene.scale:g}, but particles.{name} has given "
                 "positions, which cannot be scaled; leave scale out."
@@ -165,7 +166,7 @@ def _counts(group: SceneGroup) -> Iterator[tuple[str, int]]:
         yield "count", spec.count_given
     if spec.mass is not None:
         yield "mass", _count_of_mass(group, spec.mass)
-    if isinstance(insertion, RainInsertion | InletInsertion) and insertion.end is not None:
+    if isinstance(insertion, TimedInsertion) and insertion.end is not None:
         duration = insertion.end - insertion.start
         if insertion.rate is not None:
             yield "insert.end", max(int(np.ceil(min(insertion.rate * duration - ROUNDING_SHARE, 1e18))), 1)
@@ -185,7 +186,7 @@ def _count_of_mass(group: SceneGroup, mass: float) -> int:
     return count_for_volume(group.spec.sizes, 6.0 / pi * mass / group.density, group.random)
 
 
-def _with_rows(group: SceneGroup, insertion: FileInsertion) -> Group:
+def _with_rows(group: SceneGroup) -> Group:
     """A group from a file with the summary of the file. Raises SceneError for an inconsistent group."""
     rows = rows_of(group)
     problems = list(_inconsistencies(group, rows))
@@ -205,7 +206,7 @@ def _with_rows(group: SceneGroup, insertion: FileInsertion) -> Group:
         overlap_max=overlap,
         overlap_rows=overlap_rows,
     )
-    read_insertion = insertion.model_copy(update={"found": summary})
+    read_insertion = group.spec.insert.model_copy(update={"found": summary})
     return group.spec.model_copy(update={"count_given": len(rows), "insert": read_insertion})
 
 

@@ -24,22 +24,14 @@ from granflow.geometry.catalog import triangles
 from granflow.geometry.mesh import Mesh
 from granflow.geometry.periodic_box import AXES
 from granflow.geometry.plane import HALF_SPACE
+from granflow.geometry.region import RegionSampler
 from granflow.geometry.revolved import REVOLVED
 from granflow.load import Scene
-from granflow.particles.insertion import insertion_region
-from granflow.particles.sampling import BoxSampler, CylinderSampler, RegionSampler, SlabSampler, sampler_of
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import ImpactVelocity, image_speed, initial_speeds
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.motions import SurfaceVelocity, TimedMotion
-from granflow.scene.blocks.particles import (
-    Group,
-    InletInsertion,
-    LatticeInsertion,
-    PackInsertion,
-    PositionsInsertion,
-    RainInsertion,
-)
+from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.walls import Plane
 
 # Velocities of the forecasts.
@@ -112,11 +104,8 @@ def velocity_warnings(plan: Plan) -> Iterator[str]:
     if given is None or scene.damping or image_speed(scene.domain) or not np.any(scene.gravity):
         return
     magnitude = float(np.linalg.norm(scene.gravity))
-    regions = (LatticeInsertion, PackInsertion, RainInsertion, InletInsertion)
     heights = _heights(plan, -np.array(scene.gravity) / magnitude)
-    heights = {
-        name: each for name, each in heights.items() if isinstance(scene.particles[name].insert, regions)
-    }
+    heights = {name: each for name, each in heights.items() if region_of(scene.particles[name]) is not None}
     if not heights:
         return
     name = max(heights, key=lambda each: heights[each])
@@ -191,31 +180,15 @@ def _belt_speed(walls: Iterable[PlannedWall]) -> float:
 def region_of(group: Group) -> RegionSampler | None:
     """The region in which particles of a group are inserted at random or on a lattice; None for given
     positions."""
-    insertion = group.insert
-    if isinstance(insertion, LatticeInsertion | PackInsertion | RainInsertion):
-        return sampler_of(insertion.region)
-    if isinstance(insertion, InletInsertion):
-        return insertion_region(
-            insertion, 0.5 * group.outer_diameters[1], np.array(group.velocity, float), 0.0
-        )
-    return None
+    return group.insert.region_for(0.5 * group.outer_diameters[1], np.array(group.velocity, float))
 
 
 def highest_point(group: Group, up: np.ndarray) -> float | None:
     """Largest height [m] along `up` (3,) at which particles of a group start; None if it is not known."""
-    if isinstance(group.insert, PositionsInsertion):
-        return float((np.array(group.insert.positions) @ up).max())
+    if group.insert.points:
+        return float((np.array(group.insert.points) @ up).max())
     region = region_of(group)
-    if isinstance(region, BoxSampler):
-        return float(np.maximum(region.low * up, region.high * up).sum())
-    if isinstance(region, CylinderSampler):
-        along = float(region.frame[2] @ up)
-        base = float(region.start @ up) + max(along * region.length, 0.0)
-        return base + region.radius * sqrt(max(1.0 - along**2, 0.0))
-    if isinstance(region, SlabSampler):
-        local = region.frame @ up
-        return float(region.corner @ up + np.maximum(region.box.high * local, 0.0).sum())
-    return None
+    return None if region is None else region.highest(up)
 
 
 def lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) -> float | None:
@@ -462,8 +435,7 @@ def _start_points(group: Group, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     velocities."""
     region = region_of(group)
     if region is None:
-        assert isinstance(group.insert, PositionsInsertion)
-        points = np.array(group.insert.positions, float)
+        points = np.array(group.insert.points, float)
         velocities = np.broadcast_to(np.asarray(group.velocity, float), points.shape)
         some = np.argsort(-(points @ up), kind="stable")[:SAMPLES]
         return points[some], velocities[some]

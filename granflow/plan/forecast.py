@@ -19,8 +19,7 @@ from granflow.geometry.mesh import Mesh
 from granflow.geometry.plane import HALF_SPACE, NORMAL, POINT
 from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
-from granflow.particles.insertion import MAX_BATCHES, insertion_region
-from granflow.particles.sampling import BoxSampler, CylinderSampler, RegionSampler, SlabSampler
+from granflow.particles.insertion import MAX_BATCHES
 from granflow.plan.falls import forecast_velocity, path_velocity, velocity_warnings
 from granflow.plan.overlaps import (
     HARDEST,
@@ -40,15 +39,10 @@ from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, surface_speed
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.insertions import TimedInsertion
 from granflow.scene.blocks.motions import Servo, Translation, Vibration, pose
 from granflow.scene.blocks.output import unit_of
-from granflow.scene.blocks.particles import (
-    DiscFace,
-    FileInsertion,
-    Group,
-    InletInsertion,
-    RainInsertion,
-)
+from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.shapes import Axial, Rectangular
 from granflow.scene.blocks.walls import Wall
 
@@ -123,19 +117,18 @@ def file_warnings(particles: Mapping[str, Group], static: float, impact: float) 
     warning.
     """
     for name, group in particles.items():
-        insertion = group.insert
-        if not isinstance(insertion, FileInsertion) or insertion.found is None or group.fixed:
+        found = group.insert.summary
+        if found is None or group.fixed:
             continue
-        found = insertion.found
         explained = max(static, impact) if found.speed_max > 0.0 else static
         if found.overlap_max > max(OVERLAP_TOLERANCE * explained, FILE_ROUNDING):
             reason = (
                 f"loading and impacts explain {explained:.3g}" if explained > 0.0 else "no force explains it"
             )
             yield (
-                f"particles.{name}: particles in {insertion.file} overlap by up to {found.overlap_max:.3g} "
-                f"of the smaller radius ({found.overlap_rows}), but {reason}: they separate abruptly. Check "
-                "the file."
+                f"particles.{name}: particles in {group.insert.source} overlap by up to "
+                f"{found.overlap_max:.3g} of the smaller radius ({found.overlap_rows}), but {reason}: they "
+                "separate abruptly. Check the file."
             )
 
 
@@ -176,9 +169,10 @@ def _oversizes(scene: Scene) -> Iterator[tuple[tuple[str, ...], str]]:
     for name, group in scene.particles.items():
         diameter = group.outer_diameters[1]
         path = ("particles", name, "diameter")
-        width = _face_width(group.insert) if isinstance(group.insert, InletInsertion) else inf
+        width = group.insert.opening
         if diameter > width:
-            face = f"larger than the face of the inlet, which is {width:.3g} m wide"
+            place = f"{group.insert.place} of the {group.insert.kind}"
+            face = f"larger than the {place}, which is {width:.3g} m wide"
             yield path, f"is {diameter:.3g} m, {face}. {_likely_unit(diameter, width)}"
         elif diameter > LARGE_DIAMETER * side and scene.domain.on_exit != "expand":
             yield (
@@ -211,14 +205,6 @@ def _dimensions(wall: Wall) -> Iterator[tuple[str, float]]:
 
 def _longest_side(scene: Scene) -> float:
     return max(high - low for low, high in zip(scene.domain.min, scene.domain.max, strict=True))
-
-
-def _face_width(insertion: InletInsertion) -> float:
-    """Diameter of the largest sphere that fits through the face of an inlet [m]."""
-    face = insertion.face
-    if isinstance(face, DiscFace):
-        return 2.0 * face.disc.radius
-    return min(hypot(*each) for each in face.rectangle.sides)
 
 
 def _likely_unit(length: float, limit: float) -> str:
@@ -493,7 +479,7 @@ def insertion_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
     end = max(end for _, end in times.values())
     for name, group in plan.scene.particles.items():
         insertion = group.insert
-        if not isinstance(insertion, RainInsertion | InletInsertion):
+        if not isinstance(insertion, TimedInsertion):
             continue
         interval = _insertion_interval(plan, group, insertion)
         inserted = 0.0
@@ -501,11 +487,10 @@ def insertion_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
             inserted = (end - insertion.start) / interval + 1.0
         if inserted < (1.0 - COUNT_TOLERANCE) * group.count:
             key = f"particles.{name}.insert ({plan.scene.where('particles', name, 'insert')})"
-            flow = "rate" if insertion.rate else "mass_flow"
             yield (
                 f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s "
                 f"from {insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about "
-                f"{inserted:.3g} of them. Raise {flow} or the duration."
+                f"{inserted:.3g} of them. Raise {insertion.flow_key} or the duration."
             )
 
 
@@ -515,30 +500,25 @@ def flow_warnings(plan: Plan) -> Iterator[str]:
     scene = plan.scene
     for name, group in scene.particles.items():
         insertion = group.insert
-        if not isinstance(insertion, RainInsertion | InletInsertion):
+        if not isinstance(insertion, TimedInsertion):
             continue
         interval = _insertion_interval(plan, group, insertion)
-        if isinstance(insertion, InletInsertion) and (sentence := _wrong_direction(plan, name, insertion)):
+        if insertion.one_way and (sentence := _wrong_direction(plan, name, insertion)):
             yield sentence
             continue
         largest, held = _largest_flow(scene, group, insertion, interval)
         key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
-        if isinstance(insertion, InletInsertion):
-            is_small = True
-            place = "face"
-            also = ""
-        else:
-            is_small = group.count * (1.0 - interval * largest) > held
-            place = "region"
-            also = f", which holds {held:.2g}"
+        place = insertion.place
+        is_small = insertion.one_way or group.count * (1.0 - interval * largest) > held
+        also = "" if insertion.one_way else f", which holds {held:.2g}"
         if is_small and 1.0 / interval > largest > 0.0:
             yield (
                 f"{key}: {1.0 / interval:.3g} particles per second are required, but at most about "
                 f"{largest:.2g} leave the {place} in a second{also}; the others are queued. Enlarge the "
                 f"{place}, raise particles.{name}.velocity, or lower the "
-                f"{'rate' if insertion.rate else 'mass_flow'}."
+                f"{insertion.flow_key}."
             )
-        elif is_small and not largest and place == "region" and _nothing_moves(plan, group):
+        elif is_small and not largest and not insertion.one_way and _nothing_moves(plan, group):
             yield (
                 f"{key}: {group.count} particles are required, but the region holds at most about "
                 f"{held:.2g}, and neither gravity nor particles.{name}.velocity moves them out; the others "
@@ -546,12 +526,9 @@ def flow_warnings(plan: Plan) -> Iterator[str]:
             )
 
 
-def _insertion_interval(plan: Plan, group: Group, insertion: RainInsertion | InletInsertion) -> float:
+def _insertion_interval(plan: Plan, group: Group, insertion: TimedInsertion) -> float:
     """Mean time [s] between two particles."""
-    if insertion.rate:
-        return 1.0 / insertion.rate
-    assert insertion.mass_flow is not None
-    return mean_volume(group) * plan.solids[group.material].density / insertion.mass_flow
+    return insertion.interval(mean_volume(group) * plan.solids[group.material].density)
 
 
 def _nothing_moves(plan: Plan, group: Group) -> bool:
@@ -560,7 +537,7 @@ def _nothing_moves(plan: Plan, group: Group) -> bool:
 
 
 def _largest_flow(
-    scene: Scene, group: Group, insertion: RainInsertion | InletInsertion, interval: float
+    scene: Scene, group: Group, insertion: TimedInsertion, interval: float
 ) -> tuple[float, float]:
     """Upper bounds of the particles per second that leave the region of an insertion, and of those in the
     region.
@@ -575,16 +552,16 @@ def _largest_flow(
     velocity = np.array(group.velocity, float)
     gravity = np.array(scene.gravity, float)
     gathered = ceil(group.count / MAX_BATCHES) * interval
-    region = insertion_region(insertion, 0.5 * group.outer_diameters[1], velocity, gathered)
-    normal, depth, area, width = _face_of(region, gravity if gravity.any() else velocity)
+    region = insertion.region_for(0.5 * group.outer_diameters[1], velocity, gathered)
+    normal, depth, area, width = region.face(gravity if gravity.any() else velocity)
     initial = float(velocity @ normal)
     falling = float(gravity @ normal)
-    if isinstance(insertion, RainInsertion):
-        initial = abs(initial)
-        falling = abs(falling)
-    else:
+    if insertion.one_way:
         initial = max(initial, 0.0)
         falling = max(falling, 0.0)
+    else:
+        initial = abs(initial)
+        falling = abs(falling)
     along = sqrt(initial**2 + 2.0 * falling * depth)
     slide = float(np.linalg.norm(gravity - (gravity @ normal) * normal))
     across = sqrt(float(np.sum((velocity - (velocity @ normal) * normal) ** 2)) + 2.0 * slide * width)
@@ -594,27 +571,7 @@ def _largest_flow(
     return DENSEST_FLOW * float(flow) / volume, DENSEST_FLOW * region.volume / volume
 
 
-def _face_of(region: RegionSampler, direction: np.ndarray) -> tuple[np.ndarray, float, float, float]:
-    """Normal (3,), depth [m] behind it, area [m2] and width [m] of a face of a region.
-
-    Of a box with edges along the coordinate axes, the face that `direction` (3,) crosses most steeply.
-    """
-    if isinstance(region, CylinderSampler):
-        return region.frame[2], region.length, pi * region.radius**2, 2.0 * region.radius
-    if isinstance(region, SlabSampler):
-        axis = 2
-        normal = region.frame[2]
-        size = region.box.high
-    else:
-        assert isinstance(region, BoxSampler)
-        axis = int(np.argmax(np.abs(direction)))
-        size = region.high - region.low
-        normal = np.eye(3)[axis]
-    sides = np.delete(size, axis)
-    return normal, float(size[axis]), float(np.prod(sides)), float(np.hypot(*sides))
-
-
-def _wrong_direction(plan: Plan, name: str, insertion: InletInsertion) -> str:
+def _wrong_direction(plan: Plan, name: str, insertion: TimedInsertion) -> str:
     """A sentence on an inlet that new particles leave backward or not at all; empty if they move into the
     scene.
 
@@ -625,8 +582,8 @@ def _wrong_direction(plan: Plan, name: str, insertion: InletInsertion) -> str:
     group = scene.particles[name]
     velocity = np.array(group.velocity, float)
     gravity = np.array(scene.gravity, float)
-    region = insertion_region(insertion, 0.5 * group.outer_diameters[1], np.zeros(3), 0.0)
-    normal, _, area, _ = _face_of(region, velocity)
+    region = insertion.region_for(0.5 * group.outer_diameters[1], np.zeros(3))
+    normal, _, area, _ = region.face(velocity)
     through = _through(velocity, normal)
     along = _through(gravity, normal)
     if through > 0.0 or (through == 0.0 and along > 0.0):
@@ -646,9 +603,7 @@ def _wrong_direction(plan: Plan, name: str, insertion: InletInsertion) -> str:
         fault = "has no component along it, so that they do not leave the face along its normal"
     remedy = ""
     if through < 0.0 or along < 0.0:
-        is_disc = isinstance(insertion.face, DiscFace)
-        turn = "reverse face.disc.normal" if is_disc else "exchange the two sides of face.rectangle"
-        remedy = f", or {turn}"
+        remedy = f", or {insertion.reversal}"
     key = f"particles.{name}.velocity ({scene.where('particles', name, 'velocity')})"
     return (
         f"{key} is {_velocity_text(velocity)} m/s, but particles enter through the face of the inlet along "

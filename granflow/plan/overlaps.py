@@ -25,11 +25,11 @@ from granflow.contact.material import PairMaterial, Solid
 from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.catalog import area_of, distance_from
+from granflow.geometry.close_pairs import near_pairs
 from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
-from granflow.particles.close_pairs import near_pairs
 from granflow.particles.group import ParticleData, SceneGroup
-from granflow.particles.sampling import BoxSampler, CylinderSampler, draw_diameters, sampler_of
+from granflow.particles.sampling import draw_diameters
 from granflow.plan.falls import region_of
 from granflow.plan.plan import Forecast, Plan
 from granflow.plan.stages import StageTimes, nominal_times
@@ -37,13 +37,7 @@ from granflow.plan.wall_control import section
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.motions import pose
-from granflow.scene.blocks.particles import (
-    FileInsertion,
-    Group,
-    LatticeInsertion,
-    PackInsertion,
-    PositionsInsertion,
-)
+from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 # One contact: its largest overlap in an impact and under a static load.
@@ -428,19 +422,11 @@ def weight_pressure(scene: Scene, solids: Mapping[str, Solid]) -> tuple[float, f
 def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
     """Section [m2] of the region of a group across the unit vector `down`; that of the domain for other
     insertions."""
-    if isinstance(group.insert, PositionsInsertion):
-        x, y, z = np.ptp(np.array(group.insert.positions), axis=0) + group.diameters[1]
+    if group.insert.points:
+        x, y, z = np.ptp(np.array(group.insert.points), axis=0) + group.diameters[1]
         return float(np.abs(down) @ [y * z, z * x, x * y])
-    if not isinstance(group.insert, LatticeInsertion | PackInsertion):
-        return section(domain, down)
-    region = sampler_of(group.insert.region)
-    if isinstance(region, BoxSampler):
-        x, y, z = region.high - region.low
-        return float(np.abs(down) @ [y * z, z * x, x * y])
-    assert isinstance(region, CylinderSampler)
-    along = abs(float(region.frame[2] @ down))
-    across = float(np.sqrt(1.0 - min(along, 1.0) ** 2))
-    return along * pi * region.radius**2 + across * 2.0 * region.radius * region.length
+    region = group.insert.filled
+    return section(domain, down) if region is None else region.section(down)
 
 
 def mean_volume(group: Group) -> float:
@@ -448,7 +434,7 @@ def mean_volume(group: Group) -> float:
     spheres."""
     if group.shape.body is not None:
         return group.shape.body.volume
-    if isinstance(group.insert, FileInsertion):
+    if group.insert.defines_sizes:
         diameters = np.array(group.diameters)
     else:
         count = group.count if isinstance(group.sizes, tuple) else min(group.count, SAMPLED_DIAMETERS)
@@ -729,8 +715,7 @@ def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
     Fixed particles overlap each other without a force, as do the spheres of one clump. Images across periodic
     faces are included.
     """
-    given = (PositionsInsertion, FileInsertion)
-    if not any(isinstance(each.insert, given) for each in scene.particles.values()):
+    if not any(each.insert.has_rows for each in scene.particles.values()):
         return
     spheres, radii, owners = spheres_of(scene, particles)
     position, radius, sphere = scene.domain.periodic_box().images(spheres, radii)

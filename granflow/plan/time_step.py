@@ -23,7 +23,7 @@ from granflow.load import Scene
 from granflow.particles.group import largest_speed
 from granflow.plan.walls import surface_speed
 from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.particles import FileInsertion, Group
+from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 DEFAULT_SPEED = 1.0
@@ -120,8 +120,7 @@ def _random_speed(group: Group) -> float:
 
 def _in_file(group: Group, name: str) -> float:
     """The quantity `name` of the summary of the particle file of a group, in SI units; 0 without a file."""
-    found = group.insert.found if isinstance(group.insert, FileInsertion) else None
-    return getattr(found, name, 0.0)
+    return getattr(group.insert.summary, name, 0.0)
 
 
 def _largest_norm(vectors: ArrayLike) -> float:

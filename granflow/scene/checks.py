@@ -5,7 +5,6 @@ end lists all checks with the sections that must be complete before they run, so
 cause consequential messages. Checks within one block are `Model.faults` of its class.
 """
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -32,14 +31,6 @@ from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.scene.blocks.motions import MotionSpec, Servo, Vibration
 from granflow.scene.blocks.particles import (
-    BoxRegion,
-    CylinderRegion,
-    DiscFace,
-    FileInsertion,
-    InletInsertion,
-    PositionsInsertion,
-    PythonInsertion,
-    RectangleFace,
     TimedInsertion,
 )
 from granflow.scene.blocks.run import Damping
@@ -50,7 +41,6 @@ from granflow.schema.document import Document, Problem
 from granflow.schema.faults import Fault, KeyPath, missing, whole
 from granflow.schema.messages import nearest, problem_at, suggestion_or_list, unknown, unknown_names
 from granflow.schema.model import faults_of
-from granflow.schema.quantities import Vector3
 from granflow.visible_text import alternatives
 
 
@@ -249,7 +239,7 @@ def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, in
     for group in scene.particles.values():
         if group.material in materials and group.fixed == fixed:
             count = group.count_given or ASSUMED_COUNT
-            if group.insert.kind == "python":
+            if group.insert.from_program:
                 count = max(count, ASSUMED_COUNT)
             found[group.material] = found.get(group.material, 0) + count
     return found
@@ -359,47 +349,17 @@ def inside_domain(parts: PartialScene) -> Iterator[Fault]:
     low, high = parts.scene.domain.min, parts.scene.domain.max
     for name, group in parts.scene.particles.items():
         path: KeyPath = ("particles", name, "insert")
-        if isinstance(group.insert, PositionsInsertion):
-            for index, point in enumerate(group.insert.positions):
-                if not all(a <= x <= b or b <= a for a, x, b in zip(low, point, high, strict=True)):
-                    yield Fault((*path, "positions", index), "it lies outside the domain")
-        if isinstance(group.insert, PositionsInsertion | FileInsertion | PythonInsertion):
-            continue
-        key = "face" if isinstance(group.insert, InletInsertion) else "region"
-        for axis, (a, b) in enumerate(_extent(getattr(group.insert, key))):
+        for index, point in enumerate(group.insert.points):
+            if not all(a <= x <= b or b <= a for a, x, b in zip(low, point, high, strict=True)):
+                yield Fault((*path, "positions", index), "it lies outside the domain")
+        for axis, (a, b) in enumerate(group.insert.extent()):
             if low[axis] < high[axis] and (a < low[axis] or b > high[axis]):
                 reach = f"extends from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
-                yield whole((*path, key), f"{reach}, beyond the domain, {low[axis]:g} to {high[axis]:g} m")
+                reason = f"{reach}, beyond the domain, {low[axis]:g} to {high[axis]:g} m"
+                yield whole((*path, group.insert.place), reason)
 
 
 _AXES = "xyz"
-
-
-def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> Iterator[tuple[float, float]]:
-    """Smallest and largest coordinate [m] of a region or a face along each axis.
-
-    For a cylinder with the unit axis a, a radius R extends by R sqrt(1 - a_k^2) along axis k from each end.
-    """
-    if isinstance(region, BoxRegion):
-        yield from zip(region.box.min, region.box.max, strict=True)
-    elif isinstance(region, RectangleFace):
-        for c, p, q in zip(region.rectangle.corner, *region.rectangle.sides, strict=True):
-            corners = (c, c + p, c + q, c + p + q)
-            yield min(corners), max(corners)
-    elif isinstance(region, DiscFace):
-        disc = region.disc
-        yield from _round_extent(disc.center, disc.center, disc.normal, disc.radius)
-    else:
-        a, b = region.cylinder.from_, region.cylinder.to
-        yield from _round_extent(a, b, (b[0] - a[0], b[1] - a[1], b[2] - a[2]), region.cylinder.radius)
-
-
-def _round_extent(a: Vector3, b: Vector3, axis: Vector3, radius: float) -> Iterator[tuple[float, float]]:
-    """Extent along each axis of two circles around the points a and b [m], perpendicular to `axis`."""
-    length = math.hypot(*axis) or 1.0
-    for p, q, along in zip(a, b, axis, strict=True):
-        reach = radius * math.sqrt(max(0.0, 1 - (along / length) ** 2))
-        yield min(p, q) - reach, max(p, q) + reach
 
 
 def unsupported_shapes(parts: PartialScene) -> Iterator[Fault]:

@@ -20,7 +20,7 @@ from granflow.load import Scene
 from granflow.runs.interrupts import Terminated
 from granflow.runs.result import ExpectationResult, Result
 from granflow.runs.run_directory import RESULT_FILES
-from granflow.scene.blocks.particles import FileInsertion
+from granflow.scene.blocks.insertions import FileInsertion
 from granflow.scene.blocks.walls import MeshWall
 
 

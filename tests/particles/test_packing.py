@@ -5,11 +5,11 @@ import pytest
 from particles.scenes import BOX, TUBE, UNIFORM, clearance, scene_with, smallest_gap
 
 from granflow.errors import SceneError
-from granflow.particles import packing
-from granflow.particles.close_pairs import near_pairs
+from granflow.geometry import packing
+from granflow.geometry.close_pairs import near_pairs
+from granflow.geometry.packing import Spheres
+from granflow.geometry.region import BoxSampler
 from granflow.particles.insertion import initial_particles
-from granflow.particles.packing import Spheres
-from granflow.particles.sampling import BoxSampler
 
 TOUCHING = -1e-12
 """Smallest gap [m] between touching particles, negative because of rounding."""

@@ -10,23 +10,20 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, Tag, model_validator
 
+from granflow.scene.blocks.insertions import Insertion, InsertionKind, TimedInsertion, kinds
 from granflow.scene.blocks.particle_shapes.clump import Clump
 from granflow.scene.blocks.particle_shapes.shape import SPHERE, ParticleShape
-from granflow.scene.blocks.shapes import Box, CylinderShape, Rectangular
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, KeyPath, missing, redundant, whole, whole_error
 from granflow.schema.model import (
-    FileName,
     Flag,
     ListOf,
     Model,
     Text,
     choose_by,
-    choose_by_first_key,
     choose_by_key,
-    optional,
 )
-from granflow.schema.quantities import Number
+from granflow.visible_text import alternatives
 
 # Keys `diameter` and `radius`
 
@@ -210,236 +207,7 @@ class ThermalMotion(Model):
             yield redundant("granular_temperature", "velocity_rms")
 
 
-# Key `insert`: particles that exist from the start
-
-
-class BoxRegion(Model):
-    """An insertion region: a box. Particles lie entirely inside.
-
-    >>> gf.BoxRegion(box=gf.Box(min=[0, 0, 0], max=["10 cm", 0.1, 0.1])).box.max
-    (0.1, 0.1, 0.1)
-    """
-
-    box: Box = Field(description="a box along the coordinate axes, {min: [..], max: [..]}")
-
-
-class CylinderRegion(Model):
-    """An insertion region: a cylinder. Particles lie entirely inside.
-
-    >>> gf.CylinderRegion(cylinder={"from": [0, 0, 0], "to": [0, 0, 0.1], "radius": "5 cm"}).cylinder.radius
-    0.05
-    """
-
-    cylinder: CylinderShape = Field(description="a cylinder, {from: [..], to: [..], radius: ..}")
-
-
-Region = Annotated[
-    BoxRegion | CylinderRegion,
-    choose_by_first_key(
-        "it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}"
-    ),
-]
-"""A box or a cylinder, in which particles lie entirely inside."""
-Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
-"""Random displacement over the free gap: 0 to 1."""
-
-
-class LatticeInsertion(Model):
-    """Particles on a regular lattice in a region, in layers from the bottom, with the widest spacing that
-    fits.
-
-    >>> region = gf.BoxRegion(box=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1]))
-    >>> gf.LatticeInsertion(region=region, jitter=0.2).jitter
-    0.2
-    """
-
-    kind: Literal["lattice"] = Field("lattice", description="kind of insertion")
-    region: Region = Field(description="region to fill: a box or a cylinder")
-    jitter: Jitter = Field(0.0, description="random displacement, as a fraction of the free gap")
-
-
-class PackInsertion(Model):
-    """Particles in a random packing without overlap in a region; solid fraction up to about 0.55.
-
-    >>> region = gf.CylinderRegion(cylinder={"from": [0, 0, 0], "to": [0, 0, 0.1], "radius": "5 cm"})
-    >>> gf.PackInsertion(region=region).region.cylinder.radius
-    0.05
-    """
-
-    kind: Literal["pack"] = Field("pack", description="kind of insertion")
-    region: Region = Field(description="region to fill: a box or a cylinder")
-
-
-class PositionsInsertion(Model):
-    """Particles at given positions.
-
-    >>> gf.PositionsInsertion(positions=[[0, 0, 0], ["1 cm", 0, 0]]).positions
-    ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0))
-    """
-
-    kind: Literal["positions"] = Field("positions", description="kind of insertion")
-    positions: Annotated[tuple[q.Point, ...], ListOf(some="[[0, 0, 0]]")] = Field(description="centers [m]")
-
-
-class FileSummary(Model):
-    """Summary of the particles in a file; granflow fills it in when it reads the file."""
-
-    count: q.ParticleCount = Field(description="number of particles read from the file")
-    diameter_min: q.UnscaledLength = Field(description="smallest diameter [m]")
-    diameter_max: q.UnscaledLength = Field(description="largest diameter [m]")
-    speed_max: q.AnySpeed = Field(description="largest speed [m/s]")
-    angular_velocity_max: q.AngularVelocity = Field(description="largest angular velocity [rad/s]")
-    overlap_max: q.Share = Field(description="largest overlap of two particles over the smaller radius")
-    overlap_rows: str = Field("", description="lines or points of the file with the largest overlap")
-
-
-class FileInsertion(Model):
-    """Particles from a table: CSV, or a VTU frame.
-
-    Required columns: x, y, z and r (or diameter); optional: velocity, angular velocity, material. With a
-    material column, the group gets the rows of its material.
-
-    >>> gf.FileInsertion(file="start.csv")
-    FileInsertion(file='start.csv')
-    """
-
-    kind: Literal["file"] = Field("file", description="kind of insertion")
-    file: FileName = Field(description="CSV, text or VTU file; path relative to the folder of the scene")
-    found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
-
-
-class PythonInsertion(Model):
-    """No particles from the scene: a Python program adds them, with `simulation.particles.add` or from
-    arrays.
-
-    `count` of the group is the number of particles for which arrays and chunks are sized; more can be added.
-
-    >>> sizes = gf.UniformSizes(min="3 mm", max="4 mm")
-    >>> gf.Group(material="glass", count=5000, diameter=sizes, insert=gf.PythonInsertion()).insert.kind
-    'python'
-    """
-
-    kind: Literal["python"] = Field("python", description="kind of insertion")
-
-
-# Key `insert`: particles that enter during the run
-
-
-class TimedInsertion(Model):
-    """Insertion during the run at a constant number or mass per second.
-
-    It ends when the count or mass of the group is inserted, or at `end`. Sizes are in a fixed order, so that
-    each size class has its fraction at any time.
-    """
-
-    rate: q.Rate | None = Field(None, description="insertion rate, particles per second [1/s]")
-    mass_flow: q.MassFlow | None = Field(
-        None, description="insertion rate, mass per second [kg/s]; instead of rate"
-    )
-    start: q.Time = Field(0.0, description="time of the first particle [s]")
-    end: q.PositiveTime | None = optional("end of the insertion [s]", "when all particles are inserted")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless exactly one of rate and mass_flow is given, and the end is after the start."""
-        if self.rate is None and self.mass_flow is None:
-            yield whole((), "has no insertion rate: give rate in 1/s, or mass_flow in kg/s")
-        if self.rate is not None and self.mass_flow is not None:
-            yield redundant("mass_flow", "rate")
-        if self.end is not None and self.end <= self.start:
-            yield Fault(("end",), f"the insertion must end after its start at {self.start:g} s")
-
-
-class RainInsertion(TimedInsertion):
-    """Insertion at random free positions in a region, until the count, the mass or the end time is reached.
-
-    Particles without a free position are queued and inserted first in the next batch. Walls are not
-    considered.
-
-    >>> region = gf.BoxRegion(box=gf.Box(min=[0, 0, 0.1], max=[0.1, 0.1, 0.2]))
-    >>> gf.RainInsertion(region=region, mass_flow="2 t/h", end="1 s").end
-    1.0
-    """
-
-    kind: Literal["rain"] = Field("rain", description="kind of insertion")
-    region: Region = Field(description="region of the insertion: a box or a cylinder")
-
-
-class RectangleOutline(Rectangular):
-    """A flat rectangle."""
-
-    sides: q.Sides = Field(
-        description=(
-            "the two edge vectors from that corner, perpendicular [m]; particles enter along first x second"
-        )
-    )
-
-
-class DiscOutline(Model):
-    """A flat disc."""
-
-    center: q.Point = Field(description="center [m]")
-    normal: q.Direction = Field(description="direction in which particles enter; its length does not matter")
-    radius: q.PositiveLength = Field(description="radius [m]")
-
-
-class RectangleFace(Model):
-    """A rectangle through which particles enter.
-
-    >>> outline = {"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}
-    >>> gf.RectangleFace(rectangle=outline).rectangle.corner
-    (0.0, 0.0, 0.0)
-    """
-
-    rectangle: RectangleOutline = Field(description="{corner: [..], sides: [[..], [..]]}")
-
-
-class DiscFace(Model):
-    """A disc through which particles enter.
-
-    >>> gf.DiscFace(disc={"center": [0, 0, 0.2], "normal": [0, 0, -1], "radius": "3 cm"}).disc.radius
-    0.03
-    """
-
-    disc: DiscOutline = Field(description="{center: [..], normal: [..], radius: ..}")
-
-
-Face = Annotated[
-    RectangleFace | DiscFace,
-    choose_by_first_key(
-        "it must be {rectangle: {corner: [..], sides: [..]}} or {disc: {center: [..], normal: [..], radius: "
-        "..}}"
-    ),
-]
-"""A rectangle or a disc through which particles enter along its normal."""
-
-
-class InletInsertion(TimedInsertion):
-    """Insertion through a face: particles appear directly downstream of it with the velocity of the group.
-
-    The positions are random; particles without a free position are queued.
-
-    >>> face = gf.DiscFace(disc={"center": [0, 0, 0.2], "normal": [0, 0, -1], "radius": "3 cm"})
-    >>> gf.InletInsertion(face=face, rate="800 1/s").rate
-    800.0
-    """
-
-    kind: Literal["inlet"] = Field("inlet", description="kind of insertion")
-    face: Face = Field(description="face of the inlet: a rectangle or a disc")
-
-
 # Groups
-
-Insertion = Annotated[
-    LatticeInsertion
-    | PackInsertion
-    | RainInsertion
-    | InletInsertion
-    | PositionsInsertion
-    | FileInsertion
-    | PythonInsertion,
-    choose_by_key("kind"),
-]
-"""Any kind of insertion; the key `kind` selects it."""
 
 
 class Group(Model, populate_by_name=False, serialize_by_alias=True):
@@ -494,9 +262,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         None, description="random initial velocities, {velocity_rms: 0.1 m/s} or {granular_temperature: ...}"
     )
     fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
-    insert: Insertion = Field(
-        description="insertion, {kind: lattice, pack, rain, inlet, positions, file, python, ...}"
-    )
+    insert: Insertion = Field(description=f"insertion, {{kind: {', '.join(kinds(lambda kind: True))}, ...}}")
 
     @property
     def count(self) -> int:
@@ -531,8 +297,8 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     def size_spans(self) -> list[tuple[float, float]]:
         """Ranges of the diameters [m] of spheres, in ascending order; one range for a continuous
         distribution."""
-        if isinstance(self.insert, FileInsertion) and self.insert.found is not None:
-            return [(self.insert.found.diameter_min, self.insert.found.diameter_max)]
+        if self.insert.summary is not None:
+            return [(self.insert.summary.diameter_min, self.insert.summary.diameter_max)]
         if self.shape.diameters:
             return [(each, each) for each in self.shape.diameters]
         sizes = self.sizes
@@ -586,8 +352,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             yield from self._thermal_faults(self.thermal)
         if self.fixed:
             yield from self._fixed_faults()
-        if self.insert.kind == "python":
-            reason = "insert.kind is python, so that it is an argument of particles.add; remove it"
+        if self.insert.from_program:
+            kind = self.insert.kind
+            reason = f"insert.kind is {kind}, so that it is an argument of particles.add; remove it"
             for key in ("velocity", "angular_velocity"):
                 if np.any(getattr(self, key)):
                     yield Fault((key,), reason)
@@ -597,9 +364,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         given = [key for key in ("diameter", "radius") if getattr(self, key) is not None]
         if self.shape.diameters:
             return
-        if not given and self.insert.kind != "file":
+        if not given and not self.insert.defines_sizes:
             yield missing(("diameter",), "diameter [m], or a size distribution")
-        elif given and self.insert.kind == "file":
+        elif given and self.insert.defines_sizes:
             yield Fault((given[0],), f"the file defines the sizes; remove {given[0]}")
         elif len(given) == 2:
             yield redundant("radius", "diameter")
@@ -608,23 +375,23 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         """Yield a fault unless count, mass, end time and rows agree on the number of particles."""
         insertion = self.insert
         count = self.count_given
-        rows = len(insertion.positions) if insertion.kind == "positions" else None
-        if rows is not None and count != rows:
+        rows = len(insertion.points)
+        if rows and count != rows:
             yield Fault(("count",), f"insert.positions has {rows} rows; remove count")
-        if self.mass is not None and insertion.kind in ("positions", "file"):
+        if self.mass is not None and insertion.has_rows:
             yield Fault(
                 ("mass",), f"it cannot be combined with insert: {{kind: {insertion.kind}}}; remove it"
             )
         elif self.mass is not None and count is not None:
             yield redundant("mass", "count")
-        elif not (self.mass or count or insertion.kind == "file" or getattr(insertion, "end", None)):
+        elif not (self.mass or count or insertion.has_rows or getattr(insertion, "end", None)):
             yield missing(("count",), "number of particles; or give mass")
 
     def _list_faults(self) -> Iterator[Fault]:
         """Lists require insert: {kind: positions} and must have the length of its positions."""
-        rows = len(self.insert.positions) if self.insert.kind == "positions" else None
+        rows = len(self.insert.points)
         for key, length in self._given_lists():
-            if rows is None:
+            if not rows:
                 yield whole(key, "is a list, which requires insert: {kind: positions}; give one value")
             elif length != rows:
                 reason = (
@@ -635,10 +402,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     def _thermal_faults(self, thermal: ThermalMotion) -> Iterator[Fault]:
         """Random velocities require mobile particles at the start; two of them for zero momentum."""
-        if self.insert.kind in ("rain", "inlet", "file", "python"):
-            reason = (
-                f"insert.kind is {self.insert.kind}; random velocities require lattice, pack or positions"
-            )
+        if not _takes_thermal(type(self.insert)):
+            accepted = alternatives(kinds(_takes_thermal))
+            reason = f"insert.kind is {self.insert.kind}; random velocities require {accepted}"
             yield whole(("thermal",), f"cannot be combined with it: {reason}")
         elif self.fixed:
             yield whole(("thermal",), "cannot be combined with fixed: true; remove thermal")
@@ -648,10 +414,10 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     def _fixed_faults(self) -> Iterator[Fault]:
         """Fixed particles must exist from the start and be at rest."""
-        if self.insert.kind in ("rain", "inlet"):
-            yield Fault(
-                ("fixed",), "rain and inlet require moving particles; use lattice, pack, positions or file"
-            )
+        if isinstance(self.insert, TimedInsertion):
+            timed = " and ".join(kinds(lambda kind: issubclass(kind, TimedInsertion)))
+            others = alternatives(kinds(lambda kind: kind.order is not None))
+            yield Fault(("fixed",), f"{timed} require moving particles; use {others}")
         for key in ("velocity", "angular_velocity"):
             if np.any(getattr(self, key)):
                 yield Fault((key,), f"fixed is true, so the particles do not move; remove {key}")
@@ -667,3 +433,8 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
                 yield (key,), len(value)
         if self.clump is not None and isinstance(self.clump.orientation, tuple):
             yield ("clump", "orientation"), len(self.clump.orientation)
+
+
+def _takes_thermal(kind: type[InsertionKind]) -> bool:
+    """Whether the scene gives new particles of a kind their velocities, and they exist at the start."""
+    return kind.order is not None and not kind.defines_sizes

@@ -180,12 +180,7 @@ def reduced_counts(scene: Scene, most: int | None) -> dict[str, int]:
 
     In proportion, at least 1 per group. Empty without a limit, or if the scene is below it.
     """
-    explicit_kinds = ("positions", "file")
-    scalable = {
-        name: group.count
-        for name, group in scene.particles.items()
-        if group.insert.kind not in explicit_kinds
-    }
+    scalable = {name: group.count for name, group in scene.particles.items() if not group.insert.has_rows}
     explicit_count = sum(group.count for group in scene.particles.values()) - sum(scalable.values())
     if most is None or explicit_count + sum(scalable.values()) <= most:
         return {}

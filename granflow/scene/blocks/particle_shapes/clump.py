@@ -10,11 +10,13 @@ import numpy as np
 from pydantic import Field, Tag
 
 from granflow.geometry.clump import ClumpBody, about, clump_body, random_orientations
+from granflow.scene.blocks.insertions import InsertionKind, kinds
 from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 from granflow.scene.blocks.shapes import RotationStep
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, whole
 from granflow.schema.model import ListOf, Model, choose_by, optional
+from granflow.visible_text import alternatives
 
 MOST_SPHERES = 100
 """Largest number of spheres of a clump: the integration of each sphere adds up the forces on all of them."""
@@ -153,9 +155,9 @@ class Clump(Model, ParticleShape):
                 yield Fault((key,), f"the spheres of the clump define the sizes; remove {key}")
         if group.fixed:
             yield Fault(("fixed",), "clumps cannot be fixed; build the body of fixed spheres without clump")
-        if group.insert.kind in ("file", "python"):
-            kinds = "positions, lattice, pack, rain or inlet"
-            yield Fault(("insert", "kind"), f"clumps are not inserted in this way; use {kinds}")
+        if not _places_clumps(type(group.insert)):
+            others = alternatives(kinds(_places_clumps))
+            yield Fault(("insert", "kind"), f"clumps are not inserted in this way; use {others}")
 
     def faults_in_scene(self, scene: Any, group: str) -> Iterator[Fault]:
         """Clumps exclude sheared boxes, damping of all motion, adaptive steps, earlier runs and fields."""
@@ -238,3 +240,8 @@ def _gaps(
 def _text(position: np.ndarray) -> str:
     """Coordinates in the form of the scene."""
     return "[" + ", ".join(f"{each + 0.0:.4g}" for each in position) + "]"
+
+
+def _places_clumps(kind: type[InsertionKind]) -> bool:
+    """Whether the scene places particles of a kind with its sizes."""
+    return not (kind.defines_sizes or kind.from_program)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.geometry.close_pairs import near_pairs, overlaps_any
+from granflow.geometry.region import FilledRegion, RegionSampler
 from granflow.geometry.shape import sphere_volume
-from granflow.particles.close_pairs import near_pairs, overlaps_any
-from granflow.particles.sampling import BoxSampler, CylinderSampler, RegionSampler
 
 
 class RegionFullError(Exception):
@@ -53,7 +53,7 @@ Sites = Callable[[float], tuple[np.ndarray, np.ndarray]]
 
 
 def fill_lattice(
-    region: BoxSampler | CylinderSampler,
+    region: FilledRegion,
     radius: np.ndarray,
     jitter: float,
     existing: Spheres,
@@ -120,7 +120,7 @@ OVERSHOOT = 1.4
 
 
 def pack_at_random(
-    region: BoxSampler | CylinderSampler, radius: np.ndarray, existing: Spheres, random: np.random.Generator
+    region: FilledRegion, radius: np.ndarray, existing: Spheres, random: np.random.Generator
 ) -> np.ndarray:
     """Centers (n, 3) [m] of a random packing: random initial positions, then separation until no overlap
     remains.
@@ -149,7 +149,7 @@ def pack_at_random(
 
 
 def separate_overlapping(
-    spheres: Spheres, mobile_count: int, region: BoxSampler | CylinderSampler, swelling: float
+    spheres: Spheres, mobile_count: int, region: FilledRegion, swelling: float
 ) -> np.ndarray:
     """Positions (n, 3) [m] after sweeps that separate the first `mobile_count` spheres from all others.
 
