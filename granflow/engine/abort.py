@@ -745,7 +745,7 @@ def _weight_pressure(plan: Plan, arrays: dict[str, np.ndarray]) -> float:
     reach = np.where(mobile, arrays["radius"], 0.0)[mobile, None]
     size = (arrays["position"][mobile] + reach).max(axis=0) - (arrays["position"][mobile] - reach).min(axis=0)
     section = np.abs(gravity) / magnitude @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]]
-    planned = sum(group.sphere_count for group in plan.groups if not group.fixed) / mobile.sum()
+    planned = sum(group.spec.sphere_count for group in plan.groups if not group.spec.fixed) / mobile.sum()
     return float(magnitude * arrays["mass"][mobile].sum() * planned / section)
 
 

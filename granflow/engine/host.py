@@ -531,7 +531,7 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
     count = len(new)
     numbers = {name: number for number, name in enumerate(plan.materials)}
     material = np.array([numbers.get(name, 0) for name in plan.solids])
-    fixed = np.array([group.fixed for group in plan.groups])
+    fixed = np.array([group.spec.fixed for group in plan.groups])
     arrays = {
         "id": first_id + np.arange(count),
         "material": material[new.material],
@@ -550,7 +550,7 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
 
 def _films(plan: Plan, new: ParticleData) -> np.ndarray:
     """Volumes (k,) [m3] of the films of new particles, whole units."""
-    content = np.array([group.liquid_content for group in plan.groups])
+    content = np.array([group.spec.liquid_content or 0.0 for group in plan.groups])
     volume = content[new.group] * sphere_volume(new.radius)
     films: np.ndarray = np.rint(volume / plan.liquid_unit) * plan.liquid_unit
     return films
@@ -558,7 +558,7 @@ def _films(plan: Plan, new: ParticleData) -> np.ndarray:
 
 def sphere_rows(plan: Plan, new: ParticleData) -> np.ndarray:
     """Row (k,) in `new` of each of the k spheres: that of its clump, or its own."""
-    sizes = np.array([group.shape.sphere_count for group in plan.groups])
+    sizes = np.array([group.spec.shape.sphere_count for group in plan.groups])
     return np.repeat(np.arange(len(new)), sizes[new.group])
 
 
@@ -583,7 +583,7 @@ def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int)
     arrays |= {name: np.zeros((count, 3)) for name in ("clump_inertia", "clump_offset")}
     for number, group in enumerate(plan.groups):
         own = np.flatnonzero(new.group[row] == number)
-        body = group.shape.body
+        body = group.spec.shape.body
         if body is not None and len(own):
             assert new.orientation is not None
             arrays["clump"][own] = first_id + first[row[own]]

@@ -428,7 +428,7 @@ class LiveParticles:
         groups = self._engine.plan.groups
         names = [group.name for group in groups]
         numbers = np.array([named("particles.group", str(name), names) for name in values], dtype=np.int32)
-        materials = np.array([list(self._engine.plan.solids).index(group.material) for group in groups])
+        materials = np.array([list(self._engine.plan.solids).index(group.spec.material) for group in groups])
         if np.any(materials[numbers] != self._numbers("material")) or np.any(
             self._is_fixed(numbers) != self._is_fixed(self._numbers("group"))
         ):
@@ -451,7 +451,7 @@ class LiveParticles:
 
     def _is_fixed(self, groups: np.ndarray) -> np.ndarray:
         """Whether each group number (n,) is that of a fixed group."""
-        return np.array([group.fixed for group in self._engine.plan.groups])[groups]
+        return np.array([group.spec.fixed for group in self._engine.plan.groups])[groups]
 
 
 # Added particles: arguments to arrays
@@ -486,7 +486,7 @@ def particle_data(
     in_domain(plan, "position", position)
     velocity = array_of("velocity", velocity, count, 3)
     angular_velocity = array_of("angular_velocity", angular_velocity, count, 3)
-    if chosen.fixed and (velocity.any() or angular_velocity.any()):
+    if chosen.spec.fixed and (velocity.any() or angular_velocity.any()):
         raise GranflowError(
             f"group is {chosen.name}, which is fixed: leave out velocity and angular_velocity."
         )
@@ -495,7 +495,7 @@ def particle_data(
         velocity=velocity,
         angular_velocity=angular_velocity,
         radius=0.5 * _diameters(plan, chosen, diameter, count),
-        material=np.full(count, list(plan.solids).index(chosen.material), dtype=np.int32),
+        material=np.full(count, list(plan.solids).index(chosen.spec.material), dtype=np.int32),
         group=np.full(count, number, dtype=np.int32),
     )
 
@@ -517,8 +517,8 @@ def refuse_without_pair(plan: Plan, counts: np.ndarray) -> None:
     fixed = Counter[str]()
     for group, count in zip(plan.groups, counts, strict=True):
         if count:
-            counted = fixed if group.fixed else mobile
-            counted[group.material] += int(count)
+            counted = fixed if group.spec.fixed else mobile
+            counted[group.spec.material] += int(count)
     for both, reason in possible_contacts(mobile, fixed, walls={}).items():
         if (min(both), max(both)) not in plan.pair_materials:
             raise GranflowError(
@@ -529,7 +529,7 @@ def refuse_without_pair(plan: Plan, counts: np.ndarray) -> None:
 def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
     """Number of the group: given, or the only one of the material, or of the scene."""
     names = [each.name for each in plan.groups]
-    materials = [each.material for each in plan.groups]
+    materials = [each.spec.material for each in plan.groups]
     if material is not None:
         named("material", material, list(dict.fromkeys(materials)))
     if group is None and material is None and len(names) > 1:
@@ -547,7 +547,7 @@ def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
 
 def _diameters(plan: Plan, group: SceneGroup, given: Any, count: int) -> np.ndarray:
     """Diameters (count,) [m]: given, or that of the group. Those of the scene bound them."""
-    low, high = group.diameters
+    low, high = group.spec.diameters
     if given is None and low < high:
         raise GranflowError(
             f"diameter is missing: the group {group.name} has diameters from {low:.6g} to {high:.6g} m."

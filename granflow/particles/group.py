@@ -16,17 +16,13 @@ import numpy as np
 from granflow.arguments import shown
 from granflow.errors import GranflowError
 from granflow.geometry.packing import RegionFullError
-from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 from granflow.scene.blocks.particles import Group, ThermalMotion
 from granflow.scene.blocks.scene import SceneInput
 
 
 @dataclass(frozen=True)
 class SceneGroup:
-    """A group of a scene: the scene, its name there, and its index among the groups.
-
-    `diameters` [m] are the smallest and the largest of its spheres.
-    """
+    """A group of a scene: the scene, its name there, and its index among the groups."""
 
     scene: SceneInput
     name: str
@@ -38,49 +34,14 @@ class SceneGroup:
         return self.scene.particles[self.name]
 
     @property
-    def count(self) -> int:
-        """Number of particles, or of clumps. Raises ValueError if it is not resolved yet."""
-        return self.spec.count
-
-    @property
-    def sphere_count(self) -> int:
-        """Number of spheres."""
-        return self.spec.sphere_count
-
-    @property
-    def fixed(self) -> bool:
-        """Whether its particles never move."""
-        return self.spec.fixed
-
-    @property
-    def diameters(self) -> tuple[float, float]:
-        """Smallest and largest diameter [m] of its spheres."""
-        return self.spec.diameters
-
-    @property
-    def shape(self) -> ParticleShape:
-        """Shape of its particles."""
-        return self.spec.shape
-
-    @property
-    def liquid_content(self) -> float:
-        """Initial volume of the film over that of the particle."""
-        return self.spec.liquid_content or 0.0
-
-    @property
-    def material(self) -> str:
-        """Name of its material."""
-        return self.spec.material
-
-    @property
     def material_number(self) -> int:
         """Index of its material in the scene."""
-        return list(self.scene.materials).index(self.material)
+        return list(self.scene.materials).index(self.spec.material)
 
     @property
     def density(self) -> float:
         """Density [kg/m3] of its material."""
-        return self.scene.materials[self.material].density
+        return self.scene.materials[self.spec.material].density
 
     def locate(self, *keys: str | int) -> str:
         """Position of a key below the group in the scene file, for messages."""
@@ -203,7 +164,7 @@ def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray, ba
         radius=radius,
         material=np.full(count, group.material_number, dtype=np.int32),
         group=np.full(count, group.number, dtype=np.int32),
-        orientation=group.shape.orientations(count, partial(group.orientation_random, batch)),
+        orientation=group.spec.shape.orientations(count, partial(group.orientation_random, batch)),
     )
 
 

@@ -125,7 +125,7 @@ class Inserter:
             raise ValueError(f"{group.name} has no particles that enter during the run.")
         self.start = insertion.start
         self.radius = ordered_diameters(spec.sizes, spec.count, group.random()) / 2
-        self.mass = group.shape.volume(self.radius) * group.density
+        self.mass = group.spec.shape.volume(self.radius) * group.density
         self.due_at = self.start + insertion.delays(self.mass)
         self.interval = insertion.interval(float(self.mass.mean()))
         for array in (self.radius, self.mass, self.due_at):

@@ -180,7 +180,7 @@ def _count_of_mass(group: SceneGroup, mass: float) -> int:
 
     sum d^3 = 6 m / (pi rho)
     """
-    body = group.shape.body
+    body = group.spec.shape.body
     if body is not None:
         return max(round(min(mass / (group.density * body.volume), 1e18)), 1)
     return count_for_volume(group.spec.sizes, 6.0 / pi * mass / group.density, group.random)

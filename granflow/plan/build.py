@@ -88,9 +88,9 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     impact_velocity = max_impact_velocity(scene)
     velocity = impact_velocity.value
     groups = tuple(groups_of(scene).values())
-    particle_count = sum(group.sphere_count for group in groups)
-    radius_min = 0.5 * min(group.diameters[0] for group in groups)
-    radius_max = 0.5 * max(group.diameters[1] for group in groups)
+    particle_count = sum(group.sphere_count for group in scene.particles.values())
+    radius_min = 0.5 * min(group.diameters[0] for group in scene.particles.values())
+    radius_max = 0.5 * max(group.diameters[1] for group in scene.particles.values())
 
     # Contact laws of all pairs, from which the switches of the kernels follow.
     models = active_models(scene)

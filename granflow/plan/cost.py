@@ -224,7 +224,7 @@ def _too_large(plan: Plan, needed: int, available: int, excess: str) -> SceneErr
 
 def _location(plan: Plan) -> str:
     """File and line of the count of the largest group."""
-    return max(plan.groups, key=lambda group: group.sphere_count).locate("count")
+    return max(plan.groups, key=lambda group: group.spec.sphere_count).locate("count")
 
 
 # The run time: what is typical, for `explain`, and what no machine exceeds, for the refusal of a scene.

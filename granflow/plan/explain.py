@@ -139,7 +139,9 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the numbers and sizes of the particles, the materials, and the skin."""
-    groups = ", ".join(f"{group.name} {count(group.count)}{group.shape.title}" for group in plan.groups)
+    groups = ", ".join(
+        f"{group.name} {count(group.spec.count)}{group.spec.shape.title}" for group in plan.groups
+    )
     yield ExplainRow("particles", count(plan.particle_capacity), groups)
     same = plan.radius_min == plan.radius_max
     largest = "" if same else f" to {plan.radius_max:.4g}"

@@ -245,9 +245,9 @@ def touching_pairs(plan: Plan) -> Iterator[TouchingPair]:
     for index, group in enumerate(plan.groups):
         for other in plan.groups[index:]:
             if _collide(plan, group, other):
-                for sizes in dict.fromkeys(product(group.diameters, other.diameters)):
+                for sizes in dict.fromkeys(product(group.spec.diameters, other.spec.diameters)):
                     yield _of_particles(plan, group, other, sizes)
-        for wall in walls if not group.fixed else ():
+        for wall in walls if not group.spec.fixed else ():
             yield _of_wall(plan, group, wall)
 
 
@@ -266,12 +266,12 @@ def supported_pairs(plan: Plan) -> Iterator[tuple[TouchingPair, float]]:
     """
     magnitude = float(np.linalg.norm(plan.scene.gravity))
     for large, small in product(plan.groups, plan.groups):
-        if large.fixed or small.fixed or not magnitude or not _collide(plan, large, small):
+        if large.spec.fixed or small.spec.fixed or not magnitude or not _collide(plan, large, small):
             continue
-        radius = 0.5 * max(large.diameters)
-        radius_small = 0.5 * min(small.diameters)
+        radius = 0.5 * max(large.spec.diameters)
+        radius_small = 0.5 * min(small.spec.diameters)
         count = max(2.0 * LAYER_FRACTION * radius * plan.scene.numerics.max_overlap / radius_small, 1.0)
-        if radius < SUPPORTED_RATIO * radius_small or small.count <= count:
+        if radius < SUPPORTED_RATIO * radius_small or small.spec.count <= count:
             continue
         if _depth(plan, radius) > SHALLOW * radius:
             continue
@@ -285,16 +285,19 @@ def supported_pairs(plan: Plan) -> Iterator[tuple[TouchingPair, float]]:
 def _depth(plan: Plan, radius: float) -> float:
     """Depth [m] of a bed at rest of all mobile particles of groups without a radius of at least `radius`
     [m]."""
-    names = [each.name for each in plan.groups if not each.fixed and 0.5 * max(each.diameters) < radius]
-    volume = solid_volume({name: plan.scene.particles[name] for name in names})
-    return volume / (SOLID_FRACTION * weight_pressure(plan.scene, plan.solids)[1])
+    smaller = {
+        name: each
+        for name, each in plan.scene.particles.items()
+        if not each.fixed and 0.5 * max(each.diameters) < radius
+    }
+    return solid_volume(smaller) / (SOLID_FRACTION * weight_pressure(plan.scene, plan.solids)[1])
 
 
 def _collide(plan: Plan, group: SceneGroup, other: SceneGroup) -> bool:
     """Whether particles of two groups can be in contact."""
-    alone = group is other and group.count < 2
-    materials = (group.material, other.material)
-    return not alone and not (group.fixed and other.fixed) and materials in plan.pair_materials
+    alone = group is other and group.spec.count < 2
+    materials = (group.spec.material, other.spec.material)
+    return not alone and not (group.spec.fixed and other.spec.fixed) and materials in plan.pair_materials
 
 
 def _of_particles(
@@ -302,10 +305,10 @@ def _of_particles(
 ) -> TouchingPair:
     """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
     radii = np.array(sizes) / 2.0
-    materials = (group.material, other.material)
+    materials = (group.spec.material, other.spec.material)
     inverse_mass = 0.0
     for each, radius in zip((group, other), radii, strict=True):
-        if not each.fixed:
+        if not each.spec.fixed:
             inverse_mass += 1.0 / _mass(plan, each, radius)
     names = group.name if group is other else f"{group.name} and {other.name}"
     return TouchingPair(
@@ -321,8 +324,8 @@ def _of_particles(
 def _of_wall(plan: Plan, group: SceneGroup, wall: str) -> TouchingPair:
     """A particle at a wall of the material `wall`; the relative overlap does not depend on its size
     (Hertz)."""
-    radius = 0.5 * group.diameters[0]
-    materials = (group.material, wall)
+    radius = 0.5 * group.spec.diameters[0]
+    materials = (group.spec.material, wall)
     name = f"particles of {group.name} and walls of {wall}"
     mass = _mass(plan, group, radius)
     return TouchingPair(name, materials, plan.pair_materials[materials], radius, radius, mass)
@@ -330,7 +333,7 @@ def _of_wall(plan: Plan, group: SceneGroup, wall: str) -> TouchingPair:
 
 def _mass(plan: Plan, group: SceneGroup, radius: float) -> float:
     """Mass [kg] that moves with a sphere of a group with a radius [m]: that of the particle."""
-    return group.shape.mass_of_sphere(radius, plan.solids[group.material].density)
+    return group.spec.shape.mass_of_sphere(radius, plan.solids[group.spec.material].density)
 
 
 # Static pressures of the weight of the bed and of force-controlled walls, and their contact forces.
@@ -374,7 +377,7 @@ class BedPressure:
 def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
     """The pressures of a scene: the weight of its particles, and each wall that presses on them."""
     diameter = 2.0 * plan.radius_max
-    count = sum(group.count for group in plan.groups if not group.fixed)
+    count = sum(group.count for group in plan.scene.particles.values() if not group.fixed)
     weight, area = weight_pressure(plan.scene, plan.solids)
     if weight > 0.0:
         contacts = min(3.0 * count, max(3.0 * area / diameter**2, 1.0))

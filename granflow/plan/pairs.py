@@ -79,7 +79,7 @@ def build_laws(
             velocity,
             unloading_angle,
             scene.output.energy_budget,
-            max(0.5 * group.diameters[1] for group in groups),
+            max(0.5 * group.diameters[1] for group in scene.particles.values()),
         )
         laws[slot] = model.law.from_scene(request)
     found = ContactLaws(**laws)
@@ -201,23 +201,23 @@ def pair_cases_of(
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     for n, group in enumerate(groups):
         for other in groups[n:]:
-            both = (group.material, other.material)
-            if not (group.fixed and other.fixed) and both in pairs:
-                mobile, partner = (other, group) if group.fixed else (group, other)
-                key = scene.pair_key(*both) if group is not other or group.count > 1 else None
+            both = (group.spec.material, other.spec.material)
+            if not (group.spec.fixed and other.spec.fixed) and both in pairs:
+                mobile, partner = (other, group) if group.spec.fixed else (group, other)
+                key = scene.pair_key(*both) if group is not other or group.spec.count > 1 else None
                 case = _pair_case(f"{group.name}-{other.name}", pairs[both], solids, mobile, partner)
                 pair_cases.append(replace(case, pair_key=key))
-        for wall in walls if not group.fixed else ():
-            pair = pairs[group.material, wall]
-            key = scene.pair_key(group.material, wall)
+        for wall in walls if not group.spec.fixed else ():
+            pair = pairs[group.spec.material, wall]
+            key = scene.pair_key(group.spec.material, wall)
             case = _pair_case(f"{group.name}-{wall} wall", pair, solids, group, None)
             pair_cases.append(replace(case, pair_key=key))
     if not pair_cases:
         group = groups[0]
-        own = solids[groups[0].material]
+        own = solids[groups[0].spec.material]
         elastic_pair = PairMaterial(modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, 0.0)
         pair_cases.append(_pair_case(f"{group.name}-{group.name}", elastic_pair, solids, group, group))
-    contacts = max(sum(group.count for group in groups) + len(scene.walls) - 1, 1)
+    contacts = max(sum(group.spec.count for group in groups) + len(scene.walls) - 1, 1)
     return tuple(replace(pair_case, contact_count=contacts) for pair_case in pair_cases)
 
 
@@ -230,20 +230,20 @@ def _pair_case(
 ) -> PairCase:
     """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall
     (None)."""
-    smallest = 0.5 * group.diameters[0]
-    largest = 0.5 * group.diameters[1]
-    material_solid = solids[group.material]
+    smallest = 0.5 * group.spec.diameters[0]
+    largest = 0.5 * group.spec.diameters[1]
+    material_solid = solids[group.spec.material]
     mass = sphere_mass(smallest, material_solid.density)
     ratio = max(_mass_ratio(group), _mass_ratio(other))
     if other is None:
         return PairCase(name, pair, smallest, mass, smallest, largest, material_solid, mass_ratio=ratio)
-    other_smallest = 0.5 * other.diameters[0]
-    other_largest = 0.5 * other.diameters[1]
+    other_smallest = 0.5 * other.spec.diameters[0]
+    other_largest = 0.5 * other.spec.diameters[1]
     largest = min(largest, other_largest)
-    if other.fixed:
+    if other.spec.fixed:
         radius_eff = smallest * other_largest / (smallest + other_largest)
         return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid, mass_ratio=ratio)
-    other_mass = sphere_mass(other_smallest, solids[other.material].density)
+    other_mass = sphere_mass(other_smallest, solids[other.spec.material].density)
     radius_eff = smallest * other_smallest / (smallest + other_smallest)
     mass_eff = mass * other_mass / (mass + other_mass)
     return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid, mass_ratio=ratio)
@@ -253,5 +253,5 @@ def _mass_ratio(group: SceneGroup | None) -> float:
     """Mass of a clump over that of its smallest sphere; 1 for spheres and walls."""
     if group is None:
         return 1.0
-    smallest = 0.5 * group.diameters[0]
-    return group.shape.mass_of_sphere(smallest, 1.0) / sphere_mass(smallest, 1.0)
+    smallest = 0.5 * group.spec.diameters[0]
+    return group.spec.shape.mass_of_sphere(smallest, 1.0) / sphere_mass(smallest, 1.0)

@@ -255,14 +255,14 @@ class Plan:
     @property
     def group_diameters(self) -> dict[str, tuple[float, float]]:
         """Smallest and largest diameter [m] of each group, by name."""
-        return {group.name: group.diameters for group in self.groups}
+        return {group.name: group.spec.diameters for group in self.groups}
 
     @property
     def largest_weight(self) -> float:
         """Weight [N] of the heaviest sphere."""
         gravity = float(np.linalg.norm(self.scene.gravity))
         return max(
-            gravity * sphere_mass(0.5 * group.diameters[1], self.solids[group.material].density)
+            gravity * sphere_mass(0.5 * group.spec.diameters[1], self.solids[group.spec.material].density)
             for group in self.groups
         )
 

@@ -152,7 +152,8 @@ def liquid_unit(groups: Sequence[SceneGroup]) -> float:
 
     The liquid of all groups, with the largest diameters, over 2^LIQUID_BITS; 1 without liquid.
     """
+    specs = [group.spec for group in groups]
     total = sum(
-        group.count * group.liquid_content * sphere_volume(0.5 * group.diameters[1]) for group in groups
+        each.count * (each.liquid_content or 0.0) * sphere_volume(0.5 * each.diameters[1]) for each in specs
     )
     return 2.0 ** (ceil(log2(total)) - LIQUID_BITS) if total > 0.0 else 1.0

@@ -307,7 +307,9 @@ def _check_positions(particles: Part, count: int, plan: Plan) -> None:
     rounding = np.abs(at_rebuild).max(initial=0.0) * float(np.finfo(np.float32).eps)
     if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.reach_max + rounding):
         raise particles["position"].error("is farther from position_at_rebuild than its reach")
-    margin = plan.skin + max(0.5 * (group.shape.outer_diameter or 0.0) for group in plan.groups) + rounding
+    margin = (
+        plan.skin + max(0.5 * (group.spec.shape.outer_diameter or 0.0) for group in plan.groups) + rounding
+    )
     low, high = plan.domain_low - margin, plan.domain_high + margin
     if plan.scene.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
         raise particles["position_at_rebuild"].error("is outside the domain")
@@ -442,8 +444,8 @@ def check_clumps(
     """
     count = len(ids)
     clump = particles["clump"].integers(count, low=-1).astype(np.int64)
-    size = np.array([each.shape.sphere_count for each in plan.groups])[group]
-    if np.any((clump >= 0) != np.array([each.shape.body is not None for each in plan.groups])[group]):
+    size = np.array([each.spec.shape.sphere_count for each in plan.groups])[group]
+    if np.any((clump >= 0) != np.array([each.spec.shape.body is not None for each in plan.groups])[group]):
         raise particles["clump"].error("differs from the groups in accounting")
     if np.any(particles["clump_size"].integers(count) != size):
         raise particles["clump_size"].error("differs from the number of spheres in the scene")
@@ -464,7 +466,7 @@ def _check_shapes(
     mass = sphere_mass(radius, density)
     expected = {"mass": mass, "clump_mass": mass.copy()}
     expected |= {name: np.zeros((count, 3)) for name in ("clump_inertia", "clump_offset")}
-    for number, body in enumerate(each.shape.body for each in plan.groups):
+    for number, body in enumerate(each.spec.shape.body for each in plan.groups):
         rows = group == number
         if body is not None:
             arrays = body.sphere_arrays(density[rows], member[rows])

@@ -56,12 +56,12 @@ def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
             raise GranflowError(f"particles.{name} has values outside the {limit} of the scene.")
     for number, group in enumerate(plan.groups):
         own = given.group == number
-        if own.sum() > group.count:
+        if own.sum() > group.spec.count:
             raise GranflowError(
-                f"particles has {own.sum()} of {group.name}, but the scene only {group.count}."
+                f"particles has {own.sum()} of {group.name}, but the scene only {group.spec.count}."
             )
-        if any(list(plan.solids)[each] != group.material for each in np.unique(given.material[own])):
-            raise GranflowError(f"particles.material is not {group.material} for all of {group.name}.")
+        if any(list(plan.solids)[each] != group.spec.material for each in np.unique(given.material[own])):
+            raise GranflowError(f"particles.material is not {group.spec.material} for all of {group.name}.")
     if count and not plan.radius_min <= given.radius.min() <= given.radius.max() <= plan.radius_max:
         raise GranflowError(
             f"particles.radius lies in [{given.radius.min():.6g}, {given.radius.max():.6g}] m, but those of "

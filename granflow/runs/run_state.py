@@ -166,7 +166,7 @@ class RunState:
         progress = self.progress
         observers = self.observers.checkpointed()
         check_observers(checkpoint, {name: observer.state_dict() for name, observer in observers.items()})
-        counts = {group.name: group.count for group in engine.plan.groups}
+        counts = {group.name: group.spec.count for group in engine.plan.groups}
         check_streams(checkpoint, self.insertion.state_dict(), counts)
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
         progress.load_state_dict(saved["stage_progress"], engine.plan.stages, reopened, change.keeps_course)
