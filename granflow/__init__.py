@@ -74,12 +74,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.output import Output as Output
     from granflow.scene.blocks.particle_shapes.clump import Clump as Clump
     from granflow.scene.blocks.particle_shapes.clump import ClumpSphere as ClumpSphere
-    from granflow.scene.blocks.particles import ClassSizes as ClassSizes
     from granflow.scene.blocks.particles import Group as Group
-    from granflow.scene.blocks.particles import LogNormalSizes as LogNormalSizes
-    from granflow.scene.blocks.particles import NormalSizes as NormalSizes
-    from granflow.scene.blocks.particles import SizeClass as SizeClass
-    from granflow.scene.blocks.particles import UniformSizes as UniformSizes
     from granflow.scene.blocks.run import Damping as Damping
     from granflow.scene.blocks.run import Numerics as Numerics
     from granflow.scene.blocks.run import RunSettings as RunSettings
@@ -87,6 +82,11 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.run import StageCondition as StageCondition
     from granflow.scene.blocks.shapes import Box as Box
     from granflow.scene.blocks.shapes import RotationStep as RotationStep
+    from granflow.scene.blocks.sizes import ClassSizes as ClassSizes
+    from granflow.scene.blocks.sizes import LogNormalSizes as LogNormalSizes
+    from granflow.scene.blocks.sizes import NormalSizes as NormalSizes
+    from granflow.scene.blocks.sizes import SizeClass as SizeClass
+    from granflow.scene.blocks.sizes import UniformSizes as UniformSizes
     from granflow.scene.blocks.walls import BoxWall as BoxWall
     from granflow.scene.blocks.walls import Cone as Cone
     from granflow.scene.blocks.walls import Cylinder as Cylinder
@@ -114,7 +114,7 @@ _LOCATIONS = {
     "BoxWall": "granflow.scene.blocks.walls.BoxWall",
     "CenterOfMassMetric": "granflow.scene.blocks.metrics.CenterOfMassMetric",
     "Checkpoints": "granflow.scene.blocks.output.Checkpoints",
-    "ClassSizes": "granflow.scene.blocks.particles.ClassSizes",
+    "ClassSizes": "granflow.scene.blocks.sizes.ClassSizes",
     "Clump": "granflow.scene.blocks.particle_shapes.clump.Clump",
     "ClumpSphere": "granflow.scene.blocks.particle_shapes.clump.ClumpSphere",
     "CollisionEnergies": "granflow.scene.blocks.output.CollisionEnergies",
@@ -143,11 +143,11 @@ _LOCATIONS = {
     "LaceyMetric": "granflow.scene.blocks.metrics.LaceyMetric",
     "LatticeInsertion": "granflow.scene.blocks.insertions.LatticeInsertion",
     "LeesEdwards": "granflow.scene.blocks.domain.LeesEdwards",
-    "LogNormalSizes": "granflow.scene.blocks.particles.LogNormalSizes",
+    "LogNormalSizes": "granflow.scene.blocks.sizes.LogNormalSizes",
     "Material": "granflow.scene.blocks.materials.Material",
     "MaterialPair": "granflow.scene.blocks.materials.MaterialPair",
     "MeshWall": "granflow.scene.blocks.walls.MeshWall",
-    "NormalSizes": "granflow.scene.blocks.particles.NormalSizes",
+    "NormalSizes": "granflow.scene.blocks.sizes.NormalSizes",
     "Numerics": "granflow.scene.blocks.run.Numerics",
     "Output": "granflow.scene.blocks.output.Output",
     "OutputError": "granflow.errors.OutputError",
@@ -174,7 +174,7 @@ _LOCATIONS = {
     "SegregationMetric": "granflow.scene.blocks.metrics.SegregationMetric",
     "Servo": "granflow.scene.blocks.motions.Servo",
     "Simulation": "granflow.simulation.Simulation",
-    "SizeClass": "granflow.scene.blocks.particles.SizeClass",
+    "SizeClass": "granflow.scene.blocks.sizes.SizeClass",
     "SlidingMetric": "granflow.scene.blocks.metrics.SlidingMetric",
     "Snapshot": "granflow.snapshot.Snapshot",
     "Stage": "granflow.scene.blocks.run.Stage",
@@ -183,7 +183,7 @@ _LOCATIONS = {
     "SurfaceVelocity": "granflow.scene.blocks.motions.SurfaceVelocity",
     "TableMotion": "granflow.scene.blocks.motions.TableMotion",
     "Translation": "granflow.scene.blocks.motions.Translation",
-    "UniformSizes": "granflow.scene.blocks.particles.UniformSizes",
+    "UniformSizes": "granflow.scene.blocks.sizes.UniformSizes",
     "Vibration": "granflow.scene.blocks.motions.Vibration",
     "analyze_snapshots": "granflow.observers.build.analyze_snapshots",
     "calibrate": "granflow.studies.calibration.calibrate.calibrate",

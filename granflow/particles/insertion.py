@@ -18,7 +18,6 @@ from granflow.geometry.periodic_box import PeriodicBox
 from granflow.geometry.shape import sphere_volume
 from granflow.particles.file import particles_from_file
 from granflow.particles.group import ParticleData, SceneGroup, groups_of, particles_of, shortfall
-from granflow.particles.sampling import draw_diameters, ordered_diameters
 from granflow.scene.blocks.insertions import TimedInsertion
 from granflow.scene.blocks.scene import SceneInput
 
@@ -71,7 +70,7 @@ def insert_group(group: SceneGroup, existing: Spheres) -> ParticleData:
     if spec.insert.source is not None:
         return particles_from_file(group)
     random = group.random()
-    radius = draw_diameters(spec.sizes, spec.count, random) / 2
+    radius = spec.sizes.draw(spec.count, random) / 2
     return particles_of(group, spec.insert.centers(radius, existing, random), radius)
 
 
@@ -124,7 +123,7 @@ class Inserter:
         if not isinstance(insertion, TimedInsertion):
             raise ValueError(f"{group.name} has no particles that enter during the run.")
         self.start = insertion.start
-        self.radius = ordered_diameters(spec.sizes, spec.count, group.random()) / 2
+        self.radius = spec.sizes.ordered(spec.count, group.random()) / 2
         self.mass = group.spec.shape.volume(self.radius) * group.density
         self.due_at = self.start + insertion.delays(self.mass)
         self.interval = insertion.interval(float(self.mass.mean()))

@@ -18,7 +18,6 @@ from granflow.io.files import FormatError, resolved
 from granflow.io.tables import Table, read_table
 from granflow.particles.file import UNIT, ParticleTable, rows_of, unassigned_rows, unit_factor
 from granflow.particles.group import SceneGroup, groups_of
-from granflow.particles.sampling import count_for_volume
 from granflow.scene.blocks.insertions import FileSummary, TimedInsertion
 from granflow.scene.blocks.motions import MOST_ROWS, TABLE_COLUMNS, TableMotion
 from granflow.scene.blocks.particles import Group
@@ -183,7 +182,7 @@ def _count_of_mass(group: SceneGroup, mass: float) -> int:
     body = group.spec.shape.body
     if body is not None:
         return max(round(min(mass / (group.density * body.volume), 1e18)), 1)
-    return count_for_volume(group.spec.sizes, 6.0 / pi * mass / group.density, group.random)
+    return group.spec.sizes.count_for_volume(6.0 / pi * mass / group.density, group.random)
 
 
 def _with_rows(group: SceneGroup) -> Group:

@@ -29,7 +29,6 @@ from granflow.geometry.close_pairs import near_pairs
 from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
 from granflow.particles.group import ParticleData, SceneGroup
-from granflow.particles.sampling import draw_diameters
 from granflow.plan.falls import region_of
 from granflow.plan.plan import Forecast, Plan
 from granflow.plan.stages import StageTimes, nominal_times
@@ -440,8 +439,8 @@ def mean_volume(group: Group) -> float:
     if group.insert.defines_sizes:
         diameters = np.array(group.diameters)
     else:
-        count = group.count if isinstance(group.sizes, tuple) else min(group.count, SAMPLED_DIAMETERS)
-        diameters = draw_diameters(group.sizes, count, np.random.default_rng(0))
+        count = min(group.count, SAMPLED_DIAMETERS)
+        diameters = group.sizes.sample(count, np.random.default_rng(0))
     return float(np.mean(sphere_volume(0.5 * diameters)))
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from granflow.engine.engine import Engine
 from granflow.load import Scene
 from granflow.particles.insertion import inserters
-from granflow.scene.blocks.particles import ClassSizes
 
 
 class ParticleInsertion:
@@ -99,7 +98,7 @@ class ParticleInsertion:
     def class_shares(self) -> Iterator[str]:
         """Yield a sentence for each group with size classes: particles and mass share of each class."""
         for inserter in self._inserters:
-            if isinstance(inserter.group.spec.diameter, ClassSizes):
+            if inserter.group.spec.sizes.has_classes:
                 radius = inserter.radius[inserter.is_inserted]
                 mass = inserter.mass[inserter.is_inserted]
                 parts = [

@@ -5,7 +5,7 @@ import pytest
 from particles.scenes import BOX, scene_with
 from scipy import integrate, stats
 
-from granflow.particles.sampling import class_counts, draw_diameters
+from granflow.scene.blocks.sizes import GivenSizes
 
 COUNT = 20_000
 
@@ -18,7 +18,7 @@ def sizes(spec):
 
 def sample(spec, seed=5):
     """A sample of `COUNT` diameters [m]."""
-    return draw_diameters(sizes(spec), COUNT, np.random.default_rng(seed))
+    return sizes(spec).draw(COUNT, np.random.default_rng(seed))
 
 
 def density_of(spec):
@@ -76,23 +76,23 @@ def classes(by, *shares):
 
 def test_class_counts_by_number_are_exact_within_one_particle():
     spec = classes("number", (0.001, 1), (0.002, 1), (0.003, 1))
-    assert sorted(class_counts(spec, 100)) == [33, 33, 34]
-    assert list(class_counts(classes("number", (0.001, 0.7), (0.002, 0.3)), 10)) == [7, 3]
-    values = draw_diameters(spec, 100, np.random.default_rng(1))
+    assert sorted(spec.counts(100)) == [33, 33, 34]
+    assert list(classes("number", (0.001, 0.7), (0.002, 0.3)).counts(10)) == [7, 3]
+    values = spec.draw(100, np.random.default_rng(1))
     assert len(values) == 100 and not np.all(np.diff(values) >= 0)
 
 
 def test_class_counts_by_mass_are_exact_within_one_particle():
     """Half of the mass in each of 1 mm and 2 mm: eight small particles per large one."""
-    counts = class_counts(classes("mass", (0.001, 0.5), (0.002, 0.5)), 900)
+    counts = classes("mass", (0.001, 0.5), (0.002, 0.5)).counts(900)
     assert list(counts) == [800, 100]
     for count in (1, 7, 101, 1000):
-        counts = class_counts(classes("mass", (0.001, 0.2), (0.002, 0.5), (0.005, 0.3)), count)
+        counts = classes("mass", (0.001, 0.2), (0.002, 0.5), (0.005, 0.3)).counts(count)
         assert counts.sum() == count
         exact = np.array([0.2, 0.5 / 8, 0.3 / 125])
         assert np.all(np.abs(counts - count * exact / exact.sum()) < 1)
 
 
 def test_constant_and_listed_diameters_are_used_unchanged():
-    np.testing.assert_array_equal(draw_diameters(0.004, 3, np.random.default_rng(1)), [0.004] * 3)
-    np.testing.assert_array_equal(draw_diameters((0.1, 0.2), 2, np.random.default_rng(1)), [0.1, 0.2])
+    np.testing.assert_array_equal(GivenSizes(0.004).draw(3, np.random.default_rng(1)), [0.004] * 3)
+    np.testing.assert_array_equal(GivenSizes((0.1, 0.2)).draw(2, np.random.default_rng(1)), [0.1, 0.2])

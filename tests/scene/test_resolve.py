@@ -12,10 +12,10 @@ from granflow.load import load_scene, scene_of
 from granflow.particles.group import groups_of
 from granflow.particles.insertion import initial_particles
 from granflow.particles.resolve import scaled
-from granflow.particles.sampling import draw_diameters
 from granflow.plan.build import plan_for
 from granflow.plan.time_step import max_impact_velocity
 from granflow.scene.blocks.motions import Vibration
+from granflow.scene.blocks.sizes import GivenSizes
 from granflow.scene.blocks.walls import MeshWall
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
@@ -72,13 +72,11 @@ def test_radius_is_half_the_diameter(tmp_path):
         tmp_path, f"    count: 9\n    diameter: 4 mm\n    insert: {{kind: pack, {REGION}}}\n"
     )
     beads = by_radius.particles["beads"]
-    assert beads.sizes == by_diameter.particles["beads"].sizes == 0.004
+    assert beads.sizes == by_diameter.particles["beads"].sizes == GivenSizes(0.004)
     assert scene_of(by_radius.to_yaml(), "as run").particles == by_radius.particles
     rows = "insert: {kind: positions, positions: [[0, 0, 0.01], [0, 0, 0.02]]}\n"
-    assert scene_with(tmp_path, f"    radius: [1 mm, 2 mm]\n    {rows}").particles["beads"].sizes == (
-        0.002,
-        0.004,
-    )
+    listed = scene_with(tmp_path, f"    radius: [1 mm, 2 mm]\n    {rows}").particles["beads"]
+    assert listed.sizes == GivenSizes((0.002, 0.004))
 
 
 @pytest.mark.parametrize(
@@ -113,7 +111,7 @@ def test_mass_is_exact_within_one_particle(tmp_path, sizes):
 def initial_radius(scene):
     """Radii [m] from the generator without positions, because the packing would be too dense."""
     beads = groups_of(scene)["beads"]
-    return draw_diameters(beads.spec.sizes, beads.spec.count, beads.random()) / 2
+    return beads.spec.sizes.draw(beads.spec.count, beads.random()) / 2
 
 
 def test_mass_with_too_many_particles_is_rejected(tmp_path):

@@ -5,146 +5,27 @@ precede it in the same order: sizes, clumps, initial velocities, insertion.
 """
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, Field, Tag, model_validator
+from pydantic import Field, Tag, model_validator
 
 from granflow.scene.blocks.insertions import Insertion, InsertionKind, TimedInsertion, kinds
 from granflow.scene.blocks.particle_shapes.clump import Clump
 from granflow.scene.blocks.particle_shapes.shape import SPHERE, ParticleShape
+from granflow.scene.blocks.sizes import GivenSizes, SizeDistribution, Sizes
 from granflow.schema import quantities as q
-from granflow.schema.faults import Fault, KeyPath, missing, redundant, whole, whole_error
+from granflow.schema.faults import Fault, KeyPath, missing, redundant, whole
 from granflow.schema.model import (
     Flag,
-    ListOf,
     Model,
     Text,
     choose_by,
-    choose_by_key,
 )
 from granflow.visible_text import alternatives
 
-# Keys `diameter` and `radius`
+# Keys `radius`, `velocity`, `angular_velocity` and `thermal`
 
-
-class TruncatedSizes(Model):
-    """A size distribution that is truncated to an interval: diameters outside [`min`, `max`] do not occur
-    [m]."""
-
-    min: q.Diameter = Field(description="smallest diameter [m]")
-    max: q.Diameter = Field(description="largest diameter [m]")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the largest diameter exceeds the smallest."""
-        if self.max <= self.min:
-            yield Fault(("max",), f"it must be above min, {self.min:g} m")
-
-    def _center_fault(self, key: str, value: float) -> Iterator[Fault]:
-        """Yield a fault unless the mean or median [m] lies between the limits."""
-        if self.min < self.max and not self.min < value < self.max:
-            yield Fault((key,), f"it must lie between min and max, {self.min:g} and {self.max:g} m")
-
-
-class UniformSizes(TruncatedSizes):
-    """Uniformly distributed diameters from `min` to `max` [m].
-
-    >>> gf.UniformSizes(min="3 mm", max="5 mm")
-    UniformSizes(min=0.003, max=0.005)
-    """
-
-    distribution: Literal["uniform"] = Field("uniform", description="kind of size distribution")
-
-
-class NormalSizes(TruncatedSizes):
-    """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
-
-    >>> gf.NormalSizes(mean="4 mm", deviation="0.5 mm", min="3 mm", max="5 mm").mean
-    0.004
-    """
-
-    distribution: Literal["normal"] = Field("normal", description="kind of size distribution")
-    mean: q.Diameter = Field(description="mean diameter before truncation [m]")
-    deviation: q.UnscaledLength = Field(description="standard deviation before truncation [m]")
-
-    def faults(self) -> Iterator[Fault]:
-        yield from super().faults()
-        yield from self._center_fault("mean", self.mean)
-
-
-class LogNormalSizes(TruncatedSizes):
-    """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
-
-    >>> gf.LogNormalSizes(median="4 mm", sigma=0.2, min="2 mm", max="8 mm").sigma
-    0.2
-    """
-
-    distribution: Literal["log_normal"] = Field("log_normal", description="kind of size distribution")
-    median: q.Diameter = Field(description="median diameter before truncation [m]")
-    sigma: q.Positive = Field(description="standard deviation of ln(diameter) before truncation")
-
-    def faults(self) -> Iterator[Fault]:
-        yield from super().faults()
-        yield from self._center_fault("median", self.median)
-
-
-class SizeClass(Model):
-    """One diameter and its fraction of all particles.
-
-    >>> gf.SizeClass(diameter="4 mm", fraction=0.5)
-    SizeClass(diameter=0.004, fraction=0.5)
-    """
-
-    diameter: q.Diameter = Field(description="diameter [m]")
-    fraction: q.Share = Field(description="fraction of this class; the fractions are normalized to the sum 1")
-
-
-_ROUNDING = 1e-12  # tolerance of the sum of the fractions
-
-
-def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
-    """The classes with fractions normalized to the sum 1; those that are normalized remain unchanged.
-
-    Raises PydanticCustomError if all fractions are 0.
-    """
-    total = sum(each.fraction for each in classes)
-    if total == 0:
-        raise whole_error("has only fractions of 0; give at least one class a fraction above 0")
-    if abs(total - 1) <= _ROUNDING:
-        return classes
-    return tuple(SizeClass(diameter=each.diameter, fraction=each.fraction / total) for each in classes)
-
-
-Classes = Annotated[
-    tuple[SizeClass, ...], ListOf(some="[{diameter: 4 mm, fraction: 1}]"), AfterValidator(_scaled)
-]
-"""List of diameters with fractions, which are normalized to the sum 1."""
-
-
-class ClassSizes(Model):
-    """A list of diameters with their fractions by number or by mass. The reader normalizes the fractions.
-
-    The number of particles of each class is exact to one particle.
-
-    >>> sizes = [gf.SizeClass(diameter=0.004, fraction=1), gf.SizeClass(diameter=0.006, fraction=3)]
-    >>> gf.ClassSizes(by="mass", classes=sizes).classes[1].fraction
-    0.75
-    """
-
-    distribution: Literal["classes"] = Field("classes", description="kind of size distribution")
-    by: Literal["number", "mass"] = Field(
-        description="number: fractions of the particle count; mass: fractions of the mass"
-    )
-    classes: Classes = Field(description="list of {diameter, fraction}")
-
-
-SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
-"""Diameters after reading: one, one per particle, or a distribution [m]."""
-Sizes = Annotated[
-    q.Diameter | tuple[q.Diameter, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes | None,
-    choose_by_key("distribution"),
-]
-"""Diameters as in a scene; None if a file defines them."""
 RadiusOrMany = Annotated[
     Annotated[q.Radius, Tag("<one>")] | Annotated[tuple[q.Radius, ...], Tag("<list>")],
     choose_by(
@@ -153,9 +34,6 @@ RadiusOrMany = Annotated[
     ),
 ]
 """One radius [m] for all particles, or one for each."""
-
-
-# Keys `velocity`, `angular_velocity` and `thermal`
 
 
 def _many_tag(value: Any) -> str:
@@ -301,31 +179,25 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             return [(self.insert.summary.diameter_min, self.insert.summary.diameter_max)]
         if self.shape.diameters:
             return [(each, each) for each in self.shape.diameters]
-        sizes = self.sizes
-        if isinstance(sizes, float):
-            return [(sizes, sizes)]
-        if isinstance(sizes, tuple):
-            return [(each, each) for each in sorted(set(sizes))]
-        if isinstance(sizes, ClassSizes):
-            used = [each.diameter for each in sizes.classes if each.fraction > 0.0]
-            return [(each, each) for each in sorted(used)]
-        return [(sizes.min, sizes.max)]
+        return self.sizes.spans()
 
     @property
-    def sizes(self) -> SizeSpec:
-        """Diameters [m] given in the scene, or twice the radii: one, one per particle, or a distribution.
+    def sizes(self) -> SizeDistribution:
+        """Diameters [m] given in the scene, or twice the radii; the outer diameter of clumps.
 
-        The outer diameter of clumps. Raises ValueError if a file defines them.
+        Raises ValueError if a file defines them.
         """
         if self.shape.outer_diameter is not None:
-            return self.shape.outer_diameter
-        if self.diameter is not None:
+            return GivenSizes(self.shape.outer_diameter)
+        if isinstance(self.diameter, SizeDistribution):
             return self.diameter
+        if self.diameter is not None:
+            return GivenSizes(self.diameter)
         if self.radius is None:
             raise ValueError("A file defines the diameters.")
         if isinstance(self.radius, tuple):
-            return tuple(2.0 * each for each in self.radius)
-        return 2.0 * self.radius
+            return GivenSizes(tuple(2.0 * each for each in self.radius))
+        return GivenSizes(2.0 * self.radius)
 
     @model_validator(mode="before")
     @classmethod
