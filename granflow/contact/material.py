@@ -5,29 +5,33 @@ SI units throughout. Symbols as in Zhou (2011).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 
-@dataclass(frozen=True)
-class Solid:
-    """Elastic and plastic constants of one material.
+class Solid(Protocol):
+    """Elastic and plastic constants of one material, as those of the block `materials` of a scene."""
 
-    young_modulus:   [Pa]
-    poisson_ratio:   [-]
-    density:         [kg/m3]
-    yield_strength:  [Pa]; None if the material never yields
-    """
+    @property
+    def young_modulus(self) -> float:
+        """Young's modulus [Pa]."""
 
-    young_modulus: float
-    poisson_ratio: float
-    density: float
-    yield_strength: float | None = None
+    @property
+    def poisson_ratio(self) -> float:
+        """Poisson ratio."""
+
+    @property
+    def density(self) -> float:
+        """Density [kg/m3]."""
+
+    @property
+    def yield_strength(self) -> float | None:
+        """Yield strength [Pa]; None if the material never yields."""
 
     @property
     def shear_modulus(self) -> float:
         """Shear modulus [Pa], G = E / (2 (1 + nu))."""
-        return self.young_modulus / (2.0 * (1.0 + self.poisson_ratio))
 
 
 @dataclass(frozen=True)

@@ -510,7 +510,7 @@ def _moduli(
     if factor is None:
         first = without_modulus(touching, overlap)
     else:
-        first = modulus_text(required_moduli(plan.solids, touching.materials, max(factor, 1.0)))
+        first = modulus_text(required_moduli(plan.scene.materials, touching.materials, max(factor, 1.0)))
     needed = float(f"{LIMIT_MARGIN * max(expected, plan.scene.numerics.max_overlap) + 0.005:.2f}")
     accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
     return first + (accept if needed <= LARGEST_OVERLAP else "")
@@ -706,7 +706,7 @@ def _contact_pair(
     material = plan.pair_materials[first.material, second.material]
     touching = TouchingPair("", (first.material, second.material), material, smaller, radius_eff, mass_eff)
     velocity = impact_velocity(plan.laws, touching, overlap * smaller, approach)
-    material_solid = plan.solids[first.material]
+    material_solid = plan.scene.materials[first.material]
     pair_case = PairCase(
         "",
         material,

@@ -530,7 +530,7 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
     density = _densities(plan)
     count = len(new)
     numbers = {name: number for number, name in enumerate(plan.materials)}
-    material = np.array([numbers.get(name, 0) for name in plan.solids])
+    material = np.array([numbers.get(name, 0) for name in plan.scene.materials])
     fixed = np.array([group.spec.fixed for group in plan.groups])
     arrays = {
         "id": first_id + np.arange(count),
@@ -564,7 +564,7 @@ def sphere_rows(plan: Plan, new: ParticleData) -> np.ndarray:
 
 def _densities(plan: Plan) -> np.ndarray:
     """Densities [kg/m3] of the materials of the scene."""
-    return np.array([solid.density for solid in plan.solids.values()])
+    return np.array([each.density for each in plan.scene.materials.values()])
 
 
 def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int) -> Arrays:

@@ -367,7 +367,7 @@ class LiveParticles:
     def _names(self, kind: str) -> np.ndarray:
         """Names (n,) of the groups or materials."""
         plan = self._engine.plan
-        names = [group.name for group in plan.groups] if kind == "group" else list(plan.solids)
+        names = [group.name for group in plan.groups] if kind == "group" else list(plan.scene.materials)
         return np.array(names)[self._engine.accounting.by_id(kind, self._field("id"))]
 
     def _write(self, name: str, values: np.ndarray, **others: np.ndarray) -> None:
@@ -419,16 +419,16 @@ class LiveParticles:
                 "diameters of the scene, on which time step and neighbor lists depend, in "
                 f"[{2 * plan.radius_min:.6g}, {2 * plan.radius_max:.6g}] m."
             )
-        density = np.array([solid.density for solid in plan.solids.values()])[self._numbers("material")]
+        density = np.array([each.density for each in plan.scene.materials.values()])
         radius = 0.5 * values
-        self._write("radius", radius, mass=sphere_mass(radius, density))
+        self._write("radius", radius, mass=sphere_mass(radius, density[self._numbers("material")]))
 
     def _write_group(self, values: np.ndarray) -> None:
         """Change the groups in the accounting; forces do not depend on them."""
         groups = self._engine.plan.groups
         names = [group.name for group in groups]
         numbers = np.array([named("particles.group", str(name), names) for name in values], dtype=np.int32)
-        materials = np.array([list(self._engine.plan.solids).index(group.spec.material) for group in groups])
+        materials = np.array([group.material_number for group in groups])
         if np.any(materials[numbers] != self._numbers("material")) or np.any(
             self._is_fixed(numbers) != self._is_fixed(self._numbers("group"))
         ):
@@ -495,7 +495,7 @@ def particle_data(
         velocity=velocity,
         angular_velocity=angular_velocity,
         radius=0.5 * _diameters(plan, chosen, diameter, count),
-        material=np.full(count, list(plan.solids).index(chosen.spec.material), dtype=np.int32),
+        material=np.full(count, chosen.material_number, dtype=np.int32),
         group=np.full(count, number, dtype=np.int32),
     )
 

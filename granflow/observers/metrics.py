@@ -98,7 +98,7 @@ def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
         plan.scene.domain,
         plan.scene.gravity,
         groups=tuple(group.name for group in plan.groups),
-        materials=tuple(plan.solids),
+        materials=tuple(plan.scene.materials),
         walls=tuple(wall.name for wall in plan.walls),
         largest_radius=plan.radius_max,
     )

@@ -16,6 +16,7 @@ import numpy as np
 from granflow.arguments import shown
 from granflow.errors import GranflowError
 from granflow.geometry.packing import RegionFullError
+from granflow.scene.blocks.materials import Material
 from granflow.scene.blocks.particles import Group, ThermalMotion
 from granflow.scene.blocks.scene import SceneInput
 
@@ -39,9 +40,14 @@ class SceneGroup:
         return list(self.scene.materials).index(self.spec.material)
 
     @property
+    def material(self) -> Material:
+        """Its material."""
+        return self.scene.materials[self.spec.material]
+
+    @property
     def density(self) -> float:
         """Density [kg/m3] of its material."""
-        return self.scene.materials[self.spec.material].density
+        return self.material.density
 
     def locate(self, *keys: str | int) -> str:
         """Position of a key below the group in the scene file, for messages."""

@@ -40,7 +40,6 @@ from granflow.plan.pairs import (
     pair_cases_of,
     pair_materials,
     pair_table,
-    solid,
 )
 from granflow.plan.plan import Plan
 from granflow.plan.size_classes import size_classes
@@ -94,8 +93,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
 
     # Contact laws of all pairs, from which the switches of the kernels follow.
     models = active_models(scene)
-    solids = {name: solid(given) for name, given in scene.materials.items()}
-    pairs = pair_materials(scene, models, solids)
+    pairs = pair_materials(scene, models)
     laws = build_laws(scene, groups, models, pairs, velocity)
     law = laws.normal
     periodic_box = scene.domain.periodic_box()
@@ -106,7 +104,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     refuse_coarse_liquid(scene, features.liquid_transfer)
 
     # The time step of the stiffest possible contact, and what moves in one step.
-    pair_cases = pair_cases_of(scene, groups, solids, pairs)
+    pair_cases = pair_cases_of(scene, groups, pairs)
     adhesion = adhesion_velocity(laws, pair_cases)
     step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
     refuse_fast_motion(scene, walls, step.value)
@@ -128,7 +126,6 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
         size_classes=size_classes(scene.particles),
         chunk_size=_chunk_size(scene.numerics, particle_count) if has_chunks else 1,
         skin=skin,
-        solids=solids,
         materials=materials,
         laws=laws,
         pair_materials={both: pair for both, pair in pairs.items() if set(both) <= set(materials)},

@@ -174,7 +174,7 @@ def _table_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 
 def _materials(plan: Plan) -> str:
-    unused = [name for name in plan.solids if name not in plan.materials]
+    unused = [name for name in plan.scene.materials if name not in plan.materials]
     used = f"of particles and walls: {', '.join(plan.materials)}"
     return f"{used}; not used: {', '.join(unused)}" if unused else used
 

@@ -528,7 +528,7 @@ def flow_warnings(plan: Plan) -> Iterator[str]:
 
 def _insertion_interval(plan: Plan, group: Group, insertion: TimedInsertion) -> float:
     """Mean time [s] between two particles."""
-    return insertion.interval(mean_volume(group) * plan.solids[group.material].density)
+    return insertion.interval(mean_volume(group) * plan.scene.materials[group.material].density)
 
 
 def _nothing_moves(plan: Plan, group: Group) -> bool:

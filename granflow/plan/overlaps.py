@@ -289,7 +289,7 @@ def _depth(plan: Plan, radius: float) -> float:
         for name, each in plan.scene.particles.items()
         if not each.fixed and 0.5 * max(each.diameters) < radius
     }
-    return solid_volume(smaller) / (SOLID_FRACTION * weight_pressure(plan.scene, plan.solids)[1])
+    return solid_volume(smaller) / (SOLID_FRACTION * weight_pressure(plan.scene)[1])
 
 
 def _collide(plan: Plan, group: SceneGroup, other: SceneGroup) -> bool:
@@ -332,7 +332,7 @@ def _of_wall(plan: Plan, group: SceneGroup, wall: str) -> TouchingPair:
 
 def _mass(plan: Plan, group: SceneGroup, radius: float) -> float:
     """Mass [kg] that moves with a sphere of a group with a radius [m]: that of the particle."""
-    return group.spec.shape.mass_of_sphere(radius, plan.solids[group.spec.material].density)
+    return group.spec.shape.mass_of_sphere(radius, group.density)
 
 
 # Static pressures of the weight of the bed and of force-controlled walls, and their contact forces.
@@ -377,7 +377,7 @@ def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
     """The pressures of a scene: the weight of its particles, and each wall that presses on them."""
     diameter = 2.0 * plan.radius_max
     count = sum(group.count for group in plan.scene.particles.values() if not group.fixed)
-    weight, area = weight_pressure(plan.scene, plan.solids)
+    weight, area = weight_pressure(plan.scene)
     if weight > 0.0:
         contacts = min(3.0 * count, max(3.0 * area / diameter**2, 1.0))
         yield BedPressure(
@@ -393,7 +393,7 @@ def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
             yield BedPressure("wall", cause, pressure, 3.0 * count)
 
 
-def weight_pressure(scene: Scene, solids: Mapping[str, Solid]) -> tuple[float, float]:
+def weight_pressure(scene: Scene) -> tuple[float, float]:
     """Pressure [Pa] of the weight of all mobile particles at the bottom of the bed, and the section of the
     bed [m2].
 
@@ -414,7 +414,7 @@ def weight_pressure(scene: Scene, solids: Mapping[str, Solid]) -> tuple[float, f
         if group.fixed or not magnitude:
             continue
         area = _section_of(scene.domain, group, gravity / magnitude)
-        density = solids[group.material].density
+        density = scene.materials[group.material].density
         total += magnitude * group.count * mean_volume(group) * density / area
         largest_section = max(largest_section, area)
         densest = max(densest, density)
@@ -677,7 +677,7 @@ def _largest(plan: Plan, pairs: Iterable[TouchingPair], overlap: Overlap) -> _La
             factor = modulus_factor(pair, overlap, limit)
             if factor is None:
                 return _Largest(worst[1], worst[0], without_modulus(pair, overlap))
-            for name, value in required_moduli(plan.solids, pair.materials, factor).items():
+            for name, value in required_moduli(plan.scene.materials, pair.materials, factor).items():
                 moduli[name] = max(moduli.get(name, 0.0), value)
     return _Largest(worst[1], worst[0], modulus_text(moduli))
 

@@ -15,7 +15,6 @@ from granflow.contact import registry
 from granflow.contact.law import SLOTS, ContactModel, ModelRequest
 from granflow.contact.material import (
     PairMaterial,
-    Solid,
     VelocityRestitution,
     limit_velocity,
     modulus_eff,
@@ -112,24 +111,19 @@ def adhesion_velocity(laws: ContactLaws, cases: Iterable[PairCase]) -> float:
     return max(law.equivalent_velocity(case.pair, case.radius_eff, case.mass_eff) for case in cases)
 
 
-def solid(given: Material) -> Solid:
-    """Constants of one material: Young's modulus and yield strength [Pa], density [kg/m3], Poisson ratio."""
-    return Solid(given.young_modulus, given.poisson_ratio, given.density, given.yield_strength)
-
-
-def pair_materials(
-    scene: Scene, models: Mapping[str, ContactModel], solids: Mapping[str, Solid]
-) -> dict[tuple[str, str], PairMaterial]:
+def pair_materials(scene: Scene, models: Mapping[str, ContactModel]) -> dict[tuple[str, str], PairMaterial]:
     """Mixed constants of each two materials that can come into contact, by their names in either order."""
     found = {}
-    for a, b in product(solids, solids):
+    for a, b in product(scene.materials, scene.materials):
         if scene.pair_key(a, b) in scene.pairs:
-            found[a, b] = _pair_material(scene, models, scene.pair(a, b), solids[a], solids[b])
+            found[a, b] = _pair_material(
+                scene, models, scene.pair(a, b), scene.materials[a], scene.materials[b]
+            )
     return found
 
 
 def _pair_material(
-    scene: Scene, models: Mapping[str, ContactModel], pair: MaterialPair, a: Solid, b: Solid
+    scene: Scene, models: Mapping[str, ContactModel], pair: MaterialPair, a: Material, b: Material
 ) -> PairMaterial:
     """Mixed constants of two materials, symmetric under their exchange.
 
@@ -186,9 +180,7 @@ def _constants(
         raise SceneError(f"{location}: pairs.{key}.restitution cannot be obtained: {error}.") from None
 
 
-def pair_cases_of(
-    scene: Scene, groups: Sequence[SceneGroup], solids: Mapping[str, Solid], pairs: PairMaterials
-) -> tuple[PairCase, ...]:
+def pair_cases_of(scene: Scene, groups: Sequence[SceneGroup], pairs: PairMaterials) -> tuple[PairCase, ...]:
     """The possible contacts between two groups and between a group and a wall, each for the smallest
     particles.
 
@@ -205,18 +197,18 @@ def pair_cases_of(
             if not (group.spec.fixed and other.spec.fixed) and both in pairs:
                 mobile, partner = (other, group) if group.spec.fixed else (group, other)
                 key = scene.pair_key(*both) if group is not other or group.spec.count > 1 else None
-                case = _pair_case(f"{group.name}-{other.name}", pairs[both], solids, mobile, partner)
+                case = _pair_case(f"{group.name}-{other.name}", pairs[both], mobile, partner)
                 pair_cases.append(replace(case, pair_key=key))
         for wall in walls if not group.spec.fixed else ():
             pair = pairs[group.spec.material, wall]
             key = scene.pair_key(group.spec.material, wall)
-            case = _pair_case(f"{group.name}-{wall} wall", pair, solids, group, None)
+            case = _pair_case(f"{group.name}-{wall} wall", pair, group, None)
             pair_cases.append(replace(case, pair_key=key))
     if not pair_cases:
         group = groups[0]
-        own = solids[groups[0].spec.material]
+        own = group.material
         elastic_pair = PairMaterial(modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, 0.0)
-        pair_cases.append(_pair_case(f"{group.name}-{group.name}", elastic_pair, solids, group, group))
+        pair_cases.append(_pair_case(f"{group.name}-{group.name}", elastic_pair, group, group))
     contacts = max(sum(group.spec.count for group in groups) + len(scene.walls) - 1, 1)
     return tuple(replace(pair_case, contact_count=contacts) for pair_case in pair_cases)
 
@@ -224,7 +216,6 @@ def pair_cases_of(
 def _pair_case(
     name: str,
     pair: PairMaterial,
-    solids: Mapping[str, Solid],
     group: SceneGroup,
     other: SceneGroup | None,
 ) -> PairCase:
@@ -232,21 +223,20 @@ def _pair_case(
     (None)."""
     smallest = 0.5 * group.spec.diameters[0]
     largest = 0.5 * group.spec.diameters[1]
-    material_solid = solids[group.spec.material]
-    mass = sphere_mass(smallest, material_solid.density)
+    mass = sphere_mass(smallest, group.density)
     ratio = max(_mass_ratio(group), _mass_ratio(other))
     if other is None:
-        return PairCase(name, pair, smallest, mass, smallest, largest, material_solid, mass_ratio=ratio)
+        return PairCase(name, pair, smallest, mass, smallest, largest, group.material, mass_ratio=ratio)
     other_smallest = 0.5 * other.spec.diameters[0]
     other_largest = 0.5 * other.spec.diameters[1]
     largest = min(largest, other_largest)
     if other.spec.fixed:
         radius_eff = smallest * other_largest / (smallest + other_largest)
-        return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid, mass_ratio=ratio)
-    other_mass = sphere_mass(other_smallest, solids[other.spec.material].density)
+        return PairCase(name, pair, radius_eff, mass, smallest, largest, group.material, mass_ratio=ratio)
+    other_mass = sphere_mass(other_smallest, other.density)
     radius_eff = smallest * other_smallest / (smallest + other_smallest)
     mass_eff = mass * other_mass / (mass + other_mass)
-    return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid, mass_ratio=ratio)
+    return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, group.material, mass_ratio=ratio)
 
 
 def _mass_ratio(group: SceneGroup | None) -> float:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from granflow.contact.law import NormalLaw
-from granflow.contact.material import PairMaterial, Solid
+from granflow.contact.material import PairMaterial
 from granflow.contact.registry import ContactLaws
 from granflow.geometry.catalog import area_of
 from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
@@ -158,9 +158,6 @@ class Plan:
     """Distance [m] beyond contact up to which neighbor lists contain pairs."""
 
     # Materials and contacts.
-    solids: Mapping[str, Solid]
-    """Constants of all materials of the scene by name, in its order, to which `ParticleData.material`
-    refers."""
     materials: tuple[str, ...]
     """Names of the materials in plan order, those of particles first."""
     laws: ContactLaws
@@ -262,8 +259,7 @@ class Plan:
         """Weight [N] of the heaviest sphere."""
         gravity = float(np.linalg.norm(self.scene.gravity))
         return max(
-            gravity * sphere_mass(0.5 * group.spec.diameters[1], self.solids[group.spec.material].density)
-            for group in self.groups
+            gravity * sphere_mass(0.5 * group.spec.diameters[1], group.density) for group in self.groups
         )
 
     @property

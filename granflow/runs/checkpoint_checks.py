@@ -224,7 +224,7 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
             each.number(0.0, LARGEST_REAL)
     for face in accounting["exits"].parts(EXIT_FACES):
         face.integer(0, MOST_IDS)
-    accounting["material"].integers(inserted, high=len(plan.solids) - 1)
+    accounting["material"].integers(inserted, high=len(plan.scene.materials) - 1)
     accounting["group"].integers(inserted, high=len(plan.groups) - 1)
     accounting["insertion_time"].floats(inserted)
 

@@ -50,7 +50,7 @@ def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
         raise GranflowError(
             "Particles from Python are not possible in a scene with clumps: leave particles out."
         )
-    for name, limit in (("group", len(plan.groups)), ("material", len(plan.solids))):
+    for name, limit in (("group", len(plan.groups)), ("material", len(plan.scene.materials))):
         values = getattr(given, name)
         if values.shape != (count,) or np.any((values < 0) | (values >= limit)):
             raise GranflowError(f"particles.{name} has values outside the {limit} of the scene.")
@@ -60,7 +60,7 @@ def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
             raise GranflowError(
                 f"particles has {own.sum()} of {group.name}, but the scene only {group.spec.count}."
             )
-        if any(list(plan.solids)[each] != group.spec.material for each in np.unique(given.material[own])):
+        if np.any(given.material[own] != group.material_number):
             raise GranflowError(f"particles.material is not {group.spec.material} for all of {group.name}.")
     if count and not plan.radius_min <= given.radius.min() <= given.radius.max() <= plan.radius_max:
         raise GranflowError(

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.material import Solid, VelocityRestitution, limit_velocity
+from granflow.contact.material import VelocityRestitution, limit_velocity
 from granflow.errors import FileError, GranflowError
 from granflow.io.files import read_regular
 from granflow.io.tables import table_in
-from granflow.scene.blocks.materials import PRESETS
+from granflow.scene.blocks.materials import PRESETS, Material
 from granflow.schema.messages import suggestion_or_list
 from granflow.studies.figures import COLORS, POINTS, draw_to, write_columns
 from granflow.units import UnitError, to_si, with_unit
@@ -413,10 +413,7 @@ def limit_from_materials(first: str, second: str | None = None) -> float:
     for name in (first, second or first):
         if name not in PRESETS:
             raise GranflowError(f"there is no preset {name}: {suggestion_or_list(name, PRESETS, 'presets')}")
-        preset = PRESETS[name]
-        solids.append(
-            Solid(preset.young_modulus, preset.poisson_ratio, preset.density, preset.yield_strength)
-        )
+        solids.append(Material.model_validate({"preset": name}))
     try:
         return limit_velocity(*solids)
     except ValueError:

@@ -18,9 +18,10 @@ from geometry.meshes import sheet, write
 from scene_builders import build_scene, particle_group, plane, run_to_end
 from scipy.integrate import quad
 
-from granflow.contact.material import Solid, modulus_eff
+from granflow.contact.material import modulus_eff
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
+from granflow.scene.blocks.materials import Material
 from granflow.simulation import Simulation
 
 WORK = OPTIONS["work_of_adhesion"]
@@ -191,7 +192,9 @@ SHARES = (0.99, 1.01, 1.5, 3.0)
 def lost_energy(name, radius_eff):
     """Energy [J] that one contact of the model loses: Thornton & Ning (1998); integral of the capillary
     force."""
-    solid = Solid(SOLID["young_modulus"], SOLID["poisson_ratio"], DENSITY)
+    solid = Material(
+        young_modulus=SOLID["young_modulus"], poisson_ratio=SOLID["poisson_ratio"], density=DENSITY
+    )
     if name == "jkr":
         return 7.09 * (WORK**5 * radius_eff**4 / modulus_eff(solid, solid) ** 2) ** (1.0 / 3.0)
     volume = OPTIONS["liquid_volume"]

@@ -7,11 +7,12 @@ from contact.cases import CASES, MASS, RADIUS, SHEAR_MODULUS, SI, evaluate_path
 from scipy.integrate import solve_ivp
 
 from granflow.contact.law import ModelRequest
-from granflow.contact.material import PairMaterial, Solid, modulus_eff
+from granflow.contact.material import PairMaterial, modulus_eff
 from granflow.contact.normal.kuwabara_kono import dissipation_for, rebound_of
 from granflow.contact.registry import models
+from granflow.scene.blocks.materials import Material
 
-STEEL = Solid(193e9, 0.35, 8030.0, 0.310e9)
+STEEL = Material(young_modulus=193e9, poisson_ratio=0.35, density=8030.0, yield_strength=0.310e9)
 BY_NAME = {case.name: case for case in CASES}
 
 

@@ -7,12 +7,12 @@ from scipy.optimize import brentq
 
 from granflow.contact import theory
 from granflow.contact.material import (
-    Solid,
     VelocityRestitution,
     limit_velocity,
     modulus_eff,
     shear_modulus_eff,
 )
+from granflow.scene.blocks.materials import Material
 
 FIGURES = {
     0.2: (0.968000, 31.2483, 0.2513, 1.7230, 20.8),
@@ -25,8 +25,8 @@ FIGURES = {
 13-15."""
 RESTITUTIONS = (0.05, 0.2, 0.5, 0.7, 0.9, 0.99, 1.0)
 
-STAINLESS = Solid(193e9, 0.35, 8030.0, 0.310e9)
-CHROME = Solid(203e9, 0.28, 7830.0, 2.03e9)
+STAINLESS = Material(young_modulus=193e9, poisson_ratio=0.35, density=8030.0, yield_strength=0.310e9)
+CHROME = Material(young_modulus=203e9, poisson_ratio=0.28, density=7830.0, yield_strength=2.03e9)
 """Stainless steel 316 and chrome steel 52100 of Figs. 3-4 of the paper."""
 
 

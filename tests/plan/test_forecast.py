@@ -105,7 +105,7 @@ def test_only_the_softer_material_of_a_pair_changes():
 
     1/E* = c1/E1 + c2/E2 with c = 1 - nu^2: 100 times the modulus requires that the wall becomes stiffer too.
     """
-    solids = plan_for(rubber_ball()).solids | {"steel": plan_for(load_scene(SCENES[0])).solids["glass"]}
+    solids = rubber_ball().materials | {"steel": load_scene(SCENES[0]).materials["glass"]}
     assert required_moduli(solids, ("rubber", "rubber"), 2.0) == {"rubber": 1.2e7}
     moduli = required_moduli(solids, ("rubber", "steel"), 100.0)
     assert set(moduli) == {"rubber", "steel"} and moduli["rubber"] == moduli["steel"]

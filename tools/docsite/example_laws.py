@@ -6,16 +6,20 @@ from granflow.contact import registry
 from granflow.contact.law import Law, ModelRequest, NormalLaw
 from granflow.contact.material import (
     PairMaterial,
-    Solid,
     VelocityRestitution,
     limit_velocity,
     modulus_eff,
     shear_modulus_eff,
 )
-from granflow.scene.blocks.materials import PRESETS
+from granflow.scene.blocks.materials import PRESETS, Material
 
 STEEL = PRESETS["stainless_316"]
-SOLID = Solid(STEEL.young_modulus, STEEL.poisson_ratio, STEEL.density, STEEL.yield_strength)
+SOLID = Material(
+    young_modulus=STEEL.young_modulus,
+    poisson_ratio=STEEL.poisson_ratio,
+    density=STEEL.density,
+    yield_strength=STEEL.yield_strength,
+)
 DIAMETER = 25.4e-3
 """Diameter [m] of the two spheres of the pictures, as in Figs. 3 and 4 of Zhou (2011)."""
 RESTITUTION = 0.8

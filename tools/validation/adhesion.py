@@ -5,13 +5,14 @@ import math
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.material import Solid, modulus_eff
+from granflow.contact.material import modulus_eff
 from granflow.geometry.shape import sphere_mass
+from granflow.scene.blocks.materials import Material
 from granflow.studies.bench import Collision, CollisionBench
 from validation.case import ValidationCase
 
 SOLID = {"young_modulus": 1e7, "poisson_ratio": 0.3, "density": 2000.0}
-MODULUS = modulus_eff(Solid(**SOLID), Solid(**SOLID))
+MODULUS = modulus_eff(Material(**SOLID), Material(**SOLID))
 """Effective modulus [Pa]."""
 RADIUS = 1e-4
 """Radius [m] of the spheres."""

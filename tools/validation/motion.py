@@ -13,8 +13,9 @@ import numpy as np
 
 from granflow import Scene, Simulation
 from granflow.contact import theory
-from granflow.contact.material import Solid, modulus_eff
+from granflow.contact.material import modulus_eff
 from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.scene.blocks.materials import Material
 from validation.case import ValidationCase, shipped_scene
 
 GRAVITY = 9.81
@@ -56,7 +57,7 @@ def resting_overlap(acceleration: float) -> float:
 
 def floor_stiffness(solid: Mapping[str, float], radius: float) -> float:
     """Hertz stiffness [N/m^1.5] of a sphere of this radius [m] on a floor of the same material."""
-    return float(theory.hertz_stiffness(modulus_eff(Solid(**solid), Solid(**solid)), radius))
+    return float(theory.hertz_stiffness(modulus_eff(Material(**solid), Material(**solid)), radius))
 
 
 def spheres_on_floor(

@@ -1,7 +1,7 @@
 """Schema of the block `particles`: groups of particles of one material with one kind of insertion.
 
-`Group` is last: it has all keys of a group, in the order of a scene file. The parts that its keys contain
-precede it in the same order: sizes, clumps, initial velocities, insertion.
+`Group` is last: it has all keys of a group, in the order of a scene file. Diameters are in `sizes`, clumps in
+`particle_shapes`, kinds of insertion in `insertions`.
 """
 
 from collections.abc import Iterator

@@ -18,8 +18,7 @@ import numpy as np
 
 from granflow import Plan, SceneError, plan_for
 from granflow.contact import theory
-from granflow.contact.material import Solid
-from granflow.scene.blocks.materials import PRESETS
+from granflow.scene.blocks.materials import Material
 from granflow.studies.bench import FORCES_TO_END, Collision, HeadOnCollision, head_on_bench, share_to_end
 from granflow.studies.figures import attribute_columns
 from granflow.studies.paper.figures import PaperCase
@@ -86,8 +85,7 @@ def reference_case() -> PaperCase:
 
     Density and Poisson ratio are those of the preset glass.
     """
-    glass = PRESETS["glass"]
-    solid = Solid(YOUNG_MODULUS, glass.poisson_ratio, glass.density)
+    solid = Material.model_validate({"preset": "glass", "young_modulus": YOUNG_MODULUS})
     return PaperCase(
         "glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=DIAMETER
     )

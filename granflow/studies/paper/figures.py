@@ -16,7 +16,7 @@ import numpy as np
 from granflow.contact import theory
 from granflow.contact.material import Solid, VelocityRestitution, limit_velocity, modulus_eff
 from granflow.geometry.shape import sphere_mass
-from granflow.scene.blocks.materials import PRESETS
+from granflow.scene.blocks.materials import PRESETS, Material
 from granflow.studies.bench import HeadOnCollision, Outcomes, collide
 from granflow.studies.figures import COLORS, MARKERS, POINTS, percent, stacked_panels
 
@@ -88,7 +88,7 @@ def paper_case(preset: str, title: str, yield_velocity: float) -> PaperCase:
     `preset`: name of the material; the limit velocity of Eq. 12 is that of Eq. 11. `yield_velocity` [m/s].
     """
     known = PRESETS[preset]
-    solid = Solid(known.young_modulus, known.poisson_ratio, known.density, known.yield_strength)
+    solid = Material.model_validate({"preset": preset})
     sigma, psi = known.restitution_fit or (0.0, 1.0)
     fit = VelocityRestitution(sigma, psi, limit_velocity(solid, solid))
     return PaperCase(preset, title, solid, {"preset": preset}, fit, yield_velocity)
@@ -104,7 +104,7 @@ PAPER_CASES = (
 def small_soft_case() -> PaperCase:
     """Spheres of the estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; no Poisson ratio is given, 0.3 is
     chosen."""
-    solid = Solid(1e8, 0.3, 1e3)
+    solid = Material(young_modulus=1e8, poisson_ratio=0.3, density=1e3)
     material = {"young_modulus": 1e8, "poisson_ratio": 0.3, "density": 1e3}
     return PaperCase("estimate", "R = 0.1 mm, E = 0.1 GPa", solid, material, diameter=2e-4)
 
