@@ -256,7 +256,7 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     """
     yield _scalar("chunk_size", "i32", plan.chunk_size)
     yield _scalar("wall_count", "i32", len(plan.walls))
-    yield _scalar("material_count", "i32", plan.material_count)
+    yield _scalar("material_count", "i32", len(plan.materials))
     yield _scalar("class_count", "i32", len(plan.size_classes))
     yield _scalar("list_capacity", "i32", capacities.list_entries_per_segment)
     yield _scalar("saved_capacity", "i32", capacities.saved_entries_per_segment)

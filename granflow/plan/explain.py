@@ -148,7 +148,7 @@ def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     yield ExplainRow(
         "radius", f"{plan.radius_min:.4g}{largest} m", "one size" if same else "smallest to largest"
     )
-    yield ExplainRow("materials", str(plan.material_count), _materials(plan))
+    yield ExplainRow("materials", str(len(plan.materials)), _materials(plan))
     share = f"{plan.skin / plan.radius_min:.3g} of the smallest radius"
     given = "" if plan.scene.numerics.skin == "auto" else f" ({plan.scene.where('numerics', 'skin')})"
     yield ExplainRow("skin", f"{plan.skin:.4g} m", share + given)

@@ -231,11 +231,6 @@ class Plan:
         absent."""
         return {slot: law.history_count for slot, law in self.laws.by_slot.items() if law.history_count}
 
-    @property
-    def material_count(self) -> int:
-        """Number of materials of particles and walls."""
-        return len(self.materials)
-
     def pair(self, first: str, second: str) -> PairMaterial:
         """Constants of two materials in any order. Raises KeyError if they cannot come into contact."""
         return self.pair_materials[first, second]
@@ -248,11 +243,6 @@ class Plan:
     def stable_step(self, pair_case: PairCase, velocity: float) -> float:
         """Stability limit of the time step [s] of a contact at an impact velocity [m/s]; see `time_step`."""
         return stable_step(pair_case, self.law, velocity)
-
-    @property
-    def group_diameters(self) -> dict[str, tuple[float, float]]:
-        """Smallest and largest diameter [m] of each group, by name."""
-        return {group.name: group.spec.diameters for group in self.groups}
 
     @property
     def largest_weight(self) -> float:

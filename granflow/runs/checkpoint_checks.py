@@ -290,7 +290,7 @@ def check_particles(
     if "material" in arrays:
         known = {name: index for index, name in enumerate(plan.materials)}
         expected = np.array([known.get(name, 0) for name in density_by_name])[number]
-        if np.any(particles["material"].integers(count, high=plan.material_count - 1) != expected):
+        if np.any(particles["material"].integers(count, high=len(plan.materials) - 1) != expected):
             raise particles["material"].error("differs from the materials in accounting")
     _check_positions(particles, count, plan)
     check_contacts(engine["contacts"], ids, plan, complete)

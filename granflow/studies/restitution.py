@@ -29,7 +29,7 @@ def pairings(plan: Plan) -> list[Collision]:
     scene = plan.scene
     smallest: dict[str, float] = {}
     for name, group in scene.particles.items():
-        radius = 0.5 * plan.group_diameters[name][0]
+        radius = 0.5 * plan.scene.particles[name].diameters[0]
         smallest[group.material] = min(radius, smallest.get(group.material, radius))
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     spheres = [(a, b, smallest[b]) for a, b in combinations_with_replacement(smallest, 2)]

@@ -79,6 +79,7 @@ PARTS: Mapping[str, Mapping[str, Sequence[str]]] = {
             "TorqueLaw",
         ),
         "granflow.contact.material": ("PairMaterial",),
+        "granflow.schema.quantities": ("Number",),
     },
 }
 """Classes that are not names of the package, by topic and module."""

@@ -113,7 +113,7 @@ def subject_of(scene: Scene, reference_velocity: float) -> CollisionSubject | No
     pair = plan.pair(*key.split("-"))
     if pair.restitution is None:
         return None
-    diameter = float(np.mean(plan.group_diameters[name]))
+    diameter = float(np.mean(plan.scene.particles[name].diameters))
     mass = sphere_mass(0.5 * diameter, scene.materials[group.material].density)
     return CollisionSubject(group.material, key, pair, diameter, 0.5 * mass, reference_velocity)
 
