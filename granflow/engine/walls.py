@@ -501,7 +501,7 @@ class WallPoses:
         displacement_limit, speed = (
             (plan.wall_displacement_limit, plan.wall_speed)
             if not plan.features.lees_edwards
-            else (plan.skin, plan.image_speed)
+            else (plan.skin, plan.scene.domain.image_speed)
         )
         if speed == 0.0:
             return WALL_BATCH

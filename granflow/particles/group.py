@@ -9,7 +9,6 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import log, sqrt
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from granflow.arguments import shown
 from granflow.errors import GranflowError
 from granflow.geometry.packing import RegionFullError
 from granflow.scene.blocks.materials import Material
-from granflow.scene.blocks.particles import Group, ThermalMotion
+from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.scene import SceneInput
 
 
@@ -160,7 +159,7 @@ def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray, ba
     count = len(radius)
     velocity = np.asarray(group.spec.velocity, dtype=np.float64)
     if group.spec.thermal is not None:
-        velocity = velocity + thermal_velocities(group.spec.thermal, radius, group.velocity_random())
+        velocity = velocity + group.spec.thermal.velocities(radius, group.velocity_random())
     return ParticleData(
         position=position,
         velocity=np.broadcast_to(velocity, (count, 3)).copy(),
@@ -172,29 +171,6 @@ def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray, ba
         group=np.full(count, group.number, dtype=np.int32),
         orientation=group.spec.shape.orientations(count, partial(group.orientation_random, batch)),
     )
-
-
-EXCEEDED = 1e-3
-"""Approximate probability that any particle of a group is faster than `largest_speed`."""
-
-
-def thermal_velocities(thermal: ThermalMotion, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Velocities (n, 3) [m/s] of particles of one density with radii (n,) [m]: normal components, scaled to
-    the rms.
-
-    u <- u - sum m u / sum m    (zero_momentum)        u <- u rms / sqrt(sum u^2 / n)
-    """
-    velocity = random.standard_normal((len(radius), 3))
-    if thermal.zero_momentum:
-        weight = radius**3
-        velocity -= weight @ velocity / weight.sum()
-    return velocity * (thermal.rms / np.sqrt((velocity**2).sum() / len(radius)))
-
-
-def largest_speed(thermal: ThermalMotion, count: int) -> float:
-    """Speed [m/s] that the random velocities of `count` particles hardly exceed: rms / sqrt(3) sqrt(2 ln(n /
-    p))."""
-    return min(thermal.rms / sqrt(3.0) * sqrt(2.0 * log(count / EXCEEDED)), thermal.rms * sqrt(count))
 
 
 def shortfall(group: SceneGroup, error: RegionFullError) -> str:

@@ -50,9 +50,6 @@ from granflow.plan.time_step import (
     TimeStep,
     adaptive_time_step_for,
     choose_time_step,
-    image_speed,
-    initial_rotation_rates,
-    initial_speeds,
     max_impact_velocity,
 )
 from granflow.plan.wall_control import controlled_motions_of
@@ -189,7 +186,7 @@ def _adaptive_time_step(
     if scene.run.time_step != "adaptive":
         return None
     fractions = (scene.numerics.time_step_fraction, scene.numerics.rayleigh_fraction)
-    speed = max(speed, image_speed(scene.domain))
+    speed = max(speed, scene.domain.image_speed)
     return adaptive_time_step_for(pair_cases, law, velocity, speed, *fractions)
 
 
@@ -263,8 +260,8 @@ def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
     scene = plan.scene
     step = plan.longest_time_step
     refuse_unresolved_drag(scene, step)
-    refuse_fast_start(scene, initial_speeds(scene.particles), plan.time_step, plan.radius_min)
-    refuse_fast_rotation(scene, initial_rotation_rates(scene.particles), plan.time_step)
+    refuse_fast_start(scene, plan.time_step, plan.radius_min)
+    refuse_fast_rotation(scene, plan.time_step)
 
     def share_of_radius(limit: float) -> tuple[float, str]:
         return limit, share_of(limit, plan.radius_min)
@@ -275,7 +272,7 @@ def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
     limit, share = min(share_of_radius(plan.wall_travel_limit), share_of_skin(plan.wall_displacement_limit))
     refuse_fast_walls(scene, wall_speeds, step, limit, share)
     limit, share = min(share_of_radius(plan.travel_limit), share_of_skin(plan.skin))
-    refuse_fast_images(scene, plan.image_speed, step, limit, share)
+    refuse_fast_images(scene, step, limit, share)
 
 
 def _refuse_collision_energies(plan: Plan) -> None:

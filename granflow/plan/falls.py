@@ -28,7 +28,7 @@ from granflow.geometry.region import RegionSampler
 from granflow.geometry.revolved import REVOLVED
 from granflow.load import Scene
 from granflow.plan.plan import Plan
-from granflow.plan.time_step import ImpactVelocity, image_speed, initial_speeds
+from granflow.plan.time_step import ImpactVelocity
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.motions import SurfaceVelocity, TimedMotion
 from granflow.scene.blocks.particles import Group
@@ -54,7 +54,7 @@ def forecast_velocity(plan: Plan) -> ImpactVelocity:
         return planned
     magnitude = float(np.linalg.norm(plan.scene.gravity))
     belt = _belt_speed(plan.walls)
-    speeds = {name: max(speed, belt) for name, speed in initial_speeds(plan.scene.particles).items()}
+    speeds = {name: max(group.initial_speed, belt) for name, group in plan.scene.particles.items()}
     fastest = max(heights, key=lambda name: speeds[name] ** 2 + 2.0 * magnitude * heights[name])
     value = sqrt(speeds[fastest] ** 2 + 2.0 * magnitude * heights[fastest])
     initial = f" with an initial speed of {speeds[fastest]:.3g} m/s" if speeds[fastest] else ""
@@ -101,7 +101,7 @@ def velocity_warnings(plan: Plan) -> Iterator[str]:
     """
     scene = plan.scene
     given = scene.run.velocity_max
-    if given is None or scene.damping or image_speed(scene.domain) or not np.any(scene.gravity):
+    if given is None or scene.damping or scene.domain.image_speed or not np.any(scene.gravity):
         return
     magnitude = float(np.linalg.norm(scene.gravity))
     heights = _heights(plan, -np.array(scene.gravity) / magnitude)
@@ -143,7 +143,7 @@ def _drop_heights(plan: Plan) -> dict[str, float]:
     which lift or accelerate particles, or if the region of a group is not known.
     """
     scene = plan.scene
-    if scene.run.velocity_max is not None or image_speed(scene.domain) or not np.any(scene.gravity):
+    if scene.run.velocity_max is not None or scene.domain.image_speed or not np.any(scene.gravity):
         return {}
     up = -np.array(scene.gravity) / np.linalg.norm(scene.gravity)
     if any(not _is_level_belt(each, up) for wall in plan.walls for each in wall.motions):

@@ -227,13 +227,11 @@ STEP_MARGIN = 0.9
 """Time step that a message suggests, relative to the limit."""
 
 
-def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, radius_min: float) -> None:
-    """Raise SceneError if particles of a group have an initial displacement per step above the limit.
-
-    `speeds`: largest initial speed [m/s] of each group; `step` [s].
-    """
+def refuse_fast_start(scene: Scene, step: float, radius_min: float) -> None:
+    """Raise SceneError if particles of a group have an initial displacement per step [s] above the limit."""
     limit = STEP_SHARE * radius_min
-    for name, speed in speeds.items():
+    for name, group in scene.particles.items():
+        speed = group.initial_speed
         if speed * step > limit:
             given = scene.is_given("particles", name, "velocity")
             place = scene.locate("particles", name, *(["velocity"] if given else []))
@@ -241,13 +239,11 @@ def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, ra
             raise SceneError(f"{place}: particles.{name} starts with {speed:.3g} m/s{excess}")
 
 
-def refuse_fast_rotation(scene: Scene, rates: Mapping[str, float], step: float) -> None:
+def refuse_fast_rotation(scene: Scene, step: float) -> None:
     """Raise SceneError if the surface of a particle moves by more than the same share of its radius in a step
-    [s].
-
-    `rates`: largest initial angular velocity [rad/s] of each group.
-    """
-    for name, rate in rates.items():
+    [s]."""
+    for name, group in scene.particles.items():
+        rate = group.initial_rotation_rate
         if rate * step > STEP_SHARE:
             given = scene.is_given("particles", name, "angular_velocity")
             place = scene.locate("particles", name, *(["angular_velocity"] if given else []))
@@ -272,11 +268,12 @@ def refuse_fast_walls(
             raise SceneError(f"{place}: walls.{name} moves at up to {speed:.3g} m/s{excess}")
 
 
-def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float, share: str) -> None:
+def refuse_fast_images(scene: Scene, step: float, limit: float, share: str) -> None:
     """Raise SceneError if the images of a sheared box move by more than `limit` [m] in a step [s].
 
     `share`: the limit relative to the length from which it follows.
     """
+    speed = scene.domain.image_speed
     if speed * step > limit:
         place = scene.locate("domain", "lees_edwards")
         excess = _per_step(scene, speed, step, limit, share)

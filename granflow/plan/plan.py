@@ -283,12 +283,6 @@ class Plan:
         return self.features.moving_walls or self.features.lees_edwards
 
     @property
-    def image_speed(self) -> float:
-        """Speed [m/s] of the images across a sheared boundary; 0 without shear."""
-        motion = self.periodic_box.image_motion
-        return 0.0 if motion is None else abs(motion.speed)
-
-    @property
     def measured_areas(self) -> dict[str, float | None]:
         """Area [m2] of each wall with measured forces, by name; None for an unbounded wall."""
         return {

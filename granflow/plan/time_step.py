@@ -10,20 +10,16 @@ velocities, and the motions of walls and periodic images.
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial, Solid
 from granflow.load import Scene
-from granflow.particles.group import largest_speed
 from granflow.plan.walls import surface_speed
-from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 DEFAULT_SPEED = 1.0
@@ -51,8 +47,8 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
     if given is not None:
         return ImpactVelocity(given, f"run.velocity_max ({scene.where('run', 'velocity_max')})")
     fall = free_fall(scene)
-    initial = max(initial_speeds(scene.particles).values(), default=0.0)
-    images = image_speed(scene.domain)
+    initial = max((group.initial_speed for group in scene.particles.values()), default=0.0)
+    images = scene.domain.image_speed
     surface = max(surface_speed(scene), images)
     if not max(fall, initial, surface) > 0.0:
         return ImpactVelocity(DEFAULT_SPEED, "assumed: no initial motion and no gravity")
@@ -82,50 +78,6 @@ def free_fall(scene: Scene) -> float:
     """
     size = np.subtract(scene.domain.max, scene.domain.min)
     return float(np.sqrt(2.0 * np.abs(scene.gravity) @ size))
-
-
-def image_speed(domain: Domain) -> float:
-    """Velocity [m/s] of the images across a sheared boundary: shear rate times box width.
-
-    0 without Lees-Edwards shear.
-    """
-    image_motion = domain.periodic_box().image_motion
-    return 0.0 if image_motion is None else abs(image_motion.speed)
-
-
-def initial_speeds(particles: Mapping[str, Group]) -> dict[str, float]:
-    """Largest initial speed [m/s] of each group, by name, from the scene or from the file with its particles.
-
-    Random velocities count with `group.largest_speed`.
-    """
-    return {
-        name: max(_largest_norm(group.velocity) + _random_speed(group), _in_file(group, "speed_max"))
-        for name, group in particles.items()
-    }
-
-
-def initial_rotation_rates(particles: Mapping[str, Group]) -> dict[str, float]:
-    """Largest initial angular velocity [rad/s] of each group, by name, from the scene or from its particle
-    file."""
-    return {
-        name: max(_largest_norm(group.angular_velocity), _in_file(group, "angular_velocity_max"))
-        for name, group in particles.items()
-    }
-
-
-def _random_speed(group: Group) -> float:
-    """Largest expected random velocity [m/s] of a group; 0 without."""
-    return 0.0 if group.thermal is None else largest_speed(group.thermal, group.count)
-
-
-def _in_file(group: Group, name: str) -> float:
-    """The quantity `name` of the summary of the particle file of a group, in SI units; 0 without a file."""
-    return getattr(group.insert.summary, name, 0.0)
-
-
-def _largest_norm(vectors: ArrayLike) -> float:
-    """Largest norm of one vector (3,) or of many, (n, 3)."""
-    return float(np.linalg.norm(np.atleast_2d(vectors), axis=1).max())
 
 
 STEP_SHARE = 1.0 - LARGEST_OVERLAP

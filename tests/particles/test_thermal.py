@@ -7,7 +7,6 @@ from scipy.stats import kstest, maxwell
 
 from granflow.errors import SceneError
 from granflow.particles.insertion import initial_particles
-from granflow.plan.time_step import initial_speeds
 
 RMS = 0.3
 
@@ -73,7 +72,7 @@ def test_plan_expects_the_fastest_particle():
     for seed in range(30):
         scene = scene_with({"gas": group}, seed)
         fastest.append(np.linalg.norm(initial_particles(scene).velocity, axis=1).max())
-    expected = initial_speeds(scene.particles)["gas"]
+    expected = scene.particles["gas"].initial_speed
     assert max(fastest) < expected < 1.6 * max(fastest)
 
 

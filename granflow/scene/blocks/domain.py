@@ -75,6 +75,12 @@ class Domain(Box):
             image_motion = ImageMotion(flow, gradient, given.rate * float(width[gradient]), given.start)
         return PeriodicBox(tuple(AXES.index(axis) for axis in self.periodic), low, width, image_motion)
 
+    @property
+    def image_speed(self) -> float:
+        """Speed [m/s] of the images across a sheared boundary: shear rate times box width; 0 without."""
+        image_motion = self.periodic_box().image_motion
+        return 0.0 if image_motion is None else abs(image_motion.speed)
+
     def faults(self) -> Iterator[Fault]:
         """Yield faults of an empty volume, repeated periodic axes, and shear along other axes."""
         yield from super().faults()

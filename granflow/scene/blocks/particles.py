@@ -5,9 +5,11 @@
 """
 
 from collections.abc import Iterator
+from math import log, sqrt
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, Tag, model_validator
 
 from granflow.scene.blocks.insertions import Insertion, InsertionKind, TimedInsertion, kinds
@@ -56,6 +58,10 @@ AngularVelocityOrMany = Annotated[
 """One angular velocity (3,) [rad/s] for all particles, or one for each."""
 
 
+EXCEEDED = 1e-3
+"""Approximate probability that any particle is faster than `ThermalMotion.largest_speed`."""
+
+
 class ThermalMotion(Model):
     """Random initial velocities with the Maxwell distribution, in addition to `velocity`; from the seed of
     the scene.
@@ -76,6 +82,23 @@ class ThermalMotion(Model):
     def rms(self) -> float:
         """Root mean square of the random velocities [m/s]: sqrt(3 T)."""
         return self.velocity_rms or (3.0 * (self.granular_temperature or 0.0)) ** 0.5
+
+    def velocities(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """Velocities (n, 3) [m/s] of particles of one density with radii (n,) [m]: normal components, scaled
+        to the rms.
+
+        u <- u - sum m u / sum m    (zero_momentum)        u <- u rms / sqrt(sum u^2 / n)
+        """
+        velocity = random.standard_normal((len(radius), 3))
+        if self.zero_momentum:
+            weight = radius**3
+            velocity -= weight @ velocity / weight.sum()
+        return velocity * (self.rms / np.sqrt((velocity**2).sum() / len(radius)))
+
+    def largest_speed(self, count: int) -> float:
+        """Speed [m/s] that the velocities of `count` particles hardly exceed: rms / sqrt(3) sqrt(2 ln(n /
+        p))."""
+        return min(self.rms / sqrt(3.0) * sqrt(2.0 * log(count / EXCEEDED)), self.rms * sqrt(count))
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one measure of the velocities is given."""
@@ -199,6 +222,23 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             return GivenSizes(tuple(2.0 * each for each in self.radius))
         return GivenSizes(2.0 * self.radius)
 
+    @property
+    def initial_speed(self) -> float:
+        """Largest initial speed [m/s], from the scene or from the file with the particles.
+
+        Random velocities count with `ThermalMotion.largest_speed`.
+        """
+        random = 0.0 if self.thermal is None else self.thermal.largest_speed(self.count)
+        found = self.insert.summary
+        return max(_largest_norm(self.velocity) + random, 0.0 if found is None else found.speed_max)
+
+    @property
+    def initial_rotation_rate(self) -> float:
+        """Largest initial angular velocity [rad/s], from the scene or from the file with the particles."""
+        found = self.insert.summary
+        in_file = 0.0 if found is None else found.angular_velocity_max
+        return max(_largest_norm(self.angular_velocity), in_file)
+
     @model_validator(mode="before")
     @classmethod
     def _count_rows(cls, given: Any) -> Any:
@@ -310,3 +350,8 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 def _takes_thermal(kind: type[InsertionKind]) -> bool:
     """Whether the scene gives new particles of a kind their velocities, and they exist at the start."""
     return kind.order is not None and not kind.defines_sizes
+
+
+def _largest_norm(vectors: ArrayLike) -> float:
+    """Largest norm of one vector (3,) or of many, (n, 3)."""
+    return float(np.linalg.norm(np.atleast_2d(vectors), axis=1).max())
