@@ -87,13 +87,13 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.sizes import NormalSizes as NormalSizes
     from granflow.scene.blocks.sizes import SizeClass as SizeClass
     from granflow.scene.blocks.sizes import UniformSizes as UniformSizes
-    from granflow.scene.blocks.walls import BoxWall as BoxWall
-    from granflow.scene.blocks.walls import Cone as Cone
-    from granflow.scene.blocks.walls import Cylinder as Cylinder
-    from granflow.scene.blocks.walls import Disc as Disc
-    from granflow.scene.blocks.walls import MeshWall as MeshWall
-    from granflow.scene.blocks.walls import Plane as Plane
-    from granflow.scene.blocks.walls import Rectangle as Rectangle
+    from granflow.scene.blocks.walls.box import BoxWall as BoxWall
+    from granflow.scene.blocks.walls.half_space import Plane as Plane
+    from granflow.scene.blocks.walls.mesh import MeshWall as MeshWall
+    from granflow.scene.blocks.walls.rectangle import Rectangle as Rectangle
+    from granflow.scene.blocks.walls.revolved import Cone as Cone
+    from granflow.scene.blocks.walls.revolved import Cylinder as Cylinder
+    from granflow.scene.blocks.walls.revolved import Disc as Disc
     from granflow.scene.registration import register_contact_model as register_contact_model
     from granflow.simulation import Simulation as Simulation
     from granflow.snapshot import Snapshot as Snapshot
@@ -111,21 +111,21 @@ _LOCATIONS = {
     "Box": "granflow.scene.blocks.shapes.Box",
     "BoxOutlet": "granflow.scene.blocks.outlets.BoxOutlet",
     "BoxRegion": "granflow.scene.blocks.insertions.BoxRegion",
-    "BoxWall": "granflow.scene.blocks.walls.BoxWall",
+    "BoxWall": "granflow.scene.blocks.walls.box.BoxWall",
     "CenterOfMassMetric": "granflow.scene.blocks.metrics.CenterOfMassMetric",
     "Checkpoints": "granflow.scene.blocks.output.Checkpoints",
     "ClassSizes": "granflow.scene.blocks.sizes.ClassSizes",
     "Clump": "granflow.scene.blocks.particle_shapes.clump.Clump",
     "ClumpSphere": "granflow.scene.blocks.particle_shapes.clump.ClumpSphere",
     "CollisionEnergies": "granflow.scene.blocks.output.CollisionEnergies",
-    "Cone": "granflow.scene.blocks.walls.Cone",
+    "Cone": "granflow.scene.blocks.walls.revolved.Cone",
     "Contact": "granflow.scene.blocks.contact.Contact",
     "ContentMetric": "granflow.scene.blocks.metrics.ContentMetric",
     "CoordinationMetric": "granflow.scene.blocks.metrics.CoordinationMetric",
-    "Cylinder": "granflow.scene.blocks.walls.Cylinder",
+    "Cylinder": "granflow.scene.blocks.walls.revolved.Cylinder",
     "CylinderRegion": "granflow.scene.blocks.insertions.CylinderRegion",
     "Damping": "granflow.scene.blocks.run.Damping",
-    "Disc": "granflow.scene.blocks.walls.Disc",
+    "Disc": "granflow.scene.blocks.walls.revolved.Disc",
     "DiscFace": "granflow.scene.blocks.insertions.DiscFace",
     "DiscOutlet": "granflow.scene.blocks.outlets.DiscOutlet",
     "Domain": "granflow.scene.blocks.domain.Domain",
@@ -146,7 +146,7 @@ _LOCATIONS = {
     "LogNormalSizes": "granflow.scene.blocks.sizes.LogNormalSizes",
     "Material": "granflow.scene.blocks.materials.Material",
     "MaterialPair": "granflow.scene.blocks.materials.MaterialPair",
-    "MeshWall": "granflow.scene.blocks.walls.MeshWall",
+    "MeshWall": "granflow.scene.blocks.walls.mesh.MeshWall",
     "NormalSizes": "granflow.scene.blocks.sizes.NormalSizes",
     "Numerics": "granflow.scene.blocks.run.Numerics",
     "Output": "granflow.scene.blocks.output.Output",
@@ -155,11 +155,11 @@ _LOCATIONS = {
     "ParticleData": "granflow.particles.group.ParticleData",
     "ParticleForce": "granflow.live.forces.ParticleForce",
     "Plan": "granflow.plan.plan.Plan",
-    "Plane": "granflow.scene.blocks.walls.Plane",
+    "Plane": "granflow.scene.blocks.walls.half_space.Plane",
     "PositionsInsertion": "granflow.scene.blocks.insertions.PositionsInsertion",
     "PythonInsertion": "granflow.scene.blocks.insertions.PythonInsertion",
     "RainInsertion": "granflow.scene.blocks.insertions.RainInsertion",
-    "Rectangle": "granflow.scene.blocks.walls.Rectangle",
+    "Rectangle": "granflow.scene.blocks.walls.rectangle.Rectangle",
     "RectangleFace": "granflow.scene.blocks.insertions.RectangleFace",
     "ReposeMetric": "granflow.scene.blocks.metrics.ReposeMetric",
     "RestitutionFit": "granflow.scene.blocks.materials.RestitutionFit",

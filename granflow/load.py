@@ -19,11 +19,9 @@ from granflow.io.checkpoint import engine_digest
 from granflow.io.files import file_digest, resolved, write_text
 from granflow.io.log import version_of
 from granflow.particles.resolve import resolved_input
-from granflow.scene.blocks.motions import TableMotion
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import Precision
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.blocks.walls import MeshWall, Wall
 from granflow.scene.reader import document_in, scene_in
 from granflow.schema.document import DocumentError, document_of, parse
 from granflow.schema.model import Model
@@ -128,11 +126,7 @@ class Scene(SceneInput):
     def input_names(self) -> Iterator[tuple[str, str]]:
         """Yield key and path of each mesh, motion and particle file, relative to the folder of the scene."""
         for name, wall in self.walls.items():
-            if isinstance(wall, MeshWall):
-                yield f"walls.{name}.file", wall.file
-            for index, motion in enumerate(wall.motion):
-                if motion.kind == "table" and motion.file is not None:
-                    yield f"walls.{name}.motion.{index}.file", motion.file
+            yield from ((f"walls.{name}.{key}", file) for key, file in wall.files())
         for name, group in self.particles.items():
             if group.insert.source is not None:
                 yield f"particles.{name}.insert.file", group.insert.source
@@ -306,7 +300,7 @@ def copied_scene(scene: Scene, taken: dict[str, Path] | None = None) -> Scene:
         copies[name] = _free(wanted, resolved(scene.folder / name), taken)
     if all(name == copy for name, copy in copies.items()):
         return scene
-    walls = {name: _wall_with(wall, copies) for name, wall in scene.walls.items()}
+    walls = {name: wall.with_files(copies) for name, wall in scene.walls.items()}
     particles = {name: _group_with(group, copies) for name, group in scene.particles.items()}
     return scene.model_copy(update={"walls": walls, "particles": particles})
 
@@ -326,22 +320,6 @@ def _free(wanted: PurePath, source: Path, taken: dict[str, Path]) -> str:
         if taken.setdefault(path.as_posix().lower(), source) == source:
             return path.as_posix()
     raise AssertionError("count() has no end")
-
-
-def _wall_with(wall: Wall, copies: Mapping[str, str]) -> Wall:
-    """A wall with the paths of the copies of its mesh and its tables."""
-    changes: dict[str, Any] = {}
-    if isinstance(wall, MeshWall):
-        changes["file"] = copies[wall.file]
-    motions: list[Any] = []
-    for motion in wall.motion:
-        if isinstance(motion, TableMotion) and motion.file is not None:
-            motions.append(motion.model_copy(update={"file": copies[motion.file]}))
-        else:
-            motions.append(motion)
-    if motions != list(wall.motion):
-        changes["motion"] = tuple(motions)
-    return wall.model_copy(update=changes)
 
 
 def _group_with(group: Group, copies: Mapping[str, str]) -> Group:

@@ -297,16 +297,16 @@ MUTATIONS = (
     ),
     Mutation(
         "plane",
-        "granflow/geometry/plane.py",
-        "+ (point[2] - parameters[POINT_Z]) * parameters[NORMAL_Z]",
-        "- (point[2] - parameters[POINT_Z]) * parameters[NORMAL_Z]",
+        "granflow/scene/blocks/walls/half_space.py",
+        "(x - numbers.point).dot(numbers.normal)",
+        "(x + numbers.point).dot(numbers.normal)",
         (SHAPES,),
     ),
     Mutation(
         "radius of a cylinder",
-        "granflow/geometry/revolved.py",
-        "outward = r - parameters[START_R]",
-        "outward = r - 0.5 * parameters[START_R]",
+        "granflow/scene/blocks/walls/revolved.py",
+        "outward = r - numbers.start_r",
+        "outward = r - 0.5 * numbers.start_r",
         (SHAPES,),
     ),
 )

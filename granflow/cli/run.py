@@ -540,7 +540,7 @@ def check(options: argparse.Namespace) -> int:
     refuse_run_time(plan, options.allow_long)
     found = [*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])]
     found += restitution_warnings(plan)
-    for note in plan.mesh_notes:
+    for note in plan.wall_notes:
         if not note.warning:
             say(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):

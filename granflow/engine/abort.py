@@ -21,8 +21,6 @@ from granflow.engine.state import State
 from granflow.engine.statistics import candidate_pairs
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_velocities
 from granflow.engine.walls import walls_of
-from granflow.geometry.mesh import Mesh
-from granflow.geometry.mesh_contact import reference_contact
 from granflow.plan.limits import COARSEST, remedy, share_of, spacing_at
 from granflow.plan.overlaps import (
     LIMIT_MARGIN,
@@ -227,8 +225,8 @@ def _change_cause(change: WallChange, wall: str, plan: Plan) -> str:
             f"intersect {wall}."
         )
     planned = next(each for each in plan.walls if each.name == name)
-    keys = ([] if planned.stages is None else [f"walls.{name}.stages"]) + (
-        [f"walls.{name}.appears_at"] if planned.appears_at > 0.0 else []
+    keys = ([] if planned.given.stages is None else [f"walls.{name}.stages"]) + (
+        [f"walls.{name}.appears_at"] if planned.given.start_time > 0.0 else []
     )
     remedy = f" Change {' or '.join(keys)}, or let" if keys else " Let"
     return (
@@ -664,17 +662,13 @@ def _wall_gaps(
     time:     [s]
     Returns:  gap (n,) [m] or FAR_AWAY, unit normal (n, 3), velocity (n, 3) [m/s]
     """
-    shape = state.plan.walls[index].shape
     wall_pose = pose(state.wall_motions[index], np.array([time]))
     rotation = wall_pose.rotation[0]
     center = wall_pose.offset[0] + wall_pose.pivot + controlled_displacements(state)[index]
     velocity = wall_pose.velocity[0] + controlled_velocities(state)[index]
     local = (points - center) @ rotation + wall_pose.pivot
-    if isinstance(shape, Mesh):
-        first = len(state.plan.walls) + state.plan.first_triangle(index)
-        gap, normal = reference_contact(shape.adjacency, face - first, local)
-    else:
-        gap, normal = shape.kind.reference_closest(local, shape.parameters)
+    first = len(state.plan.walls) + state.plan.first_triangle(index)
+    gap, normal = state.plan.walls[index].surface.contact(local, face - first)
     return gap, normal @ rotation.T, velocity + np.cross(wall_pose.angular_velocity[0], points - center)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from granflow.engine.fields import write_padded
 from granflow.geometry.mesh_contact import NOT_OWNED, OPEN_EDGE, ROUNDING, MeshAdjacency
-from granflow.geometry.shape import FAR_AWAY
+from granflow.geometry.surface import FAR_AWAY
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 

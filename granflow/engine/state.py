@@ -20,8 +20,7 @@ from granflow.engine.fields import (
 from granflow.engine.mesh import fill_mesh
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
-from granflow.geometry.catalog import surface_code
-from granflow.geometry.shape import PARAMETER_COUNT, Shape
+from granflow.geometry.surface import Shape
 from granflow.kernel_language import ti
 from granflow.plan.arrays import (
     cell_arrays,
@@ -346,8 +345,8 @@ NOT_MEASURED = -1
 class Walls:
     """Shapes at rest, materials, and poses for the next WALL_BATCH steps.
 
-    kind:              code of the kind, see `catalog.surface_code`
-    parameters:        of the shape, PARAMETER_COUNT numbers
+    kind:              index in `Plan.shape_kinds`; that after the last one for a mesh
+    parameters:        numbers of the shape, in the order of `Shape.widths`
     present:           1 for walls that are present
     pivot:             [m], point of the rotation at rest
     center, rotation:  [m], 3 x 3: pose after each step; None if no wall moves
@@ -361,7 +360,8 @@ class Walls:
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         count = plan.capacities.walls
         self.kind = block.scalar(ti.i32, count)
-        self.parameters = block.vector(backend.position_real, count, count=PARAMETER_COUNT)
+        most = max((shape.count() for shape in plan.shape_kinds), default=1)
+        self.parameters = block.vector(backend.position_real, count, count=most)
         self.material = block.scalar(ti.i32, count)
         self.present = block.scalar(ti.i32, count)
         self.pivot = block.vector(backend.position_real, count)
@@ -378,10 +378,12 @@ class Walls:
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""
         for index, wall in enumerate(plan.walls):
-            self.kind[index] = surface_code(wall.shape)
             self.material[index] = wall.material
-            if isinstance(wall.shape, Shape):
-                self.parameters[index] = wall.shape.parameters.tolist()
+            self.kind[index] = len(plan.shape_kinds)
+            if isinstance(wall.surface, Shape):
+                self.kind[index] = plan.shape_kinds.index(type(wall.surface))
+                numbers = wall.surface.numbers.tolist()
+                self.parameters[index] = numbers + [0.0] * (self.parameters.n - len(numbers))
             if self.impulse_row is not None:
                 measured = plan.scene.measured_walls
                 self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED

@@ -2,7 +2,7 @@
 
 The host uploads the poses of prescribed motions for many steps in advance (`upload_poses`); force-controlled
 motions are added to them (`wall_dynamics.py`). `WallGeometry` evaluates one face: a wall of one of the shapes
-in `geometry/`, or a triangle of a mesh (`mesh.py`).
+of `plan.shape_kinds`, or a triangle of a mesh (`mesh.py`).
 
 A contact with a surface made of several faces has one owner. Of the triangles of a mesh, `triangle_contact`
 finds it; where several walls touch or overlap, `build_wall_contact`, which the contact kinematics call.
@@ -16,10 +16,7 @@ from granflow.engine.box import build_near_image, build_wrap_position, upload_of
 from granflow.engine.mesh import SAME_DIRECTION, from_nearest, normal_near, triangle_contact
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
-from granflow.geometry.catalog import SHAPE_KINDS
-from granflow.geometry.plane import HALF_SPACE
-from granflow.geometry.revolved import REVOLVED
-from granflow.geometry.shape import FAR_AWAY, Shape
+from granflow.geometry.surface import FAR_AWAY, numbers_by_name
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 from granflow.plan.joined_walls import ITSELF, OTHERS
@@ -65,7 +62,7 @@ def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
     wall_of = build_wall_of(state)
     force_range = state.parameter("force_range")
     joined = state.plan.features.joined_walls
-    revolved = SHAPE_KINDS.index(REVOLVED) if SHAPE_KINDS.index(REVOLVED) in geometry.kinds else -1
+    curved = [code for code, shape in enumerate(state.plan.shape_kinds) if shape.is_curved]
 
     @ti.func
     def is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
@@ -82,8 +79,8 @@ def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
             probe = contact_point + gap * other_direction
             in_plane = ti.abs(other_gap - gap * cosine) <= SAME_PLACE * radius
             on_curve = False
-            if ti.static(revolved >= 0):
-                if not in_plane and walls.kind[wall_of(other)] == revolved:
+            for code in ti.static(curved):
+                if not in_plane and walls.kind[wall_of(other)] == code:
                     on_curve = True
                     face = -1 - other
                     probe = contact_point
@@ -165,15 +162,16 @@ class WallGeometry:
     """
 
     def __init__(self, state: State) -> None:
-        shapes = [wall.shape for wall in state.plan.walls if isinstance(wall.shape, Shape)]
         self.state = state
         self.walls = state.walls
         self.features = state.plan.features
         self.wall_count = state.parameter("wall_count")
         self.wall_of_face = build_wall_of_face(state)
-        self.kinds = sorted({SHAPE_KINDS.index(shape.kind) for shape in shapes})
+        self.kinds = [
+            (code, shape, range(shape.count())) for code, shape in enumerate(state.plan.shape_kinds)
+        ]
         self.real = state.backend.position_real
-        self.is_flat = not self.features.mesh_walls and all(shape.kind is HALF_SPACE for shape in shapes)
+        self.is_flat = all(wall.surface.plane is not None for wall in state.plan.walls)
         self.wrap_position = build_wrap_position(state)
         self.near_image = build_near_image(state)
         self.image_count = 3 ** len(state.plan.periodic_box.axes)
@@ -202,9 +200,10 @@ class WallGeometry:
         local = self.to_wall_frame(w, pose, point)
         parameters = self.walls.parameters[w]
         result = 0.0 * point[0] + FAR_AWAY
-        for code in ti.static(self.kinds):
+        for code, shape, indices in ti.static(self.kinds):
             if self.walls.kind[w] == code:
-                result = SHAPE_KINDS[code].surface_distance(local, parameters)
+                numbers = numbers_by_name(shape, [parameters[k] for k in ti.static(indices)])
+                result = shape.surface_distance(local, numbers)
         return result
 
     @ti.func
@@ -215,9 +214,10 @@ class WallGeometry:
         parameters = self.walls.parameters[w]
         gap = 0.0 * point[0]
         normal = 0.0 * point
-        for code in ti.static(self.kinds):
+        for code, shape, indices in ti.static(self.kinds):
             if self.walls.kind[w] == code:
-                gap, normal = SHAPE_KINDS[code].closest(local, parameters)
+                numbers = numbers_by_name(shape, [parameters[k] for k in ti.static(indices)])
+                gap, normal = shape.closest(local, numbers)
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
                 gap, normal = triangle_contact(self.state.mesh, face - self.wall_count(), local)
@@ -261,14 +261,15 @@ class WallGeometry:
             found = self.walls.rotation[pose, w].transpose() @ normal
         if face < self.wall_count():
             parameters = self.walls.parameters[w]
-            for code in ti.static(self.kinds):
+            for code, shape, indices in ti.static(self.kinds):
                 if self.walls.kind[w] == code:
-                    of_face = SHAPE_KINDS[code].face_normal(local, parameters)
+                    numbers = numbers_by_name(shape, [parameters[k] for k in ti.static(indices)])
+                    of_face = shape.face_normal(local, numbers)
                     if found.cross(of_face).norm_sqr() <= ti.static(SAME_DIRECTION * SAME_DIRECTION):
                         side = ti.select(found.dot(of_face) < 0.0, -1.0, 1.0)
-                        found = side * SHAPE_KINDS[code].face_normal(local_half, parameters)
+                        found = side * shape.face_normal(local_half, numbers)
                     else:
-                        _gap, found = SHAPE_KINDS[code].closest(local_half, parameters)
+                        _gap, found = shape.closest(local_half, numbers)
         elif ti.static(self.features.mesh_walls):
             found = normal_near(self.state.mesh, face - self.wall_count(), local_half, found)
         if ti.static(self.features.moving_walls):

@@ -7,18 +7,31 @@ triangles that a particle centered there can touch.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import combinations, product
+from typing import ClassVar
 
 import numpy as np
 
-from granflow.geometry.mesh_contact import MeshAdjacency, adjacency_of, classify_edges, triangle_distances
+from granflow.geometry.mesh_contact import (
+    MeshAdjacency,
+    adjacency_of,
+    classify_edges,
+    reference_contact,
+    triangle_distances,
+)
 from granflow.geometry.mesh_file import RawTriangles
 from granflow.geometry.rows import expanded, row_entries, starts_of
-from granflow.geometry.shape import FAR_AWAY, distance_from_axis
+from granflow.geometry.shape import distance_from_axis
+from granflow.geometry.surface import FAR_AWAY, Surface, Vector, boxes_overlap
+
+ANGLE_TOLERANCE = 1e-2
+"""Sine of the angle below which a triangle counts as upright on a plane."""
+MAX_PARTS = 64
+"""Number of parts of a mesh above which they are not compared, but assumed to touch."""
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class Mesh(Surface):
     """Triangles of one wall at rest, and counts of the triangles that `mesh_of` removed or split.
 
     points:            (n, 3) float64 [m], each used by at least one triangle
@@ -28,6 +41,9 @@ class Mesh:
     quad_count:        number of quadrilaterals that were split into two triangles
     divided_count:     number of triangles that were split at hanging points
     """
+
+    kind: ClassVar[str] = "mesh"
+    has_openings: ClassVar[bool] = True
 
     points: np.ndarray
     corners: np.ndarray
@@ -64,9 +80,46 @@ class Mesh:
         """Leg [m] of an isosceles right triangle with the median area."""
         return float(np.sqrt(2.0 * np.median(self.areas)))
 
-    def reach_about(self, point: np.ndarray, axis: np.ndarray) -> float:
-        """Largest distance [m] of the mesh from an axis: `point` (3,) [m], unit vector `axis` (3,)."""
+    def contact(self, points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Surface`."""
+        return reference_contact(self.adjacency, triangles, points)
+
+    def distance(self, points: np.ndarray, reach: float) -> np.ndarray:
+        """See `Surface`."""
+        vertex = self.adjacency.vertex
+        return distances(grid_over(vertex, reach), vertex, points)
+
+    def reach_about(self, point: Vector, axis: Vector) -> float:
+        """Largest distance [m] of a point of the mesh from the axis."""
         return float(distance_from_axis(self.points, point, axis).max())
+
+    def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
+        """All triangles."""
+        return self.points, self.corners
+
+    def is_upright(self, point: Vector, normal: Vector, tolerance: float) -> bool:
+        """See `Surface`: whether all triangles near the plane are upright and rise from it."""
+        of_triangles = ((self.points - point) @ normal)[self.corners]
+        is_near = of_triangles.min(axis=1) <= tolerance
+        is_upright = np.abs(self.adjacency.normal @ normal) <= ANGLE_TOLERANCE
+        rises = of_triangles.max(axis=1) > tolerance
+        return bool(np.all((is_upright & rises)[is_near]))
+
+    def has_touching_parts(self, tolerance: float) -> bool:
+        """See `Surface`; also if an edge has more than two triangles."""
+        if self.adjacency.nonmanifold_count:
+            return True
+        pairs = classify_edges(self.corners)[0] // 3
+        count = self.triangle_count
+        from scipy.sparse import coo_array  # imported here: most scenes have no mesh
+        from scipy.sparse.csgraph import connected_components
+
+        graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+        part_count, part = connected_components(graph, directed=False)
+        if part_count > MAX_PARTS:
+            return True
+        parts = [self.points[np.unique(self.corners[part == k])] for k in range(part_count)]
+        return any(boxes_overlap(one, other, tolerance) for one, other in combinations(parts, 2))
 
     def placed(self, scale: float, rotation: np.ndarray, offset: np.ndarray) -> "Mesh":
         """The mesh after scaling, rotation by a matrix (3, 3), and translation (3,) [m], in this order."""

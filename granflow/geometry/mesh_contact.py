@@ -25,7 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.geometry.rows import row_entries, starts_of
-from granflow.geometry.shape import FAR_AWAY, unit
+from granflow.geometry.shape import unit
+from granflow.geometry.surface import FAR_AWAY
 
 COPLANAR_ANGLE = 1e-4
 """Angle [rad] up to which two triangles are coplanar, so that their common edge has no effect on a contact.

@@ -42,7 +42,8 @@ class LiveWall:
         """Whether the wall is present in the next step."""
         engine = self._state.engine
         middle = engine.time + 0.5 * engine.time_step
-        return wall_named(self._state.plan, self.name).is_present(self._state.progress.stage, middle)
+        wall = wall_named(self._state.plan, self.name)
+        return wall.given.is_present(self._state.progress.stage, middle)
 
     @property
     def pose(self) -> WallPose:
@@ -88,9 +89,9 @@ class LiveWall:
             if each.stages is not None:
                 raise GranflowError(f"walls[{self.name!r}].motion has stages: give start and end instead.")
         wall = wall_named(state.plan, self.name)
-        if wall.vanishes_at is not None and wall.vanishes_at <= time:
+        if wall.given.end_time <= time:
             raise GranflowError(
-                f"walls[{self.name!r}] was removed at {wall.vanishes_at:.6g} s: it cannot move."
+                f"walls[{self.name!r}] was removed at {wall.given.end_time:.6g} s: it cannot move."
             )
         (present,) = wall_motions([wall.motions], state.progress.stage_times)
         begun = [each.numeric(state.plan.scene.gravity).not_before(time) for each in motions]

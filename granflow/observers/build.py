@@ -8,7 +8,6 @@ import numpy as np
 
 from granflow.arguments import path_of, refuse_other, shown
 from granflow.errors import GranflowError
-from granflow.geometry.catalog import area_of, triangles
 from granflow.geometry.coarse_grid import GaussianKernel
 from granflow.io.files import BackgroundWriter
 from granflow.io.tables import write_table
@@ -84,7 +83,7 @@ def observers_for(
                 _wall_triangles(plan),
                 writer=writer,
                 measured=plan.measured_areas,
-                unbounded=[wall.name for wall in plan.walls if area_of(wall.shape) is None],
+                unbounded=[wall.name for wall in plan.walls if wall.surface.area is None],
                 has_belts=plan.features.surface_velocity,
                 compression=output.compression,
             )
@@ -116,7 +115,7 @@ def _wall_triangles(plan: Plan) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return points at rest (m, 3) [m] and corners (k, 3), indices of points, of each wall by name."""
     center = 0.5 * (plan.domain_low + plan.domain_high)
     extent = 0.5 * float(np.max(plan.domain_high - plan.domain_low))
-    return {wall.name: triangles(wall.shape, center, extent) for wall in plan.walls}
+    return {wall.name: wall.surface.triangles(center, extent) for wall in plan.walls}
 
 
 def time_series_for(plan: Plan, out_dir: Path | None) -> TimeSeries:

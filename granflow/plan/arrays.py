@@ -12,7 +12,6 @@ from math import prod
 import numpy as np
 
 from granflow.fields import PARTICLE_QUANTITIES, DeviceType
-from granflow.geometry.catalog import surface_code
 from granflow.plan.capacities import (
     BOUNDS,
     MIN_TRIANGLES,
@@ -334,7 +333,8 @@ def structure_of(plan: Plan) -> Hashable:
         plan.scene.domain.on_exit == "expand",
         plan.chunk_size == 1,
         plan.has_ghosts,
-        frozenset(surface_code(wall.shape) for wall in plan.walls),
+        plan.shape_kinds,
+        bool(plan.meshes),
         tuple(outlet.kind for outlet in plan.scene.outlets.values()),
         tuple(motion.kind for motion in plan.controlled_motions),
         tuple((array.name, array.dtype, array.width) for array in particle_arrays(plan) if array.wanted),

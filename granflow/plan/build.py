@@ -13,7 +13,6 @@ import numpy as np
 
 from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
-from granflow.geometry.mesh import Mesh
 from granflow.load import Scene, refuse_other_object
 from granflow.particles.group import groups_of
 from granflow.plan.features import features_of
@@ -53,8 +52,9 @@ from granflow.plan.time_step import (
     max_impact_velocity,
 )
 from granflow.plan.wall_control import controlled_motions_of
-from granflow.plan.walls import MeshNote, PlannedWall, notes_on, planned_walls, wall_speeds
+from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
 from granflow.scene.blocks.run import Numerics
+from granflow.scene.blocks.walls.wall import WallNote
 
 
 def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
@@ -135,7 +135,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
         wall_joints=joints,
         wall_speed=speed,
         controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
-        mesh_notes=_mesh_notes(scene, walls, 2.0 * radius_min),
+        wall_notes=_wall_notes(scene, walls, 2.0 * radius_min),
     )
     _refuse_fast(plan, speeds)
     _refuse_collision_energies(plan)
@@ -148,10 +148,11 @@ def _used_materials(scene: Scene) -> tuple[str, ...]:
     return tuple(dict.fromkeys(part.material for part in parts))
 
 
-def _mesh_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> tuple[MeshNote, ...]:
-    """Notes on all mesh walls; `smallest`: diameter [m] of the smallest particle."""
-    meshes = [(wall.name, wall.shape) for wall in walls if isinstance(wall.shape, Mesh)]
-    return tuple(note for name, mesh in meshes for note in notes_on(scene, name, mesh, smallest))
+def _wall_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> tuple[WallNote, ...]:
+    """Notes on all walls; `smallest`: diameter [m] of the smallest particle."""
+    return tuple(
+        note for wall in walls for note in wall.given.notes(wall.name, wall.surface, scene.domain, smallest)
+    )
 
 
 # The time step.

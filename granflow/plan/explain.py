@@ -182,7 +182,7 @@ def _materials(plan: Plan) -> str:
 def _mesh_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the notes on mesh walls; the name of a wall is shown in the first of its rows."""
     last = ""
-    for note in plan.mesh_notes:
+    for note in plan.wall_notes:
         if note.wall != last:
             head, _, rest = note.sentence.partition(", ")
             yield ExplainRow(note.wall, head, rest)

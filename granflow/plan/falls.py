@@ -20,19 +20,13 @@ from math import sqrt
 
 import numpy as np
 
-from granflow.geometry.catalog import triangles
-from granflow.geometry.mesh import Mesh
 from granflow.geometry.periodic_box import AXES
-from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.region import RegionSampler
-from granflow.geometry.revolved import REVOLVED
 from granflow.load import Scene
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import ImpactVelocity
 from granflow.plan.walls import PlannedWall
-from granflow.scene.blocks.motions import SurfaceVelocity, TimedMotion
 from granflow.scene.blocks.particles import Group
-from granflow.scene.blocks.walls import Plane
 
 # Velocities of the forecasts.
 
@@ -78,7 +72,7 @@ def path_velocity(plan: Plan) -> ImpactVelocity:
     up = -gravity / np.linalg.norm(gravity)
     low = lowest_level(scene, plan.walls, up)
     assert low is not None
-    walls = [wall for wall in plan.walls if wall.is_permanent]
+    walls = [wall for wall in plan.walls if wall.given.is_permanent]
     falling = FallingParticles(
         facets=WallFacets(walls, np.array(scene.domain.min), np.array(scene.domain.max)),
         gravity=gravity,
@@ -146,7 +140,7 @@ def _drop_heights(plan: Plan) -> dict[str, float]:
     if scene.run.velocity_max is not None or scene.domain.image_speed or not np.any(scene.gravity):
         return {}
     up = -np.array(scene.gravity) / np.linalg.norm(scene.gravity)
-    if any(not _is_level_belt(each, up) for wall in plan.walls for each in wall.motions):
+    if any(each.can_lift(up) for wall in plan.walls for each in wall.motions):
         return {}
     return _heights(plan, up)
 
@@ -159,14 +153,6 @@ def _heights(plan: Plan, up: np.ndarray) -> dict[str, float]:
     if low is None or any(top is None for top in tops.values()):
         return {}
     return {name: max(top - low, 0.0) for name, top in tops.items() if top is not None}
-
-
-def _is_level_belt(motion: TimedMotion, up: np.ndarray) -> bool:
-    """Whether a motion is the surface velocity of a belt that does not go up."""
-    if not isinstance(motion, SurfaceVelocity):
-        return False
-    velocities = motion.velocities
-    return bool(np.all(velocities @ up <= LEVEL * np.linalg.norm(velocities, axis=1)))
 
 
 def _belt_speed(walls: Iterable[PlannedWall]) -> float:
@@ -207,14 +193,14 @@ def lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) -
     floors: list[float] = []
     lowest: list[float] = []
     for wall in walls:
-        given = scene.walls[wall.name]
-        if not isinstance(given, Plane):
-            points = triangles(wall.shape, np.zeros(3), 0.0)[0]
+        plane = wall.surface.plane
+        if plane is None:
+            points = wall.surface.triangles(np.zeros(3), 0.0)[0]
             lowest.append(float((points @ up).min()))
             continue
-        normal = np.array(given.normal) / np.linalg.norm(given.normal)
-        if float(normal @ up) > 1.0 - LEVEL and wall.is_permanent:
-            floors.append(float(np.array(given.point) @ up))
+        point, normal = plane
+        if float(normal @ up) > 1.0 - LEVEL and wall.given.is_permanent:
+            floors.append(float(point @ up))
         else:
             lowest.append(end)
     if floors:
@@ -262,7 +248,7 @@ class WallFacets:
         center = 0.5 * (low + high)
         extent = 4.0 * float(np.linalg.norm(high - low))
         self.walls = list(walls)
-        self.points = [triangles(wall.shape, center, extent) for wall in walls]
+        self.points = [wall.surface.triangles(center, extent) for wall in walls]
         corners = [points[each] for points, each in self.points]
         self.corners = np.concatenate([np.empty((0, 3, 3)), *corners])
         self.wall = np.repeat(np.arange(len(corners)), [len(each) for each in corners])
@@ -365,11 +351,11 @@ class WallFacets:
         """Points (n, 3) [m] on the lowest edges of a wall, and horizontal unit vectors (n, 3) away from its
         center.
 
-        Surfaces of revolution and meshes, which may have openings, also have vectors toward the center.
+        Surfaces with openings also have vectors toward the center.
         Planes, which have no edges, have no points.
         """
-        shape = self.walls[wall].shape
-        if not isinstance(shape, Mesh) and shape.kind is HALF_SPACE:
+        surface = self.walls[wall].surface
+        if surface.plane is not None:
             return np.empty((0, 3)), np.empty((0, 3))
         points, corners = self.points[wall]
         height = points @ up
@@ -383,7 +369,7 @@ class WallFacets:
         length = np.linalg.norm(outward, axis=1)
         found = found[length > 0.0]
         outward = outward[length > 0.0] / length[length > 0.0][:, None]
-        if isinstance(shape, Mesh) or shape.kind is REVOLVED:
+        if surface.has_openings:
             return np.concatenate([found, found]), np.concatenate([outward, -outward])
         return found, outward
 

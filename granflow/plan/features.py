@@ -13,7 +13,6 @@ from granflow.contact import registry
 from granflow.contact.law import ContactModel
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, size_classes
-from granflow.plan.walls import has_belt, is_force_controlled
 from granflow.scene.blocks.run import Damping
 
 
@@ -133,7 +132,7 @@ def _rows(
         if moving
         else "no wall has a motion",
     )
-    belts = [name for name, wall in walls.items() if has_belt(wall)]
+    belts = [name for name, wall in walls.items() if wall.has_belt]
     yield (
         "surface_velocity",
         bool(belts),
@@ -141,7 +140,7 @@ def _rows(
         if belts
         else "no wall has a surface velocity",
     )
-    controlled = [name for name, wall in walls.items() if is_force_controlled(wall)]
+    controlled = [name for name, wall in walls.items() if wall.is_force_controlled]
     yield (
         "force_controlled_walls",
         bool(controlled),

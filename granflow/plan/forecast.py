@@ -9,14 +9,11 @@ particles in `initial_overlaps`.
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import combinations
-from math import ceil, dist, hypot, inf, pi, sqrt
+from math import ceil, inf, pi, sqrt
 
 import numpy as np
 
 from granflow.contact import registry
-from granflow.geometry.catalog import Surface, area_of, distance_from, triangles
-from granflow.geometry.mesh import Mesh
-from granflow.geometry.plane import HALF_SPACE, NORMAL, POINT
 from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
 from granflow.particles.insertion import MAX_BATCHES
@@ -40,11 +37,10 @@ from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, surface_speed
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.insertions import TimedInsertion
-from granflow.scene.blocks.motions import Servo, Translation, Vibration, pose
+from granflow.scene.blocks.motions import TimedMotion, pose
 from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.particles import Group
-from granflow.scene.blocks.shapes import Axial, Rectangular
-from granflow.scene.blocks.walls import Wall
+from granflow.scene.blocks.walls.wall import Wall
 
 
 def forecasts_of(plan: Plan) -> Iterator[Forecast]:
@@ -140,8 +136,6 @@ walls."""
 LARGE_WALL = 20.0
 """Dimension of a wall over the longest side of the domain above which a unit is probably wrong; walls can be
 larger than the domain."""
-RADII = ("radius", "radius_from", "radius_to", "hole_radius")
-"""Keys of walls with one length."""
 MILLI = 1e-3
 
 
@@ -190,17 +184,8 @@ def oversized(scene: Scene, name: str, wall: Wall) -> tuple[str, float] | None:
     """Key and length [m] of the largest dimension of a wall if it is much larger than the domain."""
     if scene.domain.on_exit == "expand" or "." in name:
         return None
-    key, length = max(_dimensions(wall), key=lambda each: each[1], default=("", 0.0))
+    key, length = max(wall.dimensions(), key=lambda each: each[1], default=("", 0.0))
     return (key, length) if length > LARGE_WALL * _longest_side(scene) else None
-
-
-def _dimensions(wall: Wall) -> Iterator[tuple[str, float]]:
-    """Keys and lengths [m] of a wall: radii, length of the axis, sides of a rectangle."""
-    yield from ((key, getattr(wall, key)) for key in RADII if hasattr(wall, key))
-    if isinstance(wall, Axial):
-        yield "to", dist(wall.from_, wall.to)
-    if isinstance(wall, Rectangular):
-        yield "sides", max(hypot(*each) for each in wall.sides)
 
 
 def _longest_side(scene: Scene) -> float:
@@ -234,10 +219,10 @@ def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes)
     if scene.domain.on_exit == "expand":
         return
     for wall in walls:
-        if oversized(scene, wall.name, scene.walls[wall.name]):
+        if oversized(scene, wall.name, wall.given):
             continue
         endless = _is_endless(scene, wall)
-        if isinstance(wall.shape, Mesh) and not endless:
+        if wall.given.has_notes and not endless:
             continue
         if _wall_gaps(scene, wall, times, 1)[0] <= 0.0 and not endless:
             continue
@@ -267,14 +252,14 @@ def _wall_gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -
     gaps = []
     for offset, rotation in zip(poses.offset, poses.rotation, strict=True):
         local = (points - poses.pivot - offset) @ rotation + poses.pivot
-        gaps.append(float(np.abs(distance_from(wall.shape, local, reach)).min()) - reach)
+        gaps.append(float(np.abs(wall.surface.distance(local, reach)).min()) - reach)
     return np.array(gaps)
 
 
 def present_from(wall: PlannedWall, times: StageTimes) -> float:
     """Time [s] at which a wall appears; infinite if it never does."""
-    started = [times[name][0] for name in wall.stages or times if name in times]
-    return max(wall.appears_at, min(started, default=np.inf))
+    started = [times[name][0] for name in wall.given.stages or times if name in times]
+    return max(wall.given.start_time, min(started, default=np.inf))
 
 
 def _outside_text(scene: Scene, wall: PlannedWall, gap: float) -> str:
@@ -289,8 +274,7 @@ def _outside_text(scene: Scene, wall: PlannedWall, gap: float) -> str:
 
 def _is_endless(scene: Scene, wall: PlannedWall) -> bool:
     """Whether a wall is present and translates until the run ends, without limits of its time."""
-    moves = [each for each in scene.walls[wall.name].motion if isinstance(each, Translation)]
-    return wall.is_permanent and any(each.end is None and each.stages is None for each in moves)
+    return wall.given.is_permanent and any(each.is_endless for each in wall.given.motion)
 
 
 def _leaving_text(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray) -> str:
@@ -311,37 +295,16 @@ def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator
     Particles are in contact with the first one only, see `engine.walls.build_wall_contact`.
     """
     for first, second in combinations(walls, 2):
-        is_alike = all(
-            getattr(first, name) == getattr(second, name)
-            for name in ("motions", "stages", "appears_at", "vanishes_at")
+        is_alike = first.motions == second.motions and all(
+            getattr(first.given, name) == getattr(second.given, name)
+            for name in ("stages", "start_time", "end_time")
         )
-        if is_alike and _are_equal(first.shape, second.shape):
+        if is_alike and first.surface.has_same_place(second.surface):
             yield (
                 f"walls.{second.name} ({scene.where('walls', second.name)}) has the same surface as "
                 f"walls.{first.name}: particles are in contact with walls.{first.name} only, and its "
                 "material counts. Remove one of the two."
             )
-
-
-def _are_equal(one: Surface, other: Surface) -> bool:
-    """Whether two surfaces have the same corners, or are the same half space, within rounding."""
-    if not isinstance(one, Mesh) and not isinstance(other, Mesh):
-        if one.kind is not other.kind:
-            return False
-        if one.kind is HALF_SPACE:
-            normal = one.parameters[NORMAL]
-            distance = (other.parameters[POINT] - one.parameters[POINT]) @ normal
-            size = np.abs([one.parameters[POINT], other.parameters[POINT]]).max()
-            is_parallel = np.linalg.norm(normal - other.parameters[NORMAL]) <= SAME_CORNER
-            return bool(is_parallel and abs(distance) <= SAME_CORNER * size)
-    points = triangles(one, np.zeros(3), 1.0)[0]
-    other_points = triangles(other, np.zeros(3), 1.0)[0]
-    if points.shape != other_points.shape:
-        return False
-    tolerance = SAME_CORNER * np.ptp(points, axis=0).max()
-    rounded = np.round(points / tolerance)
-    other_rounded = np.round(other_points / tolerance)
-    return np.array_equal(rounded[np.lexsort(rounded.T)], other_rounded[np.lexsort(other_rounded.T)])
 
 
 # Servo walls that cannot reach the bed, and so their force, in the time of their motion.
@@ -372,9 +335,9 @@ def servo_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
     """
     for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
         motions = [each for each in plan.controlled_motions if each.name == name]
-        given = [each for each in plan.scene.walls[name].motion if isinstance(each, Servo)]
-        area = area_of(plan.walls[motions[0].wall].shape)
-        if area is None or len(given) < len(plan.scene.walls[name].motion):
+        given = plan.scene.walls[name].motion
+        area = plan.walls[motions[0].wall].surface.area
+        if area is None or any(each.kind != "servo" for each in given):
             continue
         first = min(motions, key=lambda each: _servo_span(given[each.motion], times)[0])
         if not _is_along(plan.scene.gravity, first):
@@ -396,7 +359,7 @@ def _is_along(gravity: Sequence[float], motion: ControlledMotion) -> bool:
     return abs(float(np.dot(gravity, motion.direction))) >= (1.0 - ALONG_GRAVITY) * magnitude
 
 
-def _servo_span(given: Servo, times: StageTimes) -> tuple[float, float]:
+def _servo_span(given: TimedMotion, times: StageTimes) -> tuple[float, float]:
     """Start [s] of a servo, and the time [s] in which it is active."""
     end = max(end for _, end in times.values())
     if given.stages is not None:
@@ -422,7 +385,7 @@ def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledM
     domain."""
     direction = np.array(motion.direction)
     low, high = np.array(domain.min), np.array(domain.max)
-    center = triangles(walls[motion.wall].shape, 0.5 * (low + high), 0.0)[0].mean(axis=0)
+    center = walls[motion.wall].surface.triangles(0.5 * (low + high), 0.0)[0].mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         exits = np.where(direction > 0.0, (high - center) / direction, (low - center) / direction)
     length = float(np.min(exits[np.abs(direction) > 0.0], initial=np.inf))
@@ -433,7 +396,7 @@ def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledM
     spacing = length / (SAMPLES_ALONG - 1)
     for index, wall in enumerate(walls):
         if index != motion.wall:
-            near = np.flatnonzero(np.abs(distance_from(wall.shape, points, spacing)) <= spacing)
+            near = np.flatnonzero(np.abs(wall.surface.distance(points, spacing)) <= spacing)
             length = min(length, float(steps[near[0]])) if len(near) else length
     return length
 
@@ -681,10 +644,9 @@ def _vibration_periods(scene: Scene) -> dict[float, str]:
     found: dict[float, str] = {}
     for name, wall in scene.walls.items():
         for motion in wall.motion:
-            if isinstance(motion, Vibration):
-                amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)
-                if amplitude and rate:
-                    found.setdefault(2.0 * pi / rate, name)
+            if motion.oscillates:
+                found.setdefault(motion.numeric(scene.gravity).period, name)
+    found.pop(inf, None)
     return found
 
 

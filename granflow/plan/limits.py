@@ -13,7 +13,6 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.errors import SceneError
-from granflow.geometry.catalog import distance_from, reach_about
 from granflow.geometry.periodic_box import AXES, PeriodicBox
 from granflow.load import Scene
 from granflow.plan.stages import always
@@ -59,8 +58,8 @@ def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -
         face = _face(periodic_box, axis)
         opposite = face + periodic_box.width[axis] * np.eye(3)[axis]
         for wall in walls:
-            distance_low = distance_from(wall.shape, face, reach)
-            distance_high = distance_from(wall.shape, opposite, reach)
+            distance_low = wall.surface.distance(face, reach)
+            distance_high = wall.surface.distance(opposite, reach)
             is_near = np.minimum(np.abs(distance_low), np.abs(distance_high)) < reach
             if np.any(is_near & ~(np.abs(distance_low - distance_high) <= DISTANCE_TOLERANCE * reach)):
                 raise SceneError(
@@ -80,9 +79,7 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
         rotation = single_rotation([each.at(times) for each in wall.motions])
         if rotation is None:
             continue
-        point, axis = rotation.point_and_axis
-        reach = reach_about(wall.shape, point, axis, math.inf)
-        if math.isinf(reach):
+        if math.isinf(wall.surface.reach_about(*rotation.point_and_axis)):
             raise SceneError(
                 f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is unbounded and rotates, "
                 "which is not supported in a domain that expands. Use a bounded shape (shape: rectangle), or "

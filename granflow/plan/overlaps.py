@@ -24,7 +24,6 @@ from granflow.contact.law import ContactState, Law
 from granflow.contact.material import PairMaterial, Solid
 from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
-from granflow.geometry.catalog import area_of, distance_from
 from granflow.geometry.close_pairs import near_pairs
 from granflow.geometry.shape import sphere_volume
 from granflow.load import Scene
@@ -384,7 +383,7 @@ def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
             "weight", f"the weight of the bed ({pressure_words(weight)} at its bottom)", weight, contacts
         )
     for motion in plan.controlled_motions:
-        area = area_of(plan.walls[motion.wall].shape) or section(plan.scene.domain, motion.direction)
+        area = plan.walls[motion.wall].surface.area or section(plan.scene.domain, motion.direction)
         if motion.force > 0.0 and count > 1:
             pressure = motion.force / area
             cause = (
@@ -841,14 +840,14 @@ def _overlaps(
             continue
         at = pose([each.at(_started(times, time)) for each in wall.motions], np.array([time]))
         local = (points - at.pivot - at.offset[0]) @ at.rotation[0] + at.pivot
-        overlap = 1.0 - distance_from(wall.shape, local, float(radius.max())) / radius
+        overlap = 1.0 - wall.surface.distance(local, float(radius.max())) / radius
         yield wall, overlap.reshape(bodies[1].shape).max(axis=1)
 
 
 def is_present(wall: PlannedWall, time: float, times: StageTimes) -> bool:
     """Whether a wall is present at `time` [s]."""
     stage = next((name for name, (start, end) in times.items() if start <= time < end), None)
-    return stage is not None and wall.is_present(stage, time)
+    return stage is not None and wall.given.is_present(stage, time)
 
 
 def _started(times: StageTimes, time: float) -> Mapping[str, tuple[float, float]]:

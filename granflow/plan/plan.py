@@ -15,10 +15,10 @@ import numpy as np
 from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.registry import ContactLaws
-from granflow.geometry.catalog import area_of
 from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.geometry.shape import sphere_mass
+from granflow.geometry.surface import Shape, shape_kinds
 from granflow.load import Scene
 from granflow.particles.group import SceneGroup
 from granflow.plan.capacities import (
@@ -52,8 +52,9 @@ from granflow.plan.time_step import (
     stable_step,
 )
 from granflow.plan.wall_control import ControlledMotion
-from granflow.plan.walls import MeshNote, PlannedWall
+from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.run import Stage
+from granflow.scene.blocks.walls.wall import WallNote
 
 # Forces on particles that a program adds with device functions.
 
@@ -182,7 +183,7 @@ class Plan:
     """Largest speed [m/s] of the prescribed motions."""
     controlled_motions: tuple[ControlledMotion, ...]
     """Motions of walls that respond to the forces of the particles."""
-    mesh_notes: tuple[MeshNote, ...]
+    wall_notes: tuple[WallNote, ...]
 
     # What is known after the other decisions, or from a program.
     forecasts: tuple[Forecast, ...] = ()
@@ -266,7 +267,7 @@ class Plan:
     def warnings(self) -> tuple[str, ...]:
         """Sentences to show before a run: changes to the scene, time step and precision, mesh walls,
         forecasts."""
-        meshes = tuple(f"walls.{note.wall}: {note.sentence}." for note in self.mesh_notes if note.warning)
+        meshes = tuple(f"walls.{note.wall}: {note.sentence}." for note in self.wall_notes if note.warning)
         forecasts = tuple(each.warning for each in self.forecasts if each.warning is not None)
         return self.scene.remarks + self.step.warnings + meshes + forecasts
 
@@ -285,14 +286,19 @@ class Plan:
     @property
     def measured_areas(self) -> dict[str, float | None]:
         """Area [m2] of each wall with measured forces, by name; None for an unbounded wall."""
-        return {
-            wall.name: area_of(wall.shape) for wall in self.walls if wall.name in self.scene.measured_walls
-        }
+        return {wall.name: wall.surface.area for wall in self.walls if wall.name in self.scene.measured_walls}
 
     @cached_property
     def meshes(self) -> dict[int, Mesh]:
         """The mesh walls by wall index."""
-        return {index: wall.shape for index, wall in enumerate(self.walls) if isinstance(wall.shape, Mesh)}
+        return {
+            index: wall.surface for index, wall in enumerate(self.walls) if isinstance(wall.surface, Mesh)
+        }
+
+    @cached_property
+    def shape_kinds(self) -> tuple[type[Shape], ...]:
+        """The kinds of shapes of the walls; kernels select one by its index."""
+        return shape_kinds([wall.surface for wall in self.walls])
 
     @cached_property
     def mesh_grids(self) -> dict[int, MeshGrid]:

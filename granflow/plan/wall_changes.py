@@ -10,14 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.geometry.catalog import reach_about
 from granflow.plan.joined_walls import joints_of
 from granflow.plan.plan import Plan
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.motions import (
-    Placement,
     TimedMotion,
     placement_at,
+    placement_of,
     single_rotation,
     speed_bound,
 )
@@ -35,7 +34,12 @@ def wall_named(plan: Plan, name: str) -> PlannedWall:
 
 def without_wall(plan: Plan, name: str, time: float) -> Plan:
     """The plan with a wall that vanishes at `time` [s]."""
-    return with_wall(plan, replace(wall_named(plan, name), vanishes_at=time))
+    return with_wall(plan, vanishing(wall_named(plan, name), time))
+
+
+def vanishing(wall: PlannedWall, time: float) -> PlannedWall:
+    """The wall with another time [s] at which it vanishes."""
+    return replace(wall, given=wall.given.model_copy(update={"vanishes_at": time}))
 
 
 def with_motions(
@@ -105,11 +109,12 @@ def _speed(plan: Plan, wall: PlannedWall) -> float:
     if rotation is not None:
         point, axis = rotation.point_and_axis
         corners = np.abs([plan.domain_low - point, plan.domain_high - point]).max(axis=0)
-        if isinstance(motions[0], Placement):
-            turned = np.array(motions[0].rotation).T
-            point = turned @ (point - np.array(motions[0].translation))
+        placement = placement_of(motions)
+        if placement is not None:
+            turned = np.array(placement.rotation).T
+            point = turned @ (point - np.array(placement.translation))
             axis = turned @ axis
-        reach = reach_about(wall.shape, point, axis, float(np.linalg.norm(corners)))
+        reach = min(wall.surface.reach_about(point, axis), float(np.linalg.norm(corners)))
     return speed_bound(motions, reach)
 
 

@@ -14,12 +14,10 @@ import numpy as np
 
 from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
-from granflow.geometry.catalog import area_of
 from granflow.load import Scene
 from granflow.plan.time_step import PairCase
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.motions import FreeWall, Servo
 
 
 @dataclass(frozen=True)
@@ -97,9 +95,9 @@ def controlled_motions_of(
     controlled_motions = []
     for index, wall in enumerate(walls):
         for number, given in enumerate(wall.motions):
-            if isinstance(given, Servo | FreeWall):
+            if given.force_controlled:
                 layer = _layer(scene, wall, given, law, pair_cases, velocity, step)
-                controlled = _servo if isinstance(given, Servo) else _free
+                controlled = _servo if given.kind == "servo" else _free
                 controlled_motions.append(controlled(scene, index, wall, number, given, layer, step))
     return tuple(controlled_motions)
 
@@ -140,7 +138,7 @@ def _servo(
         )
     force = given.force
     if force is None:
-        force = given.pressure * (area_of(wall.shape) or 0.0)
+        force = given.pressure * (wall.surface.area or 0.0)
     return ControlledMotion(
         wall=index,
         motion=number,
@@ -206,7 +204,7 @@ def _layer(
     A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
     """
     radius = min(pair_case.radius for pair_case in pair_cases)
-    area = area_of(wall.shape) or section(scene.domain, given.direction)
+    area = wall.surface.area or section(scene.domain, given.direction)
     sphere_count = sum(group.sphere_count for group in scene.particles.values())
     in_layer = area / (2.0 * sqrt(3.0) * radius**2)
     responses = [law.present_response(*case.dashpot_arguments, velocity, step) for case in pair_cases]

@@ -21,11 +21,11 @@ from granflow.plan.arrays import particle_arrays, saved_arrays
 from granflow.plan.plan import ExternalForce, Plan
 from granflow.plan.stages import StageTimes
 from granflow.plan.sum_units import SumUnits
-from granflow.plan.wall_changes import changed_walls, wall_named, with_wall
+from granflow.plan.wall_changes import changed_walls, vanishing, wall_named, with_wall
 from granflow.plan.walls import PlannedWall, wall_motions
 from granflow.runs.checkpoint_checks import check_engine, check_run
 from granflow.runs.observer_list import ObserverList
-from granflow.scene.blocks.motions import MOTIONS, Placement, TimedMotion, pose
+from granflow.scene.blocks.motions import MOTIONS, TimedMotion, placement_of, pose
 from granflow.scene.blocks.scene import SceneInput
 
 
@@ -449,9 +449,9 @@ def _numbers(part: Part, width: int) -> float | tuple[float, ...]:
 
 def _saved_wall(wall: PlannedWall) -> dict[str, Any]:
     """End of a changed wall [s], and its motions if a program has changed them, otherwise None."""
-    is_placed = bool(wall.motions) and isinstance(wall.motions[0], Placement)
+    is_placed = placement_of(wall.motions) is not None
     saved = [_saved_motion(each) for each in wall.motions] if is_placed else None
-    return {"vanishes_at": wall.vanishes_at, "motions": saved}
+    return {"vanishes_at": wall.given.end_time, "motions": saved}
 
 
 def _saved_motion(motion: TimedMotion) -> dict[str, Any]:
@@ -471,7 +471,7 @@ def _lists(values: Any) -> Any:
 def _restored_wall(part: Part, wall: PlannedWall) -> PlannedWall:
     """The wall of the scene with the saved changes. Raises CheckpointError."""
     part.mapping(("vanishes_at", "motions"))
-    wall = replace(wall, vanishes_at=part["vanishes_at"].number(0.0))
+    wall = vanishing(wall, part["vanishes_at"].number(0.0))
     if part["motions"].value is None:
         return wall
     return replace(wall, motions=tuple(_restored(each) for each in part["motions"].items()))

@@ -15,7 +15,6 @@ import numpy as np
 from granflow.engine.engine import Engine, RestState
 from granflow.engine.wall_dynamics import controlled_forces
 from granflow.errors import GranflowError
-from granflow.geometry.catalog import area_of
 from granflow.load import Scene
 from granflow.observers.timeseries import Row
 from granflow.plan.plan import Plan
@@ -97,7 +96,7 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
         scatter = float(series.std(ddof=1)) / np.sqrt(len(series)) if len(series) > 1 else 0.0
         tolerance = max(FORCE_TOLERANCE * abs(motion.force), STANDARD_ERRORS * scatter)
         if min(abs(forces[index] - motion.force), abs(series.mean() - motion.force)) > tolerance:
-            area = area_of(engine.plan.walls[motion.wall].shape)
+            area = engine.plan.walls[motion.wall].surface.area
             yield _sentence(motion, stage, engine.time, float(forces[index]), not series.any(), area)
 
 
@@ -358,7 +357,7 @@ class StageProgress:
         """
         walls = engine.plan.walls
         middle = engine.time + 0.5 * engine.time_step
-        presence = [wall.is_present(self.stage, middle) for wall in walls]
+        presence = [wall.given.is_present(self.stage, middle) for wall in walls]
         engine.set_walls(presence, wall_motions([wall.motions for wall in walls], self.stage_times))
 
     def state_dict(self) -> dict[str, Any]:

@@ -29,14 +29,15 @@ from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
-from granflow.scene.blocks.motions import MotionSpec, Servo, Vibration
+from granflow.scene.blocks.motions import MotionSpec
 from granflow.scene.blocks.particles import (
     TimedInsertion,
 )
 from granflow.scene.blocks.run import Damping
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.shapes import Box
-from granflow.scene.blocks.walls import FACES, Plane, Wall
+from granflow.scene.blocks.walls.box import FACES
+from granflow.scene.blocks.walls.wall import Wall
 from granflow.schema.document import Document, Problem
 from granflow.schema.faults import Fault, KeyPath, missing, whole
 from granflow.schema.messages import nearest, problem_at, suggestion_or_list, unknown, unknown_names
@@ -461,8 +462,8 @@ def gamma_requires_gravity(parts: PartialScene) -> Iterator[Fault]:
     if any(parts.scene.gravity):
         return
     for path, motion in _motions(parts.scene):
-        if isinstance(motion, Vibration) and motion.gamma is not None:
-            yield Fault((*path, "gamma"), "gravity is zero; give amplitude and frequency")
+        if motion.key_for_gravity is not None:
+            yield Fault((*path, motion.key_for_gravity), "gravity is zero; give amplitude and frequency")
 
 
 def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
@@ -473,11 +474,11 @@ def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
     scene = parts.scene
     controlled = [(path, each) for path, each in _motions(scene) if each.force_controlled]
     for path, motion in controlled:
-        has_pressure = isinstance(motion, Servo) and motion.pressure is not None
-        if has_pressure and isinstance(scene.walls[str(path[1])], Plane):
-            yield Fault(
-                (*path, "pressure"), "a plane is infinite and has no area; give force, or use a rectangle"
-            )
+        key = motion.key_for_area
+        wall = scene.walls[str(path[1])]
+        if key is not None and not wall.is_bounded:
+            reason = f"a {wall.shape} is infinite and has no area; give force, or use a rectangle"
+            yield Fault((*path, key), reason)
     if controlled and scene.run.time_step == "adaptive":
         path, motion = controlled[0]
         reason = f"walls.{path[1]} is {motion.kind}, which requires a constant time step; write auto"
@@ -550,9 +551,11 @@ def wall_forces(parts: PartialScene) -> Iterator[Fault]:
         elif wall not in measured:
             remedy = "write wall_forces: true, or add it to the list"
             yield Fault(path, f"output.wall_forces does not include {wall}; {remedy}")
-        elif "pressure" in quantity and isinstance(parts.scene.walls.get(wall), Plane):
-            remedy = "use wall_force_x, wall_force_y or wall_force_z"
-            yield Fault(path, f"the plane {wall} is infinite and has no area; {remedy}")
+        elif "pressure" in quantity:
+            given = parts.scene.walls.get(wall)
+            if given is not None and not given.is_bounded:
+                remedy = "use wall_force_x, wall_force_y or wall_force_z"
+                yield Fault(path, f"the {given.shape} {wall} is infinite and has no area; {remedy}")
 
 
 # Expectations and conditions of stages: names of quantities and of their parts

@@ -20,6 +20,7 @@ from ruamel.yaml import YAML
 from granflow.io.files import example_paths
 from granflow.scene.blocks.metrics import METRICS
 from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.blocks.walls.kinds import WALLS
 from granflow.schema.messages import nearest
 from granflow.schema.model import DEFAULT_IN_WORDS, DIMENSION, NOTES
 from granflow.units import DIMENSIONS, Dimension
@@ -473,7 +474,6 @@ PART_EXAMPLES = {
     "Material.young_modulus": "70 GPa",
     "Material.poisson_ratio": "0.3",
     "Material.density": "2500",
-    "MeshWall.scale": "0.001",
     "RotationStep.angle": "90 deg",
     "Material.restitution_fit": "[3.0, 0.5]",
     "MaterialPair.twisting_friction": "20 um",
@@ -556,8 +556,9 @@ PART_EXAMPLES = {
         )
     },
     **{
-        f"{wall}.vanishes_at": "1 s"
-        for wall in ("Plane", "Rectangle", "Cylinder", "Cone", "Disc", "BoxWall", "MeshWall")
+        f"{wall.__name__}.{key}": value
+        for wall in WALLS
+        for key, value in {"vanishes_at": "1 s", **wall.examples}.items()
     },
 }
 """Examples by part and key where neither the shipped scenes nor the type give a realistic value."""

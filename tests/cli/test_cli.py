@@ -21,7 +21,7 @@ from granflow.runs.interrupts import Terminated
 from granflow.runs.result import ExpectationResult, Result
 from granflow.runs.run_directory import RESULT_FILES
 from granflow.scene.blocks.insertions import FileInsertion
-from granflow.scene.blocks.walls import MeshWall
+from granflow.scene.blocks.walls.mesh import MeshWall
 
 
 @pytest.fixture

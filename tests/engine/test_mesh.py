@@ -16,7 +16,7 @@ from granflow.engine import threads as workers
 from granflow.engine.mesh import from_nearest, may_own, triangle_contact
 from granflow.engine.state import State
 from granflow.geometry.mesh_contact import reference_contact, triangle_distances
-from granflow.geometry.shape import FAR_AWAY
+from granflow.geometry.surface import FAR_AWAY
 from granflow.io.checkpoint import read_checkpoint
 from granflow.kernel_language import ti
 from granflow.plan.build import plan_for

@@ -4,10 +4,11 @@ from functools import cache
 
 import numpy as np
 
-from granflow.geometry.plane import half_space, rectangle
-from granflow.geometry.revolved import cone, cylinder, disc
-from granflow.geometry.shape import PARAMETER_COUNT
+from granflow.geometry.surface import numbers_by_name
 from granflow.kernel_language import ti
+from granflow.scene.blocks.walls.half_space import half_space
+from granflow.scene.blocks.walls.rectangle import rectangle
+from granflow.scene.blocks.walls.revolved import cone, cylinder, disc
 
 NUMPY_TYPES = {ti.f64: np.float64, ti.f32: np.float32}
 
@@ -32,16 +33,15 @@ def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
     parameter_number = NUMPY_TYPES[parameter_dtype]
     distance, bare = np.zeros((2, len(points)), dtype=number)
     normal = np.zeros((len(points), 3), dtype=number)
-    measure = kernel_for(shape.kind, dtype, parameter_dtype)
-    measure(points.astype(number), shape.parameters.astype(parameter_number), distance, normal, bare)
+    measure = kernel_for(type(shape), dtype, parameter_dtype)
+    measure(points.astype(number), shape.numbers.astype(parameter_number), distance, normal, bare)
     return distance, normal, bare
 
 
 @cache
 def kernel_for(kind, dtype, parameter_dtype):
     """A kernel that evaluates the device functions of a kind over arrays."""
-    closest = kind.closest
-    bare_distance = kind.surface_distance
+    indices = range(kind.count())
 
     @ti.kernel
     def measure(
@@ -53,10 +53,10 @@ def kernel_for(kind, dtype, parameter_dtype):
     ):
         for i in range(points.shape[0]):
             point = ti.Vector([points[i, 0], points[i, 1], points[i, 2]])
-            all_parameters = ti.Vector([parameters[k] for k in ti.static(range(PARAMETER_COUNT))])
-            found, direction = closest(point, all_parameters)
+            numbers = numbers_by_name(kind, [parameters[k] for k in ti.static(indices)])
+            found, direction = kind.closest(point, numbers)
             distance[i] = found
-            bare[i] = bare_distance(point, all_parameters)
+            bare[i] = kind.surface_distance(point, numbers)
             for k in ti.static(range(3)):
                 normal[i, k] = direction[k]
 
@@ -66,10 +66,10 @@ def kernel_for(kind, dtype, parameter_dtype):
 def points_around(shape, count, seed=1):
     """Random points in a cube around the shape; the first points are on its axis, face and edges."""
     points = np.random.default_rng(seed).uniform(-1.2, 1.2, (count, 3))
-    origin = shape.parameters[0:3]
-    direction = shape.parameters[3:6]
+    origin = shape.numbers[0:3]
+    direction = shape.numbers[3:6]
     on_axis = origin + np.linspace(-1.0, 1.0, 11)[:, None] * direction
-    corners, _ = shape.kind.triangles(shape.parameters, np.zeros(3), 0.5)
+    corners, _ = shape.triangles(np.zeros(3), 0.5)
     midpoints = (corners + np.roll(corners, 1, axis=0)) / 2
     special = np.concatenate([on_axis, corners, midpoints])
     points[: len(special)] = special

@@ -8,7 +8,7 @@ from granflow.geometry.mesh import grid_over
 from granflow.geometry.mesh_contact import reference_contact, triangle_distances
 from granflow.geometry.mesh_file import STL_RECORD, read_triangles
 from granflow.geometry.motion import rotation_matrices
-from granflow.geometry.shape import FAR_AWAY
+from granflow.geometry.surface import FAR_AWAY
 from granflow.io.files import FormatError
 
 

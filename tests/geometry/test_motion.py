@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from geometry.motions import rotation, surface_velocity, translation, vibration
 
-from granflow.geometry.catalog import reach_about
-from granflow.geometry.plane import half_space, rectangle
-from granflow.geometry.revolved import cylinder, disc
 from granflow.scene.blocks.motions import pose, speed_bound
+from granflow.scene.blocks.walls.half_space import half_space
+from granflow.scene.blocks.walls.rectangle import rectangle
+from granflow.scene.blocks.walls.revolved import cylinder, disc
 from granflow.scene.reference import json_schema
 
 AXIS = (2 / 3, -1 / 3, 2 / 3)
@@ -189,10 +189,10 @@ def test_reach_excludes_surfaces_that_rotation_leaves_unchanged():
     along_z = np.array([0, 0, 1.0])
     along_x = np.array([1.0, 0, 0])
     drum = cylinder([0, 0, 0], [0, 0, 2], 0.5)
-    assert reach_about(drum, origin, along_z, 9.0) == 0.0
-    assert reach_about(drum, np.array([1.0, 0, 0]), along_z, 9.0) == pytest.approx(1.5)
-    assert reach_about(drum, origin, along_x, 9.0) >= np.hypot(2, 0.5)
-    assert reach_about(disc([0, 0, 2], [0, 0, -1], 0.5), origin, along_z, 9.0) == 0.0
-    assert reach_about(rectangle([1, 0, 0], [1, 0, 0], [0, 0, 1]), origin, along_z, 9.0) == 2.0
-    assert reach_about(half_space([0, 0, 0], [0, 0, 1]), origin, along_z, 9.0) == 0.0
-    assert reach_about(half_space([0, 0, 0], [0, 0, 1]), origin, along_x, 9.0) == 9.0
+    assert drum.reach_about(origin, along_z) == 0.0
+    assert drum.reach_about(np.array([1.0, 0, 0]), along_z) == pytest.approx(1.5)
+    assert drum.reach_about(origin, along_x) >= np.hypot(2, 0.5)
+    assert disc([0, 0, 2], [0, 0, -1], 0.5).reach_about(origin, along_z) == 0.0
+    assert rectangle([1, 0, 0], [1, 0, 0], [0, 0, 1]).reach_about(origin, along_z) == 2.0
+    assert half_space([0, 0, 0], [0, 0, 1]).reach_about(origin, along_z) == 0.0
+    assert half_space([0, 0, 0], [0, 0, 1]).reach_about(origin, along_x) == np.inf

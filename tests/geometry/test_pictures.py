@@ -1,13 +1,13 @@
-"""Triangulation of wall shapes for output: points on the surface, total area; fixed codes of the shape
-kinds."""
+"""Triangulation of wall shapes for output: points on the surface, total area; codes of the shape kinds."""
 
 import numpy as np
 import pytest
 from geometry.surfaces import SHAPES
 
-from granflow.geometry.catalog import SHAPE_KINDS, kind_code, triangles
-from granflow.geometry.plane import half_space, rectangle
-from granflow.geometry.revolved import cone, cylinder, disc
+from granflow.geometry.surface import shape_kinds
+from granflow.scene.blocks.walls.half_space import half_space
+from granflow.scene.blocks.walls.rectangle import rectangle
+from granflow.scene.blocks.walls.revolved import cone, cylinder, disc
 
 CENTER = np.array([0.2, 0.1, 0.3])
 
@@ -15,8 +15,8 @@ CENTER = np.array([0.2, 0.1, 0.3])
 @pytest.mark.parametrize("name", SHAPES)
 def test_triangle_corners_lie_on_the_surface(name):
     shape = SHAPES[name]
-    points, faces = triangles(shape, CENTER, 0.5)
-    distance, _ = shape.kind.reference_closest(points, shape.parameters)
+    points, faces = shape.triangles(CENTER, 0.5)
+    distance, _ = shape.closest_to(points)
     np.testing.assert_allclose(distance, 0.0, atol=1e-14)
     assert set(faces.ravel()) == set(range(len(points)))
 
@@ -32,7 +32,7 @@ def test_triangle_corners_lie_on_the_surface(name):
     ],
 )
 def test_triangles_cover_the_area_of_the_shape(shape, expected):
-    points, faces = triangles(shape, CENTER, 0.5)
+    points, faces = shape.triangles(CENTER, 0.5)
     corner = points[faces[:, 0]]
     first = points[faces[:, 1]]
     second = points[faces[:, 2]]
@@ -42,6 +42,7 @@ def test_triangles_cover_the_area_of_the_shape(shape, expected):
     )  # 64 facets: 1 - sin(x) / x with x = 2 pi / 64, at most twice
 
 
-def test_codes_of_shape_kinds_are_fixed():
-    assert [kind.name for kind in SHAPE_KINDS] == ["half_space", "rectangle", "revolved"]
-    assert [kind_code(kind) for kind in SHAPE_KINDS] == [0, 1, 2]
+def test_codes_of_shape_kinds_do_not_depend_on_the_order_of_the_walls():
+    kinds = shape_kinds(list(SHAPES.values()))
+    assert [kind.kind for kind in kinds] == ["half_space", "rectangle", "revolved"]
+    assert shape_kinds(list(SHAPES.values())[::-1]) == kinds

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from geometry.surfaces import SHAPES, on_device, points_around
 
-from granflow.geometry.plane import half_space, rectangle
-from granflow.geometry.revolved import cone, cylinder, disc
 from granflow.kernel_language import ti
+from granflow.scene.blocks.walls.half_space import half_space
+from granflow.scene.blocks.walls.rectangle import rectangle
+from granflow.scene.blocks.walls.revolved import cone, cylinder, disc
 
 EPSILON = np.finfo(float).eps
 COORDINATE_SIZE = 4.0
@@ -24,7 +25,7 @@ def test_device_equals_reference(taichi_f64, name):
     shape = SHAPES[name]
     points = points_around(shape, 10_000)
     distance, normal, _ = on_device(shape, points)
-    expected_distance, expected_normal = shape.kind.reference_closest(points, shape.parameters)
+    expected_distance, expected_normal = shape.closest_to(points)
     tolerance = 4 * EPSILON * COORDINATE_SIZE
     np.testing.assert_allclose(distance, expected_distance, rtol=0, atol=tolerance)
     # A tangential error of `tolerance` rotates the normal by tolerance / distance; below 1e-9 it is
@@ -55,9 +56,9 @@ def test_normal_is_the_unit_gradient_of_the_distance(taichi_f64, name):
 
 def off_axis(shape, points, least=1e-9):
     """Mask of the points with a defined radial direction; all points for flat shapes."""
-    if shape.kind.name != "revolved":
+    if shape.kind != "revolved":
         return np.ones(len(points), bool)
-    return np.linalg.norm(np.cross(points - shape.parameters[0:3], shape.parameters[3:6]), axis=1) > least
+    return np.linalg.norm(np.cross(points - shape.origin, shape.axis), axis=1) > least
 
 
 ELEMENTARY = {
@@ -90,9 +91,9 @@ def test_normal_on_the_axis_is_a_unit_vector(taichi_f64, name):
     """At r = 0 the radial direction is arbitrary, but the distance and the length of the normal are
     defined."""
     shape = SHAPES[name]
-    points = shape.parameters[0:3] + np.linspace(-2, 2, 9)[:, None] * shape.parameters[3:6]
+    points = shape.numbers[0:3] + np.linspace(-2, 2, 9)[:, None] * shape.numbers[3:6]
     distance, normal, _ = on_device(shape, points)
-    expected, _ = shape.kind.reference_closest(points, shape.parameters)
+    expected, _ = shape.closest_to(points)
     np.testing.assert_allclose(distance, expected, atol=4 * EPSILON * COORDINATE_SIZE)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=8 * EPSILON)
 
@@ -103,7 +104,7 @@ def test_distance_in_lower_precisions_is_within_rounding(taichi_f64, name, types
     shape = SHAPES[name]
     points = points_around(shape, 2_000)
     distance, _, _ = on_device(shape, points, *types)
-    expected, _ = shape.kind.reference_closest(points.astype(float), shape.parameters)
+    expected, _ = shape.closest_to(points.astype(float))
     np.testing.assert_allclose(distance, expected, atol=8 * np.finfo(np.float32).eps * COORDINATE_SIZE)
 
 
@@ -130,9 +131,9 @@ from geometry.surfaces import SHAPES, on_device, points_around
 for shape in SHAPES.values():
     points = points_around(shape, 500)
     distance, normal, _ = on_device(shape, points)
-    expected, _ = shape.kind.reference_closest(points, shape.parameters)
-    assert np.abs(distance - expected).max() < 1e-14, shape.kind.name
-    assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-14, shape.kind.name
+    expected, _ = shape.closest_to(points)
+    assert np.abs(distance - expected).max() < 1e-14, shape.kind
+    assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-14, shape.kind
 """
 
 

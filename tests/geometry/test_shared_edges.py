@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from geometry.surfaces import on_device
 
-from granflow.geometry.plane import half_space
-from granflow.geometry.revolved import cone, cylinder, disc, join_shared_edges
-from granflow.geometry.shape import FAR_AWAY
+from granflow.geometry.surface import FAR_AWAY, join_shared_edges
+from granflow.scene.blocks.walls.half_space import half_space
+from granflow.scene.blocks.walls.revolved import cone, cylinder, disc
 
 REACH = 0.03
 """Distance [m] below which a point counts as a contact."""
@@ -18,7 +18,7 @@ def contacts(shapes, point, reach=REACH):
     points = np.array([[point[0], 0.0, point[1]]])
     found = []
     for index, shape in enumerate(shapes):
-        distance, _ = shape.kind.reference_closest(points, shape.parameters)
+        distance, _ = shape.closest_to(points)
         on_the_device, _, _ = on_device(shape, points)
         assert on_the_device[0] == pytest.approx(distance[0], abs=1e-15)
         if distance[0] < reach:
@@ -99,7 +99,7 @@ def test_edge_of_three_shapes_has_one_owner(taichi_f64):
     shapes = join_shared_edges([*hopper(False), disc([0, 0, 0], [0, 0, 1], 0.5, 0.1)], [0, 0, 0])
     assert (
         sum(
-            shape[name]
+            getattr(shape, name)
             for shape, name in zip(shapes, ["start_owned", "end_owned", "start_owned"], strict=True)
         )
         == 1
@@ -118,7 +118,7 @@ def test_walls_with_different_motions_share_no_edge(taichi_f64):
     free = hopper(False)
     for groups in ([0, 1], ["still", ("still", "gate")]):
         for shape, before in zip(join_shared_edges(free, groups), free, strict=True):
-            np.testing.assert_array_equal(shape.parameters, before.parameters)
+            np.testing.assert_array_equal(shape.numbers, before.numbers)
 
 
 def test_joining_shared_edges_ignores_other_kinds_and_is_idempotent(taichi_f64):
@@ -126,4 +126,4 @@ def test_joining_shared_edges_ignores_other_kinds_and_is_idempotent(taichi_f64):
     once = join_shared_edges(shapes, [0, 0, 0])
     assert once[0] is shapes[0]
     for first, second in zip(once, join_shared_edges(once, [0, 0, 0]), strict=True):
-        np.testing.assert_array_equal(first.parameters, second.parameters)
+        np.testing.assert_array_equal(first.numbers, second.numbers)

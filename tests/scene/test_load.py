@@ -9,7 +9,7 @@ from granflow.errors import SceneError
 from granflow.load import Scene, load_scene
 from granflow.scene.blocks.materials import PRESETS
 from granflow.scene.blocks.motions import Vibration
-from granflow.scene.blocks.walls import Plane
+from granflow.scene.blocks.walls.half_space import Plane
 from granflow.scene.reference import json_schema
 
 GOOD = Path(__file__).parent.parent / "messages" / "good.yaml"

@@ -16,7 +16,7 @@ from granflow.plan.build import plan_for
 from granflow.plan.time_step import max_impact_velocity
 from granflow.scene.blocks.motions import Vibration
 from granflow.scene.blocks.sizes import GivenSizes
-from granflow.scene.blocks.walls import MeshWall
+from granflow.scene.blocks.walls.mesh import MeshWall
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
 """Mass [kg] of a particle of the scene."""

@@ -5,7 +5,7 @@ import pytest
 from scene_builders import box, build_scene, moving_lattice, particle_group, run_to_end
 
 from granflow.load import scene_of
-from granflow.scene.blocks.walls import FACES
+from granflow.scene.blocks.walls.box import FACES
 from granflow.simulation import Simulation
 
 SIZE, GRAVITY = 0.028, 9.81

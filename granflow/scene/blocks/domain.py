@@ -63,6 +63,11 @@ class Domain(Box):
         )
     )
 
+    @property
+    def diagonal(self) -> float:
+        """Length [m] of the diagonal."""
+        return float(np.linalg.norm(np.subtract(self.max, self.min)))
+
     def periodic_box(self) -> PeriodicBox:
         """The periodic box of the domain at the start."""
         low = np.array(self.min)

@@ -26,6 +26,9 @@ from granflow.schema.faults import Fault, missing, redundant, whole
 from granflow.schema.model import FileName, ListOf, Model, Names, choose_by_key, optional
 from granflow.schema.quantities import Number
 
+LEVEL = 1e-6
+"""Largest cosine of the angle between a velocity and the vertical at which it counts as level."""
+
 
 class TimedMotion(Model):
     """A motion from `start` to `end` or during stages; by default during the whole run.
@@ -37,6 +40,8 @@ class TimedMotion(Model):
     """True for motions that respond to the force of the particles on the wall."""
     is_belt: ClassVar[bool] = False
     """True if the surface moves along itself and the wall does not."""
+    oscillates: ClassVar[bool] = False
+    """True for motions to and fro with a period."""
     number_counts: ClassVar[Mapping[str, int]] = {}
     """Keys in checkpoints with their count of numbers; empty for kinds that a program cannot assign."""
 
@@ -150,6 +155,39 @@ class TimedMotion(Model):
         return inf
 
     @property
+    def is_endless(self) -> bool:
+        """Whether the motion carries the wall away until the run ends, without limits of its time."""
+        return False
+
+    def can_lift(self, up: np.ndarray) -> bool:
+        """Whether the motion may lift particles along `up` (3,), a unit vector."""
+        return True
+
+    @property
+    def key_for_gravity(self) -> str | None:
+        """Key that requires gravity; None without one."""
+        return None
+
+    @property
+    def key_for_area(self) -> str | None:
+        """Key that requires a wall with an area; None without one."""
+        return None
+
+    @property
+    def file_name(self) -> str | None:
+        """Path of the file that the motion reads; None without one."""
+        return None
+
+    def with_file(self, copies: Mapping[str, str]) -> "TimedMotion":
+        """This motion with another path of its file, by path."""
+        return self
+
+    @property
+    def is_table(self) -> bool:
+        """Whether the motion follows the rows of a table."""
+        return False
+
+    @property
     def shortest_row(self) -> float:
         """Shortest time [s] between two rows of a table; infinite for other motions."""
         return inf
@@ -178,6 +216,7 @@ class Vibration(TimedMotion):
     Vibration(direction=(0.0, 0.0, 1.0), amplitude=0.002, frequency=25.0)
     """
 
+    oscillates: ClassVar[bool] = True
     number_counts: ClassVar[Mapping[str, int]] = {
         "direction": 3,
         "amplitude": 1,
@@ -213,6 +252,11 @@ class Vibration(TimedMotion):
         if given != 2:
             count = ("none", "one", "two", "all three")[given]
             yield whole((), f"gives {count} of amplitude, frequency and gamma; give exactly two of them")
+
+    @property
+    def key_for_gravity(self) -> str | None:
+        """See `TimedMotion`."""
+        return None if self.gamma is None else "gamma"
 
     def amplitude_and_angular_frequency(self, gravity: Sequence[float]) -> tuple[float, float]:
         """Amplitude A [m] and angular frequency w [rad/s], from those given and gamma.
@@ -322,6 +366,11 @@ class Translation(VelocityMotion):
 
     kind: Literal["translation"] = Field("translation", description="kind of motion")
 
+    @property
+    def is_endless(self) -> bool:
+        """See `TimedMotion`."""
+        return self.end is None and self.stages is None
+
     def displacement_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TimedMotion`."""
         return self._displacement_and_rate(times)
@@ -346,6 +395,11 @@ class SurfaceVelocity(VelocityMotion):
     is_belt: ClassVar[bool] = True
 
     kind: Literal["surface_velocity"] = Field("surface_velocity", description="kind of motion")
+
+    def can_lift(self, up: np.ndarray) -> bool:
+        """See `TimedMotion`; not if the belt is level or goes down."""
+        velocities = self.velocities
+        return bool(np.any(velocities @ up > LEVEL * np.linalg.norm(velocities, axis=1)))
 
     def surface_velocity(self, times: np.ndarray) -> np.ndarray:
         """See `TimedMotion`."""
@@ -527,6 +581,20 @@ class TableMotion(TimedMotion):
         assert self.axis is not None
         return {"axis": _unit_vector(self.axis)}
 
+    @property
+    def file_name(self) -> str | None:
+        """See `TimedMotion`."""
+        return self.file
+
+    def with_file(self, copies: Mapping[str, str]) -> "TableMotion":
+        """See `TimedMotion`."""
+        return self if self.file is None else self.model_copy(update={"file": copies[self.file]})
+
+    @property
+    def is_table(self) -> bool:
+        """True."""
+        return True
+
     @cached_property
     def table(self) -> MotionTable:
         """The rows; the scene is resolved, so that the columns are known."""
@@ -610,6 +678,11 @@ class Servo(TimedMotion):
 
     def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
         return {"direction": _unit_vector(self.direction)}
+
+    @property
+    def key_for_area(self) -> str | None:
+        """See `TimedMotion`."""
+        return None if self.pressure is None else "pressure"
 
     def controlled_speed(self, gravity: Sequence[float], distance: float) -> float:
         """`velocity_max`."""
@@ -703,8 +776,9 @@ def pose(motions: Sequence[TimedMotion], times: np.ndarray) -> Poses:
     Force-controlled motions are ignored: the device integrates them. After a placement, the points of all
     motions are those of the placed wall. Raises ValueError for two rotations.
     """
-    if motions and isinstance(motions[0], Placement):
-        return _placed(motions[0], pose(motions[1:], times), single_rotation(motions) is not None)
+    placement = placement_of(motions)
+    if placement is not None:
+        return _placed(placement, pose(motions[1:], times), single_rotation(motions) is not None)
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset, velocity, surface_velocity = np.zeros((3, len(times), 3))
     for motion in motions:
@@ -715,6 +789,11 @@ def pose(motions: Sequence[TimedMotion], times: np.ndarray) -> Poses:
     rotation, angular_velocity, pivot = _rotation_of(single_rotation(motions), times)
     turned = np.einsum("kij,kj->ki", rotation, surface_velocity)
     return Poses(offset, rotation, velocity, angular_velocity, pivot, turned)
+
+
+def placement_of(motions: Sequence[TimedMotion]) -> Placement | None:
+    """The placement with which the motions begin; None without one."""
+    return motions[0] if motions and isinstance(motions[0], Placement) else None
 
 
 def _placed(placement: Placement, later: Poses, is_rotating: bool) -> Poses:
@@ -769,7 +848,7 @@ def single_rotation(motions: Sequence[TimedMotion]) -> TimedMotion | None:
 def speed_bound(motions: Sequence[TimedMotion], reach: float) -> float:
     """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
 
-    `reach` [m]: largest distance from the axis of a rotation of geometry that moves (`catalog.reach_about`).
+    `reach` [m]: largest distance from the axis of a rotation of geometry that moves (`Surface.reach_about`).
     Force-controlled motions and surface velocities are ignored.
     """
     bound = 0.0

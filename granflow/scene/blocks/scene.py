@@ -17,7 +17,7 @@ from granflow.scene.blocks.outlets import Outlet
 from granflow.scene.blocks.output import Expectation, Output
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import Damping, Numerics, RunSettings, Stage
-from granflow.scene.blocks.walls import AnyWall, with_faces
+from granflow.scene.blocks.walls.kinds import AnyWall, with_faces
 from granflow.schema import quantities as q
 from granflow.schema.document import Document, yaml_text
 from granflow.schema.model import FileName, ListOf, Model, Name, PairName, Text, WallName, optional

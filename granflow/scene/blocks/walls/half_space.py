@@ -1,0 +1,104 @@
+"""Plane: the boundary of a half space, one-sided and infinite."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from granflow.device_functions import ti
+from granflow.geometry.shape import is_parallel, unit
+from granflow.geometry.surface import Shape, Surface, Vector
+from granflow.scene.blocks.walls.rectangle import quadrilateral
+from granflow.scene.blocks.walls.wall import Wall
+from granflow.schema import quantities as q
+
+
+class Plane(Wall):
+    """An infinite plane; the half space behind it is solid, the particles are on the side of the normal.
+
+    Its area is infinite: it has forces, but no pressure.
+
+    >>> gf.Plane(material="steel", point=[0, 0, 0], normal=[0, 0, 1])
+    Plane(material='steel', point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    """
+
+    is_bounded: ClassVar[bool] = False
+
+    shape: Literal["plane"] = Field("plane", description="shape of the wall")
+    point: q.Point = Field(description="a point on the plane [m]")
+    normal: q.Direction = Field(description="normal, toward the particles; its length does not matter")
+
+    def surface(self, folder: Path) -> Surface:
+        """See `Wall`."""
+        return half_space(self.point, self.normal)
+
+
+def half_space(point: object, normal: object) -> "HalfSpace":
+    """Half space: solid behind the plane through `point`; particles are on the side of `normal`.
+
+    point:   (3,) [m]
+    normal:  (3,), any length above 0
+    Raises:  ValueError if the normal has no direction or a number is not finite
+    """
+    return HalfSpace(np.asarray(point), unit(normal))
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpace(Shape):
+    """A point of the plane and its unit normal."""
+
+    kind: ClassVar[str] = "half_space"
+
+    point: Vector
+    normal: Vector
+
+    @staticmethod
+    @ti.func
+    def closest(x, numbers):
+        """Signed distance from the plane and normal of the plane.
+
+            d = (x - p) . n
+
+        Returns:  d [m], negative behind the plane; n
+        """
+        return HalfSpace.surface_distance(x, numbers), numbers.normal
+
+    @staticmethod
+    @ti.func
+    def face_normal(x, numbers):
+        """See `Shape`."""
+        return numbers.normal
+
+    @staticmethod
+    @ti.func
+    def surface_distance(x, numbers):
+        """Signed distance from the plane [m]."""
+        return (x - numbers.point).dot(numbers.normal)
+
+    def closest_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Project the point, measure along the normal."""
+        distance = (points - self.point) @ self.normal
+        return distance, np.broadcast_to(self.normal, points.shape).copy()
+
+    @property
+    def plane(self) -> tuple[Vector, Vector]:
+        """See `Surface`."""
+        return self.point, self.normal
+
+    @property
+    def area(self) -> None:
+        """None."""
+        return None
+
+    def reach_about(self, point: Vector, axis: Vector) -> float:
+        """Infinite; 0 for rotation about an axis along the normal, which maps the plane onto itself."""
+        return 0.0 if is_parallel(self.normal, axis) else float("inf")
+
+    def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
+        """Square of half width `extent` [m] about the projection of `center` (3,) [m] on the plane."""
+        foot = np.asarray(center) - ((np.asarray(center) - self.point) @ self.normal) * self.normal
+        side1 = unit(np.cross(self.normal, np.eye(3)[np.argmin(np.abs(self.normal))]))
+        side2 = np.cross(self.normal, side1)
+        return quadrilateral(foot - extent * (side1 + side2), 2 * extent * side1, 2 * extent * side2)
