@@ -96,7 +96,7 @@ MUTATIONS = (
     Mutation(
         "one warning per material pair",
         "granflow/plan/pairs.py",
-        "if group is not other or group.count > 1 else None",
+        "if group is not other or group.spec.count > 1 else None",
         "if True else None",
         (f"{STEP}test_contacts_that_cannot_occur_cause_no_warning",),
     ),
