@@ -1,14 +1,20 @@
 """Shapes for tests, random points around them, and evaluation of the device functions over arrays."""
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
+from ruamel.yaml import YAML
 
 from granflow.geometry.surface import numbers_by_name
 from granflow.kernel_language import ti
+from granflow.scene.blocks.walls.box import BoxWall
 from granflow.scene.blocks.walls.half_space import half_space
+from granflow.scene.blocks.walls.kinds import WALLS
+from granflow.scene.blocks.walls.mesh import MeshWall
 from granflow.scene.blocks.walls.rectangle import rectangle
 from granflow.scene.blocks.walls.revolved import cone, cylinder, disc
+from granflow.scene.reference import example_of, keys
 
 NUMPY_TYPES = {ti.f64: np.float64, ti.f32: np.float32}
 
@@ -24,6 +30,17 @@ SHAPES = {
     "disc": disc([0.1, -0.1, 0.2], TILTED, 0.8),
     "disc_with_hole": disc([0.1, -0.1, 0.2], [0.0, 1.0, 0.0], 0.8, 0.3),
 }
+
+
+def example_of_wall(kind):
+    """The shape of a kind of wall, with the examples of its keys in the reference."""
+    values = YAML(typ="safe").load("\n".join(example_of(key) for key in keys(kind.__name__)))
+    required = {each.alias or name for name, each in kind.model_fields.items() if each.is_required()}
+    given = {name: values[name] for name in required}
+    return kind.model_validate(given).surface(Path())
+
+
+SHAPES |= {kind.__name__: example_of_wall(kind) for kind in WALLS if kind not in (BoxWall, MeshWall)}
 
 
 def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
