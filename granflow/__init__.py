@@ -95,6 +95,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.walls.revolved import Cylinder as Cylinder
     from granflow.scene.blocks.walls.revolved import Disc as Disc
     from granflow.scene.registration import register_contact_model as register_contact_model
+    from granflow.scene.registration import register_metric as register_metric
     from granflow.simulation import Simulation as Simulation
     from granflow.snapshot import Snapshot as Snapshot
     from granflow.studies.calibration.calibrate import calibrate as calibrate
@@ -194,6 +195,7 @@ _LOCATIONS = {
     "plan_for": "granflow.plan.build.plan_for",
     "read_run": "granflow.runs.read_run.read_run",
     "register_contact_model": "granflow.scene.registration.register_contact_model",
+    "register_metric": "granflow.scene.registration.register_metric",
     "start": "granflow.engine.state_cache.start",
     "steady_flow": "granflow.observers.meters.steady_flow",
     "sweep": "granflow.studies.sweep.sweep",

@@ -27,8 +27,8 @@ from granflow.snapshot import PARTICLES, TOTALS, Snapshot
 
 # `timeseries.csv`
 
-READINGS = {**FLOW_METER_QUANTITIES, **WALL_FORCE_QUANTITIES, **METRIC_QUANTITIES}
-"""Quantities that meters read, by name."""
+READINGS = (FLOW_METER_QUANTITIES, WALL_FORCE_QUANTITIES, METRIC_QUANTITIES)
+"""Quantities that meters read, by name, in one table for each kind of meter."""
 PARTS = {**OUTLET_QUANTITIES, **WALL_QUANTITIES}
 """Totals of one outlet or wall, named `NAME.PART`."""
 NO_ROWS = {"size": 0, "unwritten": ""}
@@ -169,7 +169,10 @@ class TimeSeries(ScheduledObserver):
 
     def _readings(self) -> dict[str, float]:
         """Return the readings of all meters by column name, with units, in the order of the columns."""
-        return {READINGS[quantity].label_of(name): value for quantity, name, value in self._read_meters()}
+        return {
+            next(known[quantity] for known in READINGS if quantity in known).label_of(name): value
+            for quantity, name, value in self._read_meters()
+        }
 
     def _read_meters(self) -> Iterator[tuple[str, str, float]]:
         """Yield quantity, name of the meter and value of all readings, in the order of the columns."""

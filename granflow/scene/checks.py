@@ -570,25 +570,29 @@ RESULT_ONLY = {
 """Quantities of the result that rows of the time series do not have."""
 _WHOLE = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
 """Quantities of the whole run."""
-_PARTS = {
-    **{name: "the name of a flow meter" for name in FLOW_METER_QUANTITIES},
-    **{name: "the name of an outlet" for name in OUTLET_QUANTITIES},
-    **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
-    **{name: "the name of a wall" for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES)},
-    **{name: "the name of a metric" for name in METRIC_QUANTITIES},
-    "timings": "forces or another phase",
-}
-"""What follows the point after a quantity."""
+
+
+def _parts() -> dict[str, str]:
+    """What follows the point after a quantity."""
+    return {
+        **{name: "the name of a flow meter" for name in FLOW_METER_QUANTITIES},
+        **{name: "the name of an outlet" for name in OUTLET_QUANTITIES},
+        **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
+        **{name: "the name of a wall" for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES)},
+        **{name: "the name of a metric" for name in METRIC_QUANTITIES},
+        "timings": "forces or another phase",
+    }
 
 
 def expected_names(parts: PartialScene) -> Iterator[Fault]:
     """Expectations must refer to existing quantities, with a name of the kind that the quantity requires."""
+    known = _parts()
     for path, quantity, part in _all_expected(parts.scene):
-        if part is not None and quantity not in _PARTS and quantity in _WHOLE:
+        if part is not None and quantity not in known and quantity in _WHOLE:
             yield Fault(path, f"{quantity} is a quantity of the whole run; write {quantity}")
-        elif part is None and quantity not in _WHOLE and quantity in _PARTS:
-            yield Fault(path, f"{quantity} requires {_PARTS[quantity]}; write {quantity}.NAME")
-        elif quantity not in _WHOLE and quantity not in _PARTS:
+        elif part is None and quantity not in _WHOLE and quantity in known:
+            yield Fault(path, f"{quantity} requires {known[quantity]}; write {quantity}.NAME")
+        elif quantity not in _WHOLE and quantity not in known:
             yield Fault(path, f"there is no such quantity. {_similar_quantity(quantity, part)}")
         elif quantity in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
             yield Fault(path, "output.energy_budget is false; set it to true")
@@ -596,10 +600,11 @@ def expected_names(parts: PartialScene) -> Iterator[Fault]:
 
 def _similar_quantity(quantity: str, part: str | None) -> str:
     """Remedy for an unknown quantity with the name `part` behind the point, or None."""
-    found = nearest(quantity, [*_WHOLE, *_PARTS])
+    known = _parts()
+    found = nearest(quantity, [*_WHOLE, *known])
     if found is None:
         return "Give one such as kinetic_energy or mass_flow.NAME"
-    end = f".{part or 'NAME'}" if found in _PARTS else ""
+    end = f".{part or 'NAME'}" if found in known else ""
     return f"Did you mean {found}{end}?"
 
 

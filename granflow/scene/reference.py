@@ -334,7 +334,13 @@ def _mappings(schema: dict[str, Any]) -> Iterator[str]:
 
 def example_of(key: Key) -> str:
     """Key and example value as YAML on one line."""
-    value = PART_EXAMPLES.get(f"{key.part}.{key.name}") or EXAMPLES.get(key.name) or _from_scenes(key)
+    of_metrics = {metric.__name__: metric.examples for metric in METRICS}
+    value = (
+        PART_EXAMPLES.get(f"{key.part}.{key.name}")
+        or of_metrics.get(key.part, {}).get(key.name)
+        or EXAMPLES.get(key.name)
+        or _from_scenes(key)
+    )
     return f"{key.name}: {value or _typical(key.schema, key.name)}"
 
 
@@ -531,7 +537,6 @@ PART_EXAMPLES = {
     "StageCondition.above": "100 kPa",
     "StageCondition.below": "5 kPa",
     "FieldGrid.cells": "[20, 1, 40]",
-    **{f"{metric.__name__}.{key}": value for metric in METRICS for key, value in metric.examples.items()},
     "Box.min": "[0, 0, 0]",
     "Box.max": "[40 mm, 40 mm, 80 mm]",
     "Checkpoints.interval": "0.5 s",

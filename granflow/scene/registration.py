@@ -1,6 +1,7 @@
-"""Registration of contact models from outside the package.
+"""Registration of contact models and metrics from outside the package.
 
-A model is checked, added to the registry of contact models, and becomes a value of `contact` in the schema.
+A model is checked, added to the registry of contact models, and becomes a value of `contact` in the schema; a
+metric becomes a kind of `output.metrics`.
 """
 
 from inspect import unwrap
@@ -11,7 +12,7 @@ from granflow.contact.law import SLOTS, ContactModel
 from granflow.device_functions import run_time_branches, source_lines
 from granflow.errors import GranflowError
 from granflow.scene import checks, reference
-from granflow.scene.blocks import contact, materials
+from granflow.scene.blocks import contact, materials, metrics, output
 from granflow.scene.blocks.scene import SceneInput
 from granflow.schema.model import Model
 
@@ -81,13 +82,51 @@ def unregister_contact_model(model: ContactModel) -> None:
     _use_registry()
 
 
+def register_metric(metric: type[metrics.Metric]) -> None:
+    """Register a kind of metric, so that scenes can measure it like a built-in one.
+
+    `metric`: subclass of `granflow.scene.blocks.metrics.Metric` with the field `kind`, fields for its other
+    keys, `quantities` and `measure`. Call this function before a scene with the metric is read, also in a
+    program that resumes a run. Scenes that exist are not affected.
+
+        class Height(Metric):
+            kind: Literal["height"] = Field("height", description="kind of metric")
+            quantities = (Quantity("mean_height", "z", "m", "mean height of the particles"),)
+
+            def measure(self, snapshot, scene):
+                return Reading({"mean_height": snapshot.particles["position"][:, 2].mean()})
+
+        gf.register_metric(Height)
+
+    Raises GranflowError for a class that is not valid, or a name that exists.
+    """
+    if not (isinstance(metric, type) and issubclass(metric, metrics.Metric)):
+        raise GranflowError(
+            f"metric is {shown(metric)}, but must be a subclass of granflow.scene.blocks.metrics.Metric, see "
+            "the guide."
+        )
+    try:
+        metrics.add_metric(metric)
+    except ValueError as error:
+        raise GranflowError(str(error)) from None
+    _use_registry()
+
+
+def unregister_metric(metric: type[metrics.Metric]) -> None:
+    """Remove a kind of metric that was registered."""
+    metrics.remove_metric(metric)
+    _use_registry()
+
+
 def _use_registry() -> None:
-    """Rebuild the schema from the registry."""
+    """Rebuild the schema from the registries."""
     contact.use_registry()
     materials.use_registry()
+    output.use_metrics()
     blocks: list[type[Model]] = [
         contact.Contact,
         materials.MaterialPair,
+        output.Output,
         SceneInput,
         *SceneInput.__subclasses__(),
     ]

@@ -2,10 +2,12 @@
 
 A kind of metric is one class below. It has the keys of the kind, the quantities that it yields, the parts of
 a snapshot that it reads, its checks against the rest of the scene, and its measurement. The formulas,
-functions of arrays, precede it. `AnyMetric` at the end lists the kinds. `observers.metrics` evaluates the
+functions of arrays, precede it. `AnyMetric` at the end lists the kinds; a program adds others with
+`granflow.register_metric`. `observers.metrics` evaluates the
 metrics of a run for each row of the time series.
 """
 
+import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal, Protocol, get_args
@@ -13,7 +15,15 @@ from typing import Annotated, ClassVar, Literal, Protocol, get_args
 import numpy as np
 from pydantic import Field
 
-from granflow.fields import Quantity, by_name
+from granflow.arguments import shown
+from granflow.fields import (
+    FLOW_METER_QUANTITIES,
+    INSERTION_QUANTITIES,
+    OUTLET_QUANTITIES,
+    WALL_FORCE_QUANTITIES,
+    WALL_QUANTITIES,
+    Quantity,
+)
 from granflow.geometry.coarse_grid import CoarseGrid
 from granflow.geometry.shape import frame_along, sphere_volume
 from granflow.scene.blocks.domain import Domain
@@ -28,6 +38,17 @@ from granflow.schema.quantities import Vector3
 from granflow.snapshot import CONTACTS, PARTICLES, Snapshot, mobile_particles, selected
 
 # What a metric is
+
+IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
+"""Names of kinds and of quantities."""
+PART_QUANTITIES = {
+    **FLOW_METER_QUANTITIES,
+    **WALL_FORCE_QUANTITIES,
+    **WALL_QUANTITIES,
+    **INSERTION_QUANTITIES,
+    **OUTLET_QUANTITIES,
+}
+"""Numbers of other parts of a run, named `QUANTITY.PART` as those of metrics."""
 
 
 class CheckedScene(Protocol):
@@ -804,18 +825,63 @@ AnyMetric = Annotated[
     | ProbeMetric,
     choose_by_key("kind"),
 ]
-"""Any kind of metric; the key `kind` selects it."""
-METRICS: tuple[type[Metric], ...] = get_args(get_args(AnyMetric)[0])
-"""The kinds of metrics."""
-METRIC_QUANTITIES = by_name(
-    found
-    for metric in METRICS
-    for each in metric.quantities
-    for found in (
-        each,
-        replace(
-            each, name=f"{each.name}_mean", meaning=f"{each.meaning}, mean over the rows of the last stage"
-        ),
-    )
-)
+"""Any built-in kind of metric; the key `kind` selects it."""
+METRICS: list[type[Metric]] = []
+"""The kinds of metrics: built in, and registered by a program."""
+METRIC_QUANTITIES: dict[str, Quantity] = {}
 """Numbers of all metrics; with the suffix `_mean` the mean over the rows of the last stage."""
+
+
+def add_metric(metric: type[Metric]) -> None:
+    """Add a kind of metric. Raises ValueError with the reason if it is not valid."""
+    problem = next(_problems(metric), None)
+    if problem:
+        raise ValueError(f"metric {metric.__name__}: {problem}")
+    METRICS.append(metric)
+    _use_quantities()
+
+
+def remove_metric(metric: type[Metric]) -> None:
+    """Remove a kind of metric that was added."""
+    METRICS.remove(metric)
+    _use_quantities()
+
+
+def _use_quantities() -> None:
+    """Set METRIC_QUANTITIES, which other tables contain, to those of METRICS."""
+    METRIC_QUANTITIES.clear()
+    for metric in METRICS:
+        for each in metric.quantities:
+            meaning = f"{each.meaning}, mean over the rows of the last stage"
+            METRIC_QUANTITIES[each.name] = each
+            METRIC_QUANTITIES[f"{each.name}_mean"] = replace(each, name=f"{each.name}_mean", meaning=meaning)
+
+
+def _problems(metric: type[Metric]) -> Iterator[str]:
+    """Reasons why a class is not a valid kind of metric."""
+    kind = metric.model_fields.get("kind")
+    names = get_args(kind.annotation) if kind is not None else ()
+    if len(names) != 1 or not IDENTIFIER.fullmatch(str(names[0])):
+        yield 'it needs a field kind of the type Literal["name"], of lowercase letters, digits and _'
+        return
+    if names[0] in [get_args(each.model_fields["kind"].annotation)[0] for each in METRICS]:
+        yield f"a metric of the kind {names[0]} exists"
+    quantities = getattr(metric, "quantities", ())
+    if not (isinstance(quantities, tuple) and quantities):
+        yield "it needs quantities, a tuple of at least one Quantity"
+        return
+    for each in quantities:
+        if not isinstance(each, Quantity):
+            yield f"its quantities contain {shown(each)}, which is not a Quantity"
+        elif not IDENTIFIER.fullmatch(each.name) or each.name.endswith("_mean"):
+            yield f"its quantity {shown(each.name)} must have lowercase letters, digits and _, without _mean"
+        elif METRIC_QUANTITIES.get(each.name, each) != each or each.name in PART_QUANTITIES:
+            yield f"the quantity {each.name} exists with another meaning"
+        elif each.kind != "scalar":
+            yield f"its quantity {each.name} must be a scalar"
+    if metric.measure is Metric.measure:
+        yield "it must define measure(snapshot, scene)"
+
+
+for _metric in get_args(get_args(AnyMetric)[0]):
+    add_metric(_metric)

@@ -5,9 +5,10 @@ same order. `blocks.metrics` has the kinds of metrics. `unit_of` gives the unit 
 """
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Union
 
 from pydantic import Field
+from pydantic.fields import FieldInfo
 
 from granflow.fields import (
     FIELD_QUANTITIES,
@@ -21,11 +22,22 @@ from granflow.fields import (
 )
 from granflow.geometry.shape import are_perpendicular
 from granflow.scene.blocks.grids import GridSpec
-from granflow.scene.blocks.metrics import METRIC_QUANTITIES, AnyMetric
+from granflow.scene.blocks.metrics import METRIC_QUANTITIES, METRICS, AnyMetric
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, redundant, whole
 from granflow.schema.messages import suggestion_or_list
-from granflow.schema.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, optional, pair_list
+from granflow.schema.model import (
+    Flag,
+    FlagOrNames,
+    ListOf,
+    Model,
+    Name,
+    Names,
+    Text,
+    choose_by_key,
+    optional,
+    pair_list,
+)
 from granflow.schema.quantities import Number
 
 # Keys `collision_energies` and `flow_meters`
@@ -193,6 +205,15 @@ class Output(Model):
     checkpoint: Checkpoints = Field(
         Checkpoints.model_construct(), description="interval and number of checkpoints"
     )
+
+
+def use_metrics() -> None:
+    """Set the key `metrics` to the kinds in METRICS; a schema that is built must be rebuilt afterwards."""
+    any_metric: Any = Annotated[Union[tuple(METRICS)], choose_by_key("kind")]  # noqa: UP007
+    field = Output.__pydantic_fields__["metrics"]
+    annotation: Any = dict[Name, any_metric]
+    given: Any = Field({}, description=field.description)
+    Output.__pydantic_fields__["metrics"] = FieldInfo.from_annotated_attribute(annotation, given)
 
 
 # Block `expect`

@@ -1,0 +1,132 @@
+"""A metric from outside the package: in the schema, the time series, result.json and expectations of a run."""
+
+import csv
+import json
+from typing import Literal
+
+import numpy as np
+import pytest
+from pydantic import Field
+from scene_builders import SOFT
+
+import granflow as gf
+from granflow.fields import Quantity
+from granflow.scene.blocks.metrics import METRICS, Metric, Reading
+from granflow.scene.registration import unregister_metric
+from granflow.schema.faults import Fault
+
+
+class Height(Metric):
+    """Heights of the particles above a level."""
+
+    kind: Literal["height"] = Field("height", description="kind of metric")
+    level: float = Field(0.0, description="level [m]")
+    quantities = (
+        Quantity("mean_height", "z", "m", "mean height of the particles above a level"),
+        Quantity("share_above", "", "1", "share of the particles above a level"),
+    )
+    examples = {"level": "0.25"}
+
+    def faults_in(self, parts):
+        if self.level < parts.scene.domain.min[2]:
+            yield Fault(("level",), "it is below the domain")
+
+    def measure(self, snapshot, scene):
+        height = snapshot.particles["position"][:, 2] - self.level
+        return Reading({"mean_height": float(height.mean()), "share_above": float((height > 0).mean())})
+
+
+@pytest.fixture
+def registered():
+    """The metric is registered during a test."""
+    gf.register_metric(Height)
+    yield
+    unregister_metric(Height)
+
+
+def falling_beads(metrics, expect=()):
+    """Two beads at rest at the heights 0.1 m and 0.2 m that fall freely for 10 ms."""
+    insertion = {"kind": "positions", "positions": [[0.0, 0.0, 0.1], [0.05, 0.0, 0.2]]}
+    return gf.Scene.from_dict(
+        {
+            "title": "Falling beads",
+            "gravity": [0.0, 0.0, -10.0],
+            "domain": {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 0.3], "on_exit": "error"},
+            "materials": {"glass": SOFT},
+            "pairs": {"glass-glass": {"restitution": 0.8, "friction": 0.0}},
+            "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "none"},
+            "particles": {"beads": {"material": "glass", "diameter": 0.01, "insert": insertion}},
+            "run": {"duration": 0.01, "precision": "f64"},
+            "output": {"interval": 0.005, "metrics": metrics},
+            "expect": list(expect),
+        }
+    )
+
+
+def test_a_registered_metric_is_written_and_evaluated(registered, tmp_path, taichi_f64):
+    """Free fall from the mean height 0.15 m: z = 0.15 m - g t^2 / 2, which velocity Verlet integrates
+    exactly."""
+    scene = falling_beads(
+        {"fall": {"kind": "height", "level": 0.15}},
+        [{"quantity": "mean_height.fall", "between": [-0.000501, -0.000499]}],
+    )
+    with gf.Simulation(scene, out=tmp_path / "out", threads=2) as simulation:
+        simulation.run()
+    with (tmp_path / "out/timeseries.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {"mean_height.fall [m]", "share_above.fall"} <= set(rows[0])
+    for row in rows:
+        time = float(row["time [s]"])
+        assert float(row["mean_height.fall [m]"]) == pytest.approx(-5.0 * time**2, abs=1e-9)
+        assert float(row["share_above.fall"]) == 0.5
+    result = json.loads((tmp_path / "out/result.json").read_text())
+    last = float(rows[-1]["time [s]"])
+    assert result["metrics"]["fall"]["mean_height"] == pytest.approx(-5.0 * last**2, abs=1e-9)
+    assert result["metrics"]["fall"]["mean_height_mean"] == pytest.approx(
+        np.mean([float(row["mean_height.fall [m]"]) for row in rows]), abs=1e-9
+    )
+    assert [each["met"] for each in result["expect"]] == [True]
+
+
+def test_checks_of_a_registered_metric_are_those_of_built_in_ones(registered):
+    with pytest.raises(gf.SceneError, match="output.metrics.fall.level is -1.0, but it is below the domain"):
+        falling_beads({"fall": {"kind": "height", "level": -1.0}})
+    with pytest.raises(gf.SceneError, match="output.metrics.fall.levels is not a known key. Did you mean level?"):
+        falling_beads({"fall": {"kind": "height", "levels": 1.0}})
+    with pytest.raises(gf.SceneError, match="its quantities are mean_height.fall, share_above.fall"):
+        falling_beads({"fall": {"kind": "height"}}, [{"quantity": "lacey_index.fall", "below": 1.0}])
+
+
+def test_a_metric_that_is_not_registered_is_unknown():
+    with pytest.raises(gf.SceneError, match="output.metrics.fall.kind is height, but "):
+        falling_beads({"fall": {"kind": "height"}})
+    assert Height not in METRICS
+
+
+def changed(**values):
+    """The class `Height` with other values of the class."""
+    return type("Changed", (Height,), {"__module__": __name__, **values})
+
+
+@pytest.mark.parametrize(
+    ("metric", "message"),
+    [
+        (5, "metric is 5, but must be a subclass of granflow.scene.blocks.metrics.Metric"),
+        (gf.LaceyMetric, "metric LaceyMetric: a metric of the kind lacey exists"),
+        (type("NoKind", (Metric,), {"__module__": __name__}), "metric NoKind: it needs a field kind"),
+        (changed(quantities=()), "metric Changed: it needs quantities"),
+        (
+            changed(quantities=(Quantity("mean height", "", "m", "x"),)),
+            "its quantity 'mean height' must have",
+        ),
+        (
+            changed(quantities=(Quantity("mass_flow", "", "kg/s", "x"),)),
+            "the quantity mass_flow exists with another meaning",
+        ),
+        (changed(measure=Metric.measure), r"it must define measure\(snapshot, scene\)"),
+    ],
+)
+def test_invalid_metrics_are_refused(metric, message):
+    with pytest.raises(gf.GranflowError, match=message):
+        gf.register_metric(metric)
+    assert metric is gf.LaceyMetric or metric not in METRICS
