@@ -65,6 +65,7 @@ WRONG = {
     "row": (lambda _: gf.steady_flow([(0.0, 1.0)]), "history contains (0.0, 1.0), but must have rows of"),
     "analyze_snapshots": (lambda _: gf.analyze_snapshots(scene(), 5, "out"), "snapshots is 5, but must be a list"),
     "register_contact_model": (lambda _: gf.register_contact_model(5), "model is 5, but must be a ContactModel"),
+    "register_metric": (lambda _: gf.register_metric(5), "metric is 5, but must be a subclass of"),
     "start": (lambda _: gf.start("cpu", "f64", "two"), "threads is 'two'; give a whole number of at least 1"),
     "ParticleData": (lambda _: gf.ParticleData(1, 2, 3, 4, 5, 6), "ParticleData: radius is 4, but must be an array"),
     "ParticleData shape": (

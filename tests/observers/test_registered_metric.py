@@ -91,7 +91,9 @@ def test_a_registered_metric_is_written_and_evaluated(registered, tmp_path, taic
 def test_checks_of_a_registered_metric_are_those_of_built_in_ones(registered):
     with pytest.raises(gf.SceneError, match="output.metrics.fall.level is -1.0, but it is below the domain"):
         falling_beads({"fall": {"kind": "height", "level": -1.0}})
-    with pytest.raises(gf.SceneError, match="output.metrics.fall.levels is not a known key. Did you mean level?"):
+    with pytest.raises(
+        gf.SceneError, match="output.metrics.fall.levels is not a known key. Did you mean level?"
+    ):
         falling_beads({"fall": {"kind": "height", "levels": 1.0}})
     with pytest.raises(gf.SceneError, match="its quantities are mean_height.fall, share_above.fall"):
         falling_beads({"fall": {"kind": "height"}}, [{"quantity": "lacey_index.fall", "below": 1.0}])
