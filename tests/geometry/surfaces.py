@@ -89,5 +89,6 @@ def points_around(shape, count, seed=1):
     corners, _ = shape.triangles(np.zeros(3), 0.5)
     midpoints = (corners + np.roll(corners, 1, axis=0)) / 2
     special = np.concatenate([on_axis, corners, midpoints])
+    special = special[:: -(-len(special) // count)]
     points[: len(special)] = special
     return points

@@ -44,5 +44,5 @@ def test_triangles_cover_the_area_of_the_shape(shape, expected):
 
 def test_codes_of_shape_kinds_do_not_depend_on_the_order_of_the_walls():
     kinds = shape_kinds(list(SHAPES.values()))
-    assert [kind.kind for kind in kinds] == ["half_space", "rectangle", "revolved"]
+    assert {"half_space", "rectangle", "revolved"} <= {kind.kind for kind in kinds}
     assert shape_kinds(list(SHAPES.values())[::-1]) == kinds
