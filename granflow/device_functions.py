@@ -47,6 +47,8 @@ class _Taichi:
             try:
                 result = compiled()(*arguments, **keywords)
                 arguments[0].refuse_result(function.__name__, result)
+            except FunctionError:  # of another function, which this one calls
+                raise
             except Exception as error:
                 name = f"The function {function.__name__} of {arguments[0].title()}"
                 text = f"{name} cannot be compiled: {reason_of(error, function)}."

@@ -538,8 +538,31 @@ def reference_in_contact_plane(vector: np.ndarray, contact: SurfaceState) -> np.
 
 
 @dataclass(frozen=True)
-class TangentialLaw(Law):
-    """A tangential contact model.
+class SurfaceLaw(Law):
+    """A model of what two surfaces in contact exert on each other in addition to the normal force."""
+
+    @property
+    def damped(self) -> bool:
+        """Whether the law reads `normal_damping`."""
+        return False
+
+    @ti.func
+    def act(self, constants, contact, kinematics, history):
+        """Struct of the force on the first particle [N], the torques on both [N m], the history, and the loss
+        [J], the energy dissipated in this step.
+
+        kinematics:  of the pair, with the lever arms, see `engine.pair.build_sphere_kinematics`
+        """
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]."""
+        return 0.0 * contact.stiffness
+
+
+@dataclass(frozen=True)
+class TangentialLaw(SurfaceLaw):
+    """A tangential contact model: a force in the contact plane.
 
     An option `stiffness` [N/m] replaces that of the normal model in the time step.
     """
@@ -552,10 +575,18 @@ class TangentialLaw(Law):
         "limit": ("number",),
     }
 
-    @property
-    def damped(self) -> bool:
-        """Whether `force` reads `normal_damping`."""
-        return False
+    @ti.func
+    def act(self, constants, contact, kinematics, history):
+        """The force, with its lever arms, see `SurfaceLaw`."""
+        force, history_new, loss = self.force(constants, contact, history)
+        moment = kinematics.normal.cross(force)
+        return ti.Struct(
+            force=force,
+            torque=-kinematics.arm * moment,
+            torque_partner=-kinematics.arm_partner * moment,
+            history=history_new,
+            loss=loss,
+        )
 
     @ti.func
     def force(self, constants, contact, history):
@@ -570,18 +601,13 @@ class TangentialLaw(Law):
     def present_force(self, constants, contact, history):
         """Tangential force [N] that the history alone gives, and its size [N]; for contact output."""
 
-    @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]."""
-        return 0.0 * contact.stiffness
-
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `force`: tangential force [N] (3,) and the changed history fields."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class TorqueLaw(Law):
+class TorqueLaw(SurfaceLaw):
     """A model of torques on the first particle of a pair; the opposite torques act on the second."""
 
     required = ("torque",)
@@ -591,13 +617,16 @@ class TorqueLaw(Law):
     }
 
     @ti.func
-    def torque(self, constants, contact, history):
-        """Torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
+    def act(self, constants, contact, kinematics, history):
+        """The torque on both particles, without a force, see `SurfaceLaw`."""
+        torque, history_new, loss = self.torque(constants, contact, history)
+        return ti.Struct(
+            force=0.0 * torque, torque=torque, torque_partner=-torque, history=history_new, loss=loss
+        )
 
     @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]."""
-        return 0.0 * contact.stiffness
+    def torque(self, constants, contact, history):
+        """Torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
 
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `torque`: torque [N m] (3,) and the changed history fields."""
@@ -616,11 +645,6 @@ class TwistingLaw(TorqueLaw):
     It reads `history` and `contact` for its stored energy, of which only `overlap`, `radius_eff`, `mass_eff`
     and `stiffness` are known.
     """
-
-    @property
-    def damped(self) -> bool:
-        """Whether `torque` reads `normal_damping`."""
-        return False
 
 
 # Cohesion models
@@ -749,14 +773,44 @@ class WorkOfAdhesion(PairProperties):
     )
 
 
-SLOTS: Mapping[str, type[Law]] = {
-    "normal": NormalLaw,
-    "tangential": TangentialLaw,
-    "rolling": RollingLaw,
-    "twisting": TwistingLaw,
-    "cohesion": CohesionLaw,
+@dataclass(frozen=True)
+class Slot:
+    """A key of `contact`, whose value selects one of the models of a base class.
+
+    What the models of a slot add to a contact follows from the base class. Those of a `SurfaceLaw` act on
+    surfaces that touch, and require rotations; their forces, torques, losses, energies and histories need
+    nothing but this record. The normal force and cohesion are written out in `engine/pair.py`.
+
+    name:      the key
+    base:      base class of the laws
+    loss:      term of the energy budget to which `act` of a `SurfaceLaw` adds, see `plan.sum_units.LOSSES`
+    optional:  whether a scene may omit the key: it then has no such model
+    remark:    end of the description of the key
+    """
+
+    name: str
+    base: type[Law]
+    loss: str = ""
+    optional: bool = False
+    remark: str = ""
+
+    @property
+    def on_surface(self) -> bool:
+        """Whether the models act on surfaces that touch."""
+        return issubclass(self.base, SurfaceLaw)
+
+
+SLOTS: Mapping[str, Slot] = {
+    slot.name: slot
+    for slot in (
+        Slot("normal", NormalLaw),
+        Slot("tangential", TangentialLaw, "friction_dissipation"),
+        Slot("rolling", RollingLaw, "rolling_dissipation"),
+        Slot("twisting", TwistingLaw, "rolling_dissipation", optional=True),
+        Slot("cohesion", CohesionLaw, optional=True, remark=", with any normal contact model"),
+    )
 }
-"""Keys of `contact`, in the order of evaluation, and the base class of the models of each."""
+"""Keys of `contact` in the order of evaluation, by name."""
 RestitutionInput: TypeAlias = Literal["number or fit", "positive number", "nothing"]
 """Form of `restitution` that a model requires of a pair; "nothing" if restitution follows from the
 materials."""
@@ -787,7 +841,7 @@ class ContactModel:
     @property
     def slot(self) -> str:
         """Key of `contact` that selects the model."""
-        return next(slot for slot, base in SLOTS.items() if issubclass(self.law, base))
+        return next(name for name, slot in SLOTS.items() if issubclass(self.law, slot.base))
 
     @property
     def required_options(self) -> dict[str, str]:

@@ -22,9 +22,8 @@ from granflow.contact.law import (
     NormalLaw,
     Options,
     PairProperties,
-    RollingLaw,
+    SurfaceLaw,
     TangentialLaw,
-    TwistingLaw,
 )
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
@@ -83,8 +82,8 @@ def liquid_models() -> list[str]:
 
 def _problems(model: ContactModel) -> Iterator[str]:
     """Reasons why a record cannot be registered."""
-    if not any(issubclass(model.law, base) for base in SLOTS.values()):
-        yield f"its law must be a subclass of {', '.join(base.__name__ for base in SLOTS.values())}"
+    if not any(issubclass(model.law, slot.base) for slot in SLOTS.values()):
+        yield f"its law must be a subclass of {', '.join(slot.base.__name__ for slot in SLOTS.values())}"
         return
     missing = [
         name for name in ("name", "source", "limits") if not isinstance(getattr(model.law, name, None), str)
@@ -125,7 +124,7 @@ def _meaning(field: FieldInfo) -> tuple[Any, ...]:
 
 def _undefined(model: ContactModel) -> Iterator[str]:
     """Functions and constants that the interface of the slot requires and the law does not define."""
-    base = SLOTS[model.slot]
+    base = SLOTS[model.slot].base
     undefined = [name for name in base.required if getattr(model.law, name) is getattr(base, name)]
     if undefined:
         yield f"its law must define {', '.join(undefined)}, see {base.__module__}.{base.__name__}"
@@ -142,25 +141,22 @@ for _module in (*_NORMAL, *_SURFACE, sjkr, dmt, jkr, capillary, capillary_transf
 
 @dataclass(frozen=True)
 class ContactLaws:
-    """Laws of a scene; None for a slot that no pair of materials needs."""
+    """Laws of a scene, one per slot; slots that no pair of materials needs have none.
 
-    normal: NormalLaw
-    tangential: TangentialLaw | None = None
-    rolling: RollingLaw | None = None
-    cohesion: CohesionLaw | None = None
-    twisting: TwistingLaw | None = None
+    A frozen tuple, so that kernels can be cached by it.
+    """
+
+    laws: tuple[Law, ...]
 
     @property
     def by_slot(self) -> Mapping[str, Law]:
-        """The laws that are not None, by slot, in the order of the columns of the pair constants."""
-        laws = {
-            "normal": self.normal,
-            "tangential": self.tangential,
-            "rolling": self.rolling,
-            "twisting": self.twisting,
-            "cohesion": self.cohesion,
-        }
-        return {slot: law for slot, law in laws.items() if law is not None}
+        """The laws by slot, in the order of evaluation and of the columns of the pair constants."""
+        return {name: law for name, slot in SLOTS.items() for law in self.laws if isinstance(law, slot.base)}
+
+    @property
+    def names(self) -> Mapping[str, str]:
+        """Name of the model of each slot, or "none"."""
+        return {slot: self.by_slot[slot].name if slot in self.by_slot else "none" for slot in SLOTS}
 
     @property
     def structure(self) -> tuple[tuple[str, Law], ...]:
@@ -168,30 +164,39 @@ class ContactLaws:
         return tuple((slot, law.structure) for slot, law in self.by_slot.items())
 
     @property
+    def normal(self) -> NormalLaw:
+        """The normal model."""
+        return next(law for law in self.laws if isinstance(law, NormalLaw))
+
+    @property
+    def tangential(self) -> TangentialLaw | None:
+        """The tangential model, whose force is an output of contacts."""
+        return next((law for law in self.laws if isinstance(law, TangentialLaw)), None)
+
+    @property
+    def cohesion(self) -> CohesionLaw | None:
+        """The cohesion model, which may act at a distance."""
+        return next((law for law in self.laws if isinstance(law, CohesionLaw)), None)
+
+    @property
     def has_tangential(self) -> bool:
         """Whether a tangential model acts; kernels cannot compare with None."""
         return self.tangential is not None
 
     @property
-    def damped_slots(self) -> tuple[str, ...]:
-        """Slots, tangential or twisting, whose dashpot is a multiple of that of the normal model."""
-        laws = {"tangential": self.tangential, "twisting": self.twisting}
-        return tuple(slot for slot, law in laws.items() if law is not None and law.damped)
-
-    @property
-    def has_rolling(self) -> bool:
-        """Whether a rolling model acts."""
-        return self.rolling is not None
-
-    @property
-    def has_twisting(self) -> bool:
-        """Whether a twisting model acts."""
-        return self.twisting is not None
-
-    @property
     def has_cohesion(self) -> bool:
         """Whether a cohesion model acts."""
         return self.cohesion is not None
+
+    @property
+    def on_surface(self) -> tuple[tuple[str, SurfaceLaw], ...]:
+        """Slot and law of each model that acts on surfaces that touch, in the order of evaluation."""
+        return tuple((slot, law) for slot, law in self.by_slot.items() if isinstance(law, SurfaceLaw))
+
+    @property
+    def damped_slots(self) -> tuple[str, ...]:
+        """Slots whose dashpot is a multiple of that of the normal model."""
+        return tuple(slot for slot, law in self.on_surface if law.damped)
 
     @property
     def acts_at_distance(self) -> bool:

@@ -1,7 +1,7 @@
 """Structs of the contact models from the vectors that fields store, and back.
 
 A contact model reads its constants and its history by name, from structs with a member for each slot
-(normal, tangential, rolling, twisting, cohesion). Fields store a row of numbers: of a pair of materials, of
+(see `contact.law.SLOTS`). Fields store a row of numbers: of a pair of materials, of
 the law parameters of the scene, or of the history of a contact in one slot. The functions of this file
 convert between the two; all names and indices are known when a kernel is compiled.
 """
@@ -137,6 +137,12 @@ def _number_of(history, name: ti.template(), k: ti.template()):
 @ti.func
 def _component_of(history, name: ti.template(), k: ti.template()):
     return member(history, name)[k]
+
+
+@at_compile_time
+def set_member(struct: Any, name: str, value: Any) -> None:
+    """Assign to a member of a struct by a name that is known when the kernel is compiled."""
+    getattr(struct, name)._assign(value)
 
 
 @at_compile_time

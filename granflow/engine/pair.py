@@ -8,8 +8,8 @@ A pair is a particle i and a partner j, which is another particle, or a wall or 
     constants    numbers of the contact models for the two materials (`build_pair_constants`)
 
 and `build_pair_force` turns these and the history of the contact into forces, torques, the new history and
-the losses: it calls the normal, cohesion, tangential, rolling and twisting models of the scene, which
-`contact/law.py` describes.
+the losses: it calls the normal and the cohesion model of the scene, then those that act on the surfaces in
+the order of `contact.law.SLOTS`.
 
 `build_sphere_kinematics` and `build_pair_force` are functions of values, which read and write no field, so
 that the scalar contact loop (`contact.py`) and the batched one (`batch.py`) share them. If the partners are
@@ -18,15 +18,15 @@ exchanged, each of their results is bit-identical or has exactly the opposite si
 
 from typing import Any
 
-from granflow.contact.law import in_contact_plane
+from granflow.contact.law import SLOTS, in_contact_plane
 from granflow.contact.registry import ContactLaws
 from granflow.engine.box import build_image_velocity, build_minimum_image
-from granflow.engine.contact_structs import build_constants
+from granflow.engine.contact_structs import build_constants, member, set_member
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_contact, build_wall_of
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
-from granflow.plan.sum_units import LOSS_DAMPING, LOSS_FRICTION, LOSS_ROLLING
+from granflow.plan.sum_units import LOSS_DAMPING, LOSSES
 
 # Kinematics
 
@@ -355,7 +355,10 @@ def build_in_range(state: State) -> Any:
 
 # Force
 
-PAIR_LOSSES = (LOSS_FRICTION, LOSS_ROLLING, LOSS_DAMPING)
+PAIR_LOSSES = (
+    *dict.fromkeys(LOSSES.index(slot.loss) for slot in SLOTS.values() if slot.on_surface),
+    LOSS_DAMPING,
+)
 """Terms of the energy budget that a pair force adds to, in the order of its vector `losses`."""
 
 
@@ -369,16 +372,15 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     partner [rad/s]; history; dt, and the longest time step of the run [s].
 
     Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses: a
-    vector of the energies [J] dissipated in this step by friction, by rolling and twisting, and by damping
-    (PAIR_LOSSES).
+    vector of the energies [J] dissipated in this step, in the order of PAIR_LOSSES.
     """
-    features = plan.features
-    laws = plan.laws
-    tangential = laws.tangential
-    rolling = laws.rolling
-    twisting = laws.twisting
-    normal_force_of = build_normal_force(laws, is_prepared)
+    rotation = plan.features.rotation
+    normal_force_of = build_normal_force(plan.laws, is_prepared)
     surface_contact = build_surface_contact(plan)
+    damping = PAIR_LOSSES.index(LOSS_DAMPING)
+    surface_laws = [
+        (slot, law, PAIR_LOSSES.index(LOSSES.index(SLOTS[slot].loss))) for slot, law in plan.laws.on_surface
+    ]
 
     @ti.func
     def pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step):
@@ -387,9 +389,9 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
         force = normal_force * kinematics.normal
         torque = 0.0 * force
         torque_partner = 0.0 * force
-        friction_loss = 0.0 * load
-        rolling_loss = 0.0 * load
-        if ti.static(features.rotation):
+        losses = ti.Vector([0.0 * load for _ in ti.static(range(len(PAIR_LOSSES)))])
+        losses[damping] = viscous * kinematics.overlap_rate * dt
+        if ti.static(rotation):
             surface = surface_contact(
                 constants,
                 contact,
@@ -401,36 +403,19 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
                 dt,
                 longest_time_step,
             )
-            if ti.static(laws.has_tangential):
-                tangential_force, tangential_history, friction_loss = tangential.force(
-                    constants.tangential, surface, history.tangential
-                )
-                force += tangential_force
-                moment = kinematics.normal.cross(tangential_force)
-                torque = -kinematics.arm * moment
-                torque_partner = -kinematics.arm_partner * moment
-                history_new.tangential = tangential_history
-            if ti.static(laws.has_rolling):
-                rolling_torque, rolling_history, rolling_loss = rolling.torque(
-                    constants.rolling, surface, history.rolling
-                )
-                torque = torque + rolling_torque
-                torque_partner = torque_partner - rolling_torque
-                history_new.rolling = rolling_history
-            if ti.static(laws.has_twisting):
-                twisting_torque, twisting_history, twisting_loss = twisting.torque(
-                    constants.twisting, surface, history.twisting
-                )
-                torque = torque + twisting_torque
-                torque_partner = torque_partner - twisting_torque
-                rolling_loss += twisting_loss
-                history_new.twisting = twisting_history
+            for slot, law, loss in ti.static(surface_laws):
+                found = law.act(member(constants, slot), surface, kinematics, member(history, slot))
+                force += found.force
+                torque += found.torque
+                torque_partner += found.torque_partner
+                losses[loss] += found.loss
+                set_member(history_new, slot, found.history)
         return ti.Struct(
             force=force,
             torque=torque,
             torque_partner=torque_partner,
             history=history_new,
-            losses=ti.Vector([friction_loss, rolling_loss, viscous * kinematics.overlap_rate * dt]),
+            losses=losses,
         )
 
     return pair_force

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.box import build_image_velocity, build_minimum_image, build_wrap_position
+from granflow.engine.contact_structs import member
 from granflow.engine.fields import FieldBlock
 from granflow.engine.history import build_read_history, vector_components
 from granflow.engine.host import FieldTable, consecutive, list_table
@@ -422,18 +423,18 @@ def build_energies(state: State) -> Any:
 
     Both are 0 without the energy budget.
 
-    The stored energy includes that of the tangential, rolling, twisting and cohesion models; the lost energy
-    is the plastic work.
+    The stored energy includes that of all models; the lost energy is the plastic work.
 
     Reads:  history
     """
     laws = state.plan.laws
+    surface_laws = laws.on_surface
     energy_budget = state.plan.features.energy_budget
     read_history = build_read_history(state)
 
     @ti.func
     def with_surface_energy(normal_energy, constants, contact, history):
-        """The stored energy [J] with that of the tangential, rolling and twisting models."""
+        """The stored energy [J] with that of the models that act on the surfaces."""
         stored = normal_energy
         surface = ti.Struct(
             radius_eff=contact.radius_eff,
@@ -441,12 +442,8 @@ def build_energies(state: State) -> Any:
             overlap=contact.overlap,
             stiffness=laws.normal.tangential_stiffness(constants.normal, contact, history.normal),
         )
-        if ti.static(laws.has_tangential):
-            stored += laws.tangential.stored_energy(constants.tangential, surface, history.tangential)
-        if ti.static(laws.has_rolling):
-            stored += laws.rolling.stored_energy(constants.rolling, surface, history.rolling)
-        if ti.static(laws.has_twisting):
-            stored += laws.twisting.stored_energy(constants.twisting, surface, history.twisting)
+        for slot, law in ti.static(surface_laws):
+            stored += law.stored_energy(member(constants, slot), surface, member(history, slot))
         return stored
 
     @ti.func

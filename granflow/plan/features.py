@@ -6,11 +6,11 @@ the reason with the line of the scene that determines it. The kernels read the v
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from granflow.contact import registry
-from granflow.contact.law import ContactModel
+from granflow.contact.law import SLOTS, ContactModel
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, size_classes
 from granflow.scene.blocks.run import Damping
@@ -24,15 +24,8 @@ class Features:
     compiles only the branches of features that are on.
     """
 
-    friction: bool
-    rolling: str
-    """Name of the rolling model, or "none"."""
-    twisting: str
-    """Name of the twisting model, or "none"."""
     rotation: bool
     rate_dependent: bool
-    cohesion: str
-    """Name of the cohesion model, or "none"."""
     walls: bool
     moving_walls: bool
     surface_velocity: bool
@@ -74,14 +67,15 @@ class Reason:
 def features_of(
     scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool, has_joined_walls: bool
 ) -> tuple[Features, tuple[Reason, ...]]:
-    """All features of the scene, and the reason for each in the order of the fields of Features.
+    """All features of the scene, and the reasons of all of them and of the contact models but the normal one.
 
     `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous
     term, so that forces depend on synchronized velocities; `has_joined_walls`: whether surfaces of walls may
     touch.
     """
     rows = list(_rows(scene, models, law_is_damped, has_joined_walls))
-    values: dict[str, Any] = {name: value for name, value, _ in rows}
+    names = {each.name for each in fields(Features)}
+    values: dict[str, Any] = {name: value for name, value, _ in rows if name in names}
     reasons = tuple(Reason(name, _setting(value), why) for name, value, why in rows)
     return Features(**values), reasons
 
@@ -102,11 +96,9 @@ def _rows(
     where = scene.where
 
     # Contacts.
-    yield "friction", "tangential" in models, _model_reason(scene, models, "tangential")
-    yield "rolling", _name(models, "rolling"), _model_reason(scene, models, "rolling")
-    yield "twisting", _name(models, "twisting"), _model_reason(scene, models, "twisting")
+    yield from (_model_row(scene, models, slot) for slot in SLOTS if SLOTS[slot].on_surface)
     clumps = [name for name, group in groups.items() if group.shape.rotates]
-    has_torques = any(slot in models for slot in ("tangential", "rolling", "twisting"))
+    has_torques = any(SLOTS[slot].on_surface for slot in models)
     if clumps:
         why = "required by clumps"
     elif has_torques:
@@ -115,8 +107,8 @@ def _rows(
         why = "no torques: every pair has friction and rolling friction 0"
     yield "rotation", bool(clumps) or has_torques, why
     yield "rate_dependent", law_is_damped, _rate_reason(scene, law_is_damped)
-    cohesion = _name(models, "cohesion")
-    yield "cohesion", cohesion, _model_reason(scene, models, "cohesion")
+    cohesion = models["cohesion"].name if "cohesion" in models else "none"
+    yield _model_row(scene, models, "cohesion")
 
     # Walls.
     yield (
@@ -259,8 +251,12 @@ def _rows(
     yield "external_forces", False, "forces are added from Python only"
 
 
-def _name(models: Mapping[str, ContactModel], slot: str) -> str:
-    return models[slot].name if slot in models else "none"
+def _model_row(scene: Scene, models: Mapping[str, ContactModel], slot: str) -> tuple[str, bool | str, str]:
+    """Row of the contact model of a slot: its name, or for friction whether there is any."""
+    reason = _model_reason(scene, models, slot)
+    if slot == "tangential":
+        return "friction", slot in models, reason
+    return slot, models[slot].name if slot in models else "none", reason
 
 
 def _model_reason(scene: Scene, models: Mapping[str, ContactModel], slot: str) -> str:

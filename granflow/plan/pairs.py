@@ -7,7 +7,6 @@ which the time step is chosen.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -70,7 +69,7 @@ def build_laws(
     """
     materials = tuple(pairs[first, second] for first, second in (key.split("-") for key in scene.pairs))
     unloading_angle = scene.numerics.unloading_angle / max(map(_mass_ratio, groups)) ** 0.5
-    laws: dict[str, Any] = {}
+    laws = []
     for slot, model in models.items():
         request = ModelRequest(
             scene.contact.options(slot),
@@ -80,8 +79,8 @@ def build_laws(
             scene.output.energy_budget,
             max(0.5 * group.diameters[1] for group in scene.particles.values()),
         )
-        laws[slot] = model.law.from_scene(request)
-    found = ContactLaws(**laws)
+        laws.append(model.law.from_scene(request))
+    found = ContactLaws(tuple(laws))
     if found.damped_slots and not found.normal.has_dashpot:
         _refuse_dashpot(scene, found.damped_slots[0])
     return found
@@ -138,7 +137,7 @@ def _pair_material(
         )
     else:
         restitution = given
-    surface = [models[slot] for slot in ("tangential", "rolling", "twisting") if slot in models]
+    surface = [model for slot, model in models.items() if SLOTS[slot].on_surface]
     options = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_properties()}
     return PairMaterial(
         modulus_eff(a, b),

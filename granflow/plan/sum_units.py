@@ -37,7 +37,9 @@ LOSSES = (
     "wall_work",
 )
 """Terms of the energy budget that each chunk sums [J], with the names of the totals."""
-LOSS_PLASTIC, LOSS_FRICTION, LOSS_ROLLING, LOSS_DAMPING, LOSS_WALL_WORK = range(len(LOSSES))
+LOSS_PLASTIC = LOSSES.index("plastic_dissipation")
+LOSS_DAMPING = LOSSES.index("damping_dissipation")
+LOSS_WALL_WORK = LOSSES.index("wall_work")
 IMPULSE_SIZE = 7
 """Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force
 (1)."""

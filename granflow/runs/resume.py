@@ -125,12 +125,8 @@ PLAN_NUMBERS = ("time_step", "skin", "velocity_max")
 """Numbers of a plan that must not change when a run continues: positions and contact history depend on
 them."""
 FEATURE_SWITCHES = (
-    "friction",
-    "rolling",
-    "twisting",
     "rotation",
     "rate_dependent",
-    "cohesion",
     "one_material",
     "energy_budget",
     "wall_forces",
@@ -143,10 +139,13 @@ FEATURE_SWITCHES = (
 def plan_fingerprint(plan: Plan) -> dict[str, Any]:
     """Return the numbers and features of a plan that checkpoints contain, by name.
 
-    PLAN_NUMBERS in SI units, FEATURE_SWITCHES, and `mesh_digest`. A run continues only if all are equal.
+    PLAN_NUMBERS in SI units, the contact models, FEATURE_SWITCHES, and `mesh_digest`. A run continues only if
+    all are equal.
     """
     numbers = {name: getattr(plan, name) for name in PLAN_NUMBERS} | {"mesh_digest": mesh_digest(plan)}
-    return numbers | {name: getattr(plan.features, name) for name in FEATURE_SWITCHES}
+    laws = {slot: name for slot, name in plan.laws.names.items() if slot not in ("normal", "tangential")}
+    switches = {name: getattr(plan.features, name) for name in FEATURE_SWITCHES}
+    return numbers | {"friction": plan.laws.has_tangential} | laws | switches
 
 
 def mesh_digest(plan: Plan) -> str:

@@ -28,8 +28,10 @@ def register_contact_model(model: ContactModel) -> None:
     Raises GranflowError for a record that is not valid, or a name that exists.
     """
     refuse_other("model", model, ContactModel, "a ContactModel with a law, see the guide")
-    if not (isinstance(model.law, type) and issubclass(model.law, tuple(SLOTS.values()))):
-        bases = ", ".join(base.__name__ for base in SLOTS.values())
+    if not (
+        isinstance(model.law, type) and issubclass(model.law, tuple(slot.base for slot in SLOTS.values()))
+    ):
+        bases = ", ".join(slot.base.__name__ for slot in SLOTS.values())
         raise GranflowError(
             f"the law of a contact model is {shown(model.law)}, but must be a subclass of {bases}."
         )

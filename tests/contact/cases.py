@@ -110,7 +110,7 @@ def request(name, restitution, settings=lambda units: {}):
         model = models("normal")[name]
         pair = pair_of(restitution, units)
         given = model.options(**settings(units))
-        return ContactLaws(model.law.from_scene(ModelRequest(given, (pair,), units.velocity, ANGLE)))
+        return ContactLaws((model.law.from_scene(ModelRequest(given, (pair,), units.velocity, ANGLE)),))
 
     return build
 

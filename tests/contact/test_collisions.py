@@ -161,7 +161,7 @@ def test_restitution_0_is_exact_at_every_time_step(taichi_f64):
 def test_reloading_damping_does_not_change_the_bits_of_a_binary_collision(taichi_f64, name):
     """Damping of contacts that are compressed again acts on none of them: a pair approaches once."""
     (case,) = (case for case in PLAIN if case.name == name)
-    plain = replace(case, build=lambda units: ContactLaws(replace(case.law(units), rest_damping=0.0)))
+    plain = replace(case, build=lambda units: ContactLaws((replace(case.law(units), rest_damping=0.0),)))
     assert case.law().rest_damping > 0.0
     for damped, undamped in zip(collisions(case, 50), collisions(plain, 50), strict=True):
         np.testing.assert_array_equal(damped, undamped)

@@ -60,7 +60,7 @@ def evaluate(law):
     if isinstance(law, TangentialLaw | RollingLaw | TwistingLaw):
         surface_kernel(law)(row, row, cube, np.zeros((0, 0, 0, 0)), cube, flat, flat, cube)
     else:
-        laws = ContactLaws(law) if isinstance(law, NormalLaw) else ContactLaws(Hertz(False), cohesion=law)
+        laws = ContactLaws((law,) if isinstance(law, NormalLaw) else (Hertz(False), law))
         kernel_for(laws)(row, row, 0.1, 0.1, 1e-5, *(flat for _ in range(7)), cube)
 
 

@@ -274,7 +274,7 @@ def test_messages_have_a_position(tmp_path, old, new, message):
 def test_a_model_that_no_pair_needs_is_not_active(tmp_path):
     plan = plan_for(scene_of(tmp_path, parts=[("attraction: 20 mN", "attraction: 0")]))
     assert plan.laws.cohesion is None and not plan.laws.attracts
-    assert plan.features.rolling == "syrupy"
+    assert plan.laws.names["rolling"] == "syrupy"
 
 
 class StickyCase(Case):
@@ -288,7 +288,7 @@ class StickyCase(Case):
 
 def sticky_laws(units):
     """Laws of StickyCase."""
-    return ContactLaws(Hertz(damped=False), cohesion=Sticky(1e-4 * units.meter))
+    return ContactLaws((Hertz(damped=False), Sticky(1e-4 * units.meter)))
 
 
 CHECKS = (

@@ -1,5 +1,6 @@
 """Feature costs: features, start state and memory of every variant."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -83,14 +84,19 @@ def plans(directory, *overrides):
 )
 def test_a_variant_changes_its_feature_only(tmp_path, name, saved, changed):
     found = plans(tmp_path)
-    baseline = found["baseline"].features
-    other = found[name].features
+    baseline = switches(found["baseline"])
+    other = switches(found[name])
     for feature, value in saved.items():
-        assert getattr(other, feature) == getattr(baseline, feature) == value, feature
+        assert other[feature] == baseline[feature] == value, feature
     for feature, value in changed.items():
-        assert getattr(other, feature) == value, feature
+        assert other[feature] == value, feature
         if name != "without all of these" or feature != "rate_dependent":
-            assert getattr(baseline, feature) != value, feature
+            assert baseline[feature] != value, feature
+
+
+def switches(plan):
+    """Features and contact models of a plan by name."""
+    return asdict(plan.features) | plan.laws.names | {"friction": plan.laws.has_tangential}
 
 
 def test_variants_without_history_have_no_history_fields(tmp_path):
@@ -102,9 +108,8 @@ def test_variants_without_history_have_no_history_fields(tmp_path):
 
 def test_variants_add_missing_features(tmp_path):
     found = plans(tmp_path, *IN_CONTACT_NEIGHBORS, *SMOOTH)
-    assert (
-        found["with friction"].features.friction and found["with rolling friction"].features.rolling == "epsd"
-    )
+    assert found["with friction"].laws.has_tangential
+    assert found["with rolling friction"].laws.names["rolling"] == "epsd"
     assert found["with energy budget"].features.energy_budget
     assert "without damping" in found and not {"without walls", "without friction"} & set(found)
 

@@ -103,7 +103,7 @@ def load_of(state: Any, list_entries: int, touching: int) -> BytesMoved:
         traveling=sum(map(entry_size, state.particles.sorted_fields())),
         history=sum(map(entry_size, state.neighbors.history.values())),
         law=plan.law.name,
-        friction=plan.features.friction,
+        friction=plan.laws.has_tangential,
     )
 
 

@@ -57,21 +57,18 @@ class FeatureVariant:
 def variants_of(scene: Scene, plan: Plan) -> list[FeatureVariant]:
     """Baseline and all variants with one feature changed that do not require other particle positions."""
     features = plan.features
+    laws = plan.laws
     return [
         FeatureVariant("baseline", scene),
         *_without_rotational_features(scene, plan),
-        *([] if features.friction else [FeatureVariant("with friction", _with_friction(scene, FRICTION))]),
+        *([] if laws.has_tangential else [FeatureVariant("with friction", _with_friction(scene, FRICTION))]),
         *(
             [FeatureVariant("with rolling friction", _with_rolling(scene, "epsd"))]
-            if features.rolling == "none"
+            if "rolling" not in laws.by_slot
             else []
         ),
         *_without_history(scene, plan),
-        *(
-            [FeatureVariant("without cohesion", _without_cohesion(scene))]
-            if features.cohesion != "none"
-            else []
-        ),
+        *([FeatureVariant("without cohesion", _without_cohesion(scene))] if laws.has_cohesion else []),
         *_other_walls(scene, plan),
         *_other_materials(scene, plan),
         FeatureVariant(
@@ -84,12 +81,12 @@ def variants_of(scene: Scene, plan: Plan) -> list[FeatureVariant]:
 
 def _without_rotational_features(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
     """Variants without friction, without rolling friction, and without rotation, which excludes both."""
-    features = plan.features
-    if features.friction:
+    laws = plan.laws
+    if laws.has_tangential:
         yield FeatureVariant("without friction", _with_friction(scene, 0.0), {"rotation": True})
-    if features.rolling != "none":
+    if "rolling" in laws.by_slot:
         yield FeatureVariant("without rolling friction", _with_rolling(scene, "none"), {"rotation": True})
-    if features.rotation:
+    if plan.features.rotation:
         yield FeatureVariant("without rotation", _without_rotation(scene))
 
 

@@ -1,7 +1,7 @@
 """Schema of the block `contact`: the registered contact models with their options.
 
-`Contact` has one key per slot of the registry: normal, tangential, rolling, twisting, cohesion. The value is
-the name of a model, or a mapping with the key `law` and the options of the model. The schema class of such a
+`Contact` has one key per slot of `contact.law.SLOTS`. The value is the name of a model, or a mapping with the
+key `law` and the options of the model. The schema class of such a
 mapping is created here: it adds `law` to the class of the options.
 """
 
@@ -39,12 +39,8 @@ class Contact(Model):
     'linear'
     """
 
-    # `use_registry` replaces these types by those of the registered models.
+    # `use_registry` replaces this type by that of the registered models, and adds the other slots.
     normal: LawSettings
-    tangential: str | LawSettings
-    rolling: str | LawSettings
-    twisting: str | LawSettings = "none"
-    cohesion: str | LawSettings = "none"
 
     def name(self, slot: str) -> str:
         """Name of the model of a slot, or "none"."""
@@ -105,12 +101,6 @@ def _normal() -> tuple[Any, Any]:
     return annotation, Field(description=description)
 
 
-OPTIONAL = ("twisting", "cohesion")
-"""Slots that a scene may omit: they have no model."""
-_LAST_WORDS = {"cohesion": ", with any normal contact model"}
-"""End of the description of a slot."""
-
-
 def _slot(slot: str) -> tuple[Any, Any]:
     """Annotation and field of another slot: a name, or a mapping for a model with options."""
     models = registry.models(slot)
@@ -125,8 +115,8 @@ def _slot(slot: str) -> tuple[Any, Any]:
         members += [Annotated[model, Tag(f"<law {name}>")] for name, model in mappings.items()]
         reason = f"it must be {_either([*words, *examples])}"
         annotation = Annotated[Union[tuple(members)], choose_by(_slot_tagger(words, mappings), reason)]  # noqa: UP007
-    description = _either([*texts, *examples]) + _LAST_WORDS.get(slot, "")
-    if slot in OPTIONAL:
+    description = _either([*texts, *examples]) + SLOTS[slot].remark
+    if SLOTS[slot].optional:
         return annotation, Field("none", description=description)
     return annotation, Field(description=description)
 
