@@ -155,7 +155,7 @@ def adhesive(plain):
     return replace(
         plain,
         name=f"sjkr_{plain.name}",
-        build=lambda units: replace(plain.build(units), cohesion=Sjkr()),
+        build=lambda units: ContactLaws((*plain.build(units).laws, Sjkr())),
         adhesive=True,
     )
 
