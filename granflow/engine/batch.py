@@ -15,7 +15,7 @@ holds only a few neighbor lists, so that its columns remain in the cache.
 
 from typing import Any
 
-from granflow.engine.box import build_image_velocity, build_minimum_image
+from granflow.engine.box import DeviceBox
 from granflow.engine.codes import ABORT_OVERLAP
 from granflow.engine.contact import build_boundary_work, build_count_collision, build_distant_force
 from granflow.engine.contact_structs import (
@@ -102,7 +102,7 @@ def _build_collect(state: State) -> Any:
     overlaps = build_overlaps(real)
     end_contact = build_end_contact(state)
     effective = build_effective(state, False)
-    minimum_image = build_minimum_image(state)
+    box = state.built(DeviceBox)
     pair_constants = build_pair_constants(state)
     add_plastic_loss = build_add_plastic_loss(state)
     max_overlap = state.parameter("max_overlap")
@@ -129,7 +129,7 @@ def _build_collect(state: State) -> Any:
         entry = entry_begin
         for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
             j = neighbors.partner[list_index]
-            branch = ti.cast(minimum_image(position, particles.position[j], pose), real)
+            branch = ti.cast(box.minimum_image(position, particles.position[j], pose), real)
             radius_partner = particles.radius[j]
             batch.list_index[worker, entry] = list_index
             batch.owner[worker, entry] = i
@@ -221,7 +221,7 @@ def _build_gather(state: State) -> Any:
     pair_number = build_pair_number(state)
     slots = list(stored)
     law_prepares = plan.laws.normal.prepares
-    image_velocity = build_image_velocity(state)
+    box = state.built(DeviceBox)
     contact_mass = build_contact_mass(state)
     prepare = _build_prepare(state)
     liquid = features.liquid_transfer
@@ -244,14 +244,14 @@ def _build_gather(state: State) -> Any:
             j = batch.partner[worker, entry]
             list_index = batch.list_index[worker, entry]
             batch.radius[worker, entry] = particles.radius[i]
-            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, pose)
+            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - box.image_velocity(i, j, pose)
             velocity_rel = velocity_rel_half
             store_vector(batch.velocity_rel_half, worker, entry, velocity_rel_half)
             if ti.static(features.rate_dependent):
                 velocity_rel = (
                     particles.velocity_synchronized[i]
                     - particles.velocity_synchronized[j]
-                    - image_velocity(i, j, pose)
+                    - box.image_velocity(i, j, pose)
                 )
                 store_vector(batch.velocity_rel, worker, entry, velocity_rel)
             batch.mass[worker, entry] = contact_mass(i)

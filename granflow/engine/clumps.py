@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.box import build_add_energy_gain, build_minimum_image, build_wrap, build_wrap_position
+from granflow.engine.box import DeviceBox, ParticleWrap
 from granflow.engine.neighbor.phases import Phase, granularity
 from granflow.engine.state import State
 from granflow.geometry.clump import matrices
@@ -39,14 +39,14 @@ def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> A
 
     request, square_of_sums:  device functions of `step.build_integrate`
 
-    Reads, writes:  as `build_move_clump`, `build_wrap` and `request`
+    Reads, writes:  as `build_move_clump`, `ParticleWrap` and `request`
     """
     particles = state.particles
     periodic = state.plan.features.periodic != "none"
     chunk_size = state.parameter("chunk_size")
     travel_limit_squared = state.parameter("travel_limit_squared")
     move_clump = build_move_clump(state)
-    wrap = build_wrap(state) if periodic else None
+    particle_wrap = state.built(ParticleWrap) if periodic else None
     per_unit_parameter = state.parameter("per_unit")
 
     @ti.func
@@ -62,7 +62,7 @@ def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> A
                 sum_squared = square_of_sums(particles.force[i], particles.torque[i], per_unit)
                 request(i, displacement_squared, reach_squared, step_squared, limit_squared, sum_squared)
                 if ti.static(periodic):
-                    wrap(chunk, i, pose, dt)
+                    particle_wrap.wrap(chunk, i, pose, dt)
 
     return integrate_clumps
 
@@ -155,19 +155,18 @@ def _build_set_position(state: State) -> Any:
     particles = state.particles
     features = state.plan.features
     periodic = features.periodic != "none"
-    wrap_position = build_wrap_position(state)
-    minimum_image = build_minimum_image(state)
-    add_energy_gain = build_add_energy_gain(state)
+    box = state.built(DeviceBox)
+    particle_wrap = state.built(ParticleWrap) if periodic else None
 
     @ti.func
     def set_position(chunk, i, center_displacement, arm, displacement, pose, dt):
         center = particles.clump_position[i] + center_displacement
         if ti.static(periodic):
             expected = particles.position[i] + displacement
-            particles.position[i] = expected - minimum_image(expected, center + arm, pose)
-            wrapped = wrap_position(center)
+            particles.position[i] = expected - box.minimum_image(expected, center + arm, pose)
+            wrapped = box.wrap_position(center)
             if ti.static(features.energy_budget):
-                add_energy_gain(chunk, i, wrapped - center, 0.0 * particles.velocity[i], dt)
+                particle_wrap.add_energy_gain(chunk, i, wrapped - center, 0.0 * particles.velocity[i], dt)
             center = wrapped
         else:
             particles.position[i] = center + arm

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.box import build_image_velocity
+from granflow.engine.box import DeviceBox
 from granflow.engine.codes import ABORT_OVERLAP
 from granflow.engine.contact_structs import build_slot_vector
 from granflow.engine.fields import build_tasks_of_thread, thread_count
@@ -386,7 +386,7 @@ def build_boundary_work(state: State) -> Any:
     Writes:  boundary_work
     """
     list_shares = build_list_shares(state)
-    image_velocity = build_image_velocity(state)
+    box = state.built(DeviceBox)
     control = state.control
     high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
     shift = state.parameter("shift", UNIT_FORCE)
@@ -395,7 +395,7 @@ def build_boundary_work(state: State) -> Any:
     @ti.func
     def add_boundary_work(chunk, i, j, force, pose, dt):
         rounded = to_grid(force, shift())
-        work = high_words_per_joule() * dt * rounded.dot(image_velocity(i, j, pose))
+        work = high_words_per_joule() * dt * rounded.dot(box.image_velocity(i, j, pose))
         add_energy(control.boundary_work, chunk, 0, 1, list_shares(chunk, j), work)
 
     return add_boundary_work

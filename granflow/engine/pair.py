@@ -20,7 +20,7 @@ from typing import Any
 
 from granflow.contact.law import SLOTS, in_contact_plane
 from granflow.contact.registry import ContactLaws
-from granflow.engine.box import build_image_velocity, build_minimum_image
+from granflow.engine.box import DeviceBox
 from granflow.engine.contact_structs import build_constants, member, set_member
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_contact, build_wall_of
@@ -52,8 +52,7 @@ def _build_particle_kinematics(state: State) -> Any:
     real = state.backend.real
     sphere_kinematics = build_sphere_kinematics(state.plan)
     overlaps = build_overlaps(real)
-    minimum_image = build_minimum_image(state)
-    image_velocity = build_image_velocity(state)
+    box = state.built(DeviceBox)
     acts_at_distance = state.plan.laws.acts_at_distance
 
     @ti.func
@@ -61,15 +60,15 @@ def _build_particle_kinematics(state: State) -> Any:
         radius = particles.radius[i]
         radius_partner = particles.radius[j]
         found = no_contact(-radius, particles.velocity[i])
-        branch = ti.cast(minimum_image(particles.position[i], particles.position[j], pose), real)
+        branch = ti.cast(box.minimum_image(particles.position[i], particles.position[j], pose), real)
         if overlaps(branch.dot(branch), radius + radius_partner):
-            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, pose)
+            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - box.image_velocity(i, j, pose)
             velocity_rel = velocity_rel_half
             if ti.static(features.rate_dependent):
                 velocity_rel = (
                     particles.velocity_synchronized[i]
                     - particles.velocity_synchronized[j]
-                    - image_velocity(i, j, pose)
+                    - box.image_velocity(i, j, pose)
                 )
             found = sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, dt)
         elif ti.static(acts_at_distance):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.box import build_image_velocity, build_minimum_image, build_wrap_position
+from granflow.engine.box import DeviceBox
 from granflow.engine.contact_structs import member
 from granflow.engine.fields import FieldBlock
 from granflow.engine.history import build_read_history, vector_components
@@ -214,11 +214,11 @@ def _build_contact_point(state: State) -> Any:
     Reads:  position, walls
     """
     geometry = WallGeometry(state)
-    wrap_position = build_wrap_position(state)
+    box = state.built(DeviceBox)
 
     @ti.func
     def contact_point_of(i, j, pose):
-        contact_point = wrap_position(state.particles.position[i])
+        contact_point = box.wrap_position(state.particles.position[i])
         if ti.static(state.plan.has_walls):
             if j < 0:
                 gap, direction = geometry.closest(-1 - j, pose, contact_point)
@@ -559,16 +559,15 @@ def _build_overlap_and_rate(state: State) -> Any:
     has_walls = state.plan.has_walls
     sphere_kinematics = build_sphere_kinematics(state.plan)
     geometry = WallGeometry(state)
-    minimum_image = build_minimum_image(state)
-    image_velocity = build_image_velocity(state)
+    box = state.built(DeviceBox)
 
     @ti.func
     def overlap_and_rate(i, j, dt):
         overlap = 0.0 * particles.radius[i]
         rate = 0.0 * particles.radius[i]
         if j >= 0:
-            branch = ti.cast(minimum_image(particles.position[i], particles.position[j], 0), real)
-            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, 0)
+            branch = ti.cast(box.minimum_image(particles.position[i], particles.position[j], 0), real)
+            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - box.image_velocity(i, j, 0)
             kinematics = sphere_kinematics(
                 particles.radius[i], particles.radius[j], branch, velocity_rel_half, velocity_rel_half, dt
             )

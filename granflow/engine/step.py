@@ -41,7 +41,7 @@ from collections.abc import Callable
 from typing import Any
 
 from granflow.engine.batch import build_batched_forces, build_load_sums, build_store_sums
-from granflow.engine.box import build_wrap
+from granflow.engine.box import ParticleWrap
 from granflow.engine.clumps import build_integrate_clumps, build_kick_clump
 from granflow.engine.codes import (
     ABORT_DISPLACEMENT,
@@ -83,7 +83,7 @@ def build_integrate(state: State) -> Any:
     Reads:   parameters, position, velocity, angular_velocity, force, torque, mass, radius, fixed,
              position_at_rebuild, reach
     Writes:  velocity, velocity_synchronized, angular_velocity, position, external_work, losses, impulses; as
-             `_build_request`, `build_changed`, `build_wrap`, `build_save_film`, `build_integrate_clumps`
+             `_build_request`, `build_changed`, `ParticleWrap`, `build_save_film`, `build_integrate_clumps`
     """
     particles = state.particles
     features = state.plan.features
@@ -106,7 +106,7 @@ def build_integrate(state: State) -> Any:
     save_film = build_save_film(state) if features.liquid_transfer else None
     add_work = build_add_external_work(state)
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
-    wrap = build_wrap(state) if periodic else None
+    particle_wrap = state.built(ParticleWrap) if periodic else None
     integrate_clumps = build_integrate_clumps(state, request, square_of_sums) if features.clumps else None
 
     @ti.func
@@ -156,7 +156,7 @@ def build_integrate(state: State) -> Any:
             if not is_usual:
                 request(i, displacement_squared, reach_squared, step_squared, limit_squared, sum_squared)
             if ti.static(periodic):
-                wrap(chunk, i, pose, dt)
+                particle_wrap.wrap(chunk, i, pose, dt)
         if ti.static(features.clumps):
             integrate_clumps(chunk, count, pose, dt)
 

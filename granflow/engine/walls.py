@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.box import build_near_image, build_wrap_position, upload_offsets
+from granflow.engine.box import DeviceBox, upload_offsets
 from granflow.engine.mesh import SAME_DIRECTION, from_nearest, normal_near, triangle_contact
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
@@ -172,8 +172,7 @@ class WallGeometry:
         ]
         self.real = state.backend.position_real
         self.is_flat = all(wall.surface.plane is not None for wall in state.plan.walls)
-        self.wrap_position = build_wrap_position(state)
-        self.near_image = build_near_image(state)
+        self.box = state.built(DeviceBox)
         self.image_count = 3 ** len(state.plan.periodic_box.axes)
         fields = state.wall_dynamics
         if self.features.force_controlled_walls:
@@ -183,7 +182,7 @@ class WallGeometry:
     @ti.func
     def to_wall_frame(self, w, pose, point):
         """The point in the frame of the wall at rest."""
-        return self.image_in_wall_frame(w, pose, self.wrap_position(point))
+        return self.image_in_wall_frame(w, pose, self.box.wrap_position(point))
 
     @ti.func
     def image_in_wall_frame(self, w, pose, point):
@@ -321,10 +320,10 @@ class WallGeometry:
         found = self.distance(w, pose, point) * direction
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
-                wrapped = self.wrap_position(point)
+                wrapped = self.box.wrap_position(point)
                 nearest = ti.cast(FAR_AWAY, self.real)
                 for number in range(self.image_count):
-                    image, is_near = self.near_image(wrapped, number, FAR_AWAY)
+                    image, is_near = self.box.near_image(wrapped, number, FAR_AWAY)
                     if is_near:
                         local = self.image_in_wall_frame(w, pose, image)
                         separation = from_nearest(self.state.mesh, face - self.wall_count(), local)

@@ -7,7 +7,7 @@ bits for any number of threads.
 
 from typing import Any
 
-from granflow.engine.box import build_image_index, build_minimum_image, build_shift_by_images
+from granflow.engine.box import DeviceBox
 from granflow.engine.codes import NOT_HALTED, PHASE_FORCES, PHASE_INTEGRATION
 from granflow.engine.history import build_restore_history
 from granflow.engine.mesh import from_nearest, may_own, triangle_range
@@ -222,9 +222,7 @@ class NeighborListFill:
         self.domain_high = state.parameter("domain_high")
         self.force_range = state.parameter("force_range")
         self.restore_history: Any = build_restore_history(state) if state.neighbors.history else None
-        self.minimum_image = build_minimum_image(state)
-        self.shift_by_images = build_shift_by_images(state)
-        self.image_index = build_image_index(state)
+        self.box = state.built(DeviceBox)
 
     @ti.func
     def fill(self, owner: ti.template(), list_index):
@@ -275,9 +273,9 @@ class NeighborListFill:
         """
         list_end = list_index
         slack = self._slack(owner)
-        position = self.geometry.wrap_position(self.particles.position[owner.i])
+        position = self.box.wrap_position(self.particles.position[owner.i])
         for number in range(self.geometry.image_count):
-            image, is_near = self.geometry.near_image(position, number, slack)
+            image, is_near = self.box.near_image(position, number, slack)
             if is_near:
                 local = self.geometry.image_in_wall_frame(w, owner.pose, image)
                 begin, end = triangle_range(self.mesh, w, local)
@@ -295,7 +293,7 @@ class NeighborListFill:
         found = last + 1
         search_radius = self.particles.radius[owner.i] + slack
         while number <= last and found > last:
-            image, is_near = self.geometry.near_image(position, number, slack)
+            image, is_near = self.box.near_image(position, number, slack)
             if is_near:
                 local = self.geometry.image_in_wall_frame(w, owner.pose, image)
                 if (
@@ -320,7 +318,7 @@ class NeighborListFill:
                 if ti.static(self.sheared):
                     search_radius += owner.skin
                 for image in range(-self.image_range, self.image_range + 1):
-                    point = self.shift_by_images(position, image, owner.pose)
+                    point = self.box.shift_by_images(position, image, owner.pose)
                     first, end = cells_within(
                         self.sorting, self.periodic_unsheared, self.gradient, grid, point, search_radius
                     )
@@ -395,11 +393,11 @@ class NeighborListFill:
         if (j > i) | (j < owner.first) | (j >= owner.end):
             position = self.particles.position[i]
             partner_position = self.particles.position[j]
-            branch = self.minimum_image(position, partner_position, owner.pose)
+            branch = self.box.minimum_image(position, partner_position, owner.pose)
             search_radius = self.particles.radius[i] + self.particles.radius[j] + self.force_range()
             search_radius += self.particles.reach[i] + self.particles.reach[j]
             if ti.static(self.sheared):
-                is_nearest_image = self.image_index(position, partner_position) == image
+                is_nearest_image = self.box.image_index(position, partner_position) == image
                 # Up to the next rebuild the image moves by at most the skin, in addition to the particles.
                 if (
                     image != 0

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from granflow.engine.box import build_wrap
+from granflow.engine.box import ParticleWrap
 from granflow.engine.clumps import index_phase
 from granflow.engine.codes import ABORT_FAR
 from granflow.engine.fields import components
@@ -192,13 +192,13 @@ def _chunk_phases(state: State) -> list[Phase]:
 
     If the histories do not fit, this phase is the last one.
 
-    Reads:   as `build_wrap`, `build_prepare_films` and `build_save_history`
+    Reads:   as `ParticleWrap`, `build_prepare_films` and `build_save_history`
     Writes:  as these; running, list_length_needed
     """
     control = state.control
     wraps = state.plan.features.periodic != "none"
     saves = bool(state.neighbors.history)
-    wrap = build_wrap(state) if wraps else None
+    particle_wrap = state.built(ParticleWrap) if wraps else None
     save_history = build_save_history(state) if saves else None
     chunk_size = state.parameter("chunk_size")
     saved_capacity = state.parameter("saved_capacity")
@@ -216,7 +216,7 @@ def _chunk_phases(state: State) -> list[Phase]:
         end = ti.min((chunk + 1) * chunk_size(), rebuild.count)
         if ti.static(wraps):
             for i in range(first, end):
-                wrap(chunk, i, rebuild.pose, rebuild.dt)
+                particle_wrap.wrap(chunk, i, rebuild.pose, rebuild.dt)
         if ti.static(liquid):
             for i in range(first, end):
                 prepare_films(chunk, i)
