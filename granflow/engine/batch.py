@@ -25,7 +25,7 @@ from granflow.engine.contact_structs import (
     build_slot_vector,
     member,
 )
-from granflow.engine.history import IN_CONTACT, build_add_plastic_loss, build_end_contact
+from granflow.engine.history import IN_CONTACT, ContactHistory
 from granflow.engine.liquid import build_form_bridge, build_return_liquid
 from granflow.engine.pair import (
     PAIR_LOSSES,
@@ -100,19 +100,18 @@ def _build_collect(state: State) -> Any:
     real = state.backend.real
     has_history = bool(neighbors.history)
     overlaps = build_overlaps(real)
-    end_contact = build_end_contact(state)
+    histories = state.built(ContactHistory)
     effective = build_effective(state, False)
     box = state.built(DeviceBox)
     pair_constants = build_pair_constants(state)
-    add_plastic_loss = build_add_plastic_loss(state)
     max_overlap = state.parameter("max_overlap")
     acts_at_distance = state.plan.laws.acts_at_distance
     attract = _build_attract(state) if acts_at_distance else None
 
     @ti.func
     def end_lost_contact(chunk, list_index, i, j, dt):
-        energy_lost = end_contact(list_index, pair_constants(i, j), effective(i, j), dt)
-        add_plastic_loss(chunk, j, energy_lost)
+        energy_lost = histories.end(list_index, pair_constants(i, j), effective(i, j), dt)
+        histories.add_plastic_loss(chunk, j, energy_lost)
 
     @ti.func
     def check_overlap(i, distance_squared, contact_distance, overlap_limit):
@@ -172,8 +171,7 @@ def _build_attract(state: State) -> Any:
     return_liquid = build_return_liquid(state) if liquid else None
     distant_force = build_distant_force(state, False)
     add_boundary_work = build_boundary_work(state)
-    end_contact = build_end_contact(state)
-    add_plastic_loss = build_add_plastic_loss(state)
+    histories = state.built(ContactHistory)
     pair_constants = build_pair_constants(state)
     effective = build_effective(state, False)
     has_history = bool(state.neighbors.history)
@@ -195,7 +193,7 @@ def _build_attract(state: State) -> Any:
         elif ti.static(has_history):
             if ti.static(liquid):
                 return_liquid(chunk, i, j, list_index)
-            add_plastic_loss(chunk, j, end_contact(list_index, constants, effective(i, j), dt))
+            histories.add_plastic_loss(chunk, j, histories.end(list_index, constants, effective(i, j), dt))
 
     return attract
 

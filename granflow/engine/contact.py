@@ -18,13 +18,8 @@ from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.history import (
     IN_CONTACT,
     NO_CONTACT,
-    build_acquire_history,
-    build_add_plastic_loss,
-    build_end_contact,
-    build_normal_loss,
-    build_read_history,
-    build_release_history,
-    build_write_history,
+    ContactHistory,
+    HistoryTransfer,
     cohesive_contact,
     transfers_history,
 )
@@ -74,14 +69,10 @@ def build_contact(state: State, with_wall: bool) -> Any:
     in_range = build_in_range(state)
     acts_at_distance = state.plan.laws.acts_at_distance
     distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
-    release_history = build_release_history(state) if transfers else None
-    acquire_history = build_acquire_history(state) if transfers else None
-    read_history = build_read_history(state)
-    write_history = build_write_history(state)
+    transfer = state.built(HistoryTransfer) if transfers else None
+    histories = state.built(ContactHistory)
     pair_force = build_pair_force(state.plan, False)
     add_to_accounting = build_add_to_accounting(state, with_wall)
-    end_contact = build_end_contact(state)
-    add_plastic_loss = build_add_plastic_loss(state)
     longest_time_step = state.parameter("longest_time_step")
     count_collision = build_count_collision(state, with_wall)
     liquid = state.plan.features.liquid_transfer
@@ -98,9 +89,9 @@ def build_contact(state: State, with_wall: bool) -> Any:
         if kinematics.overlap > 0.0:
             check_overlap(i, j, kinematics.overlap)
             if ti.static(transfers):
-                acquire_history(i, list_index, j, pose)
+                transfer.acquire(i, list_index, j, pose)
             angular_velocities = angular_velocities_of(i, j, pose)
-            history = read_history(list_index)
+            history = histories.read(list_index)
             if ti.static(liquid):
                 history.cohesion = form_bridge(
                     chunk, i, j, constants, bodies, kinematics.overlap, history.cohesion
@@ -111,7 +102,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
             force = found.force
             torque = found.torque
             count_collision(chunk, list_index, j, bodies, kinematics.overlap_rate_half)
-            write_history(list_index, found.history)
+            histories.write(list_index, found.history)
             add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
         elif in_range(i, j, kinematics.overlap):
             if ti.static(acts_at_distance):
@@ -120,12 +111,12 @@ def build_contact(state: State, with_wall: bool) -> Any:
             energy_lost = 0.0 * dt
             released = 0
             if ti.static(transfers):
-                released = release_history(i, list_index, j, pose)
+                released = transfer.release(i, list_index, j, pose)
             if released == 0:
                 if ti.static(liquid):
                     return_liquid(chunk, i, j, list_index)
-                energy_lost = end_contact(list_index, constants, bodies, dt)
-            add_plastic_loss(chunk, j, energy_lost)
+                energy_lost = histories.end(list_index, constants, bodies, dt)
+            histories.add_plastic_loss(chunk, j, energy_lost)
         return force, torque
 
     return contact
@@ -194,13 +185,13 @@ def _build_distant_contact(state: State, with_wall: bool) -> Any:
     """
     distant_force = build_distant_force(state, with_wall)
     transfers = with_wall and transfers_history(state)
-    acquire_history = build_acquire_history(state) if transfers else None
+    transfer = state.built(HistoryTransfer) if transfers else None
     add_to_accounting = build_add_to_accounting(state, with_wall)
 
     @ti.func
     def distant_contact(chunk, i, list_index, j, pose, kinematics, dt):
         if ti.static(transfers):
-            acquire_history(i, list_index, j, pose)
+            transfer.acquire(i, list_index, j, pose)
         attraction = distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
         nothing = 0.0 * attraction
         force = -attraction * kinematics.normal
@@ -225,11 +216,9 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
     neighbors = state.neighbors
     keeps_history = "cohesion" in neighbors.history
     vector_of = build_slot_vector(laws, "cohesion") if keeps_history else None
-    read_history = build_read_history(state)
+    histories = state.built(ContactHistory)
     effective = build_effective(state, with_wall)
     pair_constants = build_pair_constants(state)
-    end_contact = build_end_contact(state)
-    add_plastic_loss = build_add_plastic_loss(state)
     end_surface_contact = _build_end_surface_contact(state)
     liquid = state.plan.features.liquid_transfer
     return_liquid = build_return_liquid(state) if liquid else None
@@ -238,7 +227,7 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
     def distant_force(chunk, i, list_index, j, overlap, dt):
         constants = pair_constants(i, j)
         bodies = effective(i, j)
-        history = read_history(list_index)
+        history = histories.read(list_index)
         contact = cohesive_contact(bodies, overlap, dt)
         attraction, history_new = laws.cohesion.force(constants.cohesion, contact, history.cohesion)
         energy_lost = 0.0 * dt
@@ -254,8 +243,8 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
                 neighbors.in_contact[list_index] = IN_CONTACT
                 energy_lost = end_surface_contact(list_index, constants, bodies, dt)
         if not is_kept:
-            energy_lost = end_contact(list_index, constants, bodies, dt)
-        add_plastic_loss(chunk, j, energy_lost)
+            energy_lost = histories.end(list_index, constants, bodies, dt)
+        histories.add_plastic_loss(chunk, j, energy_lost)
         return attraction
 
     return distant_force
@@ -271,14 +260,14 @@ def _build_end_surface_contact(state: State) -> Any:
     """
     neighbors = state.neighbors
     energy_budget = state.plan.features.energy_budget
-    normal_loss = build_normal_loss(state)
+    histories = state.built(ContactHistory)
     names = [name for name in neighbors.history if name != "cohesion"]
 
     @ti.func
     def end_surface_contact(list_index, constants, bodies, dt):
         energy_lost = 0.0 * dt
         if ti.static(energy_budget):
-            energy_lost = normal_loss(list_index, constants, bodies, dt)
+            energy_lost = histories.normal_loss(list_index, constants, bodies, dt)
         for name in ti.static(names):
             neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
         return energy_lost
@@ -480,7 +469,7 @@ def build_count_collision(state: State, with_wall: bool) -> Any:
     """Device function (chunk, list index, j, bodies, overlap rate at the half step): count a contact that
     begins.
 
-    Without collision energies it does nothing. It precedes `write_history`, which marks the contact.
+    Without collision energies it does nothing. It precedes `ContactHistory.write`, which marks the contact.
 
     Reads:   in_contact, collision_edges
     Writes:  collisions

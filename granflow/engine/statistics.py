@@ -16,7 +16,7 @@ import numpy as np
 from granflow.engine.box import DeviceBox
 from granflow.engine.contact_structs import member
 from granflow.engine.fields import FieldBlock
-from granflow.engine.history import build_read_history, vector_components
+from granflow.engine.history import ContactHistory, vector_components
 from granflow.engine.host import FieldTable, consecutive, list_table
 from granflow.engine.pair import (
     build_effective,
@@ -178,7 +178,7 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
     neighbors = state.neighbors
     real = state.backend.real
     any_kinematics = build_any_kinematics(state)
-    read_history = build_read_history(state)
+    histories = state.built(ContactHistory)
     pair_constants = build_pair_constants(state)
     normal_force_of = build_normal_force(state.plan.laws, False)
     surface_forces = _build_surface_forces(state)
@@ -194,7 +194,7 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
                 numbers[list_index][OVERLAP] = contact.overlap
                 if contact.overlap > 0.0:
                     constants = pair_constants(i, j)
-                    history = read_history(list_index)
+                    history = histories.read(list_index)
                     normal_force, load, _viscous, _new = normal_force_of(constants, contact, history)
                     tangential, size, limit = surface_forces(
                         constants, contact, load, history, particles.velocity[i]
@@ -430,7 +430,7 @@ def build_energies(state: State) -> Any:
     laws = state.plan.laws
     surface_laws = laws.on_surface
     energy_budget = state.plan.features.energy_budget
-    read_history = build_read_history(state)
+    histories = state.built(ContactHistory)
 
     @ti.func
     def with_surface_energy(normal_energy, constants, contact, history):
@@ -451,7 +451,7 @@ def build_energies(state: State) -> Any:
         stored = 0.0 * contact.overlap
         lost = 0.0 * contact.overlap
         if ti.static(energy_budget):
-            history = read_history(list_index)
+            history = histories.read(list_index)
             if contact.overlap > 0.0:
                 stored = laws.normal.stored_energy(constants.normal, contact, history.normal)
                 lost = laws.normal.lost_energy(constants.normal, contact, history.normal)

@@ -9,7 +9,7 @@ from typing import Any
 
 from granflow.engine.box import DeviceBox
 from granflow.engine.codes import NOT_HALTED, PHASE_FORCES, PHASE_INTEGRATION
-from granflow.engine.history import build_restore_history
+from granflow.engine.history import SavedHistory
 from granflow.engine.mesh import from_nearest, may_own, triangle_range
 from granflow.engine.neighbor.phases import Phase, is_count
 from granflow.engine.neighbor.sort import (
@@ -31,7 +31,7 @@ TOO_LONG = 2**30
 
 `Control.list_length_needed` is one number for two phases of a rebuild and for this flag:
 
-    1.  `history.build_save_history` raises it to the largest number of history entries of a segment. If the
+    1.  `history.SavedHistory.save` raises it to the largest number of history entries of a segment. If the
         saved histories do not fit, the rebuild ends there; otherwise it is set to 0 again
         (`rebuild._chunk_phases`).
     2.  `fill_phase` raises it to the largest number of list entries of a segment, plus TOO_LONG.
@@ -221,7 +221,7 @@ class NeighborListFill:
         self.domain_low = state.parameter("domain_low")
         self.domain_high = state.parameter("domain_high")
         self.force_range = state.parameter("force_range")
-        self.restore_history: Any = build_restore_history(state) if state.neighbors.history else None
+        self.saved_history: Any = state.built(SavedHistory) if state.neighbors.history else None
         self.box = state.built(DeviceBox)
 
     @ti.func
@@ -244,7 +244,7 @@ class NeighborListFill:
         """Restore the contact histories of a list of these entries."""
         if ti.static(len(self.neighbors.history) > 0):
             for list_index in range(begin, ti.min(end, owner.limit)):
-                self.restore_history(list_index, owner.i, self.neighbors.partner[list_index])
+                self.saved_history.restore(list_index, owner.i, self.neighbors.partner[list_index])
 
     @ti.func
     def _slack(self, owner: ti.template()):

@@ -15,7 +15,7 @@ from granflow.engine.box import ParticleWrap
 from granflow.engine.clumps import index_phase
 from granflow.engine.codes import ABORT_FAR
 from granflow.engine.fields import components
-from granflow.engine.history import build_save_history
+from granflow.engine.history import SavedHistory
 from granflow.engine.host import HistoryTable, HostParticles, copy_to_host, saved_particle_table
 from granflow.engine.liquid import build_prepare_films
 from granflow.engine.neighbor.list import TOO_LONG, fill_phase
@@ -192,14 +192,14 @@ def _chunk_phases(state: State) -> list[Phase]:
 
     If the histories do not fit, this phase is the last one.
 
-    Reads:   as `ParticleWrap`, `build_prepare_films` and `build_save_history`
+    Reads:   as `ParticleWrap`, `build_prepare_films` and `SavedHistory`
     Writes:  as these; running, list_length_needed
     """
     control = state.control
     wraps = state.plan.features.periodic != "none"
     saves = bool(state.neighbors.history)
     particle_wrap = state.built(ParticleWrap) if wraps else None
-    save_history = build_save_history(state) if saves else None
+    saved_history = state.built(SavedHistory) if saves else None
     chunk_size = state.parameter("chunk_size")
     saved_capacity = state.parameter("saved_capacity")
     liquid = state.plan.features.liquid_transfer
@@ -221,7 +221,7 @@ def _chunk_phases(state: State) -> list[Phase]:
             for i in range(first, end):
                 prepare_films(chunk, i)
         if ti.static(saves):
-            save_history(chunk, first, end)
+            saved_history.save(chunk, first, end)
 
     @ti.func
     def check_capacity(rebuild: ti.template()):
