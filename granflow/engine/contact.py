@@ -35,7 +35,7 @@ from granflow.engine.pair import (
 )
 from granflow.engine.state import State
 from granflow.engine.sums import SHARES, add_energy, build_list_shares, build_to_grid, carried, exact_totals
-from granflow.engine.wall_dynamics import build_add_impulse, build_add_wall_force
+from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
 from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
@@ -304,8 +304,8 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
     measured = with_wall and features.wall_forces
     loss_count = len(LOSSES)
     force_controlled = with_wall and features.force_controlled_walls
-    add_impulse = build_add_impulse(state) if measured else None
-    add_wall_force = build_add_wall_force(state) if force_controlled else None
+    impulses = state.built(WallImpulses) if measured else None
+    controlled_walls = state.built(ForceControlledWalls) if force_controlled else None
 
     @ti.func
     def add_losses(chunk, shares, found):
@@ -333,9 +333,9 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
             if ti.static(features.lees_edwards and not with_wall):
                 add_boundary_work(chunk, i, j, found.force, pose, dt)
         if ti.static(force_controlled):
-            add_wall_force(chunk, wall_of(j), found.force)
+            controlled_walls.add(chunk, wall_of(j), found.force)
         if ti.static(measured):
-            add_impulse(chunk, wall_of(j), i, normal, found.force, found.torque, dt)
+            impulses.add(chunk, wall_of(j), i, normal, found.force, found.torque, dt)
 
     return add_to_accounting
 

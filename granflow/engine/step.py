@@ -63,7 +63,7 @@ from granflow.engine.particle_forces import (
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest, holds_sums, shares_rows
 from granflow.engine.threads import arrive, release, wait
-from granflow.engine.wall_dynamics import build_carry_impulses, build_clear_wall_forces, build_move_walls
+from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import SUM_BITS, UNIT_FORCE, UNIT_TORQUE
 
@@ -102,7 +102,7 @@ def build_integrate(state: State) -> Any:
     square_of_sums = _build_square_of_sums(state)
     request = _build_request(state)
     carries_impulses = state.control.impulses is not None and shares_rows(state)
-    carry_impulses = build_carry_impulses(state) if carries_impulses else None
+    impulses = state.built(WallImpulses) if carries_impulses else None
     save_film = build_save_film(state) if features.liquid_transfer else None
     add_work = build_add_external_work(state)
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
@@ -112,7 +112,7 @@ def build_integrate(state: State) -> Any:
     @ti.func
     def integrate(chunk, count, pose, dt):
         if ti.static(carries_impulses):
-            carry_impulses(chunk)
+            impulses.carry(chunk)
         size = chunk_size()
         limit_squared = travel_limit_squared()
         gravity = ti.cast(gravity_parameter(), real)
@@ -240,7 +240,7 @@ def build_forces(state: State) -> Any:
     load_sums = build_load_sums(state) if batched else None
     set_forces = build_set_forces(state)
     force_controlled = features.force_controlled_walls
-    clear_wall_forces = build_clear_wall_forces(state) if force_controlled else None
+    controlled_walls = state.built(ForceControlledWalls) if force_controlled else None
     clear_wall_work_ahead = build_clear_wall_work_ahead(state)
     carry_sums = build_carry_sums(state)
 
@@ -252,7 +252,7 @@ def build_forces(state: State) -> Any:
         end = ti.min((chunk + 1) * size, count)
         clear_wall_work_ahead(chunk)
         if ti.static(force_controlled):
-            clear_wall_forces(chunk)
+            controlled_walls.clear(chunk)
         for i in range(first, end):
             force_sum, torque_sum = start_sums(chunk, i, gravity, pose, dt)
             if ti.static(batched):
@@ -399,7 +399,7 @@ class CpuSteps:
     def __init__(self, state: State, integrate: Any, forces: Any) -> None:
         self.control = state.control
         self.force_controlled = state.plan.features.force_controlled_walls
-        self.move_walls = build_move_walls(state) if self.force_controlled else None
+        self.controlled_walls = state.built(ForceControlledWalls) if self.force_controlled else None
         self.integrate = integrate
         self.forces = forces
 
@@ -453,7 +453,7 @@ class CpuSteps:
         if ti.static(self.force_controlled):
             if computes_forces == 0:
                 pose = launch.pose + self.control.steps_done[0]
-                self.move_walls(launch.chunks, pose, launch.dt)
+                self.controlled_walls.move(launch.chunks, pose, launch.dt)
         if computes_forces == 1 and self.control.rebuild_due[0] == 0 and self.control.abort[0] == 0:
             self.control.steps_done[0] = self.control.steps_done[0] + 1
         self.control.rebuild_due[0] = self.control.rebuild_requested[0]
@@ -490,7 +490,7 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
     control = state.control
     real = state.backend.real
     force_controlled = state.plan.features.force_controlled_walls
-    move_walls = build_move_walls(state) if force_controlled else None
+    controlled_walls = state.built(ForceControlledWalls) if force_controlled else None
     most_chunks = state.plan.capacities.chunks
     # The loops have constant lengths: Taichi computes any other length in a dispatch of its own.
     threads = thread_count(most_chunks)
@@ -508,7 +508,7 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
         if chunk == 0:
             control.steps_done[0] = launch.steps_before
             if ti.static(force_controlled):
-                move_walls(launch.chunks, launch.pose, launch.dt)
+                controlled_walls.move(launch.chunks, launch.pose, launch.dt)
         integrate(chunk, launch.count, launch.pose, launch.dt)
         record_halt(PHASE_INTEGRATION, launch.number)
 

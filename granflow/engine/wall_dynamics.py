@@ -11,12 +11,10 @@ or the weight and the applied force of a free wall; gain [m/(N s)], lag [steps],
 s/m] are those of the plan. As in the leapfrog scheme of the particles, the velocity of a wall is half a step
 behind its position, and both are integrated in the same phase of the step.
 
-The force phase of a step sums f exactly per chunk (`build_add_wall_force`); the integration phase of the next
-one moves the walls (`build_move_walls`). Measured walls have time integrals of their forces
-(`build_add_impulse`), from which the host computes means over any interval.
+The force phase of a step sums f exactly per chunk, and the integration phase of the next one moves the walls
+(`ForceControlledWalls`). Measured walls have time integrals of their forces (`WallImpulses`), from which the
+host computes means over any interval.
 """
-
-from typing import Any
 
 import numpy as np
 
@@ -36,11 +34,17 @@ from granflow.scene.blocks.motions import pose
 # Force-controlled walls on the device
 
 
-class MotionParameters:
-    """Device functions (): the parameters of one force-controlled motion, and its kind."""
+class ControlledMotion:
+    """One force-controlled motion: its parameters and its integration.
+
+    Reads:   velocity, was_active
+    Writes:  work_on_particles, work
+    """
 
     def __init__(self, state: State, index: int) -> None:
         self.is_servo = state.plan.controlled_motions[index].kind == "servo"
+        self.r = index
+        self.fields = state.wall_dynamics
         self.wall = state.parameter(f"motion.{index}.wall")
         self.direction = state.parameter(f"motion.{index}.direction")
         self.force = state.parameter(f"motion.{index}.force")
@@ -50,175 +54,150 @@ class MotionParameters:
         self.mass = state.parameter(f"motion.{index}.mass")
         self.damping = state.parameter(f"motion.{index}.damping")
 
-
-def _motions(state: State) -> list[MotionParameters]:
-    return [MotionParameters(state, index) for index in range(len(state.plan.controlled_motions))]
-
-
-def build_clear_wall_forces(state: State) -> Any:
-    """Device function (chunk): clear the forces of a chunk; rows that chunks share are cleared when the walls
-    move.
-
-    Writes:  wall_force
-    """
-    fields = state.wall_dynamics
-    motion_count = len(state.plan.controlled_motions)
-    shared = shares_rows(state)
+    @ti.func
+    def velocity_after(self, force_on_wall, dt):
+        """Velocity [m/s] at the next half step; the first kick of a free wall is half a step."""
+        velocity = self.fields.velocity[self.r]
+        if ti.static(self.is_servo):
+            velocity += (self.gain() * (self.force() + force_on_wall) - velocity) / (1.0 + self.lag())
+            velocity = ti.max(ti.min(velocity, self.velocity_max()), -self.velocity_max())
+        else:
+            kick = dt / self.mass() * (self.force() + force_on_wall)
+            if self.fields.was_active[self.r] == 0:
+                kick = 0.5 * kick
+            drag = 0.5 * self.damping() * dt / self.mass()
+            velocity = ((1.0 - drag) * velocity + kick) / (1.0 + drag)
+        return velocity
 
     @ti.func
-    def clear_wall_forces(chunk):
-        if ti.static(not shared):
-            for r in ti.static(range(motion_count)):
-                fields.wall_force[chunk, r] = 0
+    def add_work(self, force_on_wall, velocity, dt):
+        """Add the work on the particles, and of other forces on a free wall, with the mean velocity: exact
+        for it.
 
-    return clear_wall_forces
+        velocity:  at the next half step [m/s]
+        """
+        velocity_mean = 0.5 * (self.fields.velocity[self.r] + velocity)
+        displacement = dt * velocity_mean
+        if self.fields.was_active[self.r] == 0:
+            displacement = 0.5 * displacement
+        self.fields.work_on_particles[self.r] = (
+            self.fields.work_on_particles[self.r] - force_on_wall * displacement
+        )
+        if ti.static(not self.is_servo):
+            self.fields.work[self.r] = (
+                self.fields.work[self.r] + (self.force() - self.damping() * velocity_mean) * displacement
+            )
 
 
-def build_add_wall_force(state: State) -> Any:
-    """Device function (chunk, wall, force on a particle [N]): add the force of one contact.
+class ForceControlledWalls:
+    """Device functions of the force-controlled walls; r is the number of a motion."""
 
-    The component along the direction of each motion of the wall counts, with opposite sign.
-
-    Writes:  wall_force
-    """
-    motions = _motions(state)
-    fields = state.wall_dynamics
-    per_unit = state.parameter("per_unit", UNIT_WALL_FORCE)
-    shared = shares_rows(state)
-    rows = state.capacities.wall_rows
+    def __init__(self, state: State) -> None:
+        self.motions = [ControlledMotion(state, index) for index in range(len(state.plan.controlled_motions))]
+        self.numbers = range(len(self.motions))
+        self.fields = state.wall_dynamics
+        self.control = state.control
+        self.per_unit = state.parameter("per_unit", UNIT_WALL_FORCE)
+        self.displacement_limit = state.parameter("wall_displacement_limit")
+        self.travel_limit = state.parameter("wall_travel_limit")
+        self.shared = shares_rows(state)
+        self.rows = state.capacities.wall_rows
+        self.position_real = state.backend.position_real
 
     @ti.func
-    def add_wall_force(chunk, w, force):
-        for r in ti.static(range(len(motions))):
-            if w == motions[r].wall():
-                force_along = ti.cast(force, ti.f64).dot(motions[r].direction())
-                in_units = to_units(ti.cast(per_unit(), ti.f64) * force_along)
-                if ti.static(shared):
-                    ti.atomic_sub(fields.wall_force[chunk % rows, r], in_units)
+    def clear(self, chunk):
+        """Clear the forces of a chunk; rows that chunks share are cleared when the walls move.
+
+        Writes:  wall_force
+        """
+        if ti.static(not self.shared):
+            for r in ti.static(self.numbers):
+                self.fields.wall_force[chunk, r] = 0
+
+    @ti.func
+    def add(self, chunk, w, force):
+        """Add the force [N] of one contact with wall w on a particle.
+
+        The component along the direction of each motion of the wall counts, with opposite sign.
+
+        Writes:  wall_force
+        """
+        for r in ti.static(self.numbers):
+            if w == self.motions[r].wall():
+                force_along = ti.cast(force, ti.f64).dot(self.motions[r].direction())
+                in_units = to_units(ti.cast(self.per_unit(), ti.f64) * force_along)
+                if ti.static(self.shared):
+                    ti.atomic_sub(self.fields.wall_force[chunk % self.rows, r], in_units)
                 else:
-                    fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - in_units
-
-    return add_wall_force
-
-
-def build_move_walls(state: State) -> Any:
-    """Device function (chunks, pose, dt): move all force-controlled walls by one step, on one thread.
-
-    Reads:   was_active, active
-    Writes:  wall_force, velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
-    """
-    motions = _motions(state)
-    fields = state.wall_dynamics
-    control = state.control
-    displacement_limit = state.parameter("wall_displacement_limit")
-    travel_limit = state.parameter("wall_travel_limit")
-    per_unit = state.parameter("per_unit", UNIT_WALL_FORCE)
-    shared = shares_rows(state)
-    shared_rows = state.capacities.wall_rows
+                    self.fields.wall_force[chunk, r] = self.fields.wall_force[chunk, r] - in_units
 
     @ti.func
-    def force_units(chunks, r: ti.template()):
+    def move(self, chunks, pose, dt_real):
+        """Move all walls by one step, on one thread.
+
+        Reads:   was_active, active, offset_at_rebuild
+        Writes:  wall_force, velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
+        """
+        dt = ti.cast(dt_real, ti.f64)
+        for r in ti.static(self.numbers):
+            velocity = ti.cast(0.0, ti.f64)
+            force_on_wall = ti.cast(self._force_units(chunks, r), ti.f64) / ti.cast(self.per_unit(), ti.f64)
+            if self.fields.active[pose, r] == 1:
+                velocity = self.motions[r].velocity_after(force_on_wall, dt)
+                self.motions[r].add_work(force_on_wall, velocity, dt)
+            self.fields.velocity[r] = velocity
+            self.fields.was_active[r] = self.fields.active[pose, r]
+            self.fields.offset[r] = self.fields.offset[r] + dt * velocity
+        # A second loop, because a wall can have several motions.
+        for r in ti.static(self.numbers):
+            self._check_displacements(r, dt)
+
+    @ti.func
+    def _force_units(self, chunks, r: ti.template()):
         """Force of the particles on the wall of motion r in units; clears rows that chunks share."""
         total = ti.cast(0, ti.i64)
         rows = chunks
-        if ti.static(shared):
-            rows = shared_rows
+        if ti.static(self.shared):
+            rows = self.rows
         for row in range(rows):
-            total += fields.wall_force[row, r]
-            if ti.static(shared):
-                fields.wall_force[row, r] = 0
+            total += self.fields.wall_force[row, r]
+            if ti.static(self.shared):
+                self.fields.wall_force[row, r] = 0
         return total
 
     @ti.func
-    def check_displacements(r: ti.template(), dt):
-        displacement, step_displacement = _wall_displacements(fields, motions, motions[r].wall(), dt)
+    def _check_displacements(self, r: ti.template(), dt):
+        displacement, step_displacement = self._displacements(self.motions[r].wall(), dt)
         # The negations are also true for NaN.
-        if not displacement <= displacement_limit():
-            control.rebuild_requested[0] = 1
-        if not step_displacement <= travel_limit():
-            ti.atomic_max(control.abort[0], ABORT_WALL)
+        if not displacement <= self.displacement_limit():
+            self.control.rebuild_requested[0] = 1
+        if not step_displacement <= self.travel_limit():
+            ti.atomic_max(self.control.abort[0], ABORT_WALL)
 
     @ti.func
-    def move_walls(chunks, pose, dt_real):
-        dt = ti.cast(dt_real, ti.f64)
-        for r in ti.static(range(len(motions))):
-            velocity = ti.cast(0.0, ti.f64)
-            force_on_wall = ti.cast(force_units(chunks, r), ti.f64) / ti.cast(per_unit(), ti.f64)
-            if fields.active[pose, r] == 1:
-                velocity = _controlled_velocity(fields, motions[r], r, force_on_wall, dt)
-                _add_work(fields, motions[r], r, force_on_wall, velocity, dt)
-            fields.velocity[r] = velocity
-            fields.was_active[r] = fields.active[pose, r]
-            fields.offset[r] = fields.offset[r] + dt * velocity
-        # A second loop, because a wall can have several motions.
-        for r in ti.static(range(len(motions))):
-            check_displacements(r, dt)
-
-    return move_walls
-
-
-@ti.func
-def _controlled_velocity(fields: ti.template(), motion: ti.template(), r: ti.template(), force_on_wall, dt):
-    """Velocity [m/s] of motion r at the next half step; the first kick of a free wall is half a step."""
-    velocity = fields.velocity[r]
-    if ti.static(motion.is_servo):
-        velocity += (motion.gain() * (motion.force() + force_on_wall) - velocity) / (1.0 + motion.lag())
-        velocity = ti.max(ti.min(velocity, motion.velocity_max()), -motion.velocity_max())
-    else:
-        kick = dt / motion.mass() * (motion.force() + force_on_wall)
-        if fields.was_active[r] == 0:
-            kick = 0.5 * kick
-        drag = 0.5 * motion.damping() * dt / motion.mass()
-        velocity = ((1.0 - drag) * velocity + kick) / (1.0 + drag)
-    return velocity
-
-
-@ti.func
-def _add_work(fields: ti.template(), motion: ti.template(), r: ti.template(), force_on_wall, velocity, dt):
-    """Add the work on the particles, and of other forces on a free wall, with the mean velocity: exact for
-    it."""
-    velocity_mean = 0.5 * (fields.velocity[r] + velocity)
-    displacement = dt * velocity_mean
-    if fields.was_active[r] == 0:
-        displacement = 0.5 * displacement
-    fields.work_on_particles[r] = fields.work_on_particles[r] - force_on_wall * displacement
-    if ti.static(not motion.is_servo):
-        fields.work[r] = fields.work[r] + (motion.force() - motion.damping() * velocity_mean) * displacement
-
-
-@ti.func
-def _wall_displacements(fields: ti.template(), motions: ti.template(), wall, dt):
-    """Largest displacement of a wall since the rebuild, and in this step [m]."""
-    displacement = ti.cast(0.0, ti.f64)
-    step_displacement = ti.cast(0.0, ti.f64)
-    for r in ti.static(range(len(motions))):
-        if motions[r].wall() == wall:
-            displacement += ti.abs(fields.offset[r] - fields.offset_at_rebuild[r])
-            step_displacement += ti.abs(dt * fields.velocity[r])
-    return displacement, step_displacement
-
-
-def build_controlled_vector(state: State, values: Any) -> Any:
-    """Device function (w): sum over the force-controlled motions of wall w of a field times the direction.
-
-    values:  field with an entry per motion, such as `offset` [m] or `velocity` [m/s]
-
-    The vector is zero for other walls.
-
-    Reads:  values
-    """
-    motions = _motions(state)
-    real = state.backend.position_real
+    def _displacements(self, wall, dt):
+        """Largest displacement of a wall since the rebuild, and in this step [m]."""
+        displacement = ti.cast(0.0, ti.f64)
+        step_displacement = ti.cast(0.0, ti.f64)
+        for r in ti.static(self.numbers):
+            if self.motions[r].wall() == wall:
+                displacement += ti.abs(self.fields.offset[r] - self.fields.offset_at_rebuild[r])
+                step_displacement += ti.abs(dt * self.fields.velocity[r])
+        return displacement, step_displacement
 
     @ti.func
-    def controlled_vector(w):
-        total = ti.Vector.zero(real, 3)
-        for r in ti.static(range(len(motions))):
-            if w == motions[r].wall():
-                total += ti.cast(values[r] * motions[r].direction(), real)
+    def sum_of(self, values: ti.template(), w):
+        """Sum over the motions of wall w of a field times the direction; zero for other walls.
+
+        values:  field with an entry per motion, such as `offset` [m] or `velocity` [m/s]
+
+        Reads:  values
+        """
+        total = ti.Vector.zero(self.position_real, 3)
+        for r in ti.static(self.numbers):
+            if w == self.motions[r].wall():
+                total += ti.cast(values[r] * self.motions[r].direction(), self.position_real)
         return total
-
-    return controlled_vector
 
 
 # Force-controlled walls on the host
@@ -356,9 +335,8 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 # Measured walls: time integrals of the forces of the particles, summed exactly per chunk
 
 
-def build_add_impulse(state: State) -> Any:
-    """Device function (chunk, wall, i, normal, force on i, torque on i, dt): add one contact in one
-    step.
+class WallImpulses:
+    """Time integrals of the forces of the particles on measured walls.
 
         J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
 
@@ -368,60 +346,50 @@ def build_add_impulse(state: State) -> Any:
     Reads:   position, impulse_row, pivot
     Writes:  impulses
     """
-    particles = state.particles
-    walls = state.walls
-    impulses = state.control.impulses
-    per_unit = state.parameter("per_unit")
-    shared = shares_rows(state)
-    rows = state.capacities.wall_rows
+
+    def __init__(self, state: State) -> None:
+        self.position = state.particles.position
+        self.walls = state.walls
+        self.impulses = state.control.impulses
+        self.per_unit = state.parameter("per_unit")
+        self.shared = shares_rows(state)
+        self.rows = state.capacities.wall_rows
+        self.measured = state.capacities.measured_walls
 
     @ti.func
-    def add_to_shared(chunk, row, terms):
-        for k in ti.static(range(IMPULSE_SIZE)):
-            high = terms[k] >> CARRY_BITS
-            ti.atomic_add(impulses[chunk % rows, row][k], terms[k] - (high << CARRY_BITS))
-            ti.atomic_add(impulses[chunk % rows, row][IMPULSE_SIZE + k], high)
-
-    @ti.func
-    def add_impulse(chunk, w, i, normal, force, torque, dt):
-        row = walls.impulse_row[w]
+    def add(self, chunk, w, i, normal, force, torque, dt):
+        """Add one contact of particle i with wall w in one step: force [N] and torque [N m] on i."""
+        row = self.walls.impulse_row[w]
         if row >= 0:
             time = ti.cast(dt, ti.f64)
             impulse = -time * ti.cast(force, ti.f64)
             angular_impulse = -time * ti.cast(torque, ti.f64)
-            arm = ti.cast(particles.position[i], ti.f64) - ti.cast(walls.pivot[w], ti.f64)
+            arm = ti.cast(self.position[i], ti.f64) - ti.cast(self.walls.pivot[w], ti.f64)
             angular_impulse += arm.cross(impulse)
-            units = ti.cast(per_unit(), ti.f64)
+            units = ti.cast(self.per_unit(), ti.f64)
             terms = ti.Vector.zero(ti.i64, 2 * IMPULSE_SIZE)
             for axis in ti.static(range(3)):
                 terms[axis] = to_units(units[UNIT_IMPULSE] * impulse[axis])
                 terms[3 + axis] = to_units(units[UNIT_ANGULAR_IMPULSE] * angular_impulse[axis])
             terms[6] = -to_units(units[UNIT_IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
-            if ti.static(shared):
-                add_to_shared(chunk, row, terms)
+            if ti.static(self.shared):
+                self._add_to_shared(chunk, row, terms)
             else:
-                impulses[chunk, row] = carried(impulses[chunk, row] + terms, IMPULSE_SIZE)
-
-    return add_impulse
-
-
-def build_carry_impulses(state: State) -> Any:
-    """Device function (chunk): move the carries of a row that chunks share, once per step and not beside
-    additions.
-
-    Writes:  impulses
-    """
-    impulses = state.control.impulses
-    rows = state.capacities.wall_rows
-    measured = state.capacities.measured_walls
+                self.impulses[chunk, row] = carried(self.impulses[chunk, row] + terms, IMPULSE_SIZE)
 
     @ti.func
-    def carry_impulses(chunk):
-        if chunk < rows:
-            for row in range(measured):
-                impulses[chunk, row] = carried(impulses[chunk, row], IMPULSE_SIZE)
+    def _add_to_shared(self, chunk, row, terms):
+        for k in ti.static(range(IMPULSE_SIZE)):
+            high = terms[k] >> CARRY_BITS
+            ti.atomic_add(self.impulses[chunk % self.rows, row][k], terms[k] - (high << CARRY_BITS))
+            ti.atomic_add(self.impulses[chunk % self.rows, row][IMPULSE_SIZE + k], high)
 
-    return carry_impulses
+    @ti.func
+    def carry(self, chunk):
+        """Move the carries of a row that chunks share, once per step and not beside additions."""
+        if chunk < self.rows:
+            for row in range(self.measured):
+                self.impulses[chunk, row] = carried(self.impulses[chunk, row], IMPULSE_SIZE)
 
 
 def wall_impulses(state: State) -> dict[str, np.ndarray]:

@@ -15,7 +15,7 @@ import numpy as np
 from granflow.engine.box import DeviceBox, upload_offsets
 from granflow.engine.mesh import SAME_DIRECTION, from_nearest, normal_near, triangle_contact
 from granflow.engine.state import State
-from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
+from granflow.engine.wall_dynamics import ForceControlledWalls, upload_running
 from granflow.geometry.surface import FAR_AWAY, numbers_by_name
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
@@ -174,10 +174,8 @@ class WallGeometry:
         self.is_flat = all(wall.surface.plane is not None for wall in state.plan.walls)
         self.box = state.built(DeviceBox)
         self.image_count = 3 ** len(state.plan.periodic_box.axes)
-        fields = state.wall_dynamics
         if self.features.force_controlled_walls:
-            self.controlled_offset = build_controlled_vector(state, fields.offset)
-            self.controlled_velocity = build_controlled_vector(state, fields.velocity)
+            self.controlled_walls = state.built(ForceControlledWalls)
 
     @ti.func
     def to_wall_frame(self, w, pose, point):
@@ -353,7 +351,9 @@ class WallGeometry:
         """Velocity [m/s] of the wall at the point."""
         velocity = self.prescribed_velocity(face, pose, pose, point)
         if ti.static(self.features.force_controlled_walls):
-            velocity += self.controlled_velocity(self.wall_of_face(face))
+            velocity += self.controlled_walls.sum_of(
+                self.state.wall_dynamics.velocity, self.wall_of_face(face)
+            )
         return velocity
 
     @ti.func
@@ -375,7 +375,7 @@ class WallGeometry:
         """Position [m] of the pivot of a wall at a pose."""
         center = self.walls.center[pose, w]
         if ti.static(self.features.force_controlled_walls):
-            center += self.controlled_offset(w)
+            center += self.controlled_walls.sum_of(self.state.wall_dynamics.offset, w)
         return center
 
 
