@@ -51,8 +51,9 @@ class DeviceBox:
             # The flow axis needs rounding: with the offset, the distance can be more than one and a half
             # widths.
             flow = ti.static(self.flow)
-            image_count = ti.cast(self.image_index(one, other), self.position_real)
-            branch[flow] = branch[flow] - image_count * self.offset[pose]
+            branch[flow] = (
+                branch[flow] - ti.cast(self.image_index(one, other), self.position_real) * self.offset[pose]
+            )
             branch[flow] = branch[flow] - widths[flow] * ti.round(branch[flow] / widths[flow])
         for axis in ti.static(self.axes_of_whole_widths):
             half = 0.5 * widths[axis]
