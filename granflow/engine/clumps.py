@@ -46,7 +46,7 @@ def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> A
     chunk_size = state.parameter("chunk_size")
     travel_limit_squared = state.parameter("travel_limit_squared")
     move_clump = build_move_clump(state)
-    particle_wrap = state.built(ParticleWrap) if periodic else None
+    particle_wrap = state.built(ParticleWrap)
     per_unit_parameter = state.parameter("per_unit")
 
     @ti.func
@@ -156,7 +156,7 @@ def _build_set_position(state: State) -> Any:
     features = state.plan.features
     periodic = features.periodic != "none"
     box = state.built(DeviceBox)
-    particle_wrap = state.built(ParticleWrap) if periodic else None
+    particle_wrap = state.built(ParticleWrap)
 
     @ti.func
     def set_position(chunk, i, center_displacement, arm, displacement, pose, dt):

@@ -69,7 +69,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     in_range = build_in_range(state)
     acts_at_distance = state.plan.laws.acts_at_distance
     distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
-    transfer = state.built(HistoryTransfer) if transfers else None
+    transfer = state.built(HistoryTransfer)
     histories = state.built(ContactHistory)
     pair_force = build_pair_force(state.plan, False)
     add_to_accounting = build_add_to_accounting(state, with_wall)
@@ -185,7 +185,7 @@ def _build_distant_contact(state: State, with_wall: bool) -> Any:
     """
     distant_force = build_distant_force(state, with_wall)
     transfers = with_wall and transfers_history(state)
-    transfer = state.built(HistoryTransfer) if transfers else None
+    transfer = state.built(HistoryTransfer)
     add_to_accounting = build_add_to_accounting(state, with_wall)
 
     @ti.func
@@ -304,8 +304,8 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
     measured = with_wall and features.wall_forces
     loss_count = len(LOSSES)
     force_controlled = with_wall and features.force_controlled_walls
-    impulses = state.built(WallImpulses) if measured else None
-    controlled_walls = state.built(ForceControlledWalls) if force_controlled else None
+    impulses = state.built(WallImpulses)
+    controlled_walls = state.built(ForceControlledWalls)
 
     @ti.func
     def add_losses(chunk, shares, found):

@@ -102,11 +102,11 @@ def build_integrate(state: State) -> Any:
     square_of_sums = _build_square_of_sums(state)
     request = _build_request(state)
     carries_impulses = state.control.impulses is not None and shares_rows(state)
-    impulses = state.built(WallImpulses) if carries_impulses else None
+    impulses = state.built(WallImpulses)
     save_film = build_save_film(state) if features.liquid_transfer else None
     add_work = build_add_external_work(state)
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
-    particle_wrap = state.built(ParticleWrap) if periodic else None
+    particle_wrap = state.built(ParticleWrap)
     integrate_clumps = build_integrate_clumps(state, request, square_of_sums) if features.clumps else None
 
     @ti.func
@@ -240,7 +240,7 @@ def build_forces(state: State) -> Any:
     load_sums = build_load_sums(state) if batched else None
     set_forces = build_set_forces(state)
     force_controlled = features.force_controlled_walls
-    controlled_walls = state.built(ForceControlledWalls) if force_controlled else None
+    controlled_walls = state.built(ForceControlledWalls)
     clear_wall_work_ahead = build_clear_wall_work_ahead(state)
     carry_sums = build_carry_sums(state)
 
@@ -399,7 +399,7 @@ class CpuSteps:
     def __init__(self, state: State, integrate: Any, forces: Any) -> None:
         self.control = state.control
         self.force_controlled = state.plan.features.force_controlled_walls
-        self.controlled_walls = state.built(ForceControlledWalls) if self.force_controlled else None
+        self.controlled_walls = state.built(ForceControlledWalls)
         self.integrate = integrate
         self.forces = forces
 
@@ -490,7 +490,7 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
     control = state.control
     real = state.backend.real
     force_controlled = state.plan.features.force_controlled_walls
-    controlled_walls = state.built(ForceControlledWalls) if force_controlled else None
+    controlled_walls = state.built(ForceControlledWalls)
     most_chunks = state.plan.capacities.chunks
     # The loops have constant lengths: Taichi computes any other length in a dispatch of its own.
     threads = thread_count(most_chunks)

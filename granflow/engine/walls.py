@@ -174,8 +174,7 @@ class WallGeometry:
         self.is_flat = all(wall.surface.plane is not None for wall in state.plan.walls)
         self.box = state.built(DeviceBox)
         self.image_count = 3 ** len(state.plan.periodic_box.axes)
-        if self.features.force_controlled_walls:
-            self.controlled_walls = state.built(ForceControlledWalls)
+        self.controlled_walls = state.built(ForceControlledWalls)
 
     @ti.func
     def to_wall_frame(self, w, pose, point):

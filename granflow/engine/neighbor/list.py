@@ -221,7 +221,7 @@ class NeighborListFill:
         self.domain_low = state.parameter("domain_low")
         self.domain_high = state.parameter("domain_high")
         self.force_range = state.parameter("force_range")
-        self.saved_history: Any = state.built(SavedHistory) if state.neighbors.history else None
+        self.saved_history = state.built(SavedHistory)
         self.box = state.built(DeviceBox)
 
     @ti.func

@@ -198,8 +198,8 @@ def _chunk_phases(state: State) -> list[Phase]:
     control = state.control
     wraps = state.plan.features.periodic != "none"
     saves = bool(state.neighbors.history)
-    particle_wrap = state.built(ParticleWrap) if wraps else None
-    saved_history = state.built(SavedHistory) if saves else None
+    particle_wrap = state.built(ParticleWrap)
+    saved_history = state.built(SavedHistory)
     chunk_size = state.parameter("chunk_size")
     saved_capacity = state.parameter("saved_capacity")
     liquid = state.plan.features.liquid_transfer
