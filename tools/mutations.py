@@ -226,8 +226,8 @@ MUTATIONS = (
     Mutation(
         "displacement of a free wall",
         "granflow/engine/wall_dynamics.py",
-        "if not step_displacement <= travel_limit():",
-        "if not step_displacement <= 2.0 * travel_limit():",
+        "if not step_displacement <= self.travel_limit():",
+        "if not step_displacement <= 2.0 * self.travel_limit():",
         (f"{LIMITS}test_the_displacement_of_a_free_wall_has_the_same_limits",),
     ),
     # Laws and kinematics on the device
