@@ -488,6 +488,29 @@ Vectors are in the frame of the scene.
 """
 
 
+def add(field: FieldSpec) -> None:
+    """Add a property that a contact model or a particle equation declares, behind the others of its block.
+
+    A sum that several contact models declare is added once. Raises ValueError for a property of this name
+    with another unit.
+    """
+    known = _PARTICLE_FIELDS.get(field.name)
+    if known is not None:
+        if (known.unit, known.dtype, known.block) != (field.unit, field.dtype, field.block):
+            raise ValueError(f"a property {field.name} of the particles exists")
+        return
+    items = list(_PARTICLE_FIELDS.items())
+    place = max((k + 1 for k, (_, each) in enumerate(items) if each.block == field.block), default=len(items))
+    items.insert(place if field.block else len(items), (field.name, field))
+    _PARTICLE_FIELDS.clear()
+    _PARTICLE_FIELDS.update(items)
+
+
+def remove(name: str) -> None:
+    """Remove a property that was added."""
+    del _PARTICLE_FIELDS[name]
+
+
 # Arrays of contacts, of fields on grids, and of walls
 
 CONTACT_QUANTITIES = by_name(

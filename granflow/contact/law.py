@@ -92,6 +92,34 @@ class HistoryField:
 
 
 @dataclass(frozen=True)
+class Sum:
+    """A quantity that flows through contacts, summed over those of each particle.
+
+    unit:     SI unit
+    meaning:  description in a few words
+    """
+
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class FlowCase:
+    """Contacts of two materials, for bounds of the flows through them.
+
+    pair:        mixed constants of the materials
+    radius_eff:  largest effective radius [m]
+    overlap:     largest overlap [m]
+    values:      smallest and largest initial value of each property that a particle equation integrates
+    """
+
+    pair: PairMaterial
+    radius_eff: float
+    overlap: float
+    values: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
 class Law(DeviceObject):
     """A contact model with the options of one scene: immutable, with device functions as methods.
 
@@ -114,6 +142,10 @@ class Law(DeviceObject):
     """Kinds of the values of each device function: number, vector or history."""
     constant_names: ClassVar[tuple[str, ...]] = ()
     """Names of the constants of a pair of materials, in the order of `pair_constants`."""
+    adds: ClassVar[Mapping[str, Sum]] = {}
+    """What flows through a contact, by name, see `flows`; particle equations read the sums."""
+    reads: ClassVar[tuple[str, ...]] = ()
+    """Properties of the particles that `flows` reads."""
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Law":
@@ -135,6 +167,31 @@ class Law(DeviceObject):
         Raises ValueError for a pair that the model does not support.
         """
         return tuple(pair.options[name] for name in self.constant_names)
+
+    # What flows through contacts of surfaces that touch, in addition to forces
+
+    @ti.func
+    def flows(self, constants, contact, first, partner):
+        """Struct of the flows from the partner to the first particle, by the names of `adds`.
+
+        contact:         as of a normal model
+        first, partner:  structs of the properties `reads`
+
+        If both are exchanged, each flow changes its sign to the last bit: then sums are conserved.
+        """
+
+    @ti.func
+    def at_wall(self, constants, first):
+        """The struct `partner` at a wall; by default nothing flows, because it equals `first`."""
+        return first
+
+    def flow_bounds(self, name: str, case: FlowCase) -> tuple[float, float]:
+        """Largest flow of a contact, and its largest derivative by a property in `reads`.
+
+        The first determines the unit of the sum, and is exceeded at most 30 times in a run; the second limits
+        the time step.
+        """
+        raise NotImplementedError
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
@@ -548,8 +605,8 @@ class SurfaceLaw(Law):
 
     @ti.func
     def act(self, constants, contact, kinematics, history):
-        """Struct of the force on the first particle [N], the torques on both [N m], the history, and the loss
-        [J], the energy dissipated in this step.
+        """Struct of the force on the first particle [N], if there is one, the torques on both [N m], the
+        history, and the loss [J], the energy dissipated in this step.
 
         kinematics:  of the pair, with the lever arms, see `engine.pair.build_sphere_kinematics`
         """
@@ -618,11 +675,9 @@ class TorqueLaw(SurfaceLaw):
 
     @ti.func
     def act(self, constants, contact, kinematics, history):
-        """The torque on both particles, without a force, see `SurfaceLaw`."""
+        """The torque on both particles, see `SurfaceLaw`."""
         torque, history_new, loss = self.torque(constants, contact, history)
-        return ti.Struct(
-            force=0.0 * torque, torque=torque, torque_partner=-torque, history=history_new, loss=loss
-        )
+        return ti.Struct(torque=torque, torque_partner=-torque, history=history_new, loss=loss)
 
     @ti.func
     def torque(self, constants, contact, history):

@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic.fields import FieldInfo
 
+from granflow import fields
 from granflow.arguments import shown
 from granflow.contact.cohesion import capillary, capillary_transfer, dmt, jkr, sjkr, van_der_waals
 from granflow.contact.law import (
@@ -27,6 +28,7 @@ from granflow.contact.law import (
 )
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
+from granflow.contact.particle_equation import sum_field
 from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import linear_history, mindlin
 from granflow.contact.twisting import marshall, torsion_spring
@@ -42,12 +44,17 @@ def add(model: ContactModel) -> None:
     problem = next(_problems(model), None)
     if problem:
         raise ValueError(f"contact model {getattr(model.law, 'name', model.law.__name__)}: {problem}")
+    for name, each in model.law.adds.items():
+        fields.add(sum_field(name, each.unit, each.meaning))
     _MODELS[model.slot][model.name] = model
 
 
 def remove(model: ContactModel) -> None:
     """Remove a model that was added."""
     del _MODELS[model.slot][model.name]
+    others = {name for slot in _MODELS.values() for other in slot.values() for name in other.law.adds}
+    for name in set(model.law.adds) - others:
+        fields.remove(name)
 
 
 def models(slot: str) -> Mapping[str, ContactModel]:
@@ -125,7 +132,8 @@ def _meaning(field: FieldInfo) -> tuple[Any, ...]:
 def _undefined(model: ContactModel) -> Iterator[str]:
     """Functions and constants that the interface of the slot requires and the law does not define."""
     base = SLOTS[model.slot].base
-    undefined = [name for name in base.required if getattr(model.law, name) is getattr(base, name)]
+    required = (*base.required, *(("flows", "flow_bounds") if model.law.adds else ()))
+    undefined = [name for name in required if getattr(model.law, name) is getattr(base, name)]
     if undefined:
         yield f"its law must define {', '.join(undefined)}, see {base.__module__}.{base.__name__}"
     moduli = ("modulus_eff", "shear_modulus_eff")
@@ -192,6 +200,11 @@ class ContactLaws:
     def on_surface(self) -> tuple[tuple[str, SurfaceLaw], ...]:
         """Slot and law of each model that acts on surfaces that touch, in the order of evaluation."""
         return tuple((slot, law) for slot, law in self.by_slot.items() if isinstance(law, SurfaceLaw))
+
+    @property
+    def adds(self) -> tuple[str, ...]:
+        """Names of the sums to which the laws add."""
+        return tuple(dict.fromkeys(name for law in self.laws for name in law.adds))
 
     @property
     def damped_slots(self) -> tuple[str, ...]:

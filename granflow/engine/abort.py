@@ -329,6 +329,15 @@ def _liquid(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     )
 
 
+def _flow(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """A sum that a contact model declares is above the range in which it is exact."""
+    return (
+        f"one of the flows to {diagnosis.body} at {time:.6g} s, {', '.join(plan.laws.adds)}, is not a number "
+        "or more than 30 times the bound that its contact model gives (flow_bounds). Correct the model, or "
+        "begin with values nearer to each other."
+    )
+
+
 def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Displacement of a force-controlled wall in one step above the limit."""
     kind = next(
@@ -362,6 +371,7 @@ _REASONS = {
     "wall": _wall,
     "far": _far,
     "liquid": _liquid,
+    "flow": _flow,
 }
 
 # Cause and remedies of an overlap above the limit: an impact, a static load, a pressing wall, or cohesion.

@@ -42,6 +42,7 @@ from granflow.engine.pair import (
 )
 from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.sums import add_energy, build_list_shares, build_to_grid, holds_sums
+from granflow.engine.transported import build_add_flows
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
     LOSSES,
@@ -224,6 +225,10 @@ def _build_gather(state: State) -> Any:
     prepare = _build_prepare(state)
     liquid = features.liquid_transfer
     with_bridge = _build_with_bridge(state) if liquid else None
+    has_flows = len(plan.laws.adds) > 0
+    pair_constants = build_pair_constants(state)
+    contact_of = _build_contact_of(state)
+    add_flows = build_add_flows(state, False) if has_flows else None
 
     @ti.func
     def gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt):
@@ -258,6 +263,9 @@ def _build_gather(state: State) -> Any:
                 store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
                 store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
             gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt)
+            if ti.static(has_flows):
+                contact = contact_of(worker, entry, i, j, velocity_rel, dt)
+                add_flows(chunk, i, j, pair_constants(i, j), contact)
             if ti.static(not features.one_material):
                 store_vector(batch.constants, worker, entry, control.pair_constants[pair_number(i, j)])
 
@@ -281,30 +289,45 @@ def _build_prepare(state: State) -> Any:
     Reads:  branch vector of the batch, radius, mass, pair_constants, law_parameters
     """
     plan = state.plan
-    particles = state.particles
-    batch = state.batch
     law = state.plan.laws.normal
     pair_constants = build_pair_constants(state)
     history_of = build_slot_history(plan.laws, "normal")
     vector_of = build_slot_vector(plan.laws, "normal")
-    effective = build_effective(state, False)
+    contact_of = _build_contact_of(state)
     longest_time_step = state.parameter("longest_time_step")
 
     @ti.func
     def prepare(worker, entry, i, j, velocity_rel, vector, dt):
-        branch = branch_of(batch, worker, entry)
-        distance = ti.sqrt(branch.dot(branch))
-        bodies = effective(i, j)
-        contact = ti.Struct(
-            radius_eff=bodies.radius_eff,
-            mass_eff=bodies.mass_eff,
-            time_step=normal_time_step(dt, longest_time_step()),
-            overlap=particles.radius[i] + particles.radius[j] - distance,
-            overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
-        )
+        contact = contact_of(worker, entry, i, j, velocity_rel, normal_time_step(dt, longest_time_step()))
         return vector_of(law.prepare(pair_constants(i, j).normal, contact, history_of(vector)))
 
     return prepare
+
+
+def _build_contact_of(state: State) -> Any:
+    """Device function (worker, entry, i, j, relative velocity [m/s], time step [s]) -> struct `contact` of
+    the normal model.
+
+    Reads:  branch vector of the batch, radius, mass
+    """
+    particles = state.particles
+    batch = state.batch
+    effective = build_effective(state, False)
+
+    @ti.func
+    def contact_of(worker, entry, i, j, velocity_rel, time_step):
+        branch = branch_of(batch, worker, entry)
+        distance = ti.sqrt(branch.dot(branch))
+        bodies = effective(i, j)
+        return ti.Struct(
+            radius_eff=bodies.radius_eff,
+            mass_eff=bodies.mass_eff,
+            time_step=time_step,
+            overlap=particles.radius[i] + particles.radius[j] - distance,
+            overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
+        )
+
+    return contact_of
 
 
 def _build_with_bridge(state: State) -> Any:

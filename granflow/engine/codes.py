@@ -16,6 +16,8 @@ ABORT_FAR = 7
 """A particle is so far from the origin that the precision does not resolve its position."""
 ABORT_LIQUID = 8
 """Bridges have taken more liquid from a film than it had."""
+ABORT_FLOW = 9
+"""A sum that a contact model declares is above its range."""
 ABORT_REASONS = {
     ABORT_FORCE: "force",
     ABORT_DISPLACEMENT: "displacement",
@@ -25,6 +27,7 @@ ABORT_REASONS = {
     ABORT_WALL: "wall",
     ABORT_FAR: "far",
     ABORT_LIQUID: "liquid",
+    ABORT_FLOW: "flow",
 }
 """Reason of each code, as in Diagnosis.reason."""
 FORCE_REASONS = frozenset({"force", "displacement", "not_finite", "overlap"})

@@ -31,10 +31,12 @@ from granflow.engine.pair import (
     build_pair_constants,
     build_pair_force,
     build_pair_kinematics,
+    normal_contact,
     normal_time_step,
 )
 from granflow.engine.state import State
 from granflow.engine.sums import SHARES, add_energy, build_list_shares, build_to_grid, carried, exact_totals
+from granflow.engine.transported import build_add_flows
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
 from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.kernel_language import ti
@@ -78,6 +80,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
     liquid = state.plan.features.liquid_transfer
     form_bridge = build_form_bridge(state) if liquid else None
     return_liquid = build_return_liquid(state) if liquid else None
+    has_flows = len(state.plan.laws.adds) > 0
+    add_flows = build_add_flows(state, with_wall) if has_flows else None
 
     @ti.func
     def contact(chunk, i, list_index, j, pose, dt):
@@ -104,6 +108,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
             count_collision(chunk, list_index, j, bodies, kinematics.overlap_rate_half)
             histories.write(list_index, found.history)
             add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
+            if ti.static(has_flows):
+                add_flows(chunk, i, j, constants, normal_contact(bodies, kinematics, dt))
         elif in_range(i, j, kinematics.overlap):
             if ti.static(acts_at_distance):
                 force = distant_contact(chunk, i, list_index, j, pose, kinematics, dt)

@@ -543,6 +543,8 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
         "velocity": new.velocity,
         "angular_velocity": new.angular_velocity,
     }
+    for name, values in plan.initial_values.items():
+        arrays[name] = np.array(values)[new.group]
     if plan.features.liquid_transfer:
         arrays["liquid_film"] = _films(plan, new)
     return _sphere_arrays(plan, new, arrays, first_id) if plan.features.clumps else arrays

@@ -404,7 +404,8 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
             )
             for slot, law, loss in ti.static(surface_laws):
                 found = law.act(member(constants, slot), surface, kinematics, member(history, slot))
-                force += found.force
+                if ti.static("force" in found.keys):
+                    force += found.force
                 torque += found.torque
                 torque_partner += found.torque_partner
                 losses[loss] += found.loss

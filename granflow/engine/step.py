@@ -63,6 +63,7 @@ from granflow.engine.particle_forces import (
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest, holds_sums, shares_rows
 from granflow.engine.threads import arrive, release, wait
+from granflow.engine.transported import build_clear_flows, build_integrate_properties
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import SUM_BITS, UNIT_FORCE, UNIT_TORQUE
@@ -104,6 +105,8 @@ def build_integrate(state: State) -> Any:
     carries_impulses = state.control.impulses is not None and shares_rows(state)
     impulses = state.built(WallImpulses)
     save_film = build_save_film(state) if features.liquid_transfer else None
+    has_flows = len(features.transported) > 0
+    integrate_properties = build_integrate_properties(state) if has_flows else None
     add_work = build_add_external_work(state)
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
     particle_wrap = state.built(ParticleWrap)
@@ -124,6 +127,8 @@ def build_integrate(state: State) -> Any:
                     continue
             if ti.static(features.liquid_transfer):
                 save_film(i)
+            if ti.static(has_flows):
+                integrate_properties(i, dt)
             mass = particles.mass[i]
             force = particles.force[i]
             torque = 0.0 * particles.force[i]
@@ -294,6 +299,8 @@ def _build_start_sums(state: State) -> Any:
     to_grid = build_to_grid(state.backend.real)
     wall_contact = build_contact(state, True) if plan.has_walls else None
     particle_contact = None if batched else build_contact(state, False)
+    has_flows = len(plan.features.transported) > 0
+    clear_flows = build_clear_flows(state) if has_flows else None
 
     @ti.func
     def in_this_pass(list_index, pass_index):
@@ -312,6 +319,8 @@ def _build_start_sums(state: State) -> Any:
     def start_sums(chunk, i, gravity, pose, dt):
         force_sum = ti.Vector.zero(ti.f64, 3)
         torque_sum = ti.Vector.zero(ti.f64, 3)
+        if ti.static(has_flows):
+            clear_flows(i)
         if ti.static(exact):
             force_sum = to_grid(particles.mass[i] * gravity, shift())
             if ti.static(plan.features.clumps):  # the weight of a clump acts at its center of mass

@@ -269,6 +269,7 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     yield _scalar("force_range", "position", plan.laws.range)
     yield _scalar("coordinate_limit", "position", plan.coordinate_limit)
     yield from _of_sums(plan)
+    yield from _of_flows(plan)
     if plan.features.liquid_transfer:
         yield _scalar("liquid_unit", "f64", plan.liquid_unit)
     yield _vector("gravity", "f64", plan.scene.gravity)
@@ -305,6 +306,17 @@ def _of_sums(plan: Plan) -> Iterator[Parameter]:
     yield _vector("shift", "real", 1.5 * units[: UNIT_TORQUE + 1] / eps)
 
 
+def _of_flows(plan: Plan) -> Iterator[Parameter]:
+    """Reciprocal unit and `shift` of each declared sum; constants of the materials of particle equations."""
+    for name, unit in plan.flow_units.items():
+        yield _scalar(f"per_unit.{name}", "f64", 1.0 / unit)
+        yield _scalar(f"shift.{name}", "f64", 1.5 * unit * 2.0**52)
+    for equation in plan.equations:
+        constants = [plan.material_constants(equation, material) for material in plan.materials]
+        for key in equation.material_keys:
+            yield _vector(f"{equation.name}.{key}", "f64", tuple(each[key] for each in constants))
+
+
 def _of_motion(prefix: str, motion: ControlledMotion) -> Iterator[Parameter]:
     """Wall, direction and constants of a force-controlled motion."""
     yield _scalar(f"{prefix}.wall", "i32", motion.wall)
@@ -327,6 +339,7 @@ def structure_of(plan: Plan) -> Hashable:
         plan.scene.run.precision,
         plan.features,
         plan.laws.structure,
+        plan.equations,
         plan.external_forces,
         plan.periodic_box.axes,
         _shear_axes(plan),

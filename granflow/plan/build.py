@@ -51,6 +51,7 @@ from granflow.plan.time_step import (
     choose_time_step,
     max_impact_velocity,
 )
+from granflow.plan.transported import refuse_long_step, refuse_without_values
 from granflow.plan.wall_control import controlled_motions_of
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
 from granflow.scene.blocks.run import Numerics
@@ -137,6 +138,8 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
         controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
         wall_notes=_wall_notes(scene, walls, 2.0 * radius_min),
     )
+    refuse_without_values(scene, plan.equations)
+    refuse_long_step(plan)
     _refuse_fast(plan, speeds)
     _refuse_collision_energies(plan)
     return plan

@@ -11,6 +11,7 @@ from typing import Any
 
 from granflow.contact import registry
 from granflow.contact.law import SLOTS, ContactModel
+from granflow.contact.particle_equation import equations_of
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, size_classes
 from granflow.scene.blocks.run import Damping
@@ -51,6 +52,8 @@ class Features:
     """Whether the cohesion model takes liquid from films on the particles."""
     velocity_remainders: bool = False
     """Whether velocities in float32 keep what rounding takes from their changes."""
+    transported: tuple[str, ...] = ()
+    """Particle properties that equations integrate, and the sums over contacts that they read."""
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
@@ -80,8 +83,10 @@ def features_of(
     return Features(**values), reasons
 
 
-def _setting(value: bool | str) -> str:
-    """Text of a setting: on, off, or the name or number that it contains."""
+def _setting(value: bool | str | tuple[str, ...]) -> str:
+    """Text of a setting: on, off, or the names or the number that it contains."""
+    if isinstance(value, tuple):
+        return ", ".join(value)
     if isinstance(value, bool):
         return "on" if value else "off"
     return "off" if value == "none" else value
@@ -89,7 +94,7 @@ def _setting(value: bool | str) -> str:
 
 def _rows(
     scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool, has_joined_walls: bool
-) -> Iterator[tuple[str, bool | str, str]]:
+) -> Iterator[tuple[str, bool | str | tuple[str, ...], str]]:
     """Name, value and reason of each feature. Arguments as of `features_of`."""
     walls = scene.walls
     groups = scene.particles
@@ -248,6 +253,11 @@ def _rows(
         scene.run.precision != "f64",
         f"run.precision is {scene.run.precision} ({where('run', 'precision')})",
     )
+    sums = {name: slot for slot, model in models.items() for name in model.law.adds}
+    properties = [each.name for each in equations_of(sums)]
+    if sums:
+        adding = ", ".join(f"contact.{slot}" for slot in dict.fromkeys(sums.values()))
+        yield "transported", (*properties, *sums), f"{adding} adds {', '.join(sums)}"
     yield "external_forces", False, "forces are added from Python only"
 
 

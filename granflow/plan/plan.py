@@ -14,6 +14,7 @@ import numpy as np
 
 from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial
+from granflow.contact.particle_equation import ParticleEquation, equations_of
 from granflow.contact.registry import ContactLaws
 from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
 from granflow.geometry.periodic_box import PeriodicBox
@@ -41,7 +42,7 @@ from granflow.plan.capacities import (
 )
 from granflow.plan.features import Features, Reason
 from granflow.plan.limits import coordinate_limit
-from granflow.plan.sum_units import SumUnits, liquid_unit, sum_units
+from granflow.plan.sum_units import SumUnits, flow_units, liquid_unit, sum_units
 from granflow.plan.time_step import (
     STEP_SHARE,
     AdaptiveTimeStep,
@@ -445,6 +446,34 @@ class Plan:
             size=2.0 * float(np.abs([self.domain_low, self.domain_high]).max()),
             weight=self.largest_weight,
         )
+
+    @cached_property
+    def equations(self) -> tuple[ParticleEquation, ...]:
+        """The particle equations that act: those whose sums the contact models add."""
+        return equations_of(self.laws.adds)
+
+    @cached_property
+    def initial_values(self) -> dict[str, tuple[float, ...]]:
+        """Initial value of each group, by the property that a particle equation integrates."""
+        return {
+            each.name: tuple(getattr(group.spec, each.name) for group in self.groups)
+            for each in self.equations
+        }
+
+    @cached_property
+    def value_ranges(self) -> dict[str, tuple[float, float]]:
+        """Smallest and largest initial value of these properties."""
+        return {name: (min(values), max(values)) for name, values in self.initial_values.items()}
+
+    def material_constants(self, equation: ParticleEquation, material: str) -> dict[str, float]:
+        """Values of the keys of a material that a particle equation requires; 0 for one of walls only."""
+        given = self.scene.materials[material]
+        return {key: getattr(given, key) or 0.0 for key in equation.material_keys}
+
+    @cached_property
+    def flow_units(self) -> dict[str, float]:
+        """Units of the sums that contact models declare, see `sum_units.flow_units`."""
+        return flow_units(self.laws, self.pair_cases, self.scene.numerics.max_overlap, self.value_ranges)
 
     @cached_property
     def liquid_unit(self) -> float:

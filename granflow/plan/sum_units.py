@@ -16,13 +16,14 @@ F / 2^45 = 3e-14 F: sums up to 2^7 F are exact in f64, and also exact if their t
 those above 2^-23 F are multiples of half a unit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from math import ceil, frexp, inf, log2
 
 import numpy as np
 
-from granflow.contact.law import NormalLaw
+from granflow.contact.law import FlowCase, NormalLaw
+from granflow.contact.registry import ContactLaws
 from granflow.geometry.shape import sphere_volume
 from granflow.particles.group import SceneGroup
 from granflow.plan.time_step import PairCase
@@ -139,6 +140,38 @@ def sum_units(
 def _power_of_two(value: float) -> float:
     """Smallest power of two not below a positive value."""
     return 2.0 ** ceil(log2(value))
+
+
+# The units of the sums that contact models declare.
+
+
+def flow_units(
+    laws: ContactLaws,
+    pair_cases: Sequence[PairCase],
+    max_overlap: float,
+    values: Mapping[str, tuple[float, float]],
+) -> dict[str, float]:
+    """Unit of each sum of `laws.adds`, a power of two: the largest flow of a contact over 2^FORCE_BITS.
+
+    values:  smallest and largest initial value of each property that a particle equation integrates
+    """
+    found = {}
+    for name in laws.adds:
+        bounds = [
+            law.flow_bounds(
+                name,
+                FlowCase(case.pair, case.largest_radius, max_overlap * case.largest_radius, values),
+            )[0]
+            for law in laws.laws
+            if name in law.adds
+            for case in pair_cases
+        ]
+        found[name] = _power_of_two(max(*bounds, TINY)) / 2.0**FORCE_BITS
+    return found
+
+
+TINY = 1e-200
+"""Largest flow of a model whose bound is 0: nothing flows."""
 
 
 # The unit of liquid volumes: films and bridges exchange whole units.

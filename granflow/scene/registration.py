@@ -7,12 +7,13 @@ metric becomes a kind of `output.metrics`.
 from inspect import unwrap
 
 from granflow.arguments import refuse_other, shown
-from granflow.contact import registry
+from granflow.contact import particle_equation, registry
 from granflow.contact.law import SLOTS, ContactModel
+from granflow.contact.particle_equation import ParticleEquation
 from granflow.device_functions import run_time_branches, source_lines
 from granflow.errors import GranflowError
 from granflow.scene import checks, reference
-from granflow.scene.blocks import contact, materials, metrics, output
+from granflow.scene.blocks import contact, materials, metrics, output, particles
 from granflow.scene.blocks.scene import SceneInput
 from granflow.schema.model import Model
 
@@ -44,9 +45,29 @@ def register_contact_model(model: ContactModel) -> None:
     _use_registry()
 
 
+def register_particle_equation(equation: ParticleEquation) -> None:
+    """Register the equation of a particle property, for scenes whose contact models add the sums it reads.
+
+    Call it before a scene is read, also in a program that resumes a run.
+
+    Raises GranflowError for a name that exists or is not valid.
+    """
+    try:
+        particle_equation.add(equation)
+    except ValueError as error:
+        raise GranflowError(str(error)) from None
+    _use_registry()
+
+
+def unregister_particle_equation(equation: ParticleEquation) -> None:
+    """Remove an equation that was registered."""
+    particle_equation.remove(equation)
+    _use_registry()
+
+
 def _refuse_without_source(model: ContactModel) -> None:
     """Raise GranflowError if the text of a device function, which is compiled, is not available."""
-    for name in ("force", "torque"):
+    for name in ("force", "torque", "flows"):
         try:
             source_lines(unwrap(getattr(model.law, name, registry.add)))
         except ValueError as error:
@@ -125,8 +146,11 @@ def _use_registry() -> None:
     contact.use_registry()
     materials.use_registry()
     output.use_metrics()
+    particles.use_registry()
     blocks: list[type[Model]] = [
         contact.Contact,
+        materials.Material,
+        particles.Group,
         materials.MaterialPair,
         output.Output,
         SceneInput,

@@ -6,7 +6,7 @@ fields are here and in `quantities`. A value that is valid by itself may contrad
 """
 
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -111,6 +111,19 @@ def faults_of(value: Any, path: KeyPath = ()) -> Iterator[Fault]:
     elif isinstance(value, dict | tuple):
         for key, each in value.items() if isinstance(value, dict) else enumerate(value):
             yield from faults_of(each, (*path, key))
+
+
+def add_keys(model: type[Model], keys: Mapping[str, tuple[Any, str]]) -> None:
+    """Set the optional numbers of a model that records outside of its class declare.
+
+    keys:  metadata of the type, such as a `Number`, and description, by name
+    """
+    own = model.__pydantic_fields__
+    for name in set(own) - set(model.__annotations__):
+        del own[name]
+    for name, (number, description) in keys.items():
+        annotation: Any = Annotated[float, number] | None
+        own[name] = FieldInfo.from_annotated_attribute(annotation, Field(None, description=description))
 
 
 # Notes in the schema of a key for the reference of the keys; the JSON Schema for editors does not have them.

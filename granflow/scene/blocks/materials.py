@@ -14,10 +14,11 @@ from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
 from granflow.contact.law import FrictionCoefficient
+from granflow.contact.particle_equation import equations
 from granflow.schema import quantities as q
 from granflow.schema.faults import value_error
 from granflow.schema.messages import suggestion_or_list
-from granflow.schema.model import Model, Text, choose_by, optional, pair_list, required_unless
+from granflow.schema.model import Model, Text, add_keys, choose_by, optional, pair_list, required_unless
 from granflow.schema.quantities import Number
 
 # Block `materials`
@@ -114,7 +115,7 @@ class Material(Model):
         name = _preset_name(given, PRESETS, "presets")
         if name is None:
             return given
-        preset = {key: getattr(PRESETS[name], key) for key in cls.model_fields if key != "preset"}
+        preset = {key: value for key, value in vars(PRESETS[name]).items() if key in cls.model_fields}
         left_out = {key for key, value in given.items() if value is None and key in _OPTIONAL}
         return preset | {key: value for key, value in given.items() if key not in left_out}
 
@@ -191,10 +192,14 @@ class MaterialPair(Model):
 
 
 def use_registry() -> None:
-    """Add the keys that registered contact models require of `pairs`, except those that every pair has.
+    """Add the keys that contact models require of `pairs`, except those that every pair has, and those that
+    particle equations require of materials.
 
     A schema that is built must be rebuilt afterwards.
     """
+    add_keys(
+        Material, {key: each for equation in equations() for key, each in equation.material_keys.items()}
+    )
     fields = MaterialPair.__pydantic_fields__
     for key in set(fields) - set(MaterialPair.__annotations__):
         del fields[key]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, Tag, model_validator
 
+from granflow.contact.particle_equation import equations
 from granflow.scene.blocks.insertions import Insertion, InsertionKind, TimedInsertion, kinds
 from granflow.scene.blocks.particle_shapes.clump import Clump
 from granflow.scene.blocks.particle_shapes.shape import SPHERE, ParticleShape
@@ -22,6 +23,7 @@ from granflow.schema.model import (
     Flag,
     Model,
     Text,
+    add_keys,
     choose_by,
 )
 from granflow.visible_text import alternatives
@@ -355,3 +357,14 @@ def _takes_thermal(kind: type[InsertionKind]) -> bool:
 def _largest_norm(vectors: ArrayLike) -> float:
     """Largest norm of one vector (3,) or of many, (n, 3)."""
     return float(np.linalg.norm(np.atleast_2d(vectors), axis=1).max())
+
+
+def use_registry() -> None:
+    """Add the initial values that particle equations require of the groups.
+
+    A schema that is built must be rebuilt afterwards.
+    """
+    add_keys(Group, {each.name: (each.initial, f"initial value: {each.meaning}") for each in equations()})
+
+
+use_registry()

@@ -1,0 +1,288 @@
+"""A conduction-like contact model and the equation of a temperature, registered by a program: sums that models
+declare, and particle equations."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from pydantic import Field
+
+from granflow import Scene, Simulation, register_contact_model
+from granflow.contact.law import ContactModel, PairProperties, Sum
+from granflow.contact.normal.hertz import Hertz
+from granflow.contact.particle_equation import ParticleEquation
+from granflow.device_functions import ti
+from granflow.errors import RunError, SceneError
+from granflow.io.checkpoint import read_checkpoint
+from granflow.plan.build import plan_for
+from granflow.scene.registration import (
+    register_particle_equation,
+    unregister_contact_model,
+    unregister_particle_equation,
+)
+from granflow.schema.quantities import NotNegative, Number
+
+CONDUCTANCE, HEAT_CAPACITY, DENSITY, RADIUS = 2e-2, 0.5, 2500.0, 0.005
+MASS = DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3
+TIME_STEP = 1e-5
+HOT, COLD = 310.0, 290.0
+
+
+@dataclass(frozen=True)
+class Conducting(Hertz):
+    """Hertz contacts of constant conductance."""
+
+    name = "conducting"
+    source = "this test, 2026"
+    limits = "a conductance without dependence on the load"
+    constant_names = (*Hertz.constant_names, "conductance")
+    adds = {"heat_flow": Sum("W", "heat from the contacts")}
+    reads = ("temperature",)
+
+    def pair_constants(self, pair):
+        return *super().pair_constants(pair), pair.options["conductance"]
+
+    @ti.func
+    def flows(self, constants, contact, first, partner):
+        return ti.Struct(heat_flow=constants.conductance * (partner.temperature - first.temperature))
+
+    def flow_bounds(self, name, case):
+        low, high = case.values["temperature"]
+        return case.pair.options["conductance"] * (high - low), case.pair.options["conductance"]
+
+
+@dataclass(frozen=True)
+class Heated(Conducting):
+    """The same, with walls at 300 K."""
+
+    name = "heated"
+
+    @ti.func
+    def at_wall(self, constants, first):
+        return ti.Struct(temperature=0.0 * first.temperature + 300.0)
+
+    def flow_bounds(self, name, case):
+        low, high = case.values["temperature"]
+        conductance = case.pair.options["conductance"]
+        return conductance * (max(high, 300.0) - min(low, 300.0)), conductance
+
+
+@dataclass(frozen=True)
+class Unbounded(Conducting):
+    """The same, with a bound of the flow that is too low."""
+
+    name = "unbounded"
+
+    def flow_bounds(self, name, case):
+        return 1e-9, 0.0
+
+
+class ConductancePair(PairProperties):
+    conductance: NotNegative = Field(description="conductance [W/K]", examples=["1e-3"])
+
+
+class Temperature(ParticleEquation):
+    """dT/dt = q / (m c)."""
+
+    name = "temperature"
+    symbol = "T"
+    unit = "K"
+    meaning = "temperature of the particle"
+    initial = Number(above=0)
+    reads = ("heat_flow",)
+    material_keys = {"heat_capacity": (Number(above=0), "specific heat capacity [J/(kg K)]")}
+
+    @ti.func
+    def rate(self, constants, particle, sums):
+        return sums.heat_flow / (particle.mass * constants.heat_capacity)
+
+    def longest_time_step(self, constants, radius, mass, slope):
+        return mass * constants["heat_capacity"] / slope if slope else np.inf
+
+
+MODELS = [
+    ContactModel(
+        law,
+        "Hertz contacts that conduct",
+        pair_properties=ConductancePair,
+    )
+    for law in (Conducting, Heated, Unbounded)
+]
+EQUATION = Temperature()
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    """Models and equation are registered during each test."""
+    for model in MODELS:
+        register_contact_model(model)
+    register_particle_equation(EQUATION)
+    yield
+    unregister_particle_equation(EQUATION)
+    for model in MODELS:
+        unregister_contact_model(model)
+
+
+def scene_of(positions, temperatures, chunk_size=1, law="conducting", **parts):
+    """A scene of spheres, one group per temperature; the first is fixed."""
+    groups = {
+        f"group_{number}": {
+            "material": "glass",
+            "diameter": 2.0 * RADIUS,
+            "temperature": temperature,
+            "fixed": number == 0,
+            "insert": {"kind": "positions", "positions": np.atleast_2d(own).tolist()},
+        }
+        for number, (own, temperature) in enumerate(zip(positions, temperatures, strict=True))
+    }
+    return Scene.from_dict(
+        {
+            "title": "Conduction",
+            "gravity": [0, 0, -9.81],
+            "materials": {
+                "glass": {
+                    "young_modulus": 1e7,
+                    "poisson_ratio": 0.25,
+                    "density": DENSITY,
+                    "heat_capacity": HEAT_CAPACITY,
+                }
+            },
+            "pairs": {"glass-glass": {"restitution": 0.8, "friction": 0.0, "conductance": CONDUCTANCE}},
+            "contact": {"normal": law, "tangential": "none", "rolling": "none"},
+            "particles": groups,
+            "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
+            "run": {"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 1.0},
+            "numerics": {"chunk_size": chunk_size, "max_overlap": 0.1},
+            "output": {"interval": 1.0},
+        }
+        | parts
+    )
+
+
+PAIR = [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 2.0 * RADIUS - 1.1e-5]]]
+"""A sphere that rests on a fixed one."""
+SETTINGS = [(chunk_size, precision) for chunk_size in (1, 8) for precision in ("f64", "mixed")]
+
+
+@pytest.mark.parametrize(("chunk_size", "precision"), SETTINGS)
+def test_two_spheres_exchange_heat_until_their_temperatures_are_equal(chunk_size, precision):
+    """T1 - T2 = D exp(-2 h t / (m c)), and T1 + T2 is constant."""
+    found = []
+    for threads in (1, 2):
+        scene = scene_of(PAIR, (HOT, COLD), chunk_size)
+        with Simulation(scene, threads=threads, precision=precision) as simulation:
+            assert (simulation.engine.state.batch is not None) == (chunk_size > 1)
+            samples = [simulation.snapshot().particles["temperature"].tolist()]
+            for _ in range(8):
+                simulation.step(50)
+                samples.append(simulation.snapshot().particles["temperature"].tolist())
+            flows = simulation.snapshot().particles["heat_flow"]
+        found.append(samples)
+        assert flows[0] == -flows[1] != 0.0
+    assert found[0] == found[1]
+    temperatures = np.array(found[0])
+    assert len(set(temperatures.sum(axis=1).tolist())) == 1
+    decay = 2.0 * CONDUCTANCE * TIME_STEP / (MASS * HEAT_CAPACITY)
+    steps = 50 * np.arange(9)
+    explicit = (HOT - COLD) * (1.0 - decay) ** steps
+    tolerance = 1e-12 if precision == "f64" else 1e-6
+    difference = -np.diff(temperatures, axis=1)[:, 0]
+    np.testing.assert_allclose(difference, explicit, rtol=tolerance)
+    np.testing.assert_allclose(difference, (HOT - COLD) * np.exp(-decay * steps), rtol=decay)
+
+
+def lattice(side=4):
+    """Positions (side^3, 3) of touching spheres, and their temperatures."""
+    positions = 1.99 * RADIUS * np.argwhere(np.ones((side, side, side)))
+    return positions, np.random.default_rng(1).uniform(COLD, HOT, len(positions))
+
+
+def bed(chunk_size, **parts):
+    """The lattice in motion, in four groups of different temperatures, between two walls."""
+    positions, _ = lattice()
+    rng = np.random.default_rng(2)
+    scene = scene_of(
+        [positions[k::4] for k in range(4)], (HOT, COLD, 297.0, 306.0), chunk_size, **parts
+    ).to_dict()
+    for group in scene["particles"].values():
+        count = len(group["insert"]["positions"])
+        group |= {"fixed": False, "velocity": rng.normal(0.0, 0.3, (count, 3)).tolist()}
+    return Scene.from_dict(scene)
+
+
+def state_of(simulation):
+    """Lists of all arrays of the particles."""
+    return {name: values.tolist() for name, values in simulation.snapshot().particles.items()}
+
+
+@pytest.mark.parametrize("precision", ["f64", "mixed"])
+def test_a_bed_has_the_same_bits_for_threads_and_chunks_and_conserves_its_heat(precision):
+    found = []
+    for chunk_size, threads in ((1, 1), (1, 2), (8, 2), (64, 1), (64, 2)):
+        with Simulation(bed(chunk_size), threads=threads, precision=precision) as simulation:
+            before = simulation.snapshot().particles["temperature"].sum()
+            simulation.step(300)
+            found.append(state_of(simulation))
+            flows = simulation.snapshot().particles["heat_flow"]
+    assert all(each == found[0] for each in found[1:])
+    assert np.count_nonzero(flows) > 10 and flows.sum() == 0.0
+    temperature = np.array(found[0]["temperature"])
+    assert temperature.sum() == pytest.approx(before, rel=1e-14 if precision == "f64" else 1e-8)
+    assert temperature.std() > 0 and COLD <= temperature.min() and temperature.max() <= HOT
+
+
+def test_a_run_continues_from_a_checkpoint_with_the_same_bits(tmp_path):
+    output = {"interval": 1e-3, "checkpoint": {"interval": 1e-3, "keep": 5}}
+    scene = bed(16, output=output, run={"duration": 3e-3, "time_step": TIME_STEP, "velocity_max": 1.0})
+    with Simulation(scene, out=tmp_path / "run", threads=2) as simulation:
+        simulation.run()
+        whole = state_of(simulation)
+    checkpoint = sorted((tmp_path / "run").glob("checkpoint_*.npz"))[0]
+    with Simulation(scene, threads=1, resume=read_checkpoint(checkpoint)) as simulation:
+        simulation.run()
+        assert state_of(simulation) == whole
+
+
+def test_walls_are_insulated_unless_the_model_gives_them_a_value():
+    wall = {"shape": "plane", "point": [0, 0, -0.99 * RADIUS], "normal": [0, 0, 1], "material": "glass"}
+    found = {}
+    for law in ("conducting", "heated"):
+        scene = scene_of([PAIR[0]], (HOT,), law=law, walls={"floor": wall}).to_dict()
+        scene["particles"]["group_0"]["fixed"] = False
+        with Simulation(Scene.from_dict(scene), threads=1) as simulation:
+            simulation.step(5)
+            found[law] = simulation.snapshot().particles["temperature"][0]
+    decay = CONDUCTANCE * TIME_STEP / (MASS * HEAT_CAPACITY)
+    assert found["conducting"] == HOT
+    assert found["heated"] == pytest.approx(300.0 + 10.0 * (1.0 - decay) ** 5, rel=1e-9)
+
+
+def test_a_flow_above_its_bound_is_an_error():
+    with (
+        Simulation(scene_of(PAIR, (HOT, COLD), law="unbounded"), threads=1) as simulation,
+        pytest.raises(RunError, match=r"one of the flows to particle 0 .*heat_flow, is not a number or more"),
+    ):
+        simulation.step(2)
+
+
+def test_missing_keys_and_a_long_time_step_are_errors():
+    scene = scene_of(PAIR, (HOT, COLD)).to_dict()
+    del scene["particles"]["group_0"]["temperature"], scene["materials"]["glass"]["heat_capacity"]
+    with pytest.raises(SceneError) as error:
+        plan_for(Scene.from_dict(scene))
+    assert "particles.group_0.temperature is missing" in str(error.value)
+    assert "materials.glass.heat_capacity is missing" in str(error.value)
+    scene = scene_of(PAIR, (HOT, COLD)).to_dict()
+    scene["materials"]["glass"]["heat_capacity"] = 1e-5
+    with pytest.raises(SceneError, match=r"up to which the equation of the temperature is stable"):
+        plan_for(Scene.from_dict(scene))
+
+
+def test_a_scene_without_the_model_has_no_sums():
+    scene = scene_of(PAIR, (HOT, COLD)).to_dict()
+    scene["contact"]["normal"] = "hertz"
+    del scene["pairs"]["glass-glass"]["conductance"]
+    plan = plan_for(Scene.from_dict(scene))
+    assert plan.features.transported == plan.laws.adds == plan.equations == ()
+    assert not plan.flow_units and all(a != b for a, b in pairwise(plan.laws.names))
