@@ -5,6 +5,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from contact import test_transported
 from geometry.meshes import cube, write
 from scene_builders import (
     DASHPOTS,
@@ -17,6 +18,9 @@ from scene_builders import (
     vibrating_box,
 )
 from sheared_scenes import sheared_gas
+
+from granflow import register_contact_model
+from granflow.scene.registration import register_particle_equation
 
 FILES = tempfile.TemporaryDirectory()
 """Meshes of this process."""
@@ -166,6 +170,16 @@ def uneven():
     )  # fmt: skip
 
 
+def conducting():
+    """Particles with a temperature: model and equation are registered as by a program."""
+    for model in test_transported.MODELS:
+        register_contact_model(model)
+    register_particle_equation(test_transported.EQUATION)
+    return test_transported.bed(
+        8, run={"duration": 3e-3, "time_step": test_transported.TIME_STEP, "velocity_max": 1.0}
+    )
+
+
 SPRING = {"stiffness": {"reference_velocity": 1.0}}
 BRIDGE = {"surface_tension": 0.5, "contact_angle": 0.3, "liquid_volume": 1e-9}
 SURFACES = {"hamaker_constant": 1e-18, "separation": 1e-8}
@@ -213,6 +227,7 @@ SCENES = (
     | FEATURES
     | {
         "uneven": uneven,
+        "conducting": conducting,
         "short": bed,
         "long_lists": lambda: bed(numerics={"chunk_size": 32, "skin": 1.5e-3}),
     }

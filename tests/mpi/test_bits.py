@@ -51,6 +51,12 @@ def test_two_ranks_give_the_bits_of_a_run_without_mpi(tmp_path):
     assert (migrations.sum(axis=0) > 0).all()
 
 
+def test_sums_and_properties_of_a_program_have_the_bits_of_a_run_without_mpi(tmp_path):
+    expected = state_of(tmp_path, "conducting")
+    assert_same_bits(expected, state_of(tmp_path, "conducting", 2))
+    assert any(name.endswith("temperature") for name in expected)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", LAWS)
 def test_any_number_of_ranks_gives_the_same_bits_over_3000_steps(tmp_path, scene):

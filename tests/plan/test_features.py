@@ -20,7 +20,7 @@ def test_only_required_features_are_enabled(tmp_path):
     text = TEXT.replace("walls:\n" + FLOOR, "")
     features = plan_for(scene_of(tmp_path, text=text)).features
     assert [
-        item.name for item in fields(Features) if getattr(features, item.name) not in (False, "none")
+        item.name for item in fields(Features) if getattr(features, item.name) not in (False, "none", ())
     ] == ["one_material"]
 
 
