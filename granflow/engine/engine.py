@@ -54,6 +54,7 @@ from granflow.engine.totals import (
 from granflow.engine.wall_dynamics import wall_impulses
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
+from granflow.geometry.shape import sphere_inertia
 from granflow.particles.group import ParticleData
 from granflow.plan.arrays import (
     DeviceArray,
@@ -483,7 +484,7 @@ class Engine:
         mass = arrays["mass"].astype(float)[:, None]
         arrays["velocity"] = arrays["velocity"] + half * arrays["force"] / mass
         if "angular_velocity" in arrays:
-            inertia = 0.4 * mass * arrays["radius"].astype(float)[:, None] ** 2
+            inertia = sphere_inertia(mass, arrays["radius"].astype(float)[:, None])
             arrays["angular_velocity"] = arrays["angular_velocity"] + half * arrays["torque"] / inertia
         if clumps:
             in_clump = arrays["clump"][:, None] >= 0

@@ -24,6 +24,7 @@ from granflow.engine.box import DeviceBox
 from granflow.engine.contact_structs import build_constants, member, set_member
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_contact, build_wall_of
+from granflow.geometry.shape import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_DAMPING, LOSSES
@@ -235,7 +236,7 @@ def build_effective(state: State, with_wall: bool) -> Any:
     def effective(i, j):
         radius = particles.radius[i]
         mass = contact_mass(i)
-        bodies = ti.Struct(radius_eff=radius, mass_eff=mass, inertia_eff=0.4 * mass * radius * radius)
+        bodies = ti.Struct(radius_eff=radius, mass_eff=mass, inertia_eff=sphere_inertia(mass, radius))
         if ti.static(not with_wall):
             bodies = sphere_bodies(radius, mass, particles.radius[j], contact_mass(j))
         return bodies
@@ -246,8 +247,8 @@ def build_effective(state: State, with_wall: bool) -> Any:
 @ti.func
 def sphere_bodies(radius, mass, radius_partner, mass_partner):
     """Struct `bodies` of two spheres."""
-    inertia = 0.4 * mass * radius * radius
-    inertia_partner = 0.4 * mass_partner * radius_partner * radius_partner
+    inertia = sphere_inertia(mass, radius)
+    inertia_partner = sphere_inertia(mass_partner, radius_partner)
     return ti.Struct(
         radius_eff=effective_value(radius, radius_partner),
         mass_eff=effective_value(mass, mass_partner),

@@ -20,6 +20,7 @@ from granflow.engine.contact_structs import number_at, vector_at
 from granflow.engine.fields import FieldBlock
 from granflow.engine.state import State
 from granflow.engine.sums import add_energy, holds_sums
+from granflow.geometry.shape import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import ExternalForce
 from granflow.plan.sum_units import LOSS_DAMPING, LOSSES, UNIT_ENERGY
@@ -309,7 +310,7 @@ def build_damped(state: State) -> Any:
         found = mobility(i) * damping_of(force, particles.velocity[i], mass)
         found_torque = 0.0 * torque
         if ti.static(features.rotation):
-            inertia = 0.4 * mass * particles.radius[i] * particles.radius[i]
+            inertia = sphere_inertia(mass, particles.radius[i])
             found_torque = mobility(i) * damping_of(torque, particles.angular_velocity[i], inertia)
         if ti.static(features.energy_budget):
             particles.damping_force[i] = found

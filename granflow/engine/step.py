@@ -65,6 +65,7 @@ from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest
 from granflow.engine.threads import arrive, release, wait
 from granflow.engine.transported import build_clear_flows, build_integrate_properties
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
+from granflow.geometry.shape import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import SUM_BITS, UNIT_FORCE, UNIT_TORQUE
 
@@ -144,7 +145,7 @@ def build_integrate(state: State) -> Any:
             particles.position[i] = position
             if ti.static(features.rotation):
                 torque = particles.torque[i]  # a sphere needs no orientation and no gyroscopic term
-                inertia = 0.4 * mass * particles.radius[i] * particles.radius[i]
+                inertia = sphere_inertia(mass, particles.radius[i])
                 particles.angular_velocity[i] = changed_rotation(i, mobility(i) * dt / inertia * torque)
             if ti.static(counts_damping):
                 add_damping_loss(chunk, i, dt)
@@ -591,7 +592,7 @@ def build_kick(state: State) -> Callable[..., None]:
                 particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
             )
             if ti.static(rotation):
-                inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+                inertia = sphere_inertia(particles.mass[i], particles.radius[i])
                 particles.angular_velocity[i] = (
                     particles.angular_velocity[i] + mobility(i) * time / inertia * particles.torque[i]
                 )

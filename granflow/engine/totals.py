@@ -25,6 +25,7 @@ from granflow.engine.sums import (
     scale_exponent,
 )
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_totals, controlled_work
+from granflow.geometry.shape import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES
@@ -299,7 +300,7 @@ def mechanical_energy(
     kinetic = 0.5 * exact_sum(mass * _squares(arrays["velocity"]), ranks)
     rotational = 0.0
     if "angular_velocity" in arrays:
-        inertia = 0.4 * mass * arrays["radius"].astype(float) ** 2
+        inertia = sphere_inertia(mass, arrays["radius"].astype(float))
         doubled = inertia * _squares(arrays["angular_velocity"])
         if ROTATION_SHARE in arrays:
             doubled = np.where(arrays["clump"] >= 0, arrays[ROTATION_SHARE], doubled)
@@ -517,12 +518,12 @@ def _build_energy_terms(state: State) -> Any:
         turning = ti.cast(0.0, ti.f64)
         if ti.static(rotation):
             radius = to_f64(particles.radius[i])
-            inertia = 0.4 * mass * (radius * radius)
+            inertia = sphere_inertia(mass, radius)
             spin = (
                 to_f64(particles.angular_velocity[i])
                 + half_step * share * to_f64(particles.torque[i]) / inertia
             )
-            inertia_mobile = 0.4 * (mass * share) * (radius * radius)
+            inertia_mobile = sphere_inertia(mass * share, radius)
             turning = inertia_mobile * (spin[0] * spin[0] + spin[1] * spin[1] + spin[2] * spin[2])
         x = to_f64(particles.position[i])
         g = gravity()

@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from itertools import combinations
 from math import pi
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+
+from granflow.device_functions import at_compile_time
 
 RIGHT_ANGLE_COSINE = 1e-6
 """Largest absolute cosine of an angle that is accepted as 90 deg."""
@@ -58,7 +60,7 @@ def frame_along(axis: np.ndarray) -> np.ndarray:
     return np.array([first, np.cross(axis, first), axis])
 
 
-# Volume and mass of spheres.
+# Volume, mass and moment of inertia of spheres.
 
 Number = TypeVar("Number", float, np.ndarray)
 
@@ -71,3 +73,13 @@ def sphere_volume(radius: Number) -> Number:
 def sphere_mass(radius: Number, density: Number | float) -> Number:
     """Mass [kg] of spheres with radii [m] and density [kg/m3]."""
     return sphere_volume(radius) * density
+
+
+@at_compile_time
+def sphere_inertia(mass: Any, radius: Any) -> Any:
+    """Moment of inertia 2/5 m R^2 [kg m2] of a solid sphere, also in device functions.
+
+    mass:    [kg], number, array or expression
+    radius:  [m], of the same kind
+    """
+    return 0.4 * mass * radius * radius

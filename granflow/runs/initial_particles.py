@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError, SceneError
+from granflow.geometry.shape import sphere_inertia
 from granflow.io.checkpoint import Checkpoint, newest_checkpoint
 from granflow.load import Scene, scene_of
 from granflow.particles.group import ParticleData, SceneGroup, groups_of
@@ -157,7 +158,7 @@ def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple
     velocity = arrays["velocity"] + half * arrays["force"] / mass
     if "angular_velocity" not in arrays:
         return velocity, np.zeros_like(velocity)
-    return velocity, arrays["angular_velocity"] + half * arrays["torque"] / (0.4 * mass * radius**2)
+    return velocity, arrays["angular_velocity"] + half * arrays["torque"] / sphere_inertia(mass, radius)
 
 
 def _inconsistencies(group: SceneGroup, particles: ParticleData) -> list[str]:
