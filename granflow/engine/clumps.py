@@ -21,7 +21,6 @@ The host computes energies and the motion at the time of the positions from arra
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -34,168 +33,114 @@ from granflow.kernel_language import ti
 # Integration on the device
 
 
-def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> Any:
-    """Device function (chunk, count, pose, dt): kick and drift the spheres of clumps of one chunk.
+class ClumpMotion:
+    """Integration of the copy of its clump that a sphere has.
 
-    request, square_of_sums:  device functions of `step.build_integrate`
-
-    Reads, writes:  as `build_move_clump`, `ParticleWrap` and `request`
-    """
-    particles = state.particles
-    periodic = state.plan.features.periodic != "none"
-    chunk_size = state.parameter("chunk_size")
-    travel_limit_squared = state.parameter("travel_limit_squared")
-    move_clump = build_move_clump(state)
-    particle_wrap = state.built(ParticleWrap)
-    per_unit_parameter = state.parameter("per_unit")
-
-    @ti.func
-    def integrate_clumps(chunk, count, pose, dt):
-        size = chunk_size()
-        limit_squared = travel_limit_squared()
-        per_unit = per_unit_parameter()
-        for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
-            if particles.clump[i] >= 0:
-                step_squared = move_clump(chunk, i, pose, dt).norm_sqr()
-                displacement_squared = (particles.position[i] - particles.position_at_rebuild[i]).norm_sqr()
-                reach_squared = particles.reach[i] * particles.reach[i]
-                sum_squared = square_of_sums(particles.force[i], particles.torque[i], per_unit)
-                request(i, displacement_squared, reach_squared, step_squared, limit_squared, sum_squared)
-                if ti.static(periodic):
-                    particle_wrap.wrap(chunk, i, pose, dt)
-
-    return integrate_clumps
-
-
-def build_move_clump(state: State) -> Any:
-    """Device function (i, pose, dt) -> displacement [m] of sphere i: kick and drift of its copy of the
-    clump.
-
-    The velocity of a sphere is its displacement over the time step; its angular velocity is that of the clump
-    at the half step. In a periodic box the center of mass is wrapped, but not yet the sphere.
-
-    Reads:   as `build_clump_sums`; orientation, clump_mass, clump_inertia
+    Reads:   force, torque, position, clump, clump_size, clump_offset, clump_mass, clump_inertia, index_of_id,
+             orientation, image_offset
     Writes:  clump_position, clump_velocity, clump_angular_momentum, orientation, position, velocity,
              velocity_synchronized, angular_velocity, boundary_work
     """
-    particles = state.particles
-    features = state.plan.features
-    real = state.backend.real
-    exact = state.backend.position_real
-    gravity = state.parameter("gravity")
-    clump_sums = build_clump_sums(state)
-    set_position = _build_set_position(state)
+
+    def __init__(self, state: State) -> None:
+        self.particles = state.particles
+        self.features = state.plan.features
+        self.periodic = self.features.periodic != "none"
+        self.real = state.backend.real
+        self.exact = state.backend.position_real
+        self.gravity = state.parameter("gravity")
+        self.box = state.built(DeviceBox)
+        self.particle_wrap = state.built(ParticleWrap)
 
     @ti.func
-    def move_clump(chunk, i, pose, dt):
-        exact_dt = ti.cast(dt, exact)
-        offset = particles.clump_offset[i]
-        q = particles.orientation[i]
+    def move(self, chunk, i, pose, dt):
+        """Kick and drift sphere i; returns its displacement [m].
+
+        The velocity of a sphere is its displacement over the time step; its angular velocity is that of the
+        clump at the half step. In a periodic box the center of mass is wrapped, but not yet the sphere.
+        """
+        exact_dt = ti.cast(dt, self.exact)
+        offset = self.particles.clump_offset[i]
+        q = self.particles.orientation[i]
         rotation = scaled_rotation(q)
-        force, torque = clump_sums(i, rotation)
-        inertia = ti.cast(particles.clump_inertia[i], exact)
-        kick = exact_dt * (force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact))
-        velocity = particles.clump_velocity[i] + kick
-        momentum = particles.clump_angular_momentum[i] + exact_dt * torque
+        force, torque = self._sums(i, rotation)
+        inertia = ti.cast(self.particles.clump_inertia[i], self.exact)
+        kick = exact_dt * self._acceleration(i, force)
+        velocity = self.particles.clump_velocity[i] + kick
+        momentum = self.particles.clump_angular_momentum[i] + exact_dt * torque
         q_half = half_turned(q, momentum, inertia, exact_dt, (2, 1, 0))
         q_new = half_turned(q_half, momentum, inertia, exact_dt, (0, 1, 2))
         rotation_half = scaled_rotation(q_half)
         rotation_new = scaled_rotation(q_new)
         arm = rotation_new @ offset
         displacement = exact_dt * velocity + (arm - rotation @ offset)
-        particles.clump_velocity[i] = velocity
-        particles.clump_angular_momentum[i] = momentum
-        particles.orientation[i] = q_new
-        particles.velocity[i] = ti.cast(displacement / exact_dt, real)
-        particles.angular_velocity[i] = ti.cast(angular_velocity_of(rotation_half, momentum, inertia), real)
-        if ti.static(features.rate_dependent):
+        self.particles.clump_velocity[i] = velocity
+        self.particles.clump_angular_momentum[i] = momentum
+        self.particles.orientation[i] = q_new
+        self.particles.velocity[i] = ti.cast(displacement / exact_dt, self.real)
+        self.particles.angular_velocity[i] = ti.cast(
+            angular_velocity_of(rotation_half, momentum, inertia), self.real
+        )
+        if ti.static(self.features.rate_dependent):
             spin = angular_velocity_of(rotation_new, momentum + 0.5 * exact_dt * torque, inertia)
-            particles.velocity_synchronized[i] = ti.cast(velocity + 0.5 * kick + spin.cross(arm), real)
-        set_position(chunk, i, exact_dt * velocity, arm, displacement, pose, dt)
+            self.particles.velocity_synchronized[i] = ti.cast(
+                velocity + 0.5 * kick + spin.cross(arm), self.real
+            )
+        self._set_position(chunk, i, exact_dt * velocity, arm, displacement, pose, dt)
         return displacement
 
-    return move_clump
-
-
-def build_clump_sums(state: State) -> Any:
-    """Device function (i, rotation matrix) -> (force [N], torque [N m] about the center of mass) of the clump
-    of i.
-
-    Sums over all contacts of its spheres.
-
-    Reads:  force, torque, clump, clump_size, clump_offset, index_of_id
-    """
-    particles = state.particles
-    real = state.backend.position_real
-
     @ti.func
-    def clump_sums(i, rotation):
-        force_sum = ti.Vector.zero(real, 3)
-        torque_sum = ti.Vector.zero(real, 3)
-        for member in range(particles.clump_size[i]):
-            j = particles.index_of_id[particles.clump[i] + member]
-            force = ti.cast(particles.force[j], real)
-            arm = rotation @ particles.clump_offset[j]
-            force_sum += force
-            torque_sum += ti.cast(particles.torque[j], real) + arm.cross(force)
-        return force_sum, torque_sum
-
-    return clump_sums
-
-
-def _build_set_position(state: State) -> Any:
-    """Device function: move the center of mass, and place the sphere at an arm from it.
-
-    Arguments: chunk, i, displacement of the center of mass [m], arm [m], displacement of the sphere [m],
-    pose, dt. In a periodic box the sphere is placed at the image nearest to its displaced position.
-
-    Reads:   position, clump_position
-    Writes:  position, clump_position, boundary_work
-    """
-    particles = state.particles
-    features = state.plan.features
-    periodic = features.periodic != "none"
-    box = state.built(DeviceBox)
-    particle_wrap = state.built(ParticleWrap)
-
-    @ti.func
-    def set_position(chunk, i, center_displacement, arm, displacement, pose, dt):
-        center = particles.clump_position[i] + center_displacement
-        if ti.static(periodic):
-            expected = particles.position[i] + displacement
-            particles.position[i] = expected - box.minimum_image(expected, center + arm, pose)
-            wrapped = box.wrap_position(center)
-            if ti.static(features.energy_budget):
-                particle_wrap.add_energy_gain(chunk, i, wrapped - center, 0.0 * particles.velocity[i], dt)
-            center = wrapped
-        else:
-            particles.position[i] = center + arm
-        particles.clump_position[i] = center
-
-    return set_position
-
-
-def build_kick_clump(state: State) -> Any:
-    """Device function (i, time [s]): change the copy of the state of a clump by the present forces.
-
-    Reads:   as `build_clump_sums`; orientation, clump_mass
-    Writes:  clump_velocity, clump_angular_momentum
-    """
-    particles = state.particles
-    exact = state.backend.position_real
-    gravity = state.parameter("gravity")
-    clump_sums = build_clump_sums(state)
-
-    @ti.func
-    def kick_clump(i, time):
-        force, torque = clump_sums(i, scaled_rotation(particles.orientation[i]))
-        kick = force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact)
-        particles.clump_velocity[i] = particles.clump_velocity[i] + ti.cast(time, exact) * kick
-        particles.clump_angular_momentum[i] = (
-            particles.clump_angular_momentum[i] + ti.cast(time, exact) * torque
+    def kick(self, i, time):
+        """Change velocity and angular momentum of the copy by the present forces during `time` [s]."""
+        force, torque = self._sums(i, scaled_rotation(self.particles.orientation[i]))
+        exact_time = ti.cast(time, self.exact)
+        self.particles.clump_velocity[i] = self.particles.clump_velocity[i] + exact_time * self._acceleration(
+            i, force
+        )
+        self.particles.clump_angular_momentum[i] = (
+            self.particles.clump_angular_momentum[i] + exact_time * torque
         )
 
-    return kick_clump
+    @ti.func
+    def _acceleration(self, i, force):
+        """Acceleration [m/s2] of the clump by the contact forces of its spheres and by its weight."""
+        return force / ti.cast(self.particles.clump_mass[i], self.exact) + ti.cast(self.gravity(), self.exact)
+
+    @ti.func
+    def _sums(self, i, rotation):
+        """Force [N] on the clump of sphere i and torque [N m] about its center of mass: sums over all
+        spheres."""
+        force_sum = ti.Vector.zero(self.exact, 3)
+        torque_sum = ti.Vector.zero(self.exact, 3)
+        for member in range(self.particles.clump_size[i]):
+            j = self.particles.index_of_id[self.particles.clump[i] + member]
+            force = ti.cast(self.particles.force[j], self.exact)
+            arm = rotation @ self.particles.clump_offset[j]
+            force_sum += force
+            torque_sum += ti.cast(self.particles.torque[j], self.exact) + arm.cross(force)
+        return force_sum, torque_sum
+
+    @ti.func
+    def _set_position(self, chunk, i, center_displacement, arm, displacement, pose, dt):
+        """Move the center of mass, and place the sphere at an arm [m] from it.
+
+        displacement:  of the sphere [m]
+
+        In a periodic box the sphere is placed at the image nearest to its displaced position.
+        """
+        center = self.particles.clump_position[i] + center_displacement
+        if ti.static(self.periodic):
+            expected = self.particles.position[i] + displacement
+            self.particles.position[i] = expected - self.box.minimum_image(expected, center + arm, pose)
+            wrapped = self.box.wrap_position(center)
+            if ti.static(self.features.energy_budget):
+                self.particle_wrap.add_energy_gain(
+                    chunk, i, wrapped - center, 0.0 * self.particles.velocity[i], dt
+                )
+            center = wrapped
+        else:
+            self.particles.position[i] = center + arm
+        self.particles.clump_position[i] = center
 
 
 @ti.func

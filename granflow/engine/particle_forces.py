@@ -3,7 +3,7 @@
 External forces are device functions of a program; with damping, a scene settles. Both are evaluated with the
 contact forces, at the time of the positions, and are part of `force`: integration, synchronized velocities
 and snapshots need no other term. `build_set_forces` adds them to the sums over the contacts, and below f64
-the weight; in f64 the sums contain the weight from the start (`step.build_forces`).
+the weight; in f64 the sums contain the weight from the start (`step.TimeStep.forces`).
 
 Velocities are half a step behind the positions; where a force depends on the velocity, it is extrapolated
 by `lag`, half a step. The host writes it with the time of the forces (`write_force_inputs`).

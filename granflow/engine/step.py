@@ -22,7 +22,7 @@ have finished:
 
     CPU    one launch takes many steps. Workers take one chunk after the other; a barrier separates the two
            phases (`CpuSteps`, `threads.py`).
-    GPU    each step is a launch of two dispatches; each chunk is a task (`build_gpu_step`).
+    GPU    each step is a launch of two dispatches; each chunk is a task (`GpuStep`).
 
 A particle that has moved by more than its reach since the last neighbor-list rebuild requests the next one;
 a force, a displacement or a position beyond its limit requests an abort. All later phases of the launch, or
@@ -38,11 +38,10 @@ costs more than the whole contact model and is not needed within a chunk.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 from granflow.engine.batch import build_batched_forces, build_load_sums, build_store_sums
 from granflow.engine.box import ParticleWrap
-from granflow.engine.clumps import build_integrate_clumps, build_kick_clump
+from granflow.engine.clumps import ClumpMotion
 from granflow.engine.codes import (
     ABORT_DISPLACEMENT,
     ABORT_FORCE,
@@ -72,286 +71,262 @@ from granflow.plan.sum_units import SUM_BITS, UNIT_FORCE, UNIT_TORQUE
 
 def build_steps(state: State) -> Callable[..., None]:
     """The kernel of the time steps on the device of the state."""
-    build = build_cpu_steps if state.backend.on_cpu else build_gpu_step
-    return build(state, build_integrate(state), build_forces(state))
-
-
-# Integration
-
-
-def build_integrate(state: State) -> Any:
-    """Device function (chunk, count, pose, dt): kick and drift the particles of one chunk.
-
-    Reads:   parameters, position, velocity, angular_velocity, force, torque, mass, radius, fixed,
-             position_at_rebuild, reach
-    Writes:  velocity, velocity_synchronized, angular_velocity, position, external_work, losses, impulses; as
-             `_build_request`, `build_changed`, `ParticleWrap`, `build_save_film`, `build_integrate_clumps`
-    """
-    particles = state.particles
-    features = state.plan.features
-    real = state.backend.real
-    periodic = features.periodic != "none"
-    counts_damping = features.damping != "none" and features.energy_budget
-    gravity_parameter = state.parameter("gravity")
-    shift_parameter = state.parameter("shift")
-    per_unit_parameter = state.parameter("per_unit")
-    chunk_size = state.parameter("chunk_size")
-    travel_limit_squared = state.parameter("travel_limit_squared")
-    mobility = build_mobility(state)
-    weight_rest = build_weight_rest(state)
-    changed_velocity = build_changed(state, "velocity")
-    changed_rotation = build_changed(state, "angular_velocity")
-    square_of_sums = _build_square_of_sums(state)
-    request = _build_request(state)
-    carries_impulses = state.control.impulses is not None and shares_rows(state)
-    impulses = state.built(WallImpulses)
-    save_film = build_save_film(state) if features.liquid_transfer else None
-    has_flows = len(features.transported) > 0
-    integrate_properties = build_integrate_properties(state) if has_flows else None
-    add_work = build_add_external_work(state)
-    add_damping_loss = build_add_damping_loss(state) if counts_damping else None
-    particle_wrap = state.built(ParticleWrap)
-    integrate_clumps = build_integrate_clumps(state, request, square_of_sums) if features.clumps else None
-
-    @ti.func
-    def integrate(chunk, count, pose, dt):
-        if ti.static(carries_impulses):
-            impulses.carry(chunk)
-        size = chunk_size()
-        limit_squared = travel_limit_squared()
-        gravity = ti.cast(gravity_parameter(), real)
-        shift = shift_parameter()[UNIT_FORCE]
-        per_unit = per_unit_parameter()
-        for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
-            if ti.static(features.clumps):
-                if particles.clump[i] >= 0:
-                    continue
-            if ti.static(features.liquid_transfer):
-                save_film(i)
-            if ti.static(has_flows):
-                integrate_properties(i, dt)
-            mass = particles.mass[i]
-            force = particles.force[i]
-            torque = 0.0 * particles.force[i]
-            kick = mobility(i) * dt / mass * (force + weight_rest(mass * gravity, shift))
-            velocity = changed_velocity(i, kick)
-            if ti.static(features.rate_dependent):
-                particles.velocity_synchronized[i] = velocity + 0.5 * kick
-            particles.velocity[i] = velocity
-            if ti.static(features.external_forces and features.energy_budget):
-                add_work(chunk, i, particles.external_force[i], velocity, dt)
-            step_displacement = dt * velocity
-            position = particles.position[i] + step_displacement
-            particles.position[i] = position
-            if ti.static(features.rotation):
-                torque = particles.torque[i]  # a sphere needs no orientation and no gyroscopic term
-                inertia = sphere_inertia(mass, particles.radius[i])
-                particles.angular_velocity[i] = changed_rotation(i, mobility(i) * dt / inertia * torque)
-            if ti.static(counts_damping):
-                add_damping_loss(chunk, i, dt)
-            displacement_squared = (position - particles.position_at_rebuild[i]).norm_sqr()
-            reach_squared = particles.reach[i] * particles.reach[i]
-            step_squared = step_displacement.norm_sqr()
-            sum_squared = square_of_sums(force, torque, per_unit)
-            # One branch per particle: with one for each limit, the whole step takes 8 % longer.
-            is_usual = (
-                (displacement_squared <= reach_squared)
-                & (step_squared <= limit_squared)
-                & (sum_squared <= LARGEST_SUM_SQUARED)
-            )
-            if not is_usual:
-                request(i, displacement_squared, reach_squared, step_squared, limit_squared, sum_squared)
-            if ti.static(periodic):
-                particle_wrap.wrap(chunk, i, pose, dt)
-        if ti.static(features.clumps):
-            integrate_clumps(chunk, count, pose, dt)
-
-    return integrate
+    return build_cpu_steps(state) if state.backend.on_cpu else build_gpu_step(state)
 
 
 LARGEST_SUM_SQUARED = 2.0 ** (2 * SUM_BITS)
 """Largest squared sum of forces or torques in units: below it, all sums are exact."""
 
 
-def _build_square_of_sums(state: State) -> Any:
-    """Device function (force, torque, per_unit): the larger of their squares in units of the sums."""
-    rotation = state.plan.features.rotation
+class TimeStep:
+    """The phases of a step: `integrate` for each chunk, `move_walls` once, `forces` for each chunk.
+
+    Reads:   parameters, position, velocity, velocity_synchronized, angular_velocity, force, torque, mass,
+             radius, fixed, clump, position_at_rebuild, reach, neighbor lists, history, walls; as
+             `ClumpMotion`, `ForceControlledWalls`, `build_contact`, `build_batched_forces` and
+             `build_set_forces`
+    Writes:  position, velocity, velocity_synchronized, angular_velocity, force, torque, history,
+             external_work, losses, wall_work_ahead, impulses, wall_force, rebuild_requested, abort,
+             abort_particle; as these, `build_changed`, `ParticleWrap` and `build_save_film`
+    """
+
+    def __init__(self, state: State) -> None:
+        features = state.plan.features
+        self.features = features
+        self.particles = state.particles
+        self.neighbors = state.neighbors
+        self.control = state.control
+        self.real = state.backend.real
+        self.chunk_size = state.parameter("chunk_size")
+        self.gravity = state.parameter("gravity")
+        self.shift = state.parameter("shift")
+        self.per_unit = state.parameter("per_unit")
+        # Integration
+        self.travel_limit_squared = state.parameter("travel_limit_squared")
+        self.carries_impulses = state.control.impulses is not None and shares_rows(state)
+        self.impulses = state.built(WallImpulses)
+        self.save_film = build_save_film(state) if features.liquid_transfer else None
+        self.has_flows = len(features.transported) > 0
+        self.integrate_properties = build_integrate_properties(state) if self.has_flows else None
+        self.clumps = state.built(ClumpMotion)
+        self.mobility = build_mobility(state)
+        self.weight_rest = build_weight_rest(state)
+        self.changed_velocity = build_changed(state, "velocity")
+        self.changed_rotation = build_changed(state, "angular_velocity")
+        self.add_work = build_add_external_work(state)
+        self.counts_damping = features.damping != "none" and features.energy_budget
+        self.add_damping_loss = build_add_damping_loss(state) if self.counts_damping else None
+        self.periodic = features.periodic != "none"
+        self.particle_wrap = state.built(ParticleWrap)
+        # Walls
+        self.force_controlled = features.force_controlled_walls
+        self.controlled_walls = state.built(ForceControlledWalls)
+        # Forces
+        self.exact = holds_sums(state)
+        self.batched = state.batch is not None
+        self.clear_flows = build_clear_flows(state) if self.has_flows else None
+        self.sets_forces_last = not self.exact or features.external_forces or features.damping != "none"
+        self.has_walls = state.plan.has_walls
+        self.transfers = transfers_history(state)
+        self.clear_wall_work_ahead = build_clear_wall_work_ahead(state)
+        self.to_grid = build_to_grid(state.backend.real)
+        self.wall_contact = build_contact(state, True) if self.has_walls else None
+        self.particle_contact = None if self.batched else build_contact(state, False)
+        self.batched_forces = build_batched_forces(state) if self.batched else None
+        self.store_sums = build_store_sums(state) if self.batched else None
+        self.load_sums = build_load_sums(state) if self.batched else None
+        self.set_forces = build_set_forces(state)
+        self.carry_sums = build_carry_sums(state)
+
+    # Integration
 
     @ti.func
-    def square_of_sums(force, torque, per_unit):
-        square = (ti.cast(per_unit[UNIT_FORCE], ti.f64) * ti.cast(force, ti.f64)).norm_sqr()
-        if ti.static(rotation):
-            square = ti.max(
-                square, (ti.cast(per_unit[UNIT_TORQUE], ti.f64) * ti.cast(torque, ti.f64)).norm_sqr()
-            )
+    def integrate(self, chunk, count, pose, dt):
+        """Kick and drift the particles of one chunk, check their limits, wrap them into the periodic box."""
+        if ti.static(self.carries_impulses):
+            self.impulses.carry(chunk)
+        size = self.chunk_size()
+        gravity = ti.cast(self.gravity(), self.real)
+        shift = self.shift()[UNIT_FORCE]
+        per_unit = self.per_unit()
+        limit_squared = self.travel_limit_squared()
+        for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
+            if ti.static(self.features.clumps):
+                displacement = 0.0 * self.particles.position[i]
+                if self.particles.clump[i] >= 0:
+                    displacement = self.clumps.move(chunk, i, pose, dt)
+                else:
+                    displacement = self._kick_and_drift(chunk, i, gravity, shift, dt)
+                self._check_limits(i, displacement, limit_squared, per_unit)
+            else:
+                displacement = self._kick_and_drift(chunk, i, gravity, shift, dt)
+                self._check_limits(i, displacement, limit_squared, per_unit)
+            if ti.static(self.periodic):
+                self.particle_wrap.wrap(chunk, i, pose, dt)
+
+    @ti.func
+    def _kick_and_drift(self, chunk, i, gravity, shift, dt):
+        """Kick and drift a sphere that is in no clump; returns its displacement [m]."""
+        if ti.static(self.features.liquid_transfer):
+            self.save_film(i)
+        if ti.static(self.has_flows):
+            self.integrate_properties(i, dt)
+        mass = self.particles.mass[i]
+        force = self.particles.force[i] + self.weight_rest(mass * gravity, shift)
+        kick = self.mobility(i) * dt / mass * force
+        velocity = self.changed_velocity(i, kick)
+        self.particles.velocity[i] = velocity
+        if ti.static(self.features.rate_dependent):
+            self.particles.velocity_synchronized[i] = velocity + 0.5 * kick
+        if ti.static(self.features.external_forces and self.features.energy_budget):
+            self.add_work(chunk, i, self.particles.external_force[i], velocity, dt)
+        displacement = dt * velocity
+        self.particles.position[i] = self.particles.position[i] + displacement
+        if ti.static(self.features.rotation):  # a sphere needs no orientation and no gyroscopic term
+            inertia = sphere_inertia(mass, self.particles.radius[i])
+            kick_of_rotation = self.mobility(i) * dt / inertia * self.particles.torque[i]
+            self.particles.angular_velocity[i] = self.changed_rotation(i, kick_of_rotation)
+        if ti.static(self.counts_damping):
+            self.add_damping_loss(chunk, i, dt)
+        return displacement
+
+    @ti.func
+    def _check_limits(self, i, displacement, limit_squared, per_unit):
+        """Request a rebuild if a particle has moved by more than its reach, an abort if it exceeds a limit.
+
+        displacement:   in this step [m]
+        limit_squared:  of the displacement [m2], see `plan.travel_limit`
+        """
+        total_squared = (self.particles.position[i] - self.particles.position_at_rebuild[i]).norm_sqr()
+        reach_squared = self.particles.reach[i] * self.particles.reach[i]
+        step_squared = displacement.norm_sqr()
+        sum_squared = self._square_of_sums(i, per_unit)
+        # One branch per particle: with one for each limit, the whole step takes 8 % longer.
+        is_usual = (
+            (total_squared <= reach_squared)
+            & (step_squared <= limit_squared)
+            & (sum_squared <= LARGEST_SUM_SQUARED)
+        )
+        if not is_usual:
+            abort = 0
+            if total_squared > reach_squared:
+                self.control.rebuild_requested[0] = 1
+            elif not total_squared <= reach_squared:  # NaN fails both comparisons
+                abort = ti.max(abort, ABORT_NOT_FINITE)
+            if sum_squared > LARGEST_SUM_SQUARED:
+                abort = ti.max(abort, ABORT_FORCE)
+            # Above this limit a particle could pass another one, or a wall, between two force evaluations.
+            if step_squared > limit_squared:
+                abort = ti.max(abort, ABORT_DISPLACEMENT)
+            if abort > 0:
+                ti.atomic_max(self.control.abort[0], abort)
+                ti.atomic_min(self.control.abort_particle[0], self.particles.id[i])
+
+    @ti.func
+    def _square_of_sums(self, i, per_unit):
+        """The larger of the squared force and torque in units of the sums."""
+        square = (ti.cast(per_unit[UNIT_FORCE], ti.f64) * ti.cast(self.particles.force[i], ti.f64)).norm_sqr()
+        if ti.static(self.features.rotation):
+            torque = ti.cast(self.particles.torque[i], ti.f64)
+            square = ti.max(square, (ti.cast(per_unit[UNIT_TORQUE], ti.f64) * torque).norm_sqr())
         return square
 
-    return square_of_sums
-
-
-def _build_request(state: State) -> Any:
-    """Device function: request a rebuild or an abort because of particle i.
-
-    Arguments: i; the squares [m^2] of the displacement since the last rebuild, of the reach, of the
-    displacement in this step and of its limit, `plan.travel_limit`; and the result of `square_of_sums`.
-
-    Writes:  rebuild_requested, abort, abort_particle
-    """
-    particles = state.particles
-    control = state.control
+    # Walls
 
     @ti.func
-    def request(i, displacement_squared, reach_squared, step_squared, limit_squared, sum_squared):
-        abort = 0
-        if displacement_squared > reach_squared:
-            control.rebuild_requested[0] = 1
-        elif not displacement_squared <= reach_squared:  # NaN fails both comparisons
-            abort = ti.max(abort, ABORT_NOT_FINITE)
-        if sum_squared > LARGEST_SUM_SQUARED:
-            abort = ti.max(abort, ABORT_FORCE)
-        # Above this limit a particle could pass another one, or a wall, between two force evaluations.
-        if step_squared > limit_squared:
-            abort = ti.max(abort, ABORT_DISPLACEMENT)
-        if abort > 0:
-            ti.atomic_max(control.abort[0], abort)
-            ti.atomic_min(control.abort_particle[0], particles.id[i])
+    def move_walls(self, chunks, pose, dt):
+        """Move the force-controlled walls by one step, on one thread."""
+        if ti.static(self.force_controlled):
+            self.controlled_walls.move(chunks, pose, dt)
 
-    return request
-
-
-# Forces
-
-
-def build_forces(state: State) -> Any:
-    """Device function (worker, chunk, count, pose, dt): force and torque on the particles of one
-    chunk, at the time of the positions.
-
-    With batches, the wall contacts of all particles of the chunk are summed first, then the particle
-    contacts. External forces and damping need the sum of all others, and are added last by
-    `particle_forces.build_set_forces`, as is the weight below f64. In f64 without external forces and damping
-    there is nothing to add: the fields of force and torque already hold the total.
-
-    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
-    Writes:  force, torque, history, losses, impulses, wall forces, abort
-    """
-    features = state.plan.features
-    real = state.backend.real
-    batched = state.batch is not None
-    sets_forces_last = not holds_sums(state) or features.external_forces or features.damping != "none"
-    chunk_size = state.parameter("chunk_size")
-    gravity_parameter = state.parameter("gravity")
-    start_sums = _build_start_sums(state)
-    batched_forces = build_batched_forces(state) if batched else None
-    store_sums = build_store_sums(state) if batched else None
-    load_sums = build_load_sums(state) if batched else None
-    set_forces = build_set_forces(state)
-    force_controlled = features.force_controlled_walls
-    controlled_walls = state.built(ForceControlledWalls)
-    clear_wall_work_ahead = build_clear_wall_work_ahead(state)
-    carry_sums = build_carry_sums(state)
+    # Forces
 
     @ti.func
-    def forces(worker, chunk, count, pose, dt):
-        size = chunk_size()
-        gravity = ti.cast(gravity_parameter(), real)
+    def forces(self, worker, chunk, count, pose, dt):
+        """Force and torque on the particles of one chunk, at the time of the positions.
+
+        With batches, the wall contacts of all particles of the chunk are summed first, then the particle
+        contacts. External forces and damping need the sum of all others, and are added last by `set_forces`,
+        as is the weight below f64. In f64 without external forces and damping there is nothing to add: the
+        fields of force and torque already hold the total.
+        """
+        size = self.chunk_size()
+        gravity = ti.cast(self.gravity(), self.real)
         first = chunk * size
         end = ti.min((chunk + 1) * size, count)
-        clear_wall_work_ahead(chunk)
-        if ti.static(force_controlled):
-            controlled_walls.clear(chunk)
+        self.clear_wall_work_ahead(chunk)
+        if ti.static(self.force_controlled):
+            self.controlled_walls.clear(chunk)
         for i in range(first, end):
-            force_sum, torque_sum = start_sums(chunk, i, gravity, pose, dt)
-            if ti.static(batched):
-                store_sums(worker, i, first, force_sum, torque_sum)
+            force_sum, torque_sum = self._sum_scalar_contacts(chunk, i, gravity, pose, dt)
+            if ti.static(self.batched):
+                self.store_sums(worker, i, first, force_sum, torque_sum)
             else:
-                set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
-        if ti.static(batched):
-            batched_forces(worker, chunk, first, end, pose, dt)
-        if ti.static(batched and sets_forces_last):
+                self.set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
+        if ti.static(self.batched):
+            self.batched_forces(worker, chunk, first, end, pose, dt)
+        if ti.static(self.batched and self.sets_forces_last):
             for i in range(first, end):
-                force_sum, torque_sum = load_sums(worker, i, first)
-                set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
-        carry_sums(chunk)
-
-    return forces
-
-
-def _build_start_sums(state: State) -> Any:
-    """Device function (chunk, i, gravity, pose, dt): sums of force and torque on one particle.
-
-    Summed are the rounded weight in f64, the wall contacts and, without batches, the particle contacts. The
-    kick adds what rounding has taken from the weight. (A further loop over the particles, which adds the
-    weight to the sums, takes an eighth of the time of the forces.)
-
-    Wall contacts that can pass from one face to another are evaluated in several passes, see `history.py`.
-
-    Reads:   mass, neighbor lists, in_contact, and as `build_contact`
-    Writes:  as `build_contact`
-    """
-    plan = state.plan
-    neighbors = state.neighbors
-    particles = state.particles
-    exact = holds_sums(state)
-    batched = state.batch is not None
-    transfers = transfers_history(state)
-    pass_count = len(CONTACT_ORDER) if transfers else 1
-    shift = state.parameter("shift", UNIT_FORCE)
-    shift_torque = state.parameter("shift", UNIT_TORQUE)
-    to_grid = build_to_grid(state.backend.real)
-    wall_contact = build_contact(state, True) if plan.has_walls else None
-    particle_contact = None if batched else build_contact(state, False)
-    has_flows = len(plan.features.transported) > 0
-    clear_flows = build_clear_flows(state) if has_flows else None
+                force_sum, torque_sum = self.load_sums(worker, i, first)
+                self.set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
+        self.carry_sums(chunk)
 
     @ti.func
-    def in_this_pass(list_index, pass_index):
+    def _sum_scalar_contacts(self, chunk, i, gravity, pose, dt):
+        """Sums of force and torque on one particle over its wall contacts and, without batches, its particle
+        contacts; in f64 also the rounded weight.
+
+        The kick adds what rounding has taken from the weight. (A further loop over the particles, which adds
+        the weight to the sums, takes an eighth of the time of the forces.)
+
+        Wall contacts that can pass from one face to another are evaluated in several passes, see
+        `history.py`.
+        """
+        force_sum = ti.Vector.zero(ti.f64, 3)
+        torque_sum = ti.Vector.zero(ti.f64, 3)
+        if ti.static(self.has_flows):
+            self.clear_flows(i)
+        if ti.static(self.exact):
+            force_sum = self.to_grid(self.particles.mass[i] * gravity, self.shift()[UNIT_FORCE])
+            if ti.static(self.features.clumps):  # the weight of a clump acts at its center of mass
+                force_sum *= ti.cast(self.particles.clump[i] < 0, ti.f64)
+        if ti.static(self.has_walls):
+            for pass_index in range(ti.static(len(CONTACT_ORDER) if self.transfers else 1)):
+                for list_index in range(self.neighbors.list_begin[i], self.neighbors.list_walls_end[i]):
+                    if self._is_in_pass(list_index, pass_index) == 1:
+                        force, torque = self.wall_contact(
+                            chunk, i, list_index, self.neighbors.partner[list_index], pose, dt
+                        )
+                        force_sum, torque_sum = self._with_contact(force, torque, force_sum, torque_sum)
+        if ti.static(not self.batched):
+            for list_index in range(self.neighbors.list_walls_end[i], self.neighbors.list_end[i]):
+                force, torque = self.particle_contact(
+                    chunk, i, list_index, self.neighbors.partner[list_index], pose, dt
+                )
+                force_sum, torque_sum = self._with_contact(force, torque, force_sum, torque_sum)
+        return force_sum, torque_sum
+
+    @ti.func
+    def _is_in_pass(self, list_index, pass_index):
         chosen = 1
-        if ti.static(transfers):
-            chosen = ti.cast(neighbors.in_contact[list_index] == ti.Vector(CONTACT_ORDER)[pass_index], ti.i32)
+        if ti.static(self.transfers):
+            wanted = ti.Vector(CONTACT_ORDER)[pass_index]
+            chosen = ti.cast(self.neighbors.in_contact[list_index] == wanted, ti.i32)
         return chosen
 
     @ti.func
-    def add_contact(force, torque, force_sum, torque_sum):
-        force_added = to_grid(force, shift())
-        torque_added = to_grid(torque, shift_torque())
+    def _with_contact(self, force, torque, force_sum, torque_sum):
+        """The sums with the rounded force and torque of one contact."""
+        force_added = self.to_grid(force, self.shift()[UNIT_FORCE])
+        torque_added = self.to_grid(torque, self.shift()[UNIT_TORQUE])
         return force_sum + ti.cast(force_added, ti.f64), torque_sum + ti.cast(torque_added, ti.f64)
-
-    @ti.func
-    def start_sums(chunk, i, gravity, pose, dt):
-        force_sum = ti.Vector.zero(ti.f64, 3)
-        torque_sum = ti.Vector.zero(ti.f64, 3)
-        if ti.static(has_flows):
-            clear_flows(i)
-        if ti.static(exact):
-            force_sum = to_grid(particles.mass[i] * gravity, shift())
-            if ti.static(plan.features.clumps):  # the weight of a clump acts at its center of mass
-                force_sum *= ti.cast(particles.clump[i] < 0, ti.f64)
-        if ti.static(plan.has_walls):
-            for pass_index in range(pass_count):
-                for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
-                    if in_this_pass(list_index, pass_index) == 1:
-                        force, torque = wall_contact(
-                            chunk, i, list_index, neighbors.partner[list_index], pose, dt
-                        )
-                        force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
-        if ti.static(not batched):
-            for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
-                force, torque = particle_contact(
-                    chunk, i, list_index, neighbors.partner[list_index], pose, dt
-                )
-                force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
-        return force_sum, torque_sum
-
-    return start_sums
 
 
 # CPU: one launch for many steps
 
 
-def build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
+def build_cpu_steps(state: State) -> Callable[..., None]:
     """Kernel for up to `steps` steps on a CPU.
-
-    integrate, forces:  device functions of `build_integrate` and `build_forces`
 
     Arguments: steps, workers, number of chunks, particle count, pose, time step [s], and whether to integrate
     (`moving`) and compute forces (`forcing`).
@@ -361,7 +336,7 @@ def build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., 
     """
     control = state.control
     real = state.backend.real
-    cpu_steps = CpuSteps(state, integrate, forces)
+    cpu_steps = CpuSteps(state)
 
     @ti.kernel
     def step_on_cpu(
@@ -406,12 +381,9 @@ class CpuSteps:
     balances the load, and does not affect the results, because each chunk writes to its particles only.
     """
 
-    def __init__(self, state: State, integrate: Any, forces: Any) -> None:
+    def __init__(self, state: State) -> None:
         self.control = state.control
-        self.force_controlled = state.plan.features.force_controlled_walls
-        self.controlled_walls = state.built(ForceControlledWalls)
-        self.integrate = integrate
-        self.forces = forces
+        self.step = TimeStep(state)
 
     @ti.func
     def work(self, launch: ti.template()):
@@ -424,11 +396,11 @@ class CpuSteps:
             chunk = self._next_chunk()
             if computes_forces == 0:
                 while chunk < launch.chunks:
-                    self.integrate(chunk, launch.count, pose_now, launch.dt)
+                    self.step.integrate(chunk, launch.count, pose_now, launch.dt)
                     chunk = self._next_chunk()
             else:
                 while chunk < launch.chunks:
-                    self.forces(launch.worker, chunk, launch.count, pose_now, launch.dt)
+                    self.step.forces(launch.worker, chunk, launch.count, pose_now, launch.dt)
                     chunk = self._next_chunk()
             barrier_number += 1  # one barrier in the code for both phases: compiled once
             left = self._barrier(launch, barrier_number, computes_forces)
@@ -460,10 +432,10 @@ class CpuSteps:
         """Move the walls after the integration, count the step after the forces, and decide whether to
         continue."""
         self.control.next_chunk[CACHE_LINE] = 0
-        if ti.static(self.force_controlled):
+        if ti.static(self.step.force_controlled):
             if computes_forces == 0:
                 pose = launch.pose + self.control.steps_done[0]
-                self.controlled_walls.move(launch.chunks, pose, launch.dt)
+                self.step.move_walls(launch.chunks, pose, launch.dt)
         if computes_forces == 1 and self.control.rebuild_due[0] == 0 and self.control.abort[0] == 0:
             self.control.steps_done[0] = self.control.steps_done[0] + 1
         self.control.rebuild_due[0] = self.control.rebuild_requested[0]
@@ -481,10 +453,8 @@ class CpuSteps:
 # GPU: one launch of two dispatches for each step
 
 
-def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
+def build_gpu_step(state: State) -> Callable[..., None]:
     """Kernel for one step on a GPU.
-
-    integrate, forces:  device functions of `build_integrate` and `build_forces`
 
     Arguments: number of the launch, number of steps before it since the flags were read, number of chunks,
     particle count, pose, time step [s], and whether to integrate (`moving`) and compute forces (`forcing`).
@@ -499,36 +469,12 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
     """
     control = state.control
     real = state.backend.real
-    force_controlled = state.plan.features.force_controlled_walls
-    controlled_walls = state.built(ForceControlledWalls)
     most_chunks = state.plan.capacities.chunks
+    gpu_step = GpuStep(state)
+    integrate = build_tasks_of_thread(gpu_step.integrate, most_chunks)
+    compute_forces = build_tasks_of_thread(gpu_step.forces, most_chunks)
     # The loops have constant lengths: Taichi computes any other length in a dispatch of its own.
     threads = thread_count(most_chunks)
-
-    @ti.func
-    def record_halt(phase: ti.template(), number):
-        """Record that this launch requests a rebuild or aborts; each task that does so sees its own
-        request."""
-        if control.abort[0] != 0 or (phase == PHASE_INTEGRATION and control.rebuild_requested[0] == 1):
-            if control.halted_at[phase] != number:
-                control.halted_at[phase] = number
-
-    @ti.func
-    def move_chunk(chunk, launch):
-        if chunk == 0:
-            control.steps_done[0] = launch.steps_before
-            if ti.static(force_controlled):
-                controlled_walls.move(launch.chunks, launch.pose, launch.dt)
-        integrate(chunk, launch.count, launch.pose, launch.dt)
-        record_halt(PHASE_INTEGRATION, launch.number)
-
-    @ti.func
-    def compute_forces_of_chunk(chunk, launch):
-        forces(0, chunk, launch.count, launch.pose, launch.dt)
-        record_halt(PHASE_FORCES, launch.number)
-
-    move = build_tasks_of_thread(move_chunk, most_chunks)
-    compute_forces = build_tasks_of_thread(compute_forces_of_chunk, most_chunks)
 
     @ti.kernel
     def step_on_gpu(
@@ -549,7 +495,7 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
                 launch = ti.Struct(
                     number=number, steps_before=steps_before, chunks=chunks, count=count, pose=pose, dt=dt
                 )
-                move(thread, chunks, launch)
+                integrate(thread, chunks, launch)
         for thread in range(threads):
             if forcing == 1 and control.halted_at[PHASE_INTEGRATION] > number:
                 if control.halted_at[PHASE_FORCES] >= number:
@@ -557,6 +503,39 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
                     compute_forces(thread, chunks, launch)
 
     return step_on_gpu
+
+
+class GpuStep:
+    """What one task does in a launch: `launch` is a struct of the arguments of the kernel."""
+
+    def __init__(self, state: State) -> None:
+        self.control = state.control
+        self.step = TimeStep(state)
+
+    @ti.func
+    def integrate(self, chunk, launch):
+        """Integrate one chunk; the first task also moves the walls, which the integration does not read."""
+        if chunk == 0:
+            self.control.steps_done[0] = launch.steps_before
+            self.step.move_walls(launch.chunks, launch.pose, launch.dt)
+        self.step.integrate(chunk, launch.count, launch.pose, launch.dt)
+        self._record_halt(PHASE_INTEGRATION, launch.number)
+
+    @ti.func
+    def forces(self, chunk, launch):
+        """Compute the forces of one chunk."""
+        self.step.forces(0, chunk, launch.count, launch.pose, launch.dt)
+        self._record_halt(PHASE_FORCES, launch.number)
+
+    @ti.func
+    def _record_halt(self, phase: ti.template(), number):
+        """Record that this launch requests a rebuild or aborts; each task that does so sees its own
+        request."""
+        if self.control.abort[0] != 0 or (
+            phase == PHASE_INTEGRATION and self.control.rebuild_requested[0] == 1
+        ):
+            if self.control.halted_at[phase] != number:
+                self.control.halted_at[phase] = number
 
 
 # A kick outside of the steps
@@ -571,22 +550,22 @@ def build_kick(state: State) -> Callable[..., None]:
     difference. Fixed particles keep their velocity; of clumps the state changes, not yet the velocities of
     the spheres.
 
-    Reads:   force, torque, mass, radius, fixed, clump
-    Writes:  velocity, angular_velocity; clumps as `build_kick_clump`
+    Reads:   force, torque, mass, radius, fixed, clump; as `ClumpMotion`
+    Writes:  velocity, angular_velocity; clump_velocity, clump_angular_momentum
     """
     particles = state.particles
     rotation = state.plan.features.rotation
     real = state.backend.real
     mobility = build_mobility(state)
     clumps = state.plan.features.clumps
-    kick_clump = build_kick_clump(state) if clumps else None
+    clump_motion = state.built(ClumpMotion)
 
     @ti.kernel
     def kick(count: ti.i32, time: real):
         for i in range(count):
             if ti.static(clumps):
                 if particles.clump[i] >= 0:
-                    kick_clump(i, time)
+                    clump_motion.kick(i, time)
                     continue
             particles.velocity[i] = (
                 particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
