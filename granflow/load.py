@@ -1,6 +1,6 @@
 """Scenes from files, from text and from Python: read, validated and resolved here, and nowhere else.
 
-`load` reads a file, `Scene.from_dict` a mapping, `scene_of` the text in a checkpoint. Each makes a
+`load_scene` reads a file, `Scene.from_dict` a mapping, `scene_of` the text in a checkpoint. Each makes a
 `SceneInput` (`granflow.scene.reader`) and resolves it to a `Scene`, in which all counts are known. Below are
 the scene that a run saves, with copies of its input files, and the identity by which a run knows its scene.
 """
@@ -258,7 +258,7 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     """Read a scene from text, such as that in a checkpoint; paths are relative to the folder of `source`.
 
-    Particle files are not read again if the text contains their summary. Raises the same errors as `load`.
+    Particle files are not read again if the text contains their summary. Raises the errors of `load_scene`.
     """
     try:
         written = scene_in(parse(text, source), overrides, Path(source).parent)

@@ -169,8 +169,8 @@ MUTATIONS = (
     Mutation(
         "moment of inertia",
         "granflow/engine/totals.py",
-        "inertia = 0.4 * mass * arrays",
-        "inertia = 0.5 * mass * arrays",
+        "inertia = sphere_inertia(mass, arrays",
+        "inertia = sphere_inertia(1.25 * mass, arrays",
         (ENERGY,),
     ),
     Mutation(
@@ -275,9 +275,9 @@ MUTATIONS = (
     ),
     Mutation(
         "torque on the partner",
-        "granflow/engine/pair.py",
-        "torque_partner = -kinematics.arm_partner * moment",
-        "torque_partner = kinematics.arm_partner * moment",
+        "granflow/contact/law.py",
+        "torque_partner=-kinematics.arm_partner * moment",
+        "torque_partner=kinematics.arm_partner * moment",
         ("tests/engine/test_conservation.py::test_momentum_of_a_closed_system_is_conserved_to_rounding",),
     ),
     # Neighbor list, periodic images, walls

@@ -55,7 +55,7 @@ def load(options: argparse.Namespace) -> "Scene":
 
 
 def load_runnable(options: argparse.Namespace) -> "Scene":
-    """Read a scene as `load` does, and raise SceneError also for a group whose particles a program adds."""
+    """Read a scene as `load_scene`; raise SceneError also for a group whose particles a program adds."""
     scene = load(options)
     scene.refuse_program()
     return scene

@@ -174,7 +174,7 @@ class Law(DeviceObject):
     def flows(self, constants, contact, first, partner):
         """Struct of the flows from the partner to the first particle, by the names of `adds`.
 
-        contact:         as of a normal model
+        contact:         as of a normal model, before its force is evaluated: without history and force
         first, partner:  structs of the properties `reads`
 
         If both are exchanged, each flow changes its sign to the last bit: then sums are conserved.
@@ -188,8 +188,8 @@ class Law(DeviceObject):
     def flow_bounds(self, name: str, case: FlowCase) -> tuple[float, float]:
         """Largest flow of a contact, and its largest derivative by a property in `reads`.
 
-        The first determines the unit of the sum, and is exceeded at most 30 times in a run; the second limits
-        the time step.
+        The first determines the unit of the sum: the sum over all contacts of a particle must be at most 32
+        times as large. The second limits the time step of each equation that reads the sum.
         """
         raise NotImplementedError
 

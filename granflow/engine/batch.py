@@ -229,6 +229,7 @@ def _build_gather(state: State) -> Any:
     pair_constants = build_pair_constants(state)
     contact_of = _build_contact_of(state)
     add_flows = build_add_flows(state, False) if has_flows else None
+    longest_time_step = state.parameter("longest_time_step")
 
     @ti.func
     def gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt):
@@ -264,7 +265,8 @@ def _build_gather(state: State) -> Any:
                 store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
             gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt)
             if ti.static(has_flows):
-                contact = contact_of(worker, entry, i, j, velocity_rel, dt)
+                time_step = normal_time_step(dt, longest_time_step())
+                contact = contact_of(worker, entry, i, j, velocity_rel, time_step)
                 add_flows(chunk, i, j, pair_constants(i, j), contact)
             if ti.static(not features.one_material):
                 store_vector(batch.constants, worker, entry, control.pair_constants[pair_number(i, j)])

@@ -31,6 +31,7 @@ from granflow.engine.pair import (
     build_pair_constants,
     build_pair_force,
     build_pair_kinematics,
+    no_losses,
     normal_contact,
     normal_time_step,
 )
@@ -109,7 +110,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
             histories.write(list_index, found.history)
             add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
             if ti.static(has_flows):
-                add_flows(chunk, i, j, constants, normal_contact(bodies, kinematics, dt))
+                touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step()))
+                add_flows(chunk, i, j, constants, touching)
         elif in_range(i, j, kinematics.overlap):
             if ti.static(acts_at_distance):
                 force = distant_contact(chunk, i, list_index, j, pose, kinematics, dt)
@@ -199,9 +201,8 @@ def _build_distant_contact(state: State, with_wall: bool) -> Any:
         if ti.static(transfers):
             transfer.acquire(i, list_index, j, pose)
         attraction = distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
-        nothing = 0.0 * attraction
         force = -attraction * kinematics.normal
-        found = ti.Struct(force=force, torque=0.0 * force, losses=ti.Vector([nothing, nothing, nothing]))
+        found = ti.Struct(force=force, torque=0.0 * force, losses=no_losses(0.0 * attraction))
         add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
         return force
 

@@ -389,7 +389,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
         force = normal_force * kinematics.normal
         torque = 0.0 * force
         torque_partner = 0.0 * force
-        losses = ti.Vector([0.0 * load for _ in ti.static(range(len(PAIR_LOSSES)))])
+        losses = no_losses(0.0 * load)
         losses[damping] = viscous * kinematics.overlap_rate * dt
         if ti.static(rotation):
             surface = surface_contact(
@@ -420,6 +420,12 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
         )
 
     return pair_force
+
+
+@ti.func
+def no_losses(nothing):
+    """Vector `losses` of a contact without losses; `nothing`: 0 of the type of forces."""
+    return ti.Vector([nothing for _ in ti.static(range(len(PAIR_LOSSES)))])
 
 
 @ti.func

@@ -102,15 +102,16 @@ def _rows(
 
     # Contacts.
     yield from (_model_row(scene, models, slot) for slot in SLOTS if SLOTS[slot].on_surface)
-    clumps = [name for name, group in groups.items() if group.shape.rotates]
+    clumps = [name for name, group in groups.items() if group.shape.body is not None]
+    rotating = any(group.shape.rotates for group in groups.values())
     has_torques = any(SLOTS[slot].on_surface for slot in models)
-    if clumps:
+    if rotating:
         why = "required by clumps"
     elif has_torques:
         why = "required by friction, rolling friction or twisting friction"
     else:
         why = "no torques: every pair has friction and rolling friction 0"
-    yield "rotation", bool(clumps) or has_torques, why
+    yield "rotation", rotating or has_torques, why
     yield "rate_dependent", law_is_damped, _rate_reason(scene, law_is_damped)
     cohesion = models["cohesion"].name if "cohesion" in models else "none"
     yield _model_row(scene, models, "cohesion")

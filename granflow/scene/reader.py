@@ -93,7 +93,7 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
     """The validated scene of a document; paths are relative to `folder` (default: the working directory).
 
     The scene is not resolved: counts from masses, contents of files and `scale` are not applied yet. Raises
-    the same errors as `load`.
+    the same errors as `load_scene`.
     """
     problems = list(document.problems)
     for override in overrides:
