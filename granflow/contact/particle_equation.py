@@ -9,13 +9,13 @@ It acts in scenes whose contact models add all sums that it reads. Array, sort, 
 the keys of the scene and the ghosts of MPI ranks follow from its class. No Taichi.
 """
 
-import re
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar
 
 from granflow import fields
 from granflow.device_functions import DeviceObject, ti
 from granflow.fields import FieldSpec
+from granflow.schema.model import is_name
 from granflow.schema.quantities import Number
 
 _EQUATIONS: dict[str, "ParticleEquation"] = {}
@@ -67,7 +67,7 @@ class ParticleEquation(DeviceObject):
 
 def add(equation: ParticleEquation) -> None:
     """Register an equation. Raises ValueError for a name that exists or is not valid."""
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", equation.name):
+    if not is_name(equation.name):
         raise ValueError(f"particle equation {equation.name}: a name has lowercase letters, digits and _")
     fields.add(equation.field)
     _EQUATIONS[equation.name] = equation

@@ -4,7 +4,6 @@ A built-in model is one file and one entry here. `ContactLaws` holds the laws of
 needs, and their layout in arrays.
 """
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -32,9 +31,7 @@ from granflow.contact.particle_equation import sum_field
 from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import linear_history, mindlin
 from granflow.contact.twisting import marshall, torsion_spring
-from granflow.schema.model import example_of
-
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
+from granflow.schema.model import example_of, is_name
 
 _MODELS: dict[str, dict[str, ContactModel]] = {slot: {} for slot in SLOTS}
 
@@ -97,7 +94,7 @@ def _problems(model: ContactModel) -> Iterator[str]:
     ]
     if missing:
         yield f"its law has no {' and no '.join(missing)}"
-    elif not _NAME.fullmatch(model.name) or model.name == "none":
+    elif not is_name(model.name) or model.name == "none":
         yield "a name has lowercase letters, digits and _, and is not none"
     elif model.name in _MODELS[model.slot]:
         yield f"a {model.slot} model of this name exists"
@@ -116,7 +113,7 @@ def _undeclared(model: ContactModel) -> Iterator[str]:
             yield f"the option {key} has neither a default nor an example"
     known = pair_properties()
     for key, each in model.pair_properties.model_fields.items():
-        if not _NAME.fullmatch(key) or key in ("restitution", "model"):
+        if not is_name(key) or key in ("restitution", "model"):
             yield f"{key} is not a valid key of pairs"
         elif _meaning(known.get(key, each)) != _meaning(each):
             yield f"the key {key} of pairs exists with another meaning"

@@ -334,10 +334,10 @@ def _mappings(schema: dict[str, Any]) -> Iterator[str]:
 
 def example_of(key: Key) -> str:
     """Key and example value as YAML on one line."""
-    of_metrics = {metric.__name__: metric.examples for metric in METRICS}
+    of_metric = next((metric.examples for metric in METRICS if metric.__name__ == key.part), {})
     value = (
         PART_EXAMPLES.get(f"{key.part}.{key.name}")
-        or of_metrics.get(key.part, {}).get(key.name)
+        or of_metric.get(key.name)
         or EXAMPLES.get(key.name)
         or _from_scenes(key)
     )

@@ -113,17 +113,18 @@ def faults_of(value: Any, path: KeyPath = ()) -> Iterator[Fault]:
             yield from faults_of(each, (*path, key))
 
 
-def add_keys(model: type[Model], keys: Mapping[str, tuple[Any, str]]) -> None:
-    """Set the optional numbers of a model that records outside of its class declare.
-
-    keys:  metadata of the type, such as a `Number`, and description, by name
-    """
+def add_keys(model: type[Model], keys: Mapping[str, FieldInfo]) -> None:
+    """Set the keys of a model that records outside of its class declare, in place of those set before."""
     own = model.__pydantic_fields__
     for name in set(own) - set(model.__annotations__):
         del own[name]
-    for name, (number, description) in keys.items():
-        annotation: Any = Annotated[float, number] | None
-        own[name] = FieldInfo.from_annotated_attribute(annotation, Field(None, description=description))
+    own.update(keys)
+
+
+def optional_key(annotation: Any, description: str, examples: list[Any] | None = None) -> FieldInfo:
+    """Field of a key for `add_keys`, with a type; it is None unless given."""
+    given: Any = Field(None, description=description, examples=examples)
+    return FieldInfo.from_annotated_attribute(annotation | None, given)
 
 
 # Notes in the schema of a key for the reference of the keys; the JSON Schema for editors does not have them.
@@ -349,6 +350,11 @@ _NAME = r"[a-z][a-z0-9_]*"
 MOST_LETTERS = 64
 """Largest length of a name: names are parts of the names of files, which most file systems limit to 255
 bytes."""
+
+
+def is_name(text: str) -> bool:
+    """Whether a text has lowercase letters, digits and _ only, and begins with a letter."""
+    return re.fullmatch(_NAME, text) is not None
 
 
 def _matching(pattern: str, reason: str) -> tuple[AfterValidator, WithJsonSchema]:

@@ -2,13 +2,13 @@
 presets."""
 
 from collections.abc import Iterable, Mapping
-from typing import get_args
 
 from docsite.markdown import code, table
 from granflow import fields
 from granflow.fields import FieldSpec, Quantity
 from granflow.scene.blocks.materials import PRESETS
 from granflow.scene.blocks.metrics import METRICS
+from granflow.schema.messages import selecting_keys
 from granflow.units import DIMENSIONS
 
 CSV = """\
@@ -106,10 +106,8 @@ def metrics() -> str:
     """Page of the metrics by kind."""
     sections = [METRICS_PAGE]
     for metric in METRICS:
-        kind = metric.model_fields["kind"]
-        sections.append(
-            f"## kind: {get_args(kind.annotation)[0]}\n\n{quantity_table(metric.quantities, 'NAME')}"
-        )
+        kind = selecting_keys(metric)["kind"]
+        sections.append(f"## kind: {kind}\n\n{quantity_table(metric.quantities, 'NAME')}")
     return "\n".join(sections)
 
 

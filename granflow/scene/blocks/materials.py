@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, Tag, model_validator
-from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
 from granflow.contact.law import FrictionCoefficient
@@ -18,7 +17,16 @@ from granflow.contact.particle_equation import equations
 from granflow.schema import quantities as q
 from granflow.schema.faults import value_error
 from granflow.schema.messages import suggestion_or_list
-from granflow.schema.model import Model, Text, add_keys, choose_by, optional, pair_list, required_unless
+from granflow.schema.model import (
+    Model,
+    Text,
+    add_keys,
+    choose_by,
+    optional,
+    optional_key,
+    pair_list,
+    required_unless,
+)
 from granflow.schema.quantities import Number
 
 # Block `materials`
@@ -197,24 +205,24 @@ def use_registry() -> None:
 
     A schema that is built must be rebuilt afterwards.
     """
-    add_keys(
-        Material, {key: each for equation in equations() for key, each in equation.material_keys.items()}
-    )
-    fields = MaterialPair.__pydantic_fields__
-    for key in set(fields) - set(MaterialPair.__annotations__):
-        del fields[key]
+    of_equations = {
+        key: optional_key(Annotated[float, number], description)
+        for equation in equations()
+        for key, (number, description) in equation.material_keys.items()
+    }
+    add_keys(Material, of_equations)
+    of_models = {}
     for key, each in registry.pair_properties().items():
-        if key not in fields:
-            annotation: Any = each.annotation
-            for note in each.metadata:
-                annotation = Annotated[annotation, note]
-            needed = " or ".join(
-                f"contact.{slot}: {' or '.join(names)}" for slot, names in registry.models_with(key).items()
-            )
-            field = Field(
-                None, description=f"{each.description}; required with {needed}", examples=each.examples
-            )
-            fields[key] = FieldInfo.from_annotated_attribute(annotation | None, field)
+        annotation: Any = each.annotation
+        for note in each.metadata:
+            annotation = Annotated[annotation, note]
+        needed = " or ".join(
+            f"contact.{slot}: {' or '.join(names)}" for slot, names in registry.models_with(key).items()
+        )
+        description = f"{each.description}; required with {needed}"
+        of_models[key] = optional_key(annotation, description, each.examples)
+    declared = MaterialPair.__annotations__
+    add_keys(MaterialPair, {key: each for key, each in of_models.items() if key not in declared})
 
 
 use_registry()

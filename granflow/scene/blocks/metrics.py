@@ -7,7 +7,6 @@ functions of arrays, precede it. `AnyMetric` at the end lists the kinds; a progr
 metrics of a run for each row of the time series.
 """
 
-import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal, Protocol, get_args
@@ -32,15 +31,13 @@ from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.shapes import Box
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, whole
-from granflow.schema.messages import unknown_names
-from granflow.schema.model import Model, Names, choose_by_key, optional
+from granflow.schema.messages import selecting_keys, unknown_names
+from granflow.schema.model import Model, Names, choose_by_key, is_name, optional
 from granflow.schema.quantities import Vector3
 from granflow.snapshot import CONTACTS, PARTICLES, Snapshot, mobile_particles, selected
 
 # What a metric is
 
-IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
-"""Names of kinds and of quantities."""
 PART_QUANTITIES = {
     **FLOW_METER_QUANTITIES,
     **WALL_FORCE_QUANTITIES,
@@ -859,13 +856,12 @@ def _use_quantities() -> None:
 
 def _problems(metric: type[Metric]) -> Iterator[str]:
     """Reasons why a class is not a valid kind of metric."""
-    kind = metric.model_fields.get("kind")
-    names = get_args(kind.annotation) if kind is not None else ()
-    if len(names) != 1 or not IDENTIFIER.fullmatch(str(names[0])):
+    kind = selecting_keys(metric).get("kind")
+    if kind is None or not is_name(str(kind)):
         yield 'it needs a field kind of the type Literal["name"], of lowercase letters, digits and _'
         return
-    if names[0] in [get_args(each.model_fields["kind"].annotation)[0] for each in METRICS]:
-        yield f"a metric of the kind {names[0]} exists"
+    if kind in [selecting_keys(each)["kind"] for each in METRICS]:
+        yield f"a metric of the kind {kind} exists"
     quantities = getattr(metric, "quantities", ())
     if not (isinstance(quantities, tuple) and quantities):
         yield "it needs quantities, a tuple of at least one Quantity"
@@ -873,7 +869,7 @@ def _problems(metric: type[Metric]) -> Iterator[str]:
     for each in quantities:
         if not isinstance(each, Quantity):
             yield f"its quantities contain {shown(each)}, which is not a Quantity"
-        elif not IDENTIFIER.fullmatch(each.name) or each.name.endswith("_mean"):
+        elif not is_name(each.name) or each.name.endswith("_mean"):
             yield f"its quantity {shown(each.name)} must have lowercase letters, digits and _, without _mean"
         elif METRIC_QUANTITIES.get(each.name, each) != each or each.name in PART_QUANTITIES:
             yield f"the quantity {each.name} exists with another meaning"

@@ -12,17 +12,12 @@ from pydantic.fields import FieldInfo
 
 from granflow.fields import (
     FIELD_QUANTITIES,
-    FLOW_METER_QUANTITIES,
-    INSERTION_QUANTITIES,
-    OUTLET_QUANTITIES,
     RUN_QUANTITIES,
     TOTAL_QUANTITIES,
-    WALL_FORCE_QUANTITIES,
-    WALL_QUANTITIES,
 )
 from granflow.geometry.shape import are_perpendicular
 from granflow.scene.blocks.grids import GridSpec
-from granflow.scene.blocks.metrics import METRIC_QUANTITIES, METRICS, AnyMetric
+from granflow.scene.blocks.metrics import METRIC_QUANTITIES, METRICS, PART_QUANTITIES, AnyMetric
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, redundant, whole
 from granflow.schema.messages import suggestion_or_list
@@ -266,14 +261,7 @@ def unit_of(name: str) -> str:
     if base == "timings" and part:
         return "s"
     if part:
-        known = {
-            **FLOW_METER_QUANTITIES,
-            **WALL_FORCE_QUANTITIES,
-            **WALL_QUANTITIES,
-            **METRIC_QUANTITIES,
-            **INSERTION_QUANTITIES,
-            **OUTLET_QUANTITIES,
-        }
+        known = {**PART_QUANTITIES, **METRIC_QUANTITIES}
     else:
         known = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     quantity = known.get(base)

@@ -25,6 +25,7 @@ from granflow.schema.model import (
     Text,
     add_keys,
     choose_by,
+    optional_key,
 )
 from granflow.visible_text import alternatives
 
@@ -364,7 +365,11 @@ def use_registry() -> None:
 
     A schema that is built must be rebuilt afterwards.
     """
-    add_keys(Group, {each.name: (each.initial, f"initial value: {each.meaning}") for each in equations()})
+    initial = {
+        each.name: optional_key(Annotated[float, each.initial], f"initial value: {each.meaning}")
+        for each in equations()
+    }
+    add_keys(Group, initial)
 
 
 use_registry()

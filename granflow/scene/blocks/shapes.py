@@ -26,6 +26,7 @@ class Box(Model):
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for each axis along which the extent is not positive."""
+        yield from super().faults()
         for i, (low, high) in enumerate(zip(self.min, self.max, strict=True)):
             if high <= low:
                 yield Fault(("max", i), f"it must be above min, {low:g} m")

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
+from granflow.scene.blocks.shapes import Box
 from granflow.scene.blocks.walls.half_space import Plane
 from granflow.scene.blocks.walls.rectangle import Rectangle
 from granflow.scene.blocks.walls.wall import Wall, shared_keys
@@ -17,7 +18,7 @@ FaceName = Literal["left", "right", "front", "back", "bottom", "top"]
 FACES: tuple[FaceName, ...] = get_args(FaceName)
 
 
-class BoxWall(Wall):
+class BoxWall(Box, Wall):
     """A box with edges along the coordinate axes, from `min` to `max`, for particles inside; faces can be
     open.
 
@@ -30,8 +31,6 @@ class BoxWall(Wall):
     """
 
     shape: Literal["box"] = Field("box", description="shape of the wall")
-    min: q.Point = Field(description="corner with the smallest coordinates [m]")
-    max: q.Point = Field(description="corner with the largest coordinates [m]")
     open: Annotated[tuple[FaceName, ...], ListOf(some="[top]")] = Field(
         (), description="faces without a wall: left, right (x), front, back (y), bottom, top (z)"
     )
@@ -43,9 +42,6 @@ class BoxWall(Wall):
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for an empty extent, an open box without faces, and motions of single walls."""
         yield from super().faults()
-        for i, (low, high) in enumerate(zip(self.min, self.max, strict=True)):
-            if high <= low:
-                yield Fault(("max", i), f"it must be above min, {low:g} m")
         if set(self.open) == set(FACES):
             yield Fault(("open",), "all six faces are open; leave one closed, or remove the wall")
         for i, motion in enumerate(self.motion):
