@@ -16,7 +16,7 @@ from granflow.engine.box import DeviceBox, upload_offsets
 from granflow.engine.mesh import SAME_DIRECTION, from_nearest, normal_near, triangle_contact
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import ForceControlledWalls, upload_running
-from granflow.geometry.surface import FAR_AWAY, numbers_by_name
+from granflow.geometry.surface import FAR_AWAY, reader_of_numbers
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 from granflow.plan.joined_walls import ITSELF, OTHERS
@@ -168,7 +168,8 @@ class WallGeometry:
         self.wall_count = state.parameter("wall_count")
         self.wall_of_face = build_wall_of_face(state)
         self.kinds = [
-            (code, shape, range(shape.count())) for code, shape in enumerate(state.plan.shape_kinds)
+            (code, shape, reader_of_numbers(shape), range(shape.count()))
+            for code, shape in enumerate(state.plan.shape_kinds)
         ]
         self.real = state.backend.position_real
         self.is_flat = all(wall.surface.plane is not None for wall in state.plan.walls)
@@ -196,9 +197,9 @@ class WallGeometry:
         local = self.to_wall_frame(w, pose, point)
         parameters = self.walls.parameters[w]
         result = 0.0 * point[0] + FAR_AWAY
-        for code, shape, indices in ti.static(self.kinds):
+        for code, shape, numbers_by_name, indices in ti.static(self.kinds):
             if self.walls.kind[w] == code:
-                numbers = numbers_by_name(shape, [parameters[k] for k in ti.static(indices)])
+                numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
                 result = shape.surface_distance(local, numbers)
         return result
 
@@ -210,9 +211,9 @@ class WallGeometry:
         parameters = self.walls.parameters[w]
         gap = 0.0 * point[0]
         normal = 0.0 * point
-        for code, shape, indices in ti.static(self.kinds):
+        for code, shape, numbers_by_name, indices in ti.static(self.kinds):
             if self.walls.kind[w] == code:
-                numbers = numbers_by_name(shape, [parameters[k] for k in ti.static(indices)])
+                numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
                 gap, normal = shape.closest(local, numbers)
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
@@ -257,9 +258,9 @@ class WallGeometry:
             found = self.walls.rotation[pose, w].transpose() @ normal
         if face < self.wall_count():
             parameters = self.walls.parameters[w]
-            for code, shape, indices in ti.static(self.kinds):
+            for code, shape, numbers_by_name, indices in ti.static(self.kinds):
                 if self.walls.kind[w] == code:
-                    numbers = numbers_by_name(shape, [parameters[k] for k in ti.static(indices)])
+                    numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
                     of_face = shape.face_normal(local, numbers)
                     if found.cross(of_face).norm_sqr() <= ti.static(SAME_DIRECTION * SAME_DIRECTION):
                         side = ti.select(found.dot(of_face) < 0.0, -1.0, 1.0)

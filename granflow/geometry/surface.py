@@ -205,16 +205,23 @@ class DeviceNumbers(DeviceObject):
     """The numbers of a shape in a device function, by name: scalars and vectors."""
 
 
-@at_compile_time
-def numbers_by_name(shape: type[Shape], values: Sequence[Any]) -> DeviceNumbers:
-    """The numbers of a shape by name, from the values of all its numbers in a device function."""
-    found = DeviceNumbers()
-    begin = 0
-    for name, width in shape.widths().items():
-        own = list(values[begin : begin + width])
-        setattr(found, name, own[0] if width == 1 else ti.Vector(own))
-        begin += width
-    return found
+def reader_of_numbers(shape: type[Shape]) -> Callable[[Sequence[Any]], DeviceNumbers]:
+    """Function in device functions: the numbers of a shape by name, from the values of all its numbers.
+
+    Not a function of the shape and the values: Quadrants would take the shape, a dataclass, apart.
+    """
+
+    @at_compile_time
+    def numbers_by_name(values: Sequence[Any]) -> DeviceNumbers:
+        found = DeviceNumbers()
+        begin = 0
+        for name, width in shape.widths().items():
+            own = list(values[begin : begin + width])
+            setattr(found, name, own[0] if width == 1 else ti.Vector(own))
+            begin += width
+        return found
+
+    return numbers_by_name
 
 
 def shape_kinds(surfaces: Sequence[Surface]) -> tuple[type[Shape], ...]:

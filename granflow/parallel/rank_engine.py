@@ -8,6 +8,7 @@ in `serve`, and call the same method of their engines. A failure of one rank end
 import atexit
 import gc
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -284,6 +285,9 @@ def _sorted_rows(pairs: np.ndarray) -> np.ndarray:
 
 # The program of each rank
 
+TIME_TO_FORWARD = 0.5
+"""Time [s] from the message of a failed rank to the end of all ranks, for mpirun to forward the message: it
+discards what it has not read when the ranks end."""
 EXIT_FAILED_RANK = 3
 """Exit code of all ranks after a failure of one of them."""
 
@@ -343,4 +347,5 @@ def _abort(communicator: Communicator) -> None:
     reason = f"granflow: {error}\n" if is_sentence else traceback.format_exc()
     sys.stderr.write(f"granflow: rank {communicator.rank} failed, which ends all ranks.\n{reason}")
     sys.stderr.flush()
+    time.sleep(TIME_TO_FORWARD)
     communicator.abort(EXIT_FAILED_RANK)
