@@ -75,13 +75,13 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.particle_shapes.clump import Clump as Clump
     from granflow.scene.blocks.particle_shapes.clump import ClumpSphere as ClumpSphere
     from granflow.scene.blocks.particles import Group as Group
+    from granflow.scene.blocks.primitives import Box as Box
+    from granflow.scene.blocks.primitives import RotationStep as RotationStep
     from granflow.scene.blocks.run import Damping as Damping
     from granflow.scene.blocks.run import Numerics as Numerics
     from granflow.scene.blocks.run import RunSettings as RunSettings
     from granflow.scene.blocks.run import Stage as Stage
     from granflow.scene.blocks.run import StageCondition as StageCondition
-    from granflow.scene.blocks.shapes import Box as Box
-    from granflow.scene.blocks.shapes import RotationStep as RotationStep
     from granflow.scene.blocks.sizes import ClassSizes as ClassSizes
     from granflow.scene.blocks.sizes import LogNormalSizes as LogNormalSizes
     from granflow.scene.blocks.sizes import NormalSizes as NormalSizes
@@ -109,7 +109,7 @@ os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 os.environ.setdefault("HOME", os.path.expanduser("~"))
 
 _LOCATIONS = {
-    "Box": "granflow.scene.blocks.shapes.Box",
+    "Box": "granflow.scene.blocks.primitives.Box",
     "BoxOutlet": "granflow.scene.blocks.outlets.BoxOutlet",
     "BoxRegion": "granflow.scene.blocks.insertions.BoxRegion",
     "BoxWall": "granflow.scene.blocks.walls.box.BoxWall",
@@ -166,7 +166,7 @@ _LOCATIONS = {
     "RestitutionFit": "granflow.scene.blocks.materials.RestitutionFit",
     "Result": "granflow.runs.result.Result",
     "Rotation": "granflow.scene.blocks.motions.Rotation",
-    "RotationStep": "granflow.scene.blocks.shapes.RotationStep",
+    "RotationStep": "granflow.scene.blocks.primitives.RotationStep",
     "Run": "granflow.runs.read_run.Run",
     "RunError": "granflow.errors.RunError",
     "RunSettings": "granflow.scene.blocks.run.RunSettings",

@@ -52,7 +52,7 @@ STUDIES_IMPORT = {
     "granflow.contact.theory",
     "granflow.errors",
     "granflow.fields",
-    "granflow.geometry.shape",
+    "granflow.geometry.sphere",
     "granflow.load",
     "granflow.scene.reader",
     "granflow.schema.faults",

@@ -54,7 +54,7 @@ from granflow.engine.totals import (
 from granflow.engine.wall_dynamics import wall_impulses
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
-from granflow.geometry.shape import sphere_inertia
+from granflow.geometry.sphere import sphere_inertia
 from granflow.particles.group import ParticleData
 from granflow.plan.arrays import (
     DeviceArray,

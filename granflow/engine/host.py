@@ -22,7 +22,7 @@ from granflow.engine.state import Arrays, State
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.clump import product
 from granflow.geometry.periodic_box import PeriodicBox
-from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.geometry.sphere import sphere_mass, sphere_volume
 from granflow.kernel_language import ti
 from granflow.particles.group import ParticleData
 from granflow.plan.arrays import particle_arrays, saved_arrays

@@ -24,7 +24,7 @@ from granflow.engine.box import DeviceBox
 from granflow.engine.contact_structs import build_constants, member, set_member
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_contact, build_wall_of
-from granflow.geometry.shape import sphere_inertia
+from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_DAMPING, LOSSES

@@ -20,7 +20,7 @@ from granflow.engine.contact_structs import number_at, vector_at
 from granflow.engine.fields import FieldBlock
 from granflow.engine.state import State
 from granflow.engine.sums import add_energy, holds_sums
-from granflow.geometry.shape import sphere_inertia
+from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import ExternalForce
 from granflow.plan.sum_units import LOSS_DAMPING, LOSSES, UNIT_ENERGY

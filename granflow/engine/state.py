@@ -20,7 +20,7 @@ from granflow.engine.fields import (
 from granflow.engine.mesh import fill_mesh
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
-from granflow.geometry.surface import Shape
+from granflow.geometry.surface import AnalyticSurface
 from granflow.kernel_language import ti
 from granflow.plan.arrays import (
     cell_arrays,
@@ -345,8 +345,8 @@ NOT_MEASURED = -1
 class Walls:
     """Shapes at rest, materials, and poses for the next WALL_BATCH steps.
 
-    kind:              index in `Plan.shape_kinds`; that after the last one for a mesh
-    parameters:        numbers of the shape, in the order of `Shape.widths`
+    kind:              index in `Plan.surface_kinds`; that after the last one for a mesh
+    parameters:        numbers of the surface, in the order of `AnalyticSurface.widths`
     present:           1 for walls that are present
     pivot:             [m], point of the rotation at rest
     center, rotation:  [m], 3 x 3: pose after each step; None if no wall moves
@@ -360,7 +360,7 @@ class Walls:
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         count = plan.capacities.walls
         self.kind = block.scalar(ti.i32, count)
-        most = max((shape.count() for shape in plan.shape_kinds), default=1)
+        most = max((surface.count() for surface in plan.surface_kinds), default=1)
         self.parameters = block.vector(backend.position_real, count, count=most)
         self.material = block.scalar(ti.i32, count)
         self.present = block.scalar(ti.i32, count)
@@ -379,9 +379,9 @@ class Walls:
         """Write the constant arrays."""
         for index, wall in enumerate(plan.walls):
             self.material[index] = wall.material
-            self.kind[index] = len(plan.shape_kinds)
-            if isinstance(wall.surface, Shape):
-                self.kind[index] = plan.shape_kinds.index(type(wall.surface))
+            self.kind[index] = len(plan.surface_kinds)
+            if isinstance(wall.surface, AnalyticSurface):
+                self.kind[index] = plan.surface_kinds.index(type(wall.surface))
                 numbers = wall.surface.numbers.tolist()
                 self.parameters[index] = numbers + [0.0] * (self.parameters.n - len(numbers))
             if self.impulse_row is not None:

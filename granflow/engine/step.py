@@ -64,7 +64,7 @@ from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest
 from granflow.engine.threads import arrive, release, wait
 from granflow.engine.transported import build_clear_flows, build_integrate_properties
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
-from granflow.geometry.shape import sphere_inertia
+from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import SUM_BITS, UNIT_FORCE, UNIT_TORQUE
 

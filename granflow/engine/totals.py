@@ -25,7 +25,7 @@ from granflow.engine.sums import (
     scale_exponent,
 )
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_totals, controlled_work
-from granflow.geometry.shape import sphere_inertia
+from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES

@@ -1,8 +1,8 @@
 """Walls on the device: their poses, and the distance, direction and velocity of their surfaces at a point.
 
 The host uploads the poses of prescribed motions for many steps in advance (`upload_poses`); force-controlled
-motions are added to them (`wall_dynamics.py`). `WallGeometry` evaluates one face: a wall of one of the shapes
-of `plan.shape_kinds`, or a triangle of a mesh (`mesh.py`).
+motions are added to them (`wall_dynamics.py`). `WallGeometry` evaluates one face: a wall of one of
+`plan.surface_kinds`, or a triangle of a mesh (`mesh.py`).
 
 A contact with a surface made of several faces has one owner. Of the triangles of a mesh, `triangle_contact`
 finds it; where several walls touch or overlap, `build_wall_contact`, which the contact kinematics call.
@@ -62,7 +62,7 @@ def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
     wall_of = build_wall_of(state)
     force_range = state.parameter("force_range")
     joined = state.plan.features.joined_walls
-    curved = [code for code, shape in enumerate(state.plan.shape_kinds) if shape.is_curved]
+    curved = [code for code, surface in enumerate(state.plan.surface_kinds) if surface.is_curved]
 
     @ti.func
     def is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
@@ -168,8 +168,8 @@ class WallGeometry:
         self.wall_count = state.parameter("wall_count")
         self.wall_of_face = build_wall_of_face(state)
         self.kinds = [
-            (code, shape, reader_of_numbers(shape), range(shape.count()))
-            for code, shape in enumerate(state.plan.shape_kinds)
+            (code, surface, reader_of_numbers(surface), range(surface.count()))
+            for code, surface in enumerate(state.plan.surface_kinds)
         ]
         self.real = state.backend.position_real
         self.is_flat = all(wall.surface.plane is not None for wall in state.plan.walls)
@@ -197,10 +197,10 @@ class WallGeometry:
         local = self.to_wall_frame(w, pose, point)
         parameters = self.walls.parameters[w]
         result = 0.0 * point[0] + FAR_AWAY
-        for code, shape, numbers_by_name, indices in ti.static(self.kinds):
+        for code, surface, numbers_by_name, indices in ti.static(self.kinds):
             if self.walls.kind[w] == code:
                 numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
-                result = shape.surface_distance(local, numbers)
+                result = surface.surface_distance(local, numbers)
         return result
 
     @ti.func
@@ -211,10 +211,10 @@ class WallGeometry:
         parameters = self.walls.parameters[w]
         gap = 0.0 * point[0]
         normal = 0.0 * point
-        for code, shape, numbers_by_name, indices in ti.static(self.kinds):
+        for code, surface, numbers_by_name, indices in ti.static(self.kinds):
             if self.walls.kind[w] == code:
                 numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
-                gap, normal = shape.closest(local, numbers)
+                gap, normal = surface.closest(local, numbers)
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
                 gap, normal = triangle_contact(self.state.mesh, face - self.wall_count(), local)
@@ -258,15 +258,15 @@ class WallGeometry:
             found = self.walls.rotation[pose, w].transpose() @ normal
         if face < self.wall_count():
             parameters = self.walls.parameters[w]
-            for code, shape, numbers_by_name, indices in ti.static(self.kinds):
+            for code, surface, numbers_by_name, indices in ti.static(self.kinds):
                 if self.walls.kind[w] == code:
                     numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
-                    of_face = shape.face_normal(local, numbers)
+                    of_face = surface.face_normal(local, numbers)
                     if found.cross(of_face).norm_sqr() <= ti.static(SAME_DIRECTION * SAME_DIRECTION):
                         side = ti.select(found.dot(of_face) < 0.0, -1.0, 1.0)
-                        found = side * shape.face_normal(local_half, numbers)
+                        found = side * surface.face_normal(local_half, numbers)
                     else:
-                        _gap, found = shape.closest(local_half, numbers)
+                        _gap, found = surface.closest(local_half, numbers)
         elif ti.static(self.features.mesh_walls):
             found = normal_near(self.state.mesh, face - self.wall_count(), local_half, found)
         if ti.static(self.features.moving_walls):

@@ -21,8 +21,8 @@ from granflow.geometry.mesh_contact import (
 )
 from granflow.geometry.mesh_file import RawTriangles
 from granflow.geometry.rows import expanded, row_entries, starts_of
-from granflow.geometry.shape import distance_from_axis
 from granflow.geometry.surface import FAR_AWAY, Surface, Vector, boxes_overlap
+from granflow.geometry.vectors import distance_from_axis
 
 ANGLE_TOLERANCE = 1e-2
 """Sine of the angle below which a triangle counts as upright on a plane."""

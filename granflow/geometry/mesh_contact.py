@@ -25,8 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.geometry.rows import row_entries, starts_of
-from granflow.geometry.shape import unit
 from granflow.geometry.surface import FAR_AWAY
+from granflow.geometry.vectors import unit
 
 COPLANAR_ANGLE = 1e-4
 """Angle [rad] up to which two triangles are coplanar, so that their common edge has no effect on a contact.

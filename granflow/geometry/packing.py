@@ -11,7 +11,7 @@ import numpy as np
 
 from granflow.geometry.close_pairs import near_pairs, overlaps_any
 from granflow.geometry.region import FilledRegion, RegionSampler
-from granflow.geometry.shape import sphere_volume
+from granflow.geometry.sphere import sphere_volume
 
 
 class RegionFullError(Exception):

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from granflow.geometry.shape import frame_along
+from granflow.geometry.vectors import frame_along
 
 SLACK = 1e-9
 """Relative tolerance for exact fits, such as ten spheres of 1 mm across 10 mm."""

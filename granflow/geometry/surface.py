@@ -1,8 +1,8 @@
 """Surfaces of walls at rest: what plan, device and pictures ask of every surface.
 
-A surface is a triangle mesh (`mesh.Mesh`) or a shape: a `Shape` is a closed form with a few numbers, which
-device functions read by name. The kinds of shapes are in `granflow.scene.blocks.walls`, each in one file with
-the walls of a scene that have it.
+A surface is a triangle mesh (`mesh.Mesh`) or an `AnalyticSurface`, a closed form with a few numbers, which
+device functions read by name. The kinds of analytic surfaces are in `granflow.scene.blocks.walls`, each in
+one file with the walls of a scene that have it.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -145,11 +145,11 @@ def boxes_overlap(
     return bool(is_near.all())
 
 
-# Shapes: surfaces in closed form, which the device evaluates from a few numbers.
+# Surfaces in closed form, which the device evaluates from a few numbers.
 
 
 @dataclass(frozen=True, eq=False)
-class Shape(Surface):
+class AnalyticSurface(Surface):
     """A surface in closed form. Its fields are its numbers, lengths in m: `float`, or `Vector`.
 
     Device functions read the numbers by name. Raises ValueError for a number that is not finite.
@@ -202,20 +202,20 @@ class Shape(Surface):
 
 
 class DeviceNumbers(DeviceObject):
-    """The numbers of a shape in a device function, by name: scalars and vectors."""
+    """The numbers of an analytic surface in a device function, by name: scalars and vectors."""
 
 
-def reader_of_numbers(shape: type[Shape]) -> Callable[[Sequence[Any]], DeviceNumbers]:
-    """Function in device functions: the numbers of a shape by name, from the values of all its numbers.
+def reader_of_numbers(kind: type[AnalyticSurface]) -> Callable[[Sequence[Any]], DeviceNumbers]:
+    """Function in device functions: the numbers of a surface by name, from the values of all its numbers.
 
-    Not a function of the shape and the values: Quadrants would take the shape, a dataclass, apart.
+    Not a function of the kind and the values: Quadrants would take the kind, a dataclass, apart.
     """
 
     @at_compile_time
     def numbers_by_name(values: Sequence[Any]) -> DeviceNumbers:
         found = DeviceNumbers()
         begin = 0
-        for name, width in shape.widths().items():
+        for name, width in kind.widths().items():
             own = list(values[begin : begin + width])
             setattr(found, name, own[0] if width == 1 else ti.Vector(own))
             begin += width
@@ -224,7 +224,7 @@ def reader_of_numbers(shape: type[Shape]) -> Callable[[Sequence[Any]], DeviceNum
     return numbers_by_name
 
 
-def shape_kinds(surfaces: Sequence[Surface]) -> tuple[type[Shape], ...]:
-    """The kinds of shapes among surfaces, by name; the index is the code by which kernels select one."""
-    found = {type(each) for each in surfaces if isinstance(each, Shape)}
-    return tuple(sorted(found, key=lambda shape: shape.kind))
+def surface_kinds(surfaces: Sequence[Surface]) -> tuple[type[AnalyticSurface], ...]:
+    """The kinds of analytic surfaces by name; the index of a kind is the code by which kernels select it."""
+    found = {type(each) for each in surfaces if isinstance(each, AnalyticSurface)}
+    return tuple(sorted(found, key=lambda kind: kind.kind))

@@ -17,7 +17,7 @@ from granflow.arguments import shown
 from granflow.engine.engine import Engine
 from granflow.engine.host import present_indices, remove_particles, write_particles
 from granflow.errors import GranflowError
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.particles.group import ParticleData, SceneGroup
 from granflow.plan.plan import Plan
 from granflow.runs.run_state import RunState

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.geometry.coarse_grid import CoarseGrid, GaussianKernel
-from granflow.geometry.shape import sphere_volume
+from granflow.geometry.sphere import sphere_volume
 from granflow.snapshot import mobile_particles
 
 # Sums and fields

@@ -15,7 +15,7 @@ from granflow.errors import SceneError
 from granflow.geometry.close_pairs import overlaps_any
 from granflow.geometry.packing import RegionFullError, Spheres, check_width
 from granflow.geometry.periodic_box import PeriodicBox
-from granflow.geometry.shape import sphere_volume
+from granflow.geometry.sphere import sphere_volume
 from granflow.particles.file import particles_from_file
 from granflow.particles.group import ParticleData, SceneGroup, groups_of, particles_of, shortfall
 from granflow.scene.blocks.insertions import TimedInsertion

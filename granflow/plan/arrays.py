@@ -346,7 +346,7 @@ def structure_of(plan: Plan) -> Hashable:
         plan.scene.domain.on_exit == "expand",
         plan.chunk_size == 1,
         plan.has_ghosts,
-        plan.shape_kinds,
+        plan.surface_kinds,
         bool(plan.meshes),
         tuple(outlet.kind for outlet in plan.scene.outlets.values()),
         tuple(motion.kind for motion in plan.controlled_motions),

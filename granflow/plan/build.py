@@ -14,7 +14,7 @@ import numpy as np
 from granflow.contact.law import FlowCase, NormalLaw
 from granflow.contact.particle_equation import ParticleEquation
 from granflow.errors import SceneError
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.load import Scene, refuse_other_object
 from granflow.particles.group import groups_of
 from granflow.plan.features import features_of

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from granflow.arguments import refuse_other
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.load import Scene
 from granflow.plan.cost import (
     TYPICAL_PARTICLE_STEPS_PER_SECOND,

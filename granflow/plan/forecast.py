@@ -14,7 +14,7 @@ from math import ceil, inf, pi, sqrt
 import numpy as np
 
 from granflow.contact import registry
-from granflow.geometry.shape import sphere_volume
+from granflow.geometry.sphere import sphere_volume
 from granflow.load import Scene
 from granflow.particles.insertion import MAX_BATCHES
 from granflow.plan.falls import forecast_velocity, path_velocity, velocity_warnings

@@ -25,7 +25,7 @@ from granflow.contact.material import PairMaterial, Solid
 from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.close_pairs import near_pairs
-from granflow.geometry.shape import sphere_volume
+from granflow.geometry.sphere import sphere_volume
 from granflow.load import Scene
 from granflow.particles.group import ParticleData, SceneGroup
 from granflow.plan.falls import region_of

@@ -22,7 +22,7 @@ from granflow.contact.material import (
 )
 from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.load import Scene
 from granflow.particles.group import SceneGroup
 from granflow.plan.time_step import PairCase

@@ -18,8 +18,8 @@ from granflow.contact.particle_equation import ParticleEquation, equations_of
 from granflow.contact.registry import ContactLaws
 from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
 from granflow.geometry.periodic_box import PeriodicBox
-from granflow.geometry.shape import sphere_mass
-from granflow.geometry.surface import Shape, shape_kinds
+from granflow.geometry.sphere import sphere_mass
+from granflow.geometry.surface import AnalyticSurface, surface_kinds
 from granflow.load import Scene
 from granflow.particles.group import SceneGroup
 from granflow.plan.capacities import (
@@ -297,9 +297,9 @@ class Plan:
         }
 
     @cached_property
-    def shape_kinds(self) -> tuple[type[Shape], ...]:
-        """The kinds of shapes of the walls; kernels select one by its index."""
-        return shape_kinds([wall.surface for wall in self.walls])
+    def surface_kinds(self) -> tuple[type[AnalyticSurface], ...]:
+        """The kinds of analytic surfaces of the walls; kernels select one by its index."""
+        return surface_kinds([wall.surface for wall in self.walls])
 
     @cached_property
     def mesh_grids(self) -> dict[int, MeshGrid]:

@@ -24,7 +24,7 @@ import numpy as np
 
 from granflow.contact.law import FlowCase, NormalLaw
 from granflow.contact.registry import ContactLaws
-from granflow.geometry.shape import sphere_volume
+from granflow.geometry.sphere import sphere_volume
 from granflow.particles.group import SceneGroup
 from granflow.plan.time_step import PairCase
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from granflow.engine.checkpoint import CLOCKS
 from granflow.engine.totals import BY_ID, BY_NAME, EXIT_FACES, SAVED_NUMBERS
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.io.checkpoint import (
     LARGEST_COUNT,
     LARGEST_REAL,

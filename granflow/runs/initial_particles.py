@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError, SceneError
-from granflow.geometry.shape import sphere_inertia
+from granflow.geometry.sphere import sphere_inertia
 from granflow.io.checkpoint import Checkpoint, newest_checkpoint
 from granflow.load import Scene, scene_of
 from granflow.particles.group import ParticleData, SceneGroup, groups_of

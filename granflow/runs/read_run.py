@@ -12,7 +12,7 @@ import numpy as np
 from granflow.arguments import path_of
 from granflow.errors import GranflowError, RunError
 from granflow.fields import CONTACT_QUANTITIES
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.io.files import read_regular_text, resolved
 from granflow.io.frames import frame_near, is_empty, listed_frames, read_mesh, require_directory
 from granflow.io.lock import locked

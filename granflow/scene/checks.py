@@ -33,9 +33,9 @@ from granflow.scene.blocks.motions import MotionSpec
 from granflow.scene.blocks.particles import (
     TimedInsertion,
 )
+from granflow.scene.blocks.primitives import Box
 from granflow.scene.blocks.run import Damping
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.blocks.shapes import Box
 from granflow.scene.blocks.walls.box import FACES
 from granflow.scene.blocks.walls.wall import Wall
 from granflow.schema.document import Document, Problem

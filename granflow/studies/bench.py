@@ -25,7 +25,7 @@ import numpy as np
 from granflow import GranflowError, ParticleData, Plan, Scene, plan_for
 from granflow.contact.material import PairMaterial
 from granflow.contact.registry import models
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from ruamel.yaml import YAML
 
-from granflow.geometry.surface import numbers_by_name
+from granflow.geometry.surface import reader_of_numbers
 from granflow.kernel_language import ti
 from granflow.scene.blocks.walls.box import BoxWall
 from granflow.scene.blocks.walls.half_space import half_space
@@ -59,6 +59,7 @@ def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
 def kernel_for(kind, dtype, parameter_dtype):
     """A kernel that evaluates the device functions of a kind over arrays."""
     indices = range(kind.count())
+    numbers_by_name = reader_of_numbers(kind)
 
     @ti.kernel
     def measure(
@@ -70,7 +71,7 @@ def kernel_for(kind, dtype, parameter_dtype):
     ):
         for i in range(points.shape[0]):
             point = ti.Vector([points[i, 0], points[i, 1], points[i, 2]])
-            numbers = numbers_by_name(kind, [parameters[k] for k in ti.static(indices)])
+            numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
             found, direction = kind.closest(point, numbers)
             distance[i] = found
             bare[i] = kind.surface_distance(point, numbers)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from geometry.surfaces import SHAPES
 
-from granflow.geometry.surface import shape_kinds
+from granflow.geometry.surface import surface_kinds
 from granflow.scene.blocks.walls.half_space import half_space
 from granflow.scene.blocks.walls.rectangle import rectangle
 from granflow.scene.blocks.walls.revolved import cone, cylinder, disc
@@ -42,7 +42,7 @@ def test_triangles_cover_the_area_of_the_shape(shape, expected):
     )  # 64 facets: 1 - sin(x) / x with x = 2 pi / 64, at most twice
 
 
-def test_codes_of_shape_kinds_do_not_depend_on_the_order_of_the_walls():
-    kinds = shape_kinds(list(SHAPES.values()))
+def test_codes_of_surface_kinds_do_not_depend_on_the_order_of_the_walls():
+    kinds = surface_kinds(list(SHAPES.values()))
     assert {"half_space", "rectangle", "revolved"} <= {kind.kind for kind in kinds}
-    assert shape_kinds(list(SHAPES.values())[::-1]) == kinds
+    assert surface_kinds(list(SHAPES.values())[::-1]) == kinds

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import granflow
-from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.geometry.sphere import sphere_mass, sphere_volume
 
 FORMULA = re.compile(r"pi\b[^#\n]*\*\* ?3\b[^#\n]*|\*\* ?3\b[^#\n]*[^\w.]pi\b")
 """A product of pi and a third power."""
@@ -28,4 +28,4 @@ def test_the_formula_occurs_once():
     code = {path: re.sub(r'""".*?"""', "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
             for path in package.rglob("*.py")}  # fmt: skip
     found = {path.relative_to(package).as_posix() for path, text in code.items() if FORMULA.search(text)}
-    assert found - OTHERS == {"geometry/shape.py"}
+    assert found - OTHERS == {"geometry/sphere.py"}

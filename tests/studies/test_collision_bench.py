@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from granflow import GranflowError
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.collide import collide
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.material import modulus_eff
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.scene.blocks.materials import Material
 from granflow.studies.bench import Collision, CollisionBench
 from validation.case import ValidationCase

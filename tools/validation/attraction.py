@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from granflow import Scene, Simulation
-from granflow.geometry.shape import sphere_volume
+from granflow.geometry.sphere import sphere_volume
 from validation.case import ValidationCase
 from validation.collisions import FRACTION, STEP_ERROR, STEP_REASON
 from validation.theory_of_collisions import Pair, Partner, collide, signed_power

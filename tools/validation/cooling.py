@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from granflow import Scene, Simulation, on_interval
-from granflow.geometry.shape import sphere_volume
+from granflow.geometry.sphere import sphere_volume
 from validation.case import ValidationCase, shipped_scene
 
 # Kinetic theory of cooling gases of smooth hard spheres, in the approximation of Enskog.

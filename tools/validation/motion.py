@@ -14,7 +14,7 @@ import numpy as np
 from granflow import Scene, Simulation
 from granflow.contact import theory
 from granflow.contact.material import modulus_eff
-from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.geometry.sphere import sphere_mass, sphere_volume
 from granflow.scene.blocks.materials import Material
 from validation.case import ValidationCase, shipped_scene
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 
 Force = Callable[[float, float], float]
 """Repulsion [N] from overlap [m] and overlap rate [m/s]."""

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
-from granflow.scene.blocks.shapes import Box
+from granflow.scene.blocks.primitives import Box
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault
 from granflow.schema.model import ListOf, Model

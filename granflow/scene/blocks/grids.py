@@ -8,7 +8,7 @@ from pydantic import Field
 from granflow.geometry.coarse_grid import CoarseGrid
 from granflow.geometry.periodic_box import AXES
 from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.shapes import Box
+from granflow.scene.blocks.primitives import Box
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, whole
 from granflow.schema.model import Model, optional

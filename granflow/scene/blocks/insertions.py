@@ -14,7 +14,7 @@ from pydantic import Field
 
 from granflow.geometry.packing import Spheres, fill_lattice, pack_at_random
 from granflow.geometry.region import BoxSampler, CylinderSampler, FilledRegion, RegionSampler, SlabSampler
-from granflow.scene.blocks.shapes import Box, CylinderShape, Rectangular
+from granflow.scene.blocks.primitives import Box, CylinderShape, Rectangular
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, redundant, whole
 from granflow.schema.model import FileName, ListOf, Model, choose_by_first_key, choose_by_key, optional

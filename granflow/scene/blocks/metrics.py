@@ -24,11 +24,12 @@ from granflow.fields import (
     Quantity,
 )
 from granflow.geometry.coarse_grid import CoarseGrid
-from granflow.geometry.shape import frame_along, sphere_volume
+from granflow.geometry.sphere import sphere_volume
+from granflow.geometry.vectors import frame_along
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.grids import GridSpec
 from granflow.scene.blocks.particles import Group
-from granflow.scene.blocks.shapes import Box
+from granflow.scene.blocks.primitives import Box
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, whole
 from granflow.schema.messages import selecting_keys, unknown_names

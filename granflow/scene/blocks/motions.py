@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from granflow.geometry.motion import MotionTable, Poses, ramp, rotation_matrices
-from granflow.geometry.shape import unit
+from granflow.geometry.vectors import unit
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, redundant, whole
 from granflow.schema.model import FileName, ListOf, Model, Names, choose_by_key, optional

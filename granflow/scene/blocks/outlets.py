@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import Field
 
 from granflow.device_functions import ti
-from granflow.geometry.shape import unit
-from granflow.scene.blocks.shapes import Box
+from granflow.geometry.vectors import unit
+from granflow.scene.blocks.primitives import Box
 from granflow.schema import quantities as q
 from granflow.schema.model import Model, choose_by_first_key
 

@@ -15,7 +15,7 @@ from granflow.fields import (
     RUN_QUANTITIES,
     TOTAL_QUANTITIES,
 )
-from granflow.geometry.shape import are_perpendicular
+from granflow.geometry.vectors import are_perpendicular
 from granflow.scene.blocks.grids import GridSpec
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES, METRICS, PART_QUANTITIES, AnyMetric
 from granflow.schema import quantities as q

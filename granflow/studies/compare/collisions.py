@@ -15,7 +15,7 @@ import numpy as np
 from granflow import GranflowError, Scene, SceneError
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.studies.bench import HeadOnCollision, Outcomes, collide
 from granflow.studies.compare.bed import MIN_CONTACTS
 from granflow.studies.compare.runs import (

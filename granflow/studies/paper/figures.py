@@ -15,7 +15,7 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.material import Solid, VelocityRestitution, limit_velocity, modulus_eff
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.scene.blocks.materials import PRESETS, Material
 from granflow.studies.bench import HeadOnCollision, Outcomes, collide
 from granflow.studies.figures import COLORS, MARKERS, POINTS, percent, stacked_panels

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from granflow.contact import theory
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.io.tables import table_in
 from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.figures import COLORS, POINTS, stacked_panels

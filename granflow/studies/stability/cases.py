@@ -17,7 +17,7 @@ import numpy as np
 
 from granflow import GranflowError, Plan, Scene, Simulation, plan_for
 from granflow.contact.material import VelocityRestitution
-from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.geometry.sphere import sphere_mass, sphere_volume
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.figures import percent

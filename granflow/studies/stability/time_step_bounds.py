@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from granflow import ParticleData, Plan, RunError, Scene, Simulation
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 # ---------------------------------------------------------------- lattices of touching particles

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from granflow.geometry.shape import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 
 SMALLEST, LARGEST, DENSITY = 3.6e-3, 4.4e-3, 2500.0
 """Diameters [m] and density [kg/m3] of the particles of all cases."""

@@ -12,7 +12,7 @@ from pydantic import Field, Tag
 from granflow.geometry.clump import ClumpBody, about, clump_body, random_orientations
 from granflow.scene.blocks.insertions import InsertionKind, kinds
 from granflow.scene.blocks.particle_shapes.shape import ParticleShape
-from granflow.scene.blocks.shapes import RotationStep
+from granflow.scene.blocks.primitives import RotationStep
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, whole
 from granflow.schema.model import ListOf, Model, choose_by, optional

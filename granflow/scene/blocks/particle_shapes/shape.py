@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from granflow.geometry.clump import ClumpBody
-from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.geometry.sphere import sphere_mass, sphere_volume
 from granflow.schema.faults import Fault
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
-from granflow.scene.blocks.shapes import Box
+from granflow.scene.blocks.primitives import Box
 from granflow.scene.blocks.walls.half_space import Plane
 from granflow.scene.blocks.walls.rectangle import Rectangle
 from granflow.scene.blocks.walls.wall import Wall, shared_keys

@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from granflow.device_functions import ti
-from granflow.geometry.shape import is_parallel, unit
-from granflow.geometry.surface import Shape, Surface, Vector
+from granflow.geometry.surface import AnalyticSurface, Surface, Vector
+from granflow.geometry.vectors import is_parallel, unit
 from granflow.scene.blocks.walls.rectangle import quadrilateral
 from granflow.scene.blocks.walls.wall import Wall
 from granflow.schema import quantities as q
@@ -46,7 +46,7 @@ def half_space(point: object, normal: object) -> "HalfSpace":
 
 
 @dataclass(frozen=True, eq=False)
-class HalfSpace(Shape):
+class HalfSpace(AnalyticSurface):
     """A point of the plane and its unit normal."""
 
     kind: ClassVar[str] = "half_space"
@@ -68,7 +68,7 @@ class HalfSpace(Shape):
     @staticmethod
     @ti.func
     def face_normal(x, numbers):
-        """See `Shape`."""
+        """See `AnalyticSurface`."""
         return numbers.normal
 
     @staticmethod

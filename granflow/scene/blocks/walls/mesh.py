@@ -14,11 +14,11 @@ from pydantic import Field
 from granflow.geometry.mesh import Mesh, mesh_of
 from granflow.geometry.mesh_file import read_triangles
 from granflow.geometry.motion import rotation_matrices
-from granflow.geometry.shape import unit
 from granflow.geometry.surface import Surface
+from granflow.geometry.vectors import unit
 from granflow.io.files import FormatError, resolved
 from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.shapes import RotationStep
+from granflow.scene.blocks.primitives import RotationStep
 from granflow.scene.blocks.walls.wall import Wall, WallNote
 from granflow.schema import quantities as q
 from granflow.schema.model import FileName, ListOf

@@ -14,9 +14,9 @@ import numpy as np
 from pydantic import Field
 
 from granflow.device_functions import ti
-from granflow.geometry.shape import are_perpendicular, distance_from_axis, is_parallel, unit
-from granflow.geometry.surface import Shape, Surface, Vector
-from granflow.scene.blocks.shapes import Rectangular
+from granflow.geometry.surface import AnalyticSurface, Surface, Vector
+from granflow.geometry.vectors import are_perpendicular, distance_from_axis, is_parallel, unit
+from granflow.scene.blocks.primitives import Rectangular
 from granflow.scene.blocks.walls.wall import Wall
 
 
@@ -60,7 +60,7 @@ def rectangle(corner: object, side1: Sequence[float], side2: Sequence[float]) ->
 
 
 @dataclass(frozen=True, eq=False)
-class Plate(Shape):
+class Plate(AnalyticSurface):
     """A corner, three perpendicular unit vectors, of which two are along the sides, and their lengths."""
 
     kind: ClassVar[str] = "rectangle"
@@ -94,7 +94,7 @@ class Plate(Shape):
     @staticmethod
     @ti.func
     def face_normal(point, numbers):
-        """See `Shape`."""
+        """See `AnalyticSurface`."""
         return numbers.normal
 
     @staticmethod

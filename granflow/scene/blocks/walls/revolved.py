@@ -14,9 +14,9 @@ import numpy as np
 from pydantic import Field
 
 from granflow.device_functions import ti
-from granflow.geometry.shape import distance_from_axis, is_parallel, unit
-from granflow.geometry.surface import FAR_AWAY, Shape, Surface, Vector
-from granflow.scene.blocks.shapes import Axial
+from granflow.geometry.surface import FAR_AWAY, AnalyticSurface, Surface, Vector
+from granflow.geometry.vectors import distance_from_axis, is_parallel, unit
+from granflow.scene.blocks.primitives import Axial
 from granflow.scene.blocks.walls.wall import Wall
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault
@@ -167,7 +167,7 @@ def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: 
 
 
 @dataclass(frozen=True, eq=False)
-class Revolved(Shape):
+class Revolved(AnalyticSurface):
     """Origin and axis; radius at the start, length and direction (r, z) of the segment; and for each end the
     direction (r, z) of the competing face and 1 if this surface owns the edge.
     """
@@ -428,23 +428,23 @@ Profile = tuple[np.ndarray, np.ndarray]
 """Ends (2,) of a segment as (r, z) [m]."""
 
 
-def is_coaxial(shape: Revolved, other: Revolved) -> bool:
+def is_coaxial(surface: Revolved, other: Revolved) -> bool:
     """Whether the other surface is about the same line, in either direction."""
-    off_axis = np.linalg.norm(np.cross(other.origin - shape.origin, shape.axis))
-    size = profile_size(shape) + profile_size(other)
-    return is_parallel(shape.axis, other.axis, TOLERANCE) and bool(off_axis <= TOLERANCE * size)
+    off_axis = np.linalg.norm(np.cross(other.origin - surface.origin, surface.axis))
+    size = profile_size(surface) + profile_size(other)
+    return is_parallel(surface.axis, other.axis, TOLERANCE) and bool(off_axis <= TOLERANCE * size)
 
 
-def profile_size(shape: Revolved) -> float:
+def profile_size(surface: Revolved) -> float:
     """Length scale [m] of a segment, for relative tolerances."""
-    return float(np.abs(np.array(shape.profile)).max())
+    return float(np.abs(np.array(surface.profile)).max())
 
 
 @dataclass(frozen=True)
 class Ray:
-    """Direction of a segment from an edge, in the (r, z) frame of the shape that has the edge.
+    """Direction of a segment from an edge, in the (r, z) frame of the surface that has the edge.
 
-    index:      index of the shape of the segment
+    index:      index of the surface of the segment
     end:        "start" or "end" if the segment ends at the edge, None if it passes through
     direction:  (2,) unit vector (r, z)
     """
@@ -459,23 +459,23 @@ class Ray:
         return float(np.arctan2(self.direction[1], self.direction[0]) % (2 * np.pi))
 
 
-def rays_at_edge(shape: Revolved, end: str, partners: Mapping[int, Revolved]) -> list[Ray]:
-    """Directions of all partners (including the shape itself) from the edge at an end, "start" or "end".
+def rays_at_edge(surface: Revolved, end: str, partners: Mapping[int, Revolved]) -> list[Ray]:
+    """Directions of all partners (including the surface itself) from the edge at an end, "start" or "end".
 
     `partners`: the coaxial surfaces that move alike, by index.
     """
-    edge = shape.profile[0 if end == "start" else 1]
+    edge = surface.profile[0 if end == "start" else 1]
     rays: list[Ray] = []
     for k, partner in partners.items():
-        tolerance = TOLERANCE * (profile_size(shape) + profile_size(partner))
-        rays += rays_of_segment(k, profile_in_frame_of(shape, partner), edge, tolerance)
+        tolerance = TOLERANCE * (profile_size(surface) + profile_size(partner))
+        rays += rays_of_segment(k, profile_in_frame_of(surface, partner), edge, tolerance)
     return rays
 
 
-def profile_in_frame_of(shape: Revolved, other: Revolved) -> Profile:
-    """Ends of the segment of `other` as (r, z) [m] in the frame of `shape`."""
-    shift = np.array([0.0, (other.origin - shape.origin) @ shape.axis])
-    flip = np.array([1.0, np.sign(other.axis @ shape.axis)])
+def profile_in_frame_of(surface: Revolved, other: Revolved) -> Profile:
+    """Ends of the segment of `other` as (r, z) [m] in the frame of `surface`."""
+    shift = np.array([0.0, (other.origin - surface.origin) @ surface.axis])
+    flip = np.array([1.0, np.sign(other.axis @ surface.axis)])
     start, end = other.profile
     return start * flip + shift, end * flip + shift
 
@@ -501,7 +501,7 @@ def rays_of_segment(index: int, ends: Profile, edge: np.ndarray, tolerance: floa
 
 
 def edge_numbers(rays: Sequence[Ray], index: int, end: str) -> dict[str, float]:
-    """The three numbers of the edge at one end of the shape with an index, from all rays at that edge.
+    """The three numbers of the edge at one end of the surface with an index, from all rays at that edge.
 
     The owner is the surface with the lowest index among the bounds of the wedge, if both bounds are ends of
     segments.

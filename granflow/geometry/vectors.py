@@ -1,13 +1,9 @@
-"""Vectors in numpy, and the volume of spheres."""
+"""Vectors in numpy: directions, angles and distances."""
 
 from collections.abc import Sequence
 from itertools import combinations
-from math import pi
-from typing import Any, TypeVar
 
 import numpy as np
-
-from granflow.device_functions import at_compile_time
 
 RIGHT_ANGLE_COSINE = 1e-6
 """Largest absolute cosine of an angle that is accepted as 90 deg."""
@@ -58,28 +54,3 @@ def frame_along(axis: np.ndarray) -> np.ndarray:
     first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
     first /= np.linalg.norm(first)
     return np.array([first, np.cross(axis, first), axis])
-
-
-# Volume, mass and moment of inertia of spheres.
-
-Number = TypeVar("Number", float, np.ndarray)
-
-
-def sphere_volume(radius: Number) -> Number:
-    """Volume 4/3 pi R^3 [m3] of spheres with radii [m]."""
-    return 4.0 / 3.0 * pi * radius**3
-
-
-def sphere_mass(radius: Number, density: Number | float) -> Number:
-    """Mass [kg] of spheres with radii [m] and density [kg/m3]."""
-    return sphere_volume(radius) * density
-
-
-@at_compile_time
-def sphere_inertia(mass: Any, radius: Any) -> Any:
-    """Moment of inertia 2/5 m R^2 [kg m2] of a solid sphere, also in device functions.
-
-    mass:    [kg], number, array or expression
-    radius:  [m], of the same kind
-    """
-    return 0.4 * mass * radius * radius

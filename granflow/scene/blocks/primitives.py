@@ -1,4 +1,4 @@
-"""Shapes that several blocks of a scene share: box, cylinder, rectangle, and a rotation.
+"""Geometric primitives that several blocks of a scene share: box, cylinder, rectangle, and a rotation.
 
 Walls, insertion regions, outlets, grids and the domain use them; mesh walls and clumps have rotations.
 """
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
-from granflow.geometry.shape import are_perpendicular
+from granflow.geometry.vectors import are_perpendicular
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault
 from granflow.schema.model import Model
