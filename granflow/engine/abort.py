@@ -16,8 +16,7 @@ from granflow.engine.codes import (
     FORCE_REASONS,
 )
 from granflow.engine.host import copy_to_host
-from granflow.engine.particle_forces import mobility_mask
-from granflow.engine.state import State
+from granflow.engine.state import State, mobility_mask
 from granflow.engine.statistics import candidate_pairs
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_velocities
 from granflow.engine.walls import walls_of

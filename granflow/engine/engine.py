@@ -30,8 +30,8 @@ from granflow.engine.host import (
     sphere_rows,
     write_particles,
 )
-from granflow.engine.particle_forces import mobility_mask, write_damping
-from granflow.engine.state import FreedState, State
+from granflow.engine.particle_forces import write_damping
+from granflow.engine.state import FreedState, State, mobility_mask
 from granflow.engine.state_cache import return_state, take_state
 from granflow.engine.statistics import ContactOutput, ContactStatistics, MaxImpactVelocity
 from granflow.engine.step import build_kick

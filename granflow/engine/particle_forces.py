@@ -1,116 +1,25 @@
-"""Forces on a particle alone: external forces, and damping of all motion; fixed particles.
+"""Forces on a particle alone, which few scenes have: external forces, and damping of all motion.
 
 External forces are device functions of a program; with damping, a scene settles. Both are evaluated with the
 contact forces, at the time of the positions, and are part of `force`: integration, synchronized velocities
-and snapshots need no other term. `build_set_forces` adds them to the sums over the contacts, and below f64
-the weight; in f64 the sums contain the weight from the start (`step.TimeStep.forces`).
+and snapshots need no other term. `step.TimeStep` adds them to the sums over the contacts.
 
 Velocities are half a step behind the positions; where a force depends on the velocity, it is extrapolated
 by `lag`, half a step. The host writes it with the time of the forces (`write_force_inputs`).
 """
 
-from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
 
 from granflow.device_functions import at_compile_time
 from granflow.engine.backend import Backend
 from granflow.engine.contact_structs import number_at, vector_at
 from granflow.engine.fields import FieldBlock
 from granflow.engine.state import State
-from granflow.engine.sums import add_energy, holds_sums
+from granflow.engine.sums import add_energy
 from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import ExternalForce
 from granflow.plan.sum_units import LOSS_DAMPING, LOSSES, UNIT_ENERGY
-
-
-def build_set_forces(state: State) -> Any:
-    """Device function (chunk, i, sums of contact forces and torques, gravity [m/s2], dt): set total
-    forces.
-
-    External forces and damping are added to the sums; also the weight, unless the sums contain it.
-
-    Reads:   mass; as `build_external_force` and `build_damped`
-    Writes:  force, torque; as `build_external_force` and `build_damped`
-    """
-    particles = state.particles
-    features = state.plan.features
-    real = state.backend.real
-    exact = holds_sums(state)
-    external_force = build_external_force(state) if features.external_forces else None
-    damped = build_damped(state) if features.damping != "none" else None
-
-    @ti.func
-    def set_forces(chunk, i, force_sum, torque_sum, gravity, dt):
-        particles.force[i] = ti.cast(force_sum, real)
-        if ti.static(features.clumps and not exact):
-            if particles.clump[i] < 0:  # the weight of a clump acts at its center of mass
-                particles.force[i] = particles.force[i] + particles.mass[i] * gravity
-        elif ti.static(not exact):
-            particles.force[i] = particles.force[i] + particles.mass[i] * gravity
-        if ti.static(features.external_forces):
-            particles.force[i] = particles.force[i] + external_force(chunk, i, particles.force[i], dt)
-        if ti.static(features.rotation):
-            particles.torque[i] = ti.cast(torque_sum, real)
-        if ti.static(features.damping != "none"):
-            damping_force, damping_torque = damped(
-                chunk, i, particles.force[i], ti.cast(torque_sum, real), dt
-            )
-            particles.force[i] = particles.force[i] + damping_force
-            if ti.static(features.rotation):
-                particles.torque[i] = particles.torque[i] + damping_torque
-
-    return set_forces
-
-
-def write_force_inputs(state: State, step: int, velocities_lag: bool = True) -> None:
-    """Write clock and parameters of external forces and damping, for forces after step number `step`, if any.
-
-    `velocities_lag`: velocities are half a step behind the positions.
-    """
-    if state.control.force_clock is None:
-        return
-    control = state.control
-    clock = state.clock.state_dict()
-    lag = 0.5 * clock["time_step"] if velocities_lag else 0.0
-    for k, value in enumerate((clock["since_time"], clock["time_step"], step - clock["since_step"], lag)):
-        control.force_clock[k] = float(value)
-    numbers = [number for force in state.plan.external_forces for number in force.numbers]
-    for k, number in enumerate(numbers):
-        control.force_parameters[k] = number
-
-
-# Fixed particles
-
-
-def build_mobility(state: State) -> Any:
-    """Device function (i): 1, or 0 for a fixed particle, whose velocity no force changes.
-
-    Reads:  fixed
-    """
-    particles = state.particles
-    real = state.backend.real
-
-    @ti.func
-    def mobility(i):
-        share = ti.cast(1.0, real)
-        if ti.static(state.plan.features.fixed_particles):
-            share = ti.cast(1 - particles.fixed[i], real)
-        return share
-
-    return mobility
-
-
-def mobility_mask(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """1.0 for mobile and 0.0 for fixed particles, float64 (n,).
-
-    arrays:  particle fields: mass (n,), and `fixed` (n,) only if some are fixed
-    """
-    fixed = arrays.get("fixed", np.zeros(len(arrays["mass"]), np.int32))
-    return 1.0 - np.asarray(fixed, float)
-
 
 # External forces and their work
 #
@@ -126,66 +35,70 @@ def mobility_mask(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 #     W = dt v(t + dt/2) . [f(t) + f(t + dt)] / 2
 
 
-def build_external_force(state: State) -> Any:
-    """Device function (chunk, i, force [N], dt): external force [N] on particle i.
+class ExternalForces:
+    """Sum of the external forces on a particle, and its work.
 
-    `force`: without external forces and damping
-
-    Reads:   position, velocity, radius, mass, fixed, force_clock, force_parameters, damping
+    Reads:   position, velocity, radius, mass, fixed, force_clock, force_parameters, steps_done; as `Damping`
     Writes:  external_force, external_work
     """
-    particles = state.particles
-    control = state.control
-    real = state.backend.real
-    total_force = _build_total_force(state)
-    mobility = build_mobility(state)
-    add_work = build_add_external_work(state)
-    damping_of = build_damping_of(state)
+
+    def __init__(self, state: State) -> None:
+        self.particles = state.particles
+        self.control = state.control
+        self.features = state.plan.features
+        self.real = state.backend.real
+        self.damping = state.built(Damping)
+        self.high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
+        self.calls = []
+        first = 0
+        for force in state.plan.external_forces:
+            self.calls.append(_build_call(force, first, state.control.force_parameters))
+            first += sum(width for _, width in force.layout)
 
     @ti.func
-    def present_velocity(i, force):
-        total = force
-        if ti.static(state.plan.features.damping != "none"):
-            total = force + damping_of(force, particles.velocity[i], particles.mass[i])
-        lag = mobility(i) * ti.cast(control.force_clock[3], real) / particles.mass[i]
-        return particles.velocity[i] + lag * total
-
-    @ti.func
-    def external_force(chunk, i, force, dt):
-        first = total_force(i, present_velocity(i, force))
-        found = total_force(i, present_velocity(i, force + first))
-        particles.external_force[i] = found
-        if ti.static(state.plan.features.energy_budget):
-            add_work(chunk, i, found, particles.velocity[i], dt)
+    def force(self, chunk, i, others, dt):
+        """External force [N] on particle i; `others` [N]: its other forces, without damping."""
+        first = self._total(i, self._present_velocity(i, others))
+        found = self._total(i, self._present_velocity(i, others + first))
+        self.particles.external_force[i] = found
+        if ti.static(self.features.energy_budget):
+            self.add_work(chunk, i, found, self.particles.velocity[i], dt)
         return found
 
-    return external_force
-
-
-def _build_total_force(state: State) -> Any:
-    """Device function (i, velocity [m/s]): sum of all external forces [N]."""
-    particles = state.particles
-    control = state.control
-    real = state.backend.real
-    forces = []
-    first = 0
-    for force in state.plan.external_forces:
-        forces.append(_build_call(force, first, control.force_parameters))
-        first += sum(width for _, width in force.layout)
+    @ti.func
+    def _present_velocity(self, i, force):
+        """Velocity [m/s] at the time of the positions, with a force [N] without damping."""
+        total = force
+        if ti.static(self.features.damping != "none"):
+            total = force + self.damping.of(force, self.particles.velocity[i], self.particles.mass[i])
+        share = self.particles.mobility(i)
+        lag = share * ti.cast(self.control.force_clock[3], self.real) / self.particles.mass[i]
+        return self.particles.velocity[i] + lag * total
 
     @ti.func
-    def total_force(i, velocity):
-        since = control.force_clock[0]
-        time_step = control.force_clock[1]
-        count = control.force_clock[2]
-        time = since + (count + ti.cast(control.steps_done[0], ti.f64)) * time_step
-        total = ti.Vector.zero(real, 3)
-        for call in ti.static(forces):
-            found = call(particles.position[i], velocity, particles.radius[i], particles.mass[i], time)
-            total += ti.cast(found, real)
+    def _total(self, i, velocity):
+        """Sum of all external forces [N] at a velocity [m/s]."""
+        since = self.control.force_clock[0]
+        time_step = self.control.force_clock[1]
+        count = self.control.force_clock[2]
+        time = since + (count + ti.cast(self.control.steps_done[0], ti.f64)) * time_step
+        total = ti.Vector.zero(self.real, 3)
+        for call in ti.static(self.calls):
+            found = call(
+                self.particles.position[i], velocity, self.particles.radius[i], self.particles.mass[i], time
+            )
+            total += ti.cast(found, self.real)
         return total
 
-    return total_force
+    @ti.func
+    def add_work(self, chunk, i, force, velocity, dt):
+        """Add the work of half a step; `velocity` [m/s]: at the half step. Fixed particles do not move."""
+        share = ti.cast(self.particles.mobility(i), ti.f64)
+        power = share * ti.cast(force, ti.f64).dot(ti.cast(velocity, ti.f64))
+        # Added once, this counts as half of the work of a step (`sums.SHARES` is 2): the other half is added
+        # with the force at the other end of the step.
+        value = ti.cast(self.high_words_per_joule(), ti.f64) * ti.cast(dt, ti.f64) * power
+        add_energy(self.control.external_work, chunk, 0, 1, 1, value)
 
 
 def _build_call(force: ExternalForce, first: int, values: Any) -> Any:
@@ -221,28 +134,19 @@ def check_vector(found: Any) -> None:
         raise TypeError("the function must return a vector of three components [N]")
 
 
-def build_add_external_work(state: State) -> Any:
-    """Device function (chunk, i, force [N], velocity [m/s] at the half step, dt): add the work of half
-    a step.
+def write_force_inputs(state: State, step: int, velocities_lag: bool) -> None:
+    """Write clock and parameters of external forces and damping, for forces after step number `step`.
 
-    Fixed particles do not move.
-
-    Reads:   fixed
-    Writes:  external_work
+    `velocities_lag`: velocities are half a step behind the positions.
     """
     control = state.control
-    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
-    mobility = build_mobility(state)
-
-    @ti.func
-    def add_work(chunk, i, force, velocity, dt):
-        power = ti.cast(mobility(i), ti.f64) * ti.cast(force, ti.f64).dot(ti.cast(velocity, ti.f64))
-        # Added once, this counts as half of the work of a step (`sums.SHARES` is 2): the other half is added
-        # with the force at the other end of the step.
-        value = ti.cast(high_words_per_joule(), ti.f64) * ti.cast(dt, ti.f64) * power
-        add_energy(control.external_work, chunk, 0, 1, 1, value)
-
-    return add_work
+    clock = state.clock.state_dict()
+    lag = 0.5 * clock["time_step"] if velocities_lag else 0.0
+    for k, value in enumerate((clock["since_time"], clock["time_step"], step - clock["since_step"], lag)):
+        control.force_clock[k] = float(value)
+    numbers = [number for force in state.plan.external_forces for number in force.numbers]
+    for k, number in enumerate(numbers):
+        control.force_parameters[k] = number
 
 
 def compile_alone(backend: Backend, force: ExternalForce) -> None:
@@ -290,83 +194,61 @@ def write_damping(state: State, stage: str) -> None:
             state.control.damping[k] = value
 
 
-def build_damped(state: State) -> Any:
-    """Device function (chunk, i, force [N], torque [N m], dt): damping force and torque on a particle.
+class Damping:
+    """Damping force and torque on a particle, and their loss.
 
-    Arguments are without damping. Adds the loss of half a step.
-
-    Reads:   velocity, angular_velocity, radius, mass, fixed, damping, force_clock
+    Reads:   velocity, angular_velocity, radius, mass, fixed, damping, force_clock, damping_force,
+             damping_torque
     Writes:  damping_force, damping_torque, losses
     """
-    particles = state.particles
-    features = state.plan.features
-    mobility = build_mobility(state)
-    damping_of = build_damping_of(state)
-    add_loss = build_add_damping_loss(state)
+
+    def __init__(self, state: State) -> None:
+        self.particles = state.particles
+        self.control = state.control
+        self.features = state.plan.features
+        self.real = state.backend.real
+        self.high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
 
     @ti.func
-    def damped(chunk, i, force, torque, dt):
-        mass = particles.mass[i]
-        found = mobility(i) * damping_of(force, particles.velocity[i], mass)
+    def forces(self, chunk, i, force, torque, dt):
+        """Damping force [N] and torque [N m]; arguments are without damping. Adds the loss of half a step."""
+        mass = self.particles.mass[i]
+        share = self.particles.mobility(i)
+        found = share * self.of(force, self.particles.velocity[i], mass)
         found_torque = 0.0 * torque
-        if ti.static(features.rotation):
-            inertia = sphere_inertia(mass, particles.radius[i])
-            found_torque = mobility(i) * damping_of(torque, particles.angular_velocity[i], inertia)
-        if ti.static(features.energy_budget):
-            particles.damping_force[i] = found
-            if ti.static(features.rotation):
-                particles.damping_torque[i] = found_torque
-            add_loss(chunk, i, dt)
+        if ti.static(self.features.rotation):
+            inertia = sphere_inertia(mass, self.particles.radius[i])
+            found_torque = share * self.of(torque, self.particles.angular_velocity[i], inertia)
+        if ti.static(self.features.energy_budget):
+            self.particles.damping_force[i] = found
+            if ti.static(self.features.rotation):
+                self.particles.damping_torque[i] = found_torque
+            self.add_loss(chunk, i, dt)
         return found, found_torque
 
-    return damped
-
-
-def build_damping_of(state: State) -> Any:
-    """Device function (force, velocity at the half step, mass): damping force; the same for rotation.
-
-    Reads:  damping, force_clock
-    """
-    control = state.control
-    real = state.backend.real
-
     @ti.func
-    def damping_of(force, velocity, mass):
-        ratio = ti.cast(control.damping[0], real)
-        rate = ti.cast(control.damping[1], real)
-        lag = ti.cast(control.force_clock[3], real)
+    def of(self, force, velocity, mass):
+        """Damping of a force at a velocity of the half step; the same for torque, rotation and inertia."""
+        ratio = ti.cast(self.control.damping[0], self.real)
+        rate = ti.cast(self.control.damping[1], self.real)
+        lag = ti.cast(self.control.force_clock[3], self.real)
         present = velocity + (lag / mass) * force
         found = 0.0 * force
         for k in ti.static(range(3)):
             sign = ti.select(present[k] > 0.0, 1.0, ti.select(present[k] < 0.0, -1.0, 0.0))
-            found[k] = -ratio * ti.abs(force[k]) * ti.cast(sign, real)
+            found[k] = -ratio * ti.abs(force[k]) * ti.cast(sign, self.real)
         drag = -(rate * mass / (1.0 + rate * lag)) * (present + (lag / mass) * found)
         return found + drag
 
-    return damping_of
-
-
-def build_add_damping_loss(state: State) -> Any:
-    """Device function (chunk, i, dt): add the loss of half a step with the present velocities.
-
-    Reads:   velocity, angular_velocity, damping_force, damping_torque
-    Writes:  losses
-    """
-    particles = state.particles
-    control = state.control
-    features = state.plan.features
-    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
-    loss_count = len(LOSSES)
-
     @ti.func
-    def add_loss(chunk, i, dt):
-        power = ti.cast(particles.damping_force[i], ti.f64).dot(ti.cast(particles.velocity[i], ti.f64))
-        if ti.static(features.rotation):
-            angular_velocity = ti.cast(particles.angular_velocity[i], ti.f64)
-            power += ti.cast(particles.damping_torque[i], ti.f64).dot(angular_velocity)
+    def add_loss(self, chunk, i, dt):
+        """Add the loss of half a step with the present velocities."""
+        velocity = ti.cast(self.particles.velocity[i], ti.f64)
+        power = ti.cast(self.particles.damping_force[i], ti.f64).dot(velocity)
+        if ti.static(self.features.rotation):
+            angular_velocity = ti.cast(self.particles.angular_velocity[i], ti.f64)
+            power += ti.cast(self.particles.damping_torque[i], ti.f64).dot(angular_velocity)
         # Added once, this counts as half of the loss of a step (`sums.SHARES` is 2): the other half is added
         # with the force at the other end of the step.
-        value = -ti.cast(high_words_per_joule(), ti.f64) * ti.cast(dt, ti.f64) * power
-        add_energy(control.losses, chunk, LOSS_DAMPING, loss_count, 1, value)
-
-    return add_loss
+        value = -ti.cast(self.high_words_per_joule(), ti.f64) * ti.cast(dt, ti.f64) * power
+        add_energy(self.control.losses, chunk, LOSS_DAMPING, len(LOSSES), 1, value)

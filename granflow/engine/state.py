@@ -1,6 +1,6 @@
 """Device arrays. `plan.arrays` lists most of them; a field that the plan does not need is None."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -271,6 +271,7 @@ class Particles(Fields):
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(particle_arrays(plan), backend))
+        self._some_fixed = plan.features.fixed_particles
 
     def sorted_fields(self) -> list[Any]:
         """Fields that are permuted with the particles at a neighbor-list rebuild."""
@@ -278,6 +279,23 @@ class Particles(Fields):
             getattr(self, spec.name) for spec in PARTICLE_QUANTITIES.values() if spec.dtype and spec.sorted
         ]
         return [field for field in fields if field is not None]
+
+    @ti.func
+    def mobility(self, i):
+        """1, or 0 for a fixed particle, whose velocity no force changes."""
+        share = ti.cast(1.0, self.mass.dtype)
+        if ti.static(self._some_fixed):
+            share = ti.cast(1 - self.fixed[i], self.mass.dtype)
+        return share
+
+
+def mobility_mask(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """1.0 for mobile and 0.0 for fixed particles, float64 (n,).
+
+    arrays:  particle fields: mass (n,), and `fixed` (n,) only if some are fixed
+    """
+    fixed = arrays.get("fixed", np.zeros(len(arrays["mass"]), np.int32))
+    return 1.0 - np.asarray(fixed, float)
 
 
 class NeighborList(Fields):

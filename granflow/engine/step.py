@@ -53,12 +53,7 @@ from granflow.engine.contact import build_carry_sums, build_clear_wall_work_ahea
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.history import CONTACT_ORDER, transfers_history
 from granflow.engine.liquid import build_save_film
-from granflow.engine.particle_forces import (
-    build_add_damping_loss,
-    build_add_external_work,
-    build_mobility,
-    build_set_forces,
-)
+from granflow.engine.particle_forces import Damping, ExternalForces
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest, holds_sums, shares_rows
 from granflow.engine.threads import arrive, release, wait
@@ -109,13 +104,10 @@ class TimeStep:
         self.has_flows = len(features.transported) > 0
         self.integrate_properties = build_integrate_properties(state) if self.has_flows else None
         self.clumps = state.built(ClumpMotion)
-        self.mobility = build_mobility(state)
         self.weight_rest = build_weight_rest(state)
         self.changed_velocity = build_changed(state, "velocity")
         self.changed_rotation = build_changed(state, "angular_velocity")
-        self.add_work = build_add_external_work(state)
         self.counts_damping = features.damping != "none" and features.energy_budget
-        self.add_damping_loss = build_add_damping_loss(state) if self.counts_damping else None
         self.periodic = features.periodic != "none"
         self.particle_wrap = state.built(ParticleWrap)
         # Walls
@@ -135,7 +127,8 @@ class TimeStep:
         self.batched_forces = build_batched_forces(state) if self.batched else None
         self.store_sums = build_store_sums(state) if self.batched else None
         self.load_sums = build_load_sums(state) if self.batched else None
-        self.set_forces = build_set_forces(state)
+        self.external_forces = state.built(ExternalForces) if features.external_forces else None
+        self.damping = state.built(Damping) if features.damping != "none" else None
         self.carry_sums = build_carry_sums(state)
 
     # Integration
@@ -173,21 +166,21 @@ class TimeStep:
             self.integrate_properties(i, dt)
         mass = self.particles.mass[i]
         force = self.particles.force[i] + self.weight_rest(mass * gravity, shift)
-        kick = self.mobility(i) * dt / mass * force
+        kick = self.particles.mobility(i) * dt / mass * force
         velocity = self.changed_velocity(i, kick)
         self.particles.velocity[i] = velocity
         if ti.static(self.features.rate_dependent):
             self.particles.velocity_synchronized[i] = velocity + 0.5 * kick
         if ti.static(self.features.external_forces and self.features.energy_budget):
-            self.add_work(chunk, i, self.particles.external_force[i], velocity, dt)
+            self.external_forces.add_work(chunk, i, self.particles.external_force[i], velocity, dt)
         displacement = dt * velocity
         self.particles.position[i] = self.particles.position[i] + displacement
         if ti.static(self.features.rotation):  # a sphere needs no orientation and no gyroscopic term
             inertia = sphere_inertia(mass, self.particles.radius[i])
-            kick_of_rotation = self.mobility(i) * dt / inertia * self.particles.torque[i]
+            kick_of_rotation = self.particles.mobility(i) * dt / inertia * self.particles.torque[i]
             self.particles.angular_velocity[i] = self.changed_rotation(i, kick_of_rotation)
         if ti.static(self.counts_damping):
-            self.add_damping_loss(chunk, i, dt)
+            self.damping.add_loss(chunk, i, dt)
         return displacement
 
     @ti.func
@@ -262,13 +255,13 @@ class TimeStep:
             if ti.static(self.batched):
                 self.store_sums(worker, i, first, force_sum, torque_sum)
             else:
-                self.set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
+                self._set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
         if ti.static(self.batched):
             self.batched_forces(worker, chunk, first, end, pose, dt)
         if ti.static(self.batched and self.sets_forces_last):
             for i in range(first, end):
                 force_sum, torque_sum = self.load_sums(worker, i, first)
-                self.set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
+                self._set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
         self.carry_sums(chunk)
 
     @ti.func
@@ -320,6 +313,27 @@ class TimeStep:
         force_added = self.to_grid(force, self.shift()[UNIT_FORCE])
         torque_added = self.to_grid(torque, self.shift()[UNIT_TORQUE])
         return force_sum + ti.cast(force_added, ti.f64), torque_sum + ti.cast(torque_added, ti.f64)
+
+    @ti.func
+    def _set_forces(self, chunk, i, force_sum, torque_sum, gravity, dt):
+        """Set force and torque from the sums over the contacts; below f64 with the weight, which in f64 the
+        sums contain; with external forces and damping."""
+        force = ti.cast(force_sum, self.real)
+        torque = ti.cast(torque_sum, self.real)
+        if ti.static(self.features.clumps and not self.exact):
+            if self.particles.clump[i] < 0:  # the weight of a clump acts at its center of mass
+                force += self.particles.mass[i] * gravity
+        elif ti.static(not self.exact):
+            force += self.particles.mass[i] * gravity
+        if ti.static(self.features.external_forces):
+            force += self.external_forces.force(chunk, i, force, dt)
+        if ti.static(self.features.damping != "none"):
+            damping_force, damping_torque = self.damping.forces(chunk, i, force, torque, dt)
+            force += damping_force
+            torque += damping_torque
+        self.particles.force[i] = force
+        if ti.static(self.features.rotation):
+            self.particles.torque[i] = torque
 
 
 # CPU: one launch for many steps
@@ -556,7 +570,6 @@ def build_kick(state: State) -> Callable[..., None]:
     particles = state.particles
     rotation = state.plan.features.rotation
     real = state.backend.real
-    mobility = build_mobility(state)
     clumps = state.plan.features.clumps
     clump_motion = state.built(ClumpMotion)
 
@@ -568,12 +581,13 @@ def build_kick(state: State) -> Callable[..., None]:
                     clump_motion.kick(i, time)
                     continue
             particles.velocity[i] = (
-                particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
+                particles.velocity[i] + particles.mobility(i) * time / particles.mass[i] * particles.force[i]
             )
             if ti.static(rotation):
                 inertia = sphere_inertia(particles.mass[i], particles.radius[i])
                 particles.angular_velocity[i] = (
-                    particles.angular_velocity[i] + mobility(i) * time / inertia * particles.torque[i]
+                    particles.angular_velocity[i]
+                    + particles.mobility(i) * time / inertia * particles.torque[i]
                 )
 
     return kick

@@ -152,8 +152,13 @@ class Stepper:
         pose = self.poses.index_at(step)
         self._end_wall_work(withdraws=True)
         self.rebuild_neighbor_lists(step, pose)
-        write_force_inputs(self.state, step, velocities_lag)
+        self._write_force_inputs(step, velocities_lag)
         self.forces(pose, history_step=0.0)
+
+    def _write_force_inputs(self, step: int, velocities_lag: bool = True) -> None:
+        """Write the clock of external forces and damping, for forces after step number `step`, if any."""
+        if self.state.control.force_clock is not None:
+            write_force_inputs(self.state, step, velocities_lag)
 
     def _end_wall_work(self, withdraws: bool) -> None:
         """Clear the work of moving walls that belongs to the next step, see `build_end_wall_work`."""
@@ -207,11 +212,11 @@ class Stepper:
         self._begin_count()
         began = clock.perf_counter()
         rebuild_seconds = self.timing.neighbor_list
-        write_force_inputs(state, step + 1)
+        self._write_force_inputs(step + 1)
         done = self._sampled_step() if self._is_sample_due else self._launch(steps)
         if self._is_rebuild_due and not self.abort_code:
             self.rebuild_neighbor_lists(step + done + 1, self.poses.next + done)
-            write_force_inputs(state, step + done + 1)
+            self._write_force_inputs(step + done + 1)
             self.forces(pose=self.poses.next + done)
             done += self._steps_done
         else:

@@ -11,8 +11,7 @@ import numpy as np
 from granflow.engine.clumps import CLUMP_MOTION, ROTATION_SHARE, of_clumps
 from granflow.engine.codes import ABORT_LEFT_DOMAIN, REMOVED_BELOW
 from granflow.engine.host import copy_to_host
-from granflow.engine.particle_forces import build_mobility, mobility_mask
-from granflow.engine.state import ALONE, Gathering, State
+from granflow.engine.state import ALONE, Gathering, State, mobility_mask
 from granflow.engine.statistics import LIQUID_SUMS
 from granflow.engine.sums import (
     REDUCED_ROWS,
@@ -449,7 +448,6 @@ def _build_particle_sums(state: State) -> tuple[Callable[..., None], Callable[..
     features = state.plan.features
     terms_of = _build_energy_terms(state)
     to_nearest = build_to_nearest()
-    mobility = build_mobility(state)
     external: Any = ti.types.ndarray()
 
     @ti.kernel
@@ -482,7 +480,7 @@ def _build_particle_sums(state: State) -> tuple[Callable[..., None], Callable[..
                 terms, _squared = terms_of(i, half_step)
                 for energy in ti.static(range(ENERGY_COUNT)):
                     sums[energy] += to_nearest(terms[energy] * scale[energy])
-                is_mobile = ti.cast(mobility(i), ti.i64)
+                is_mobile = ti.cast(particles.mobility(i), ti.i64)
                 sums[PARTICLE_CONTACTS] += is_mobile * particles.coordination_number[i]
                 sums[MOBILE] += is_mobile
                 if ti.static(features.walls):
@@ -502,7 +500,6 @@ def _build_energy_terms(state: State) -> Any:
     """
     particles = state.particles
     rotation = state.plan.features.rotation
-    mobility = build_mobility(state)
     gravity = state.parameter("gravity")
 
     @ti.func
@@ -512,7 +509,7 @@ def _build_energy_terms(state: State) -> Any:
     @ti.func
     def terms_of(i, half_step):
         mass = to_f64(particles.mass[i])
-        share = to_f64(mobility(i))
+        share = to_f64(particles.mobility(i))
         velocity = to_f64(particles.velocity[i]) + half_step * share * to_f64(particles.force[i]) / mass
         squared = velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]
         turning = ti.cast(0.0, ti.f64)

@@ -25,7 +25,6 @@ from granflow.engine.host import (
 from granflow.engine.neighbor.list import TOO_LONG
 from granflow.engine.neighbor.rebuild import ChunkKernel, RebuildKernel
 from granflow.engine.neighbor.sort import KEPT_REACH, find_farthest, remaining
-from granflow.engine.particle_forces import write_force_inputs
 from granflow.engine.state import BATCH, LANES, Arrays, State
 from granflow.engine.stepper import Stepper
 from granflow.engine.totals import DELETED_FIELDS
@@ -114,7 +113,7 @@ class RankStepper(Stepper):
         state.control.steps_done[0] = 0
         began = clock.perf_counter()
         rebuild_seconds = self.timing.neighbor_list
-        write_force_inputs(state, step + 1)
+        self._write_force_inputs(step + 1)
         moving = self._launch_phase(forcing=0)
         with self._recorded("waiting"):
             is_due = self._agree(bool(state.control.rebuild_requested[0]))
@@ -149,7 +148,7 @@ class RankStepper(Stepper):
         """
         if is_due:
             self.rebuild_neighbor_lists(step + 1, self.poses.next)
-            write_force_inputs(self.state, step + 1)
+            self._write_force_inputs(step + 1)
         forcing = self._launch_phase(moving=0)
         self._rank_rebuild.balance.record(moving + forcing)
         self.timing.sampled_forces += forcing
