@@ -37,7 +37,7 @@ from granflow.plan.overlaps import (
 )
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import PairCase, stable_step
-from granflow.scene.blocks.motions import pose
+from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 AT_REST = 1e-9
@@ -671,13 +671,13 @@ def _wall_gaps(
     time:     [s]
     Returns:  gap (n,) [m] or FAR_AWAY, unit normal (n, 3), velocity (n, 3) [m/s]
     """
-    wall_pose = pose(state.wall_motions[index], np.array([time]))
+    wall_pose = poses_at(state.wall_motions[index], np.array([time]))
     rotation = wall_pose.rotation[0]
     center = wall_pose.offset[0] + wall_pose.pivot + controlled_displacements(state)[index]
     velocity = wall_pose.velocity[0] + controlled_velocities(state)[index]
     local = (points - center) @ rotation + wall_pose.pivot
     first = len(state.plan.walls) + state.plan.first_triangle(index)
-    gap, normal = state.plan.walls[index].surface.contact(local, face - first)
+    gap, normal = state.plan.walls[index].surface.contacts(local, face - first)
     return gap, normal @ rotation.T, velocity + np.cross(wall_pose.angular_velocity[0], points - center)
 
 

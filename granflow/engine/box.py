@@ -11,7 +11,7 @@ import numpy as np
 from granflow.engine.state import State
 from granflow.engine.sums import SHARES, add_energy
 from granflow.kernel_language import ti
-from granflow.plan.capacities import WALL_BATCH
+from granflow.plan.capacities import POSE_COUNT
 from granflow.plan.sum_units import UNIT_ENERGY
 
 
@@ -219,7 +219,7 @@ class ParticleWrap:
 
 
 def upload_offsets(state: State, step: int) -> None:
-    """Upload offset [m] and velocity [m/s] of the images for WALL_BATCH steps after step number `step`.
+    """Upload offset [m] and velocity [m/s] of the images for POSE_COUNT steps after step number `step`.
 
     Velocities refer to the middle of each step, because particle velocities are half a step behind.
 
@@ -228,7 +228,7 @@ def upload_offsets(state: State, step: int) -> None:
     periodic_box = state.plan.periodic_box
     clock = state.clock
     control = state.control
-    times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
+    times = np.asarray(clock.time_after(step + np.arange(POSE_COUNT)))
     position_real = np.float32 if state.backend.precision == "f32" else np.float64
     real = np.float64 if state.backend.precision == "f64" else np.float32
     control.image_offset.from_numpy(periodic_box.offsets(times).astype(position_real))

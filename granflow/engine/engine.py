@@ -64,7 +64,7 @@ from granflow.plan.arrays import (
 )
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import STEPS_BETWEEN_UPDATES
-from granflow.scene.blocks.motions import TimedMotion, pose
+from granflow.scene.blocks.motions import TimedMotion, poses_at
 from granflow.snapshot import Snapshot
 
 _T = TypeVar("_T")
@@ -243,7 +243,7 @@ class Engine:
             if is_present and not self.state.walls.present[index]:
                 self._walls_appeared.append(self.plan.walls[index].name)
             self.state.walls.present[index] = int(is_present)
-            pivot = pose(self.state.wall_motions[index], np.array([self.time])).pivot
+            pivot = poses_at(self.state.wall_motions[index], np.array([self.time])).pivot
             self.state.walls.pivot[index] = pivot.tolist()
         self._walls_changed = True
 

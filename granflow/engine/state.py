@@ -32,7 +32,7 @@ from granflow.plan.arrays import (
     sum_arrays,
     wall_dynamics_arrays,
 )
-from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
+from granflow.plan.capacities import POSE_COUNT, WORKERS, Capacities, rounded_capacity
 from granflow.plan.plan import Plan, parameter_count
 from granflow.scene.blocks.motions import TimedMotion
 
@@ -361,7 +361,7 @@ NOT_MEASURED = -1
 
 
 class Walls:
-    """Shapes at rest, materials, and poses for the next WALL_BATCH steps.
+    """Shapes at rest, materials, and poses for the next POSE_COUNT steps.
 
     kind:              index in `Plan.surface_kinds`; that after the last one for a mesh
     parameters:        numbers of the surface, in the order of `AnalyticSurface.widths`
@@ -385,13 +385,13 @@ class Walls:
         self.pivot = block.vector(backend.position_real, count)
         self.joints = block.scalar(ti.i32, count) if plan.features.joined_walls else None
         moving = plan.features.moving_walls
-        self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
-        self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
-        self.velocity = block.vector(backend.real, WALL_BATCH + 1, count) if moving else None
+        self.center = block.vector(backend.position_real, POSE_COUNT, count) if moving else None
+        self.rotation = block.matrix(backend.position_real, POSE_COUNT, count) if moving else None
+        self.velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
         self.impulse_row = block.scalar(ti.i32, count) if plan.features.wall_forces else None
-        self.angular_velocity = block.vector(backend.real, WALL_BATCH + 1, count) if moving else None
+        self.angular_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
         has_belt = plan.features.surface_velocity
-        self.surface_velocity = block.vector(backend.real, WALL_BATCH + 1, count) if has_belt else None
+        self.surface_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if has_belt else None
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""
@@ -567,7 +567,7 @@ class Control(Fields):
     force_clock:                since_time, time_step, steps since since_time of the next force evaluation,
                                 and the time by which velocities lag behind positions there [s]
     damping:                    Cundall ratio and drag rate [1/s] of the present stage
-    image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
+    image_offset, image_speed:  of a sheared box, for POSE_COUNT steps [m], [m/s]
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
@@ -597,8 +597,8 @@ class Control(Fields):
         self.damping: Any = block.scalar(ti.f64, 2) if damped else None
         sheared = plan.features.lees_edwards
         position_real = backend.position_real
-        self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
-        self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
+        self.image_offset: Any = block.scalar(position_real, POSE_COUNT) if sheared else None
+        self.image_speed: Any = block.scalar(backend.real, POSE_COUNT) if sheared else None
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""

@@ -221,7 +221,7 @@ def _build_contact_point(state: State) -> Any:
         contact_point = box.wrap_position(state.particles.position[i])
         if ti.static(state.plan.has_walls):
             if j < 0:
-                gap, direction = geometry.closest(-1 - j, pose, contact_point)
+                gap, direction = geometry.contact(-1 - j, pose, contact_point)
                 contact_point -= gap * direction
         return contact_point
 
@@ -574,7 +574,7 @@ def _build_overlap_and_rate(state: State) -> Any:
             overlap = kinematics.overlap
             rate = kinematics.overlap_rate_half
         elif ti.static(has_walls):
-            gap, normal = geometry.closest(-1 - j, 0, particles.position[i])
+            gap, normal = geometry.contact(-1 - j, 0, particles.position[i])
             wall_velocity = geometry.velocity(-1 - j, 0, particles.position[i])
             overlap = ti.cast(particles.radius[i] - gap, real)
             rate = -(particles.velocity[i] - ti.cast(wall_velocity, real)).dot(ti.cast(normal, real))

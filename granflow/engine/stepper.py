@@ -179,7 +179,7 @@ class Stepper:
             and not self.abort_code
             and not (is_adaptive and self.timing.rebuild_count > rebuilds)
         ):
-            done += self._advance_batch(steps - done, step + done)
+            done += self._advance_once(steps - done, step + done)
         return done
 
     @property
@@ -201,7 +201,7 @@ class Stepper:
         """Count the completed steps from 0."""
         self.state.control.steps_done[0] = 0
 
-    def _advance_batch(self, steps: int, step: int) -> int:
+    def _advance_once(self, steps: int, step: int) -> int:
         """Take up to `steps` steps in one launch; rebuild the neighbor lists if due.
 
         Returns the number of completed steps.
@@ -232,8 +232,8 @@ class Stepper:
         """Number of steps after step number `step` that the next launch takes, at most `steps`.
 
         Steps are split into launches here only, for three reasons: the device holds the poses of moving walls
-        for WALL_BATCH steps, and they may move up to a limit between two rebuilds; a sampled step has its own
-        launches; and a GPU takes GPU_BATCH steps until the host reads its flags.
+        for POSE_COUNT steps, and they may move up to a limit between two rebuilds; a sampled step has its own
+        launches; and a GPU takes STEPS_BETWEEN_READS steps until the host reads its flags.
         """
         steps = min(steps, self.LONGEST_LAUNCH)
         if self.state.plan.has_poses:
@@ -284,19 +284,19 @@ class Stepper:
         return self._steps_done
 
 
-# The stepper of a GPU: two dispatches per step, and one transfer to the host per batch of steps.
+# The stepper of a GPU: two dispatches per step, and one transfer to the host for several steps.
 #
-# The kernels compare numbers of launches, see `engine.step`, so that the host resets no flag between two
-# batches.
+# The kernels compare numbers of launches, see `engine.step`, so that the host resets no flag after it has
+# read them.
 
-GPU_BATCH = 16
+STEPS_BETWEEN_READS = 16
 """Number of steps between two reads of the flags."""
 
 
 class GpuStepper(Stepper):
     """Advances a State on a GPU by steps, each of them a launch."""
 
-    LONGEST_LAUNCH = GPU_BATCH
+    LONGEST_LAUNCH = STEPS_BETWEEN_READS
 
     _launches = 0
     """Number of the next launch that computes forces."""

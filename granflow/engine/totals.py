@@ -29,7 +29,7 @@ from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES
 from granflow.plan.time_step import stable_step
-from granflow.scene.blocks.motions import pose
+from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.outlets import outlet_of
 from granflow.snapshot import WallPose
 
@@ -357,7 +357,7 @@ def wall_poses(state: State) -> dict[str, WallPose]:
     found = {}
     displacements = controlled_displacements(state)
     for index, wall in enumerate(state.plan.walls):
-        poses = pose(state.wall_motions[index], np.array([state.clock.time]))
+        poses = poses_at(state.wall_motions[index], np.array([state.clock.time]))
         present = bool(state.walls.present[index])
         found[wall.name] = WallPose(
             present,

@@ -29,7 +29,7 @@ from granflow.plan.sum_units import (
     UNIT_IMPULSE,
     UNIT_WALL_FORCE,
 )
-from granflow.scene.blocks.motions import pose
+from granflow.scene.blocks.motions import poses_at
 
 # Force-controlled walls on the device
 
@@ -207,7 +207,7 @@ def upload_running(state: State, times: np.ndarray) -> None:
     """Set which motions are active in the steps that end at each pose. A wall that is not present does not
     move.
 
-    times:  (WALL_BATCH,) [s], middle of each step
+    times:  (POSE_COUNT,) [s], middle of each step
 
     Writes:  active
     """
@@ -274,7 +274,7 @@ def controlled_totals(state: State) -> dict[str, float]:
         if f"wall_displacement.{controlled.name}" not in found:
             direction = np.array(controlled.direction)
             wall = controlled.wall
-            prescribed = pose(state.wall_motions[wall], np.array([state.clock.time]))
+            prescribed = poses_at(state.wall_motions[wall], np.array([state.clock.time]))
             displacement = prescribed.offset[0] + displacements[wall]
             found[f"wall_displacement.{controlled.name}"] = float(displacement @ direction)
             found[f"wall_velocity.{controlled.name}"] = float(

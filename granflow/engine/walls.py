@@ -18,9 +18,9 @@ from granflow.engine.state import State
 from granflow.engine.wall_dynamics import ForceControlledWalls, upload_running
 from granflow.geometry.surface import FAR_AWAY, reader_of_numbers
 from granflow.kernel_language import ti
-from granflow.plan.capacities import WALL_BATCH
+from granflow.plan.capacities import POSE_COUNT
 from granflow.plan.joined_walls import ITSELF, OTHERS
-from granflow.scene.blocks.motions import pose
+from granflow.scene.blocks.motions import poses_at
 
 # Joined walls: the contact of a particle with one face, unless it is found on another face as well
 #
@@ -49,7 +49,7 @@ LEAST_COSINE = 0.5
 def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
     """Device function (i, j, pose) -> (gap [m], direction) of particle i and partner j < 0.
 
-    They are those of `WallGeometry.closest`.
+    They are those of `WallGeometry.contact`.
 
     The gap is FAR_AWAY if a nearer face in the neighbor list of the particle has the same contact.
 
@@ -85,7 +85,7 @@ def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
                     face = -1 - other
                     probe = contact_point
             if in_plane or on_curve:
-                distance = geometry.surface_distance(face, pose, probe)
+                distance = geometry.distance(face, pose, probe)
                 same = (in_plane and distance >= gap - SAME_PLACE * radius) or (
                     on_curve and distance <= SAME_PLACE * radius
                 )
@@ -108,7 +108,7 @@ def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
         first = True
         list_index = neighbors.list_begin[i]
         end = neighbors.list_walls_end[i]
-        # This face, then the others: one loop, so that `closest` is compiled once.
+        # This face, then the others: one loop, so that `contact` is compiled once.
         while first or list_index < end:
             other = j
             if not first:
@@ -116,11 +116,8 @@ def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
                 list_index += 1
             if first or may_be_same(w, j, other):
                 # The distance without regard to shared edges is cheaper, and at most that of a contact.
-                if (
-                    first
-                    or geometry.surface_distance(-1 - other, pose, point) <= gap + SAME_DISTANCE * radius
-                ):
-                    other_gap, other_direction = geometry.closest(-1 - other, pose, point)
+                if first or geometry.distance(-1 - other, pose, point) <= gap + SAME_DISTANCE * radius:
+                    other_gap, other_direction = geometry.contact(-1 - other, pose, point)
                     if first:
                         gap = other_gap
                         direction = other_direction
@@ -139,7 +136,7 @@ def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
         if ti.static(joined):
             gap, direction = joined_contact(i, j, pose)
         else:
-            gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
+            gap, direction = geometry.contact(-1 - j, pose, particles.position[i])
         return gap, direction
 
     return wall_contact
@@ -192,7 +189,7 @@ class WallGeometry:
         return local
 
     @ti.func
-    def distance(self, w, pose, point):
+    def wall_distance(self, w, pose, point):
         """Distance [m] to the surface of a wall that is not a mesh, for the neighbor list."""
         local = self.to_wall_frame(w, pose, point)
         parameters = self.walls.parameters[w]
@@ -200,11 +197,11 @@ class WallGeometry:
         for code, surface, numbers_by_name, indices in ti.static(self.kinds):
             if self.walls.kind[w] == code:
                 numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
-                result = surface.surface_distance(local, numbers)
+                result = surface.distance(local, numbers)
         return result
 
     @ti.func
-    def closest(self, face, pose, point):
+    def contact(self, face, pose, point):
         """Distance [m] and normal of the contact with a face."""
         w = self.wall_of_face(face)
         local = self.to_wall_frame(w, pose, point)
@@ -214,7 +211,7 @@ class WallGeometry:
         for code, surface, numbers_by_name, indices in ti.static(self.kinds):
             if self.walls.kind[w] == code:
                 numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
-                gap, normal = surface.closest(local, numbers)
+                gap, normal = surface.contact(local, numbers)
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
                 gap, normal = triangle_contact(self.state.mesh, face - self.wall_count(), local)
@@ -266,7 +263,7 @@ class WallGeometry:
                         side = ti.select(found.dot(of_face) < 0.0, -1.0, 1.0)
                         found = side * surface.face_normal(local_half, numbers)
                     else:
-                        _gap, found = surface.closest(local_half, numbers)
+                        _gap, found = surface.contact(local_half, numbers)
         elif ti.static(self.features.mesh_walls):
             found = normal_near(self.state.mesh, face - self.wall_count(), local_half, found)
         if ti.static(self.features.moving_walls):
@@ -292,13 +289,13 @@ class WallGeometry:
         return found
 
     @ti.func
-    def surface_distance(self, face, pose, point):
+    def distance(self, face, pose, point):
         """Distance [m] of a point from a face, without regard to shared edges.
 
         It is negative behind a half space.
         """
         w = self.wall_of_face(face)
-        result = self.distance(w, pose, point)
+        result = self.wall_distance(w, pose, point)
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
                 result = from_nearest(
@@ -314,8 +311,8 @@ class WallGeometry:
         to the distance from a boundary.
         """
         w = self.wall_of_face(face)
-        _, direction = self.closest(face, pose, point)
-        found = self.distance(w, pose, point) * direction
+        _, direction = self.contact(face, pose, point)
+        found = self.wall_distance(w, pose, point) * direction
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
                 wrapped = self.box.wrap_position(point)
@@ -432,14 +429,14 @@ def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
     return np.where(triangle < 0, -1, triangle - first[walls_of(state, partner)])
 
 
-# Poses of the walls, and offsets of the images of a sheared box, on the device for WALL_BATCH steps in
+# Poses of the walls, and offsets of the images of a sheared box, on the device for POSE_COUNT steps in
 # advance.
 
 
 class WallPoses:
     """The poses on the device.
 
-    `next`: index of the poses of the next step; WALL_BATCH if they must be uploaded, 0 without poses.
+    `next`: index of the poses of the next step; POSE_COUNT if they must be uploaded, 0 without poses.
     """
 
     def __init__(self, state: State) -> None:
@@ -448,7 +445,7 @@ class WallPoses:
 
     def discard(self) -> None:
         """Upload the poses again before their next use, because motions or the time step have changed."""
-        self.next = WALL_BATCH if self._state.plan.has_poses else 0
+        self.next = POSE_COUNT if self._state.plan.has_poses else 0
         self._first_step: int | None = None
 
     def index_at(self, step: int) -> int:
@@ -456,7 +453,7 @@ class WallPoses:
         if not self._state.plan.has_poses:
             return 0
         first = self._first_step
-        if first is None or not 0 <= step - first < WALL_BATCH:
+        if first is None or not 0 <= step - first < POSE_COUNT:
             self._upload(step)
             self.next = 1
             first = step
@@ -470,14 +467,14 @@ class WallPoses:
         are not computed again for it.
         """
         if not self._state.plan.has_poses:
-            return WALL_BATCH
+            return POSE_COUNT
         allowed = self._steps_to_displacement_limit(steps_since_rebuild)
         if allowed < 1:
             self._state.control.rebuild_requested[0] = 1
-        if self.next == WALL_BATCH:
+        if self.next == POSE_COUNT:
             self._upload(step + 1)
             self.next = 0
-        return min(WALL_BATCH - self.next, max(allowed, 1))
+        return min(POSE_COUNT - self.next, max(allowed, 1))
 
     def advance(self, steps: int) -> None:
         """Continue after a number of completed steps."""
@@ -495,7 +492,7 @@ class WallPoses:
     def _steps_to_displacement_limit(self, steps_since_rebuild: int) -> int:
         """Steps until the fastest wall may reach its limit between rebuilds, or an image the skin.
 
-        Force-controlled walls request their rebuilds on the device. WALL_BATCH if nothing moves.
+        Force-controlled walls request their rebuilds on the device. POSE_COUNT if nothing moves.
         """
         plan = self._state.plan
         displacement_limit, speed = (
@@ -504,28 +501,28 @@ class WallPoses:
             else (plan.skin, plan.scene.domain.image_speed)
         )
         if speed == 0.0:
-            return WALL_BATCH
+            return POSE_COUNT
         return int(displacement_limit / (speed * plan.longest_time_step)) - steps_since_rebuild
 
 
 def upload_poses(state: State, step: int) -> None:
-    """Upload the poses after WALL_BATCH steps from number `step`, with velocities at their middles.
+    """Upload the poses after POSE_COUNT steps from number `step`, with velocities at their middles.
 
     Velocities have one more row, for the work in the step that follows the last pose.
 
-    Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles
+    Times follow from step numbers, so that they are bit-identical for any first step. Ends and middles
     of the steps are evaluated together, and a wall without motion once.
 
     Writes:  center, rotation, velocity, angular_velocity, surface_velocity of walls; active
     """
     walls = state.walls
     clock = state.clock
-    ends = np.asarray(clock.time_after(step + np.arange(WALL_BATCH + 1)))
-    times = ends[:WALL_BATCH]
+    ends = np.asarray(clock.time_after(step + np.arange(POSE_COUNT + 1)))
+    times = ends[:POSE_COUNT]
     middles = ends - 0.5 * clock.time_step
-    at_rest = pose((), ends)
+    at_rest = poses_at((), ends)
     both = [
-        pose(motions, np.concatenate([times, middles])) if motions else at_rest
+        poses_at(motions, np.concatenate([times, middles])) if motions else at_rest
         for motions in state.wall_motions
     ]
     # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
@@ -537,9 +534,9 @@ def upload_poses(state: State, step: int) -> None:
         padded[:, : len(arrays)] = np.stack(arrays, axis=1)
         field.from_numpy(padded)
 
-    upload_running(state, middles[:WALL_BATCH])
-    upload(walls.center, [p.offset[:WALL_BATCH] + p.pivot for p in both], position_real)
-    upload(walls.rotation, [p.rotation[:WALL_BATCH] for p in both], position_real)
+    upload_running(state, middles[:POSE_COUNT])
+    upload(walls.center, [p.offset[:POSE_COUNT] + p.pivot for p in both], position_real)
+    upload(walls.rotation, [p.rotation[:POSE_COUNT] for p in both], position_real)
     upload(walls.velocity, [p.velocity[-len(middles) :] for p in both], real)
     upload(walls.angular_velocity, [p.angular_velocity[-len(middles) :] for p in both], real)
     if state.plan.features.surface_velocity:

@@ -16,7 +16,7 @@ from granflow.geometry.mesh_contact import (
     MeshAdjacency,
     adjacency_of,
     classify_edges,
-    reference_contact,
+    triangle_contacts,
     triangle_distances,
 )
 from granflow.geometry.mesh_file import RawTriangles
@@ -80,11 +80,14 @@ class Mesh(Surface):
         """Leg [m] of an isosceles right triangle with the median area."""
         return float(np.sqrt(2.0 * np.median(self.areas)))
 
-    def contact(self, points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def contacts(
+        self, points: np.ndarray, triangles: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """See `Surface`."""
-        return reference_contact(self.adjacency, triangles, points)
+        assert triangles is not None
+        return triangle_contacts(self.adjacency, triangles, points)
 
-    def distance(self, points: np.ndarray, reach: float) -> np.ndarray:
+    def distances(self, points: np.ndarray, reach: float) -> np.ndarray:
         """See `Surface`."""
         vertex = self.adjacency.vertex
         return distances(grid_over(vertex, reach), vertex, points)

@@ -276,10 +276,12 @@ ROUNDING = 16.0
 """Tolerance, in units in the last place of the lengths at a vertex, for a center above the vertex."""
 
 
-def reference_contact(
+def triangle_contacts(
     adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gap and normal of the contact of points with triangles, one point per triangle.
+
+    Reference of `triangle_contact` in `engine/mesh.py`.
 
     adjacency:  adjacency of the mesh
     triangles:  (n,) indices of the triangles
@@ -289,12 +291,12 @@ def reference_contact(
     The gap is FAR_AWAY if another triangle owns the contact, or if the nearest point of the triangle is not a
     local minimum of the distance to the mesh.
     """
-    gap, normal = reference_contact_alone(adjacency, triangles, points)
+    gap, normal = contacts_alone(adjacency, triangles, points)
     height = _dot(points - adjacency.vertex[triangles, 0], adjacency.normal[triangles])
     key = 2 * triangles + (height < 0.0)
     query, entry = row_entries(adjacency.competitor_start, key)
     competitor = adjacency.competitor[entry]
-    competitor_gap, _ = reference_contact_alone(adjacency, competitor, points[query])
+    competitor_gap, _ = contacts_alone(adjacency, competitor, points[query])
     competitor_owns = (competitor_gap < gap[query]) | (
         (competitor_gap == gap[query]) & (competitor < triangles[query])
     )
@@ -303,10 +305,10 @@ def reference_contact(
     return np.where(not_owner, FAR_AWAY, gap), normal
 
 
-def reference_contact_alone(
+def contacts_alone(
     adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Same as `reference_contact`, without the comparison with competing triangles.
+    """Same as `triangle_contacts`, without the comparison with competing triangles.
 
     Device equivalent: `_contact_alone` in `engine/mesh.py`.
     """

@@ -14,8 +14,8 @@ import numpy as np
 from granflow.device_functions import DeviceObject, at_compile_time, ti
 
 FAR_AWAY = 1e9
-"""Distance [m] returned if a surface does not own the contact (see `Surface.joined`): larger than any radius
-plus skin, and small enough for its square to be finite in float32."""
+"""Distance [m] returned if a surface does not own the contact, see `Surface.with_edge_owners`: larger than
+any radius plus skin, and small enough for its square to be finite in float32."""
 SAME_CORNER = 1e-6
 """Tolerance of equal surfaces: of corners over the size of the surface, and of components of normals."""
 Vector = np.ndarray
@@ -24,6 +24,10 @@ Vector = np.ndarray
 
 class Surface:
     """A surface at rest; points and lengths are in m in its frame.
+
+    A `contact` is a distance and a normal, and belongs to one surface or triangle: it is FAR_AWAY at an edge
+    that another one owns. A `distance` has no regard to shared edges. On the device both are functions of one
+    point, on the host `contacts` and `distances` are those of many.
 
     `kind`: name of the kind. `is_curved`: its face has different normals. `has_openings`: it may have
     openings within its edges, as a tube has.
@@ -43,15 +47,17 @@ class Surface:
         """Area [m2] of one side; None if it is unbounded."""
         raise NotImplementedError
 
-    def contact(self, points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def contacts(
+        self, points: np.ndarray, triangles: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Distance (n,) from points (n, 3), and unit normals (n, 3) toward them.
 
-        `triangles` (n,): for a mesh, index of the triangle of each point. FAR_AWAY if the nearest point of
-        the surface, or of the triangle, is on an edge that another one owns.
+        `triangles` (n,): index of the triangle of each point, needed for a mesh. FAR_AWAY if the nearest
+        point of the surface, or of the triangle, is on an edge that another one owns.
         """
         raise NotImplementedError
 
-    def distance(self, points: np.ndarray, reach: float) -> np.ndarray:
+    def distances(self, points: np.ndarray, reach: float) -> np.ndarray:
         """Distance (n,) of points (n, 3), for a mesh without regard to shared edges.
 
         `reach`: distance up to which the result is exact for a mesh; farther points get a larger distance or
@@ -90,10 +96,11 @@ class Surface:
         """Whether parts of the surface may be nearer to each other than a tolerance, without common edges."""
         return False
 
-    def joined(self, surfaces: Sequence["Surface"], index: int) -> "Surface":
-        """This surface with its shared edges assigned to one owner.
+    def with_edge_owners(self, surfaces: Sequence["Surface"], index: int) -> "Surface":
+        """This surface with the numbers that say which of its shared edges it owns.
 
-        `surfaces`: all that move alike; this one is at `index`.
+        `surfaces`: all that move alike; this one is at `index`. Touching surfaces without common edges are
+        joined walls (`plan.joined_walls`) instead, whose contacts are compared during the run.
         """
         return self
 
@@ -117,8 +124,8 @@ class Surface:
         return np.array_equal(rounded[np.lexsort(rounded.T)], other_rounded[np.lexsort(other_rounded.T)])
 
 
-def join_shared_edges(surfaces: Sequence[Surface], groups: Sequence[Hashable]) -> list[Surface]:
-    """The same surfaces with each shared edge assigned to one owner.
+def assign_shared_edges(surfaces: Sequence[Surface], groups: Sequence[Hashable]) -> list[Surface]:
+    """The same surfaces with an owner of each shared edge; see `Surface.with_edge_owners`.
 
     `groups`: wall motion of each surface: only surfaces with the same motion share edges. Repeated calls are
     idempotent.
@@ -127,7 +134,7 @@ def join_shared_edges(surfaces: Sequence[Surface], groups: Sequence[Hashable]) -
     for surface, group in zip(surfaces, groups, strict=True):
         alike = [each for each, its_group in zip(surfaces, groups, strict=True) if its_group == group]
         index = next(k for k, each in enumerate(alike) if each is surface)
-        found.append(surface.joined(alike, index))
+        found.append(surface.with_edge_owners(alike, index))
     return found
 
 
@@ -155,13 +162,13 @@ class AnalyticSurface(Surface):
     Device functions read the numbers by name. Raises ValueError for a number that is not finite.
     """
 
-    closest: ClassVar[Callable[..., Any]]
+    contact: ClassVar[Callable[..., Any]]
     """Device function (point, numbers) -> (distance, normal): distance [m] of a point, and unit normal from
-    the surface to it. Only a half space has negative distances. FAR_AWAY as in `contact`."""
+    the surface to it. Only a half space has negative distances. FAR_AWAY as in `contacts`."""
     face_normal: ClassVar[Callable[..., Any]]
     """Device function (point, numbers) -> unit normal of the face, extended beyond its edges, where it is
     nearest to the point; either side."""
-    surface_distance: ClassVar[Callable[..., Any]]
+    distance: ClassVar[Callable[..., Any]]
     """Device function (point, numbers) -> distance [m] without regard to shared edges. Neighbor lists use it,
     because a point beyond an edge can be above the face in the next step."""
 
@@ -188,17 +195,9 @@ class AnalyticSurface(Surface):
         """All numbers (`count`,)."""
         return np.concatenate([np.atleast_1d(getattr(self, name)) for name in self.widths()])
 
-    def closest_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Reference implementation of `closest` for points (n, 3): distance (n,), unit normal (n, 3)."""
-        raise NotImplementedError
-
-    def contact(self, points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `Surface`."""
-        return self.closest_to(points)
-
-    def distance(self, points: np.ndarray, reach: float) -> np.ndarray:
-        """See `Surface`; FAR_AWAY at an edge that another surface owns."""
-        return self.closest_to(points)[0]
+    def distances(self, points: np.ndarray, reach: float) -> np.ndarray:
+        """See `Surface`; unlike `distance`, FAR_AWAY at an edge that another surface owns."""
+        return self.contacts(points)[0]
 
 
 class DeviceNumbers(DeviceObject):

@@ -105,7 +105,7 @@ class RankStepper(Stepper):
         is_due, self.stop_signal = self._rank_rebuild.ghosts.agree(self.requested_stop, rebuild)
         return is_due
 
-    def _advance_batch(self, steps: int, step: int) -> int:
+    def _advance_once(self, steps: int, step: int) -> int:
         """Take one step; returns the number of completed steps, 0 after an abort."""
         state = self.state
         self._prepare_workers()

@@ -15,9 +15,9 @@ from granflow.fields import PARTICLE_QUANTITIES, DeviceType
 from granflow.plan.capacities import (
     BOUNDS,
     MIN_TRIANGLES,
+    POSE_COUNT,
     SCAN_BLOCK,
     SUBPARTS,
-    WALL_BATCH,
     Capacities,
     rounded_capacity,
 )
@@ -158,7 +158,7 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
         DeviceArray("work_on_particles", "f64", (count,), saved=True),
         DeviceArray("work", "f64", (count,), saved=True),
         DeviceArray("was_active", "i32", (count,), saved=True),
-        DeviceArray("active", "i32", (WALL_BATCH, count)),
+        DeviceArray("active", "i32", (POSE_COUNT, count)),
         DeviceArray("wall_force", "i64", (plan.capacities.wall_rows, count), saved=True, by_chunk=True),
     ]
 

@@ -29,7 +29,7 @@ SCAN_BLOCK = 1024
 """Number of cells summed by one task of the prefix sum."""
 REACH_STEPS = 40
 """Number of steps at its velocity that a particle may move between rebuilds, in addition to half the skin."""
-WALL_BATCH = 256
+POSE_COUNT = 256
 """Number of steps whose wall poses are uploaded together."""
 GROWTH_FACTOR = 1.3
 """Factor by which the capacity exceeds the needed list entries when a list grows."""

@@ -37,7 +37,7 @@ from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, surface_speed
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.insertions import TimedInsertion
-from granflow.scene.blocks.motions import TimedMotion, pose
+from granflow.scene.blocks.motions import TimedMotion, poses_at
 from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.walls.wall import Wall
@@ -246,13 +246,13 @@ def _wall_gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -
     reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1)))
     reach += 0.5 * max(group.outer_diameters[1] for group in scene.particles.values())
     end = max(stage_end for _, stage_end in times.values())
-    poses = pose(
+    poses = poses_at(
         [each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count)
     )
     gaps = []
     for offset, rotation in zip(poses.offset, poses.rotation, strict=True):
         local = (points - poses.pivot - offset) @ rotation + poses.pivot
-        gaps.append(float(np.abs(wall.surface.distance(local, reach)).min()) - reach)
+        gaps.append(float(np.abs(wall.surface.distances(local, reach)).min()) - reach)
     return np.array(gaps)
 
 
@@ -292,7 +292,7 @@ def _leaving_text(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.nd
 def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
     """A sentence for each wall with the surface of another one that moves and is present like it.
 
-    Particles are in contact with the first one only, see `engine.walls.build_wall_contact`.
+    Particles are in contact with the first one only, see `engine.walls.JoinedWalls`.
     """
     for first, second in combinations(walls, 2):
         is_alike = first.motions == second.motions and all(
@@ -396,7 +396,7 @@ def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledM
     spacing = length / (SAMPLES_ALONG - 1)
     for index, wall in enumerate(walls):
         if index != motion.wall:
-            near = np.flatnonzero(np.abs(wall.surface.distance(points, spacing)) <= spacing)
+            near = np.flatnonzero(np.abs(wall.surface.distances(points, spacing)) <= spacing)
             length = min(length, float(steps[near[0]])) if len(near) else length
     return length
 

@@ -1,7 +1,10 @@
-"""Walls whose surfaces touch, so that one contact of a particle can be found on several of them.
+"""Joined walls: their surfaces touch, so that one contact of a particle can be found on several of them.
 
-They are found before the run, from motions, planes and bounding boxes. The kernels look for contacts that are
-found twice only at these walls, see `engine.walls.build_wall_contact`.
+They are found before the run, from motions, planes and bounding boxes. With the feature `joined_walls`, the
+kernels look for contacts that are found twice, only at these walls, see `engine.walls.JoinedWalls`.
+
+Edges that surfaces have in common are another matter: each has an owner before the run, without a search
+during it (`geometry.surface.assign_shared_edges`).
 """
 
 from collections.abc import Sequence

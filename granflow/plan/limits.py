@@ -58,8 +58,8 @@ def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -
         face = _face(periodic_box, axis)
         opposite = face + periodic_box.width[axis] * np.eye(3)[axis]
         for wall in walls:
-            distance_low = wall.surface.distance(face, reach)
-            distance_high = wall.surface.distance(opposite, reach)
+            distance_low = wall.surface.distances(face, reach)
+            distance_high = wall.surface.distances(opposite, reach)
             is_near = np.minimum(np.abs(distance_low), np.abs(distance_high)) < reach
             if np.any(is_near & ~(np.abs(distance_low - distance_high) <= DISTANCE_TOLERANCE * reach)):
                 raise SceneError(

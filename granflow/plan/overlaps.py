@@ -34,7 +34,7 @@ from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.wall_control import section
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.motions import pose
+from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
@@ -838,9 +838,9 @@ def _overlaps(
     for wall in walls:
         if not is_present(wall, time, times):
             continue
-        at = pose([each.at(_started(times, time)) for each in wall.motions], np.array([time]))
+        at = poses_at([each.at(_started(times, time)) for each in wall.motions], np.array([time]))
         local = (points - at.pivot - at.offset[0]) @ at.rotation[0] + at.pivot
-        overlap = 1.0 - wall.surface.distance(local, float(radius.max())) / radius
+        overlap = 1.0 - wall.surface.distances(local, float(radius.max())) / radius
         yield wall, overlap.reshape(bodies[1].shape).max(axis=1)
 
 

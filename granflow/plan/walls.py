@@ -12,7 +12,7 @@ from math import inf
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.geometry.surface import Surface, join_shared_edges
+from granflow.geometry.surface import Surface, assign_shared_edges
 from granflow.io.files import FormatError
 from granflow.load import Scene
 from granflow.plan.stages import StageTimes, always
@@ -34,7 +34,7 @@ class PlannedWall:
 
 
 def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[PlannedWall, ...]:
-    """Surfaces of all walls in the order of the scene; shared edges of walls that move together are joined.
+    """Surfaces of all walls in the order of the scene; walls that move together have owners of shared edges.
 
     `material_numbers`: number in the plan of each material by name. Force-controlled walls share no edge with
     others.
@@ -52,7 +52,7 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
         )
         for name, wall in walls.items()
     ]
-    surfaces = join_shared_edges(_surfaces(scene), moves_like)
+    surfaces = assign_shared_edges(_surfaces(scene), moves_like)
     return tuple(
         PlannedWall(
             name=name,

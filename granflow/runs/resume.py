@@ -25,7 +25,7 @@ from granflow.plan.wall_changes import changed_walls, vanishing, wall_named, wit
 from granflow.plan.walls import PlannedWall, wall_motions
 from granflow.runs.checkpoint_checks import check_engine, check_run
 from granflow.runs.observer_list import ObserverList
-from granflow.scene.blocks.motions import MOTIONS, TimedMotion, placement_of, pose
+from granflow.scene.blocks.motions import MOTIONS, TimedMotion, placement_of, poses_at
 from granflow.scene.blocks.scene import SceneInput
 
 
@@ -253,7 +253,7 @@ def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: flo
 
 def _positions(motions: Sequence[TimedMotion], time: float, points: np.ndarray) -> np.ndarray:
     """Return the positions (n, 3) [m] at `time` [s] of points (n, 3) [m] at rest that move with a wall."""
-    pose_at_time = pose(motions, np.array([time]))
+    pose_at_time = poses_at(motions, np.array([time]))
     return (
         (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T
         + pose_at_time.pivot

@@ -10,7 +10,7 @@ from scene_builders import build_scene, particle_group, plane
 import granflow as gf
 from granflow.plan.build import plan_for
 from granflow.plan.wall_changes import with_motions
-from granflow.scene.blocks.motions import placement_at, pose
+from granflow.scene.blocks.motions import placement_at, poses_at
 
 GRAVITY = 9.81
 
@@ -96,7 +96,7 @@ def test_placement_continues_any_motion():
     time = 0.4
 
     def moved(motions, at):
-        found = pose(motions, np.array([at]))
+        found = poses_at(motions, np.array([at]))
         return (points - found.pivot) @ found.rotation[0].T + found.pivot + found.offset[0]
 
     placed = placement_at(earlier, time)
@@ -112,7 +112,7 @@ def test_placement_continues_any_motion():
     np.testing.assert_allclose(moved(later, time + 0.3), expected, atol=1e-12)
     step = 1e-6
     rates = (moved(later, time + 0.3 + step) - moved(later, time + 0.3 - step)) / (2 * step)
-    found = pose(later, np.array([time + 0.3]))
+    found = poses_at(later, np.array([time + 0.3]))
     arms = moved(later, time + 0.3) - found.pivot - found.offset[0]
     np.testing.assert_allclose(
         found.velocity[0] + np.cross(found.angular_velocity[0], arms), rates, atol=1e-8

@@ -17,7 +17,7 @@ from granflow.engine import backend
 from granflow.engine import fields as dispatch
 from granflow.engine import stepper as gpu_stepper
 from granflow.engine.fields import FieldBlock
-from granflow.engine.stepper import GPU_BATCH
+from granflow.engine.stepper import STEPS_BETWEEN_READS
 from granflow.kernel_language import KERNELS
 from granflow.plan import plan as plan_module
 from granflow.plan.plan import Plan
@@ -122,7 +122,7 @@ def dispatches(name):
         rebuilds = engine.timing.rebuild_count
         engine.stepper._since_sample = 0
         counted_tasks()
-        engine.advance(4 * GPU_BATCH)
+        engine.advance(4 * STEPS_BETWEEN_READS)
         found = Counter() if engine.timing.rebuild_count > rebuilds else counted_tasks()
     counted_tasks()
     engine.stepper.rebuild_neighbor_lists(engine.step_count, 0)
@@ -146,6 +146,6 @@ def counted_tasks():
 @pytest.mark.parametrize("name", ["servo and free wall"])
 def test_a_step_is_two_dispatches_and_a_batch_one_read(name):
     steps, rebuild = in_subprocess(dispatches, name)
-    assert steps == {"step_on_gpu": 2 * 4 * GPU_BATCH, "flags": 4}
+    assert steps == {"step_on_gpu": 2 * 4 * STEPS_BETWEEN_READS, "flags": 4}
     assert rebuild["flags"] == 1
     assert rebuild["rebuild_on_gpu"] <= MOST_DISPATCHES_OF_A_REBUILD

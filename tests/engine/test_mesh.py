@@ -15,7 +15,7 @@ from granflow.engine import backend
 from granflow.engine import threads as workers
 from granflow.engine.mesh import from_nearest, may_own, triangle_contact
 from granflow.engine.state import State
-from granflow.geometry.mesh_contact import reference_contact, triangle_distances
+from granflow.geometry.mesh_contact import triangle_contacts, triangle_distances
 from granflow.geometry.surface import FAR_AWAY
 from granflow.io.checkpoint import read_checkpoint
 from granflow.kernel_language import ti
@@ -81,14 +81,14 @@ def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
         first += mesh.triangle_count
         triangles = np.tile(np.arange(mesh.triangle_count), len(points))
         repeated = np.repeat(points, mesh.triangle_count, axis=0)
-        expected, direction = reference_contact(mesh.adjacency, triangles, repeated)
+        expected, direction = triangle_contacts(mesh.adjacency, triangles, repeated)
         distance = triangle_distances(mesh.adjacency.vertex[triangles], repeated)
         np.testing.assert_allclose(gap[:, own].reshape(-1), expected, rtol=0.0, atol=2e-15)
         owned = expected < FAR_AWAY
         found = normal[:, own].reshape(-1, 3)[owned & (expected > 0.0)]
         np.testing.assert_allclose(found, direction[owned & (expected > 0.0)], rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(bare[:, own].reshape(-1), distance, rtol=0.0, atol=2e-15)
-        gap_after_move, _ = reference_contact(
+        gap_after_move, _ = triangle_contacts(
             mesh.adjacency, triangles, np.repeat(moved, mesh.triangle_count, axis=0)
         )
         assert np.all(near[:, own].reshape(-1)[(gap_after_move < FAR_AWAY) | owned] == 1)

@@ -4,7 +4,7 @@ import numpy as np
 from scene_builders import SOFT, build_scene, particle_group, plane
 
 from granflow.engine import walls as wall_poses
-from granflow.plan.capacities import WALL_BATCH
+from granflow.plan.capacities import POSE_COUNT
 from granflow.simulation import Simulation
 
 MOTION = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-4, "frequency": 200.0}
@@ -22,7 +22,7 @@ def simulation_on_a_shaken_floor():
 
 
 def test_snapshots_between_steps_upload_no_poses(taichi_f64, monkeypatch):
-    """300 steps with a snapshot after each 10 need the uploads of the start, and one per WALL_BATCH steps."""
+    """300 steps with a snapshot after each 10 need the uploads of the start, and one per POSE_COUNT steps."""
     simulation = simulation_on_a_shaken_floor()
     uploads = []
     upload = wall_poses.upload_poses
@@ -33,7 +33,7 @@ def test_snapshots_between_steps_upload_no_poses(taichi_f64, monkeypatch):
         simulation.step(10)
         simulation.snapshot(contacts=True)
     rebuilds = simulation.engine.timing.rebuild_count
-    assert len(uploads) <= 2 + rebuilds + 300 // WALL_BATCH
+    assert len(uploads) <= 2 + rebuilds + 300 // POSE_COUNT
     simulation.free()
 
 

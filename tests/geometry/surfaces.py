@@ -72,9 +72,9 @@ def kernel_for(kind, dtype, parameter_dtype):
         for i in range(points.shape[0]):
             point = ti.Vector([points[i, 0], points[i, 1], points[i, 2]])
             numbers = numbers_by_name([parameters[k] for k in ti.static(indices)])
-            found, direction = kind.closest(point, numbers)
+            found, direction = kind.contact(point, numbers)
             distance[i] = found
-            bare[i] = kind.surface_distance(point, numbers)
+            bare[i] = kind.distance(point, numbers)
             for k in ti.static(range(3)):
                 normal[i, k] = direction[k]
 

@@ -5,7 +5,7 @@ import pytest
 from geometry.meshes import cube, mesh, sheet, tube
 
 from granflow.geometry.mesh import grid_over
-from granflow.geometry.mesh_contact import reference_contact, triangle_distances
+from granflow.geometry.mesh_contact import triangle_contacts, triangle_distances
 from granflow.geometry.mesh_file import STL_RECORD, read_triangles
 from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.surface import FAR_AWAY
@@ -18,7 +18,7 @@ def contacts(surface, points):
     count = surface.triangle_count
     triangles = np.tile(np.arange(count), len(points))
     repeated = np.repeat(points, count, axis=0)
-    gap, normal = reference_contact(surface.adjacency, triangles, repeated)
+    gap, normal = triangle_contacts(surface.adjacency, triangles, repeated)
     bare = triangle_distances(surface.adjacency.vertex[triangles], repeated)
     return gap.reshape(-1, count), normal.reshape(-1, count, 3), bare.reshape(-1, count)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from geometry.motions import rotation, surface_velocity, translation, vibration
 
-from granflow.scene.blocks.motions import pose, speed_bound
+from granflow.scene.blocks.motions import poses_at, speed_bound
 from granflow.scene.blocks.walls.half_space import half_space
 from granflow.scene.blocks.walls.rectangle import rectangle
 from granflow.scene.blocks.walls.revolved import cylinder, disc
@@ -23,7 +23,7 @@ MOTIONS = [
 
 def moved(points, motions, times):
     """Positions (k, n, 3) at times (k,) of points (n, 3) given in the initial pose."""
-    poses = pose(motions, times)
+    poses = poses_at(motions, times)
     rotated = np.einsum("kij,nj->kni", poses.rotation, points - poses.pivot)
     return rotated + poses.pivot + poses.offset[:, None, :]
 
@@ -47,7 +47,9 @@ def test_vibration_follows_the_formulas_of_the_schema():
             "t": times - start,
         }
         expected = {name: eval(formulas[name], {"sin": np.sin, "cos": np.cos, **known}) for name in formulas}
-        found = pose([vibration((0, 0, 1), amplitude, angular_frequency, phase=phase, start=start)], times)
+        found = poses_at(
+            [vibration((0, 0, 1), amplitude, angular_frequency, phase=phase, start=start)], times
+        )
         np.testing.assert_allclose(found.offset[:, 2], expected["displacement"], atol=1e-17)
         np.testing.assert_allclose(found.velocity[:, 2], expected["velocity"], atol=1e-15)
         assert found.offset[0, 2] == 0.0
@@ -59,7 +61,7 @@ def test_velocity_is_the_derivative_of_the_pose():
     times = np.random.default_rng(4).uniform(-0.1, 1.1, 400)
     switches = np.array([0.1, 0.2, 0.3, 0.5, 0.8, 0.9])
     times = times[np.abs(times[:, None] - switches).min(axis=1) > 2 * step]
-    poses = pose(MOTIONS, times)
+    poses = poses_at(MOTIONS, times)
     now = moved(points, MOTIONS, times)
     arms = now - poses.pivot - poses.offset[:, None, :]
     velocity = poses.velocity[:, None, :] + np.cross(poses.angular_velocity[:, None, :], arms)
@@ -69,11 +71,11 @@ def test_velocity_is_the_derivative_of_the_pose():
 
 
 def test_wall_is_at_rest_before_the_start_and_after_the_end():
-    early = pose(MOTIONS, np.array([-5.0, 0.0, 0.1]))
+    early = poses_at(MOTIONS, np.array([-5.0, 0.0, 0.1]))
     np.testing.assert_array_equal(early.offset, 0.0)
     np.testing.assert_array_equal(early.rotation, np.broadcast_to(np.eye(3), (3, 3, 3)))
-    late = pose(MOTIONS, np.array([0.9, 1.0, 50.0]))
-    for poses in (pose(MOTIONS, np.array([-5.0, 0.05])), late):
+    late = poses_at(MOTIONS, np.array([0.9, 1.0, 50.0]))
+    for poses in (poses_at(MOTIONS, np.array([-5.0, 0.05])), late):
         np.testing.assert_array_equal(poses.velocity, 0.0)
         np.testing.assert_array_equal(poses.angular_velocity, 0.0)
     np.testing.assert_array_equal(late.offset, np.broadcast_to(late.offset[0], (3, 3)))
@@ -89,13 +91,13 @@ def test_poses_are_continuous():
 def test_motion_with_infinite_start_does_not_move():
     """The start of a motion that depends on a stage is infinite until the stage begins."""
     motions = [vibration((0, 0, 1), 0.1, 10.0), rotation((0, 0, 0), (0, 0, 1), 1.0)]
-    poses = pose([each.not_before(inf) for each in motions], np.array([0.0, 1e6]))
+    poses = poses_at([each.not_before(inf) for each in motions], np.array([0.0, 1e6]))
     np.testing.assert_array_equal(poses.offset, 0.0)
     np.testing.assert_array_equal(poses.rotation, np.broadcast_to(np.eye(3), (2, 3, 3)))
 
 
 def test_rotation_follows_the_right_hand_rule():
-    poses = pose([rotation((1, 0, 0), (0, 0, 1), pi / 2)], np.array([1.0]))
+    poses = poses_at([rotation((1, 0, 0), (0, 0, 1), pi / 2)], np.array([1.0]))
     np.testing.assert_allclose(poses.rotation[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     np.testing.assert_allclose(
         moved(np.array([[2.0, 0, 0]]), [rotation((1, 0, 0), (0, 0, 1), pi / 2)], 1.0)[0, 0], [1, 1, 0]
@@ -103,7 +105,7 @@ def test_rotation_follows_the_right_hand_rule():
 
 
 def test_rotations_stay_orthogonal():
-    matrices = pose([rotation((0, 0, 0), AXIS, 7.0)], np.linspace(0, 100, 50)).rotation
+    matrices = poses_at([rotation((0, 0, 0), AXIS, 7.0)], np.linspace(0, 100, 50)).rotation
     np.testing.assert_allclose(
         matrices @ matrices.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-14
     )
@@ -111,21 +113,21 @@ def test_rotations_stay_orthogonal():
 
 
 def test_no_motion_is_rest():
-    poses = pose([], np.zeros(2))
+    poses = poses_at([], np.zeros(2))
     np.testing.assert_array_equal(poses.offset, 0.0)
     np.testing.assert_array_equal(poses.rotation[1], np.eye(3))
 
 
 def test_two_rotations_are_rejected():
     with pytest.raises(ValueError, match="at most one rotation"):
-        pose([MOTIONS[2], MOTIONS[2]], np.zeros(1))
+        poses_at([MOTIONS[2], MOTIONS[2]], np.zeros(1))
 
 
 def test_speed_bound_is_the_maximum_speed():
     assert speed_bound([], 1.0) == 0.0
     bound = speed_bound(MOTIONS, 0.4)
     assert bound == pytest.approx(0.01 * 50 * pi + np.sqrt(0.14) + 5.0 * 0.4)
-    poses = pose([vibration((0, 0, 1), 0.01, 10.0)], np.linspace(0, 1, 1000))
+    poses = poses_at([vibration((0, 0, 1), 0.01, 10.0)], np.linspace(0, 1, 1000))
     assert np.abs(poses.velocity).max() == pytest.approx(speed_bound([vibration((0, 0, 1), 0.01, 10.0)], 1.0))
 
 
@@ -141,7 +143,7 @@ def test_ramps_change_velocities_linearly():
     """Half-way through the ramp the velocity is the mean of both; the displacement is that of the mean
     velocity."""
     times = np.array([0.1, 0.225, 0.35, 0.5, 1.0])
-    found = pose(RAMPS[:1], times)
+    found = poses_at(RAMPS[:1], times)
     first, last = np.array(RAMPS[0].initial_velocity), np.array(RAMPS[0].velocity)
     np.testing.assert_allclose(
         found.velocity, [first, (first + last) / 2, last, last, 0.0 * last], atol=1e-15
@@ -158,7 +160,7 @@ def test_velocities_of_ramps_are_derivatives_of_the_pose():
     times = np.random.default_rng(4).uniform(0.0, 1.0, 400)
     switches = np.array([0.1, 0.3, 0.35, 0.5, 0.8, 0.9])
     times = times[np.abs(times[:, None] - switches).min(axis=1) > 2 * step]
-    poses = pose(RAMPS, times)
+    poses = poses_at(RAMPS, times)
     now = moved(points, RAMPS, times)
     arms = now - poses.pivot - poses.offset[:, None, :]
     velocity = poses.velocity[:, None, :] + np.cross(poses.angular_velocity[:, None, :], arms)
@@ -177,7 +179,9 @@ def test_surface_velocity_turns_with_the_wall_and_does_not_move_it():
         (0.0, 3.0, 0.0), start=0.5, initial_velocity=(0.0, 1.0, 0.0), ramp_duration=1.0
     )
     turning = rotation((1, 0, 0), (0, 0, 1), pi / 2)
-    found, alone = (pose(motions, np.array([0.4, 1.0, 2.0])) for motions in ([turning, surface], [turning]))
+    found, alone = (
+        poses_at(motions, np.array([0.4, 1.0, 2.0])) for motions in ([turning, surface], [turning])
+    )
     np.testing.assert_allclose(found.surface_velocity, [[0, 0, 0], [-2, 0, 0], [0, -3, 0]], atol=1e-15)
     for name in ("offset", "rotation", "velocity", "angular_velocity", "pivot"):
         np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))

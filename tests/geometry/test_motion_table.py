@@ -9,7 +9,7 @@ from geometry.motions import table as table_motion
 from scipy.integrate import trapezoid
 
 from granflow.geometry.motion import MotionTable
-from granflow.scene.blocks.motions import pose, speed_bound
+from granflow.scene.blocks.motions import poses_at, speed_bound
 
 TIMES, VALUES = (0.0, 0.2, 0.5, 0.6, 1.0), (0.3, 0.4, 0.4, 1.0, 0.1)
 RATES = (0.0, 2.0, 2.0, -1.0, 0.0)
@@ -61,7 +61,7 @@ def test_a_densely_tabulated_sine_is_a_vibration():
     displacements = 0.01 * np.sin(2 * pi * times)
     motion = table_motion(times, displacements=displacements, direction=(0.0, 0.0, 1.0), start=0.5)
     at = 0.5 + np.linspace(0.0, 0.999, 777)
-    found = pose([motion], at)
+    found = poses_at([motion], at)
     np.testing.assert_allclose(
         found.offset[:, 2], 0.01 * np.sin(2 * pi * (at - 0.5)), atol=0.01 * (2 * pi / 200) ** 2
     )
@@ -72,14 +72,14 @@ def test_the_wall_is_at_rest_outside_the_table():
     motion = table_motion(
         (0.1, 0.2), displacements=(0.0, 3.0), direction=(1.0, 0.0, 0.0), start=1.0, end=1.15
     )
-    found = pose([motion], np.array([0.0, 1.05, 1.12, 1.5, 9.0]))
+    found = poses_at([motion], np.array([0.0, 1.05, 1.12, 1.5, 9.0]))
     np.testing.assert_allclose(found.offset[:, 0], [0.0, 0.0, 0.6, 1.5, 1.5], atol=1e-12)
     np.testing.assert_allclose(found.velocity[:, 0], [0.0, 0.0, 30.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_angles_turn_the_wall_about_the_axis():
     motion = table_motion((0.0, 1.0, 2.0), angles=(0.0, pi / 2, pi), point=(1, 0, 0), axis=(0, 0, 1))
-    found = pose([motion], np.array([1.0, 2.5]))
+    found = poses_at([motion], np.array([1.0, 2.5]))
     np.testing.assert_allclose(found.rotation @ [1, 0, 0], [[0, 1, 0], [-1, 0, 0]], atol=1e-15)
     np.testing.assert_allclose(found.angular_velocity, [[0, 0, pi / 2], [0, 0, 0]], atol=1e-15)
     assert speed_bound([motion], 2.0) == pytest.approx(pi)

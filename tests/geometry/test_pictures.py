@@ -16,7 +16,7 @@ CENTER = np.array([0.2, 0.1, 0.3])
 def test_triangle_corners_lie_on_the_surface(name):
     shape = SHAPES[name]
     points, faces = shape.triangles(CENTER, 0.5)
-    distance, _ = shape.closest_to(points)
+    distance, _ = shape.contacts(points)
     np.testing.assert_allclose(distance, 0.0, atol=1e-14)
     assert set(faces.ravel()) == set(range(len(points)))
 

@@ -25,7 +25,7 @@ def test_device_equals_reference(taichi_f64, name):
     shape = SHAPES[name]
     points = points_around(shape, 10_000)
     distance, normal, _ = on_device(shape, points)
-    expected_distance, expected_normal = shape.closest_to(points)
+    expected_distance, expected_normal = shape.contacts(points)
     tolerance = 4 * EPSILON * COORDINATE_SIZE
     np.testing.assert_allclose(distance, expected_distance, rtol=0, atol=tolerance)
     # A tangential error of `tolerance` rotates the normal by tolerance / distance; below 1e-9 it is
@@ -93,7 +93,7 @@ def test_normal_on_the_axis_is_a_unit_vector(taichi_f64, name):
     shape = SHAPES[name]
     points = shape.numbers[0:3] + np.linspace(-2, 2, 9)[:, None] * shape.numbers[3:6]
     distance, normal, _ = on_device(shape, points)
-    expected, _ = shape.closest_to(points)
+    expected, _ = shape.contacts(points)
     np.testing.assert_allclose(distance, expected, atol=4 * EPSILON * COORDINATE_SIZE)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=8 * EPSILON)
 
@@ -104,7 +104,7 @@ def test_distance_in_lower_precisions_is_within_rounding(taichi_f64, name, types
     shape = SHAPES[name]
     points = points_around(shape, 2_000)
     distance, _, _ = on_device(shape, points, *types)
-    expected, _ = shape.closest_to(points.astype(float))
+    expected, _ = shape.contacts(points.astype(float))
     np.testing.assert_allclose(distance, expected, atol=8 * np.finfo(np.float32).eps * COORDINATE_SIZE)
 
 
@@ -131,7 +131,7 @@ from geometry.surfaces import SHAPES, on_device, points_around
 for shape in SHAPES.values():
     points = points_around(shape, 500)
     distance, normal, _ = on_device(shape, points)
-    expected, _ = shape.closest_to(points)
+    expected, _ = shape.contacts(points)
     assert np.abs(distance - expected).max() < 1e-14, shape.kind
     assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-14, shape.kind
 """

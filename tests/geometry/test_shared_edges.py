@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from geometry.surfaces import on_device
 
-from granflow.geometry.surface import FAR_AWAY, join_shared_edges
+from granflow.geometry.surface import FAR_AWAY, assign_shared_edges
 from granflow.scene.blocks.walls.half_space import half_space
 from granflow.scene.blocks.walls.revolved import cone, cylinder, disc
 
@@ -18,7 +18,7 @@ def contacts(shapes, point, reach=REACH):
     points = np.array([[point[0], 0.0, point[1]]])
     found = []
     for index, shape in enumerate(shapes):
-        distance, _ = shape.closest_to(points)
+        distance, _ = shape.contacts(points)
         on_the_device, _, _ = on_device(shape, points)
         assert on_the_device[0] == pytest.approx(distance[0], abs=1e-15)
         if distance[0] < reach:
@@ -36,7 +36,7 @@ def hopper(flip):
 def test_convex_edge_has_one_contact(taichi_f64, flip):
     """The edge of the orifice from inside: between the normals of cone and tube the edge is the nearest
     feature."""
-    shapes = join_shared_edges(hopper(flip), [0, 0])
+    shapes = assign_shared_edges(hopper(flip), [0, 0])
     cone_normal = np.array([-2.0, 1.0]) / np.sqrt(5)
     tube_normal = np.array([-1.0, 0.0])
     middle = cone_normal + tube_normal
@@ -49,7 +49,7 @@ def test_convex_edge_has_one_contact(taichi_f64, flip):
 def test_concave_corner_has_two_face_contacts(taichi_f64, flip):
     """Outside the hopper, in the corner between cone and tube: contacts with both faces, none with the
     edge."""
-    shapes = join_shared_edges(hopper(flip), [0, 0])
+    shapes = assign_shared_edges(hopper(flip), [0, 0])
     assert contacts(shapes, (0.12, -0.001)) == [0, 1]
     assert contacts(shapes, (0.12, -0.02)) == [1]
     assert contacts(hopper(flip), (0.12, -0.02)) == [0, 1]
@@ -58,7 +58,7 @@ def test_concave_corner_has_two_face_contacts(taichi_f64, flip):
 def test_joined_shapes_keep_the_distance_around_a_convex_edge(taichi_f64):
     """The distance to the union of both surfaces is exact, and no two contacts have the same contact
     point."""
-    shapes = join_shared_edges(hopper(False), [0, 0])
+    shapes = assign_shared_edges(hopper(False), [0, 0])
     angle = np.linspace(0, 2 * np.pi, 721)
     points = np.stack([0.1 + 0.02 * np.cos(angle), 0 * angle, 0.02 * np.sin(angle)], axis=1)
     free = np.array([on_device(shape, points)[0] for shape in hopper(False)])
@@ -73,19 +73,19 @@ def test_joined_shapes_keep_the_distance_around_a_convex_edge(taichi_f64):
 
 
 def test_gate_at_the_end_of_a_cone_shares_its_edge(taichi_f64):
-    shapes = join_shared_edges(
+    shapes = assign_shared_edges(
         [cone([0, 0, 0], [0, 0, 1], 0.1, 0.6), disc([0, 0, 0], [0, 0, -1], 0.1)], ["still", "still"]
     )
     assert contacts(shapes, (0.099, 0.01)) == [0, 1]
     assert contacts(shapes, (0.05, 0.01)) == [1]
     assert len(contacts(shapes, (0.11, -0.01))) == 1
-    opened = join_shared_edges(shapes[:1], ["still"])
+    opened = assign_shared_edges(shapes[:1], ["still"])
     assert contacts(opened, (0.1, -0.01)) == [0]
 
 
 def test_split_cylinder_acts_as_one_cylinder(taichi_f64):
     """Two halves end to end: one contact and no gap at the joint."""
-    shapes = join_shared_edges(
+    shapes = assign_shared_edges(
         [cylinder([0, 0, 0], [0, 0, 0.5], 0.2), cylinder([0, 0, 0.5], [0, 0, 1], 0.2)], [0, 0]
     )
     for z in (0.499, 0.5, 0.501):
@@ -96,7 +96,7 @@ def test_split_cylinder_acts_as_one_cylinder(taichi_f64):
 def test_edge_of_three_shapes_has_one_owner(taichi_f64):
     """Cone, tube and an outward shelf: only the two shapes adjacent to the widest opening can own the
     edge."""
-    shapes = join_shared_edges([*hopper(False), disc([0, 0, 0], [0, 0, 1], 0.5, 0.1)], [0, 0, 0])
+    shapes = assign_shared_edges([*hopper(False), disc([0, 0, 0], [0, 0, 1], 0.5, 0.1)], [0, 0, 0])
     assert (
         sum(
             getattr(shape, name)
@@ -109,7 +109,9 @@ def test_edge_of_three_shapes_has_one_owner(taichi_f64):
 
 
 def test_edge_of_a_tube_on_a_plate_is_not_shared(taichi_f64):
-    shapes = join_shared_edges([cylinder([0, 0, 0], [0, 0, 1], 0.2), disc([0, 0, 0], [0, 0, 1], 0.5)], [0, 0])
+    shapes = assign_shared_edges(
+        [cylinder([0, 0, 0], [0, 0, 1], 0.2), disc([0, 0, 0], [0, 0, 1], 0.5)], [0, 0]
+    )
     assert contacts(shapes, (0.2, -0.01)) == [1]
     assert contacts(shapes, (0.19, 0.01)) == [0, 1]
 
@@ -117,13 +119,13 @@ def test_edge_of_a_tube_on_a_plate_is_not_shared(taichi_f64):
 def test_walls_with_different_motions_share_no_edge(taichi_f64):
     free = hopper(False)
     for groups in ([0, 1], ["still", ("still", "gate")]):
-        for shape, before in zip(join_shared_edges(free, groups), free, strict=True):
+        for shape, before in zip(assign_shared_edges(free, groups), free, strict=True):
             np.testing.assert_array_equal(shape.numbers, before.numbers)
 
 
 def test_joining_shared_edges_ignores_other_kinds_and_is_idempotent(taichi_f64):
     shapes = [half_space([0, 0, 0], [0, 0, 1]), *hopper(True)]
-    once = join_shared_edges(shapes, [0, 0, 0])
+    once = assign_shared_edges(shapes, [0, 0, 0])
     assert once[0] is shapes[0]
-    for first, second in zip(once, join_shared_edges(once, [0, 0, 0]), strict=True):
+    for first, second in zip(once, assign_shared_edges(once, [0, 0, 0]), strict=True):
         np.testing.assert_array_equal(first.numbers, second.numbers)

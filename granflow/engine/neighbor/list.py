@@ -261,7 +261,7 @@ class NeighborListFill:
             if self.state.walls.present[w] == 1 and self.can_touch(owner.i, -1 - w):
                 if ti.static(self.plan.features.mesh_walls):
                     list_end = self._append_triangles(owner, list_end, w)
-                if self.geometry.distance(w, owner.pose, position) < search_radius:
+                if self.geometry.wall_distance(w, owner.pose, position) < search_radius:
                     list_end = self._append(owner, list_end, -1 - w)
         return list_end
 

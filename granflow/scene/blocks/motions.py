@@ -770,7 +770,7 @@ def _point_and_axis(point: Sequence[float], axis: Sequence[float]) -> tuple[np.n
 # The pose of a wall with several motions: at most one is a rotation, and the first can be a placement.
 
 
-def pose(motions: Sequence[TimedMotion], times: np.ndarray) -> Poses:
+def poses_at(motions: Sequence[TimedMotion], times: np.ndarray) -> Poses:
     """Pose of a wall at `times` (k,) [s], or at one time; the rest pose without motions.
 
     Force-controlled motions are ignored: the device integrates them. After a placement, the points of all
@@ -778,7 +778,7 @@ def pose(motions: Sequence[TimedMotion], times: np.ndarray) -> Poses:
     """
     placement = placement_of(motions)
     if placement is not None:
-        return _placed(placement, pose(motions[1:], times), single_rotation(motions) is not None)
+        return _placed(placement, poses_at(motions[1:], times), single_rotation(motions) is not None)
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset, velocity, surface_velocity = np.zeros((3, len(times), 3))
     for motion in motions:
@@ -824,7 +824,7 @@ def _rotation_of(motion: TimedMotion | None, times: np.ndarray) -> tuple[np.ndar
 
 def placement_at(motions: Sequence[TimedMotion], time: float) -> Placement:
     """The pose of a wall with these motions at `time` [s], at which they end."""
-    reached = pose(motions, np.array([time]))
+    reached = poses_at(motions, np.array([time]))
     rotation = reached.rotation[0]
     pivot = reached.pivot
     translation = reached.offset[0] + pivot - rotation @ pivot

@@ -56,14 +56,14 @@ class HalfSpace(AnalyticSurface):
 
     @staticmethod
     @ti.func
-    def closest(x, numbers):
+    def contact(x, numbers):
         """Signed distance from the plane and normal of the plane.
 
             d = (x - p) . n
 
         Returns:  d [m], negative behind the plane; n
         """
-        return HalfSpace.surface_distance(x, numbers), numbers.normal
+        return HalfSpace.distance(x, numbers), numbers.normal
 
     @staticmethod
     @ti.func
@@ -73,11 +73,13 @@ class HalfSpace(AnalyticSurface):
 
     @staticmethod
     @ti.func
-    def surface_distance(x, numbers):
+    def distance(x, numbers):
         """Signed distance from the plane [m]."""
         return (x - numbers.point).dot(numbers.normal)
 
-    def closest_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def contacts(
+        self, points: np.ndarray, triangles: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Project the point, measure along the normal."""
         distance = (points - self.point) @ self.normal
         return distance, np.broadcast_to(self.normal, points.shape).copy()

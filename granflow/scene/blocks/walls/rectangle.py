@@ -1,6 +1,6 @@
 """Rectangle: a thin, flat, two-sided plate.
 
-Where rectangles touch each other or other walls, `engine.walls.build_wall_contact` finds the one that has a
+Where rectangles touch each other or other walls, `engine.walls.JoinedWalls` finds the one that has a
 contact.
 """
 
@@ -74,7 +74,7 @@ class Plate(AnalyticSurface):
 
     @staticmethod
     @ti.func
-    def closest(point, numbers):
+    def contact(point, numbers):
         """Distance [m] from the rectangle and unit vector from its nearest point.
 
         At distance 0 the unit vector is the normal of the plane.
@@ -99,7 +99,7 @@ class Plate(AnalyticSurface):
 
     @staticmethod
     @ti.func
-    def surface_distance(point, numbers):
+    def distance(point, numbers):
         """Distance from the rectangle [m], at least 0."""
         return Plate.coordinates(point, numbers).norm()
 
@@ -118,7 +118,9 @@ class Plate(AnalyticSurface):
         beyond2 = along2 - ti.min(ti.max(along2, 0.0), numbers.length2)
         return ti.Vector([beyond1, beyond2, height])
 
-    def closest_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def contacts(
+        self, points: np.ndarray, triangles: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The nearest point, then the vector from it."""
         frame = np.array([self.direction1, self.direction2])
         along = np.clip((points - self.corner) @ frame.T, 0.0, [self.length1, self.length2])

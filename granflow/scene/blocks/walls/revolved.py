@@ -191,7 +191,7 @@ class Revolved(AnalyticSurface):
 
     @staticmethod
     @ti.func
-    def closest(point, numbers):
+    def contact(point, numbers):
         """Distance [m] from the surface and unit vector from its nearest point to the point.
 
         The distance is FAR_AWAY if the nearest point is on an edge that another wall owns. On the surface the
@@ -238,7 +238,7 @@ class Revolved(AnalyticSurface):
 
     @staticmethod
     @ti.func
-    def surface_distance(point, numbers):
+    def distance(point, numbers):
         """Distance [m] from the surface, at least 0.
 
         Shared edges have no effect on it.
@@ -295,7 +295,9 @@ class Revolved(AnalyticSurface):
         beyond = along - ti.min(ti.max(along, 0.0), numbers.length)
         return along, beyond, height
 
-    def closest_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def contacts(
+        self, points: np.ndarray, triangles: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The nearest point on the section through the point."""
         axis = self.axis
         start, end = self.profile
@@ -372,7 +374,7 @@ class Revolved(AnalyticSurface):
         """Whether it is a cylinder along the normal."""
         return self.direction_r == 0.0 and is_parallel(self.axis, normal)
 
-    def joined(self, surfaces: Sequence[Surface], index: int) -> "Revolved":
+    def with_edge_owners(self, surfaces: Sequence[Surface], index: int) -> "Revolved":
         """See `Surface`: both edges, with coaxial surfaces of revolution."""
         partners = {
             k: each
