@@ -339,12 +339,11 @@ def _flow(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Displacement of a force-controlled wall in one step above the limit."""
-    kind = next(
-        controlled.kind
+    slower = next(
+        controlled.spec.slower
         for controlled in plan.controlled_motions
         if diagnosis.body.name == f"wall {controlled.name}"
     )
-    slower = "Lower its velocity_max." if kind == "servo" else "Increase its mass or damping."
     limit = plan.wall_travel_limit
     planned = SPEED_MARGIN * diagnosis.body.speed * plan.travel_limit / limit
     advice = remedy(plan.step.is_given, diagnosis.body.speed, planned, limit)

@@ -1,20 +1,16 @@
 """Forces of the particles on walls: force-controlled walls, which move by them, and measured walls.
 
-A force-controlled wall has one or more motions of the kinds servo and free:
-
-    servo   v(t + dt/2) = v(t - dt/2) + {gain [F - f(t)] - v(t - dt/2)} / (1 + lag), limited to +-velocity_max
-    free    v(t + dt/2) = [(1 - a) v(t - dt/2) + dt/M (F - f(t))] / (1 + a),   a = c dt / 2M
-    both    x(t + dt) = x(t) + dt v(t + dt/2)
-
-with f [N] the force of the wall on the particles along its direction, and F [N] the target force of a servo,
-or the weight and the applied force of a free wall; gain [m/(N s)], lag [steps], mass M [kg] and damping c [N
-s/m] are those of the plan. As in the leapfrog scheme of the particles, the velocity of a wall is half a step
-behind its position, and both are integrated in the same phase of the step.
+A force-controlled wall has one or more motions of the kinds of `scene.blocks.motions.ForceControlledMotion`.
+The kind has the velocity at the next half step, given the force f [N] of the wall on the particles along its
+direction; all kinds have x(t + dt) = x(t) + dt v(t + dt/2). As in the leapfrog scheme of the particles, the
+velocity of a wall is half a step behind its position, and both are integrated in the same phase of the step.
 
 The force phase of a step sums f exactly per chunk, and the integration phase of the next one moves the walls
 (`ForceControlledWalls`). Measured walls have time integrals of their forces (`WallImpulses`), from which the
 host computes means over any interval.
 """
+
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -42,37 +38,26 @@ class ControlledMotion:
     """
 
     def __init__(self, state: State, index: int) -> None:
-        self.is_servo = state.plan.controlled_motions[index].kind == "servo"
+        planned = state.plan.controlled_motions[index]
+        readers = {name: state.parameter(f"motion.{index}.{name}") for name in planned.numbers}
+        numbers = SimpleNamespace(**readers)
         self.r = index
         self.fields = state.wall_dynamics
         self.wall = state.parameter(f"motion.{index}.wall")
         self.direction = state.parameter(f"motion.{index}.direction")
-        self.force = state.parameter(f"motion.{index}.force")
-        self.gain = state.parameter(f"motion.{index}.gain")
-        self.lag = state.parameter(f"motion.{index}.lag")
-        self.velocity_max = state.parameter(f"motion.{index}.velocity_max")
-        self.mass = state.parameter(f"motion.{index}.mass")
-        self.damping = state.parameter(f"motion.{index}.damping")
+        self.velocity_of_kind = planned.spec.build_velocity(numbers)
+        self.is_body = planned.spec.is_body
+        self.other_force = planned.spec.build_other_force(numbers) if self.is_body else None
 
     @ti.func
     def velocity_after(self, force_on_wall, dt):
-        """Velocity [m/s] at the next half step; the first kick of a free wall is half a step."""
-        velocity = self.fields.velocity[self.r]
-        if ti.static(self.is_servo):
-            velocity += (self.gain() * (self.force() + force_on_wall) - velocity) / (1.0 + self.lag())
-            velocity = ti.max(ti.min(velocity, self.velocity_max()), -self.velocity_max())
-        else:
-            kick = dt / self.mass() * (self.force() + force_on_wall)
-            if self.fields.was_active[self.r] == 0:
-                kick = 0.5 * kick
-            drag = 0.5 * self.damping() * dt / self.mass()
-            velocity = ((1.0 - drag) * velocity + kick) / (1.0 + drag)
-        return velocity
+        """Velocity [m/s] at the next half step."""
+        is_first = self.fields.was_active[self.r] == 0
+        return self.velocity_of_kind(self.fields.velocity[self.r], force_on_wall, dt, is_first)
 
     @ti.func
     def add_work(self, force_on_wall, velocity, dt):
-        """Add the work on the particles, and of other forces on a free wall, with the mean velocity: exact
-        for it.
+        """Add the work on the particles, and of other forces on a body, with the mean velocity: exact for it.
 
         velocity:  at the next half step [m/s]
         """
@@ -83,9 +68,9 @@ class ControlledMotion:
         self.fields.work_on_particles[self.r] = (
             self.fields.work_on_particles[self.r] - force_on_wall * displacement
         )
-        if ti.static(not self.is_servo):
+        if ti.static(self.is_body):
             self.fields.work[self.r] = (
-                self.fields.work[self.r] + (self.force() - self.damping() * velocity_mean) * displacement
+                self.fields.work[self.r] + self.other_force(velocity_mean) * displacement
             )
 
 
@@ -281,11 +266,12 @@ def controlled_totals(state: State) -> dict[str, float]:
                 (prescribed.velocity[0] + velocities[wall]) @ direction
             )
     if state.plan.features.energy_budget:
-        free = [r for r, controlled in enumerate(controlled_motions) if controlled.kind == "free"]
+        bodies = [r for r, controlled in enumerate(controlled_motions) if controlled.spec.is_body]
         found["free_wall_energy"] = sum(
-            0.5 * controlled_motions[r].mass * float(velocity[r]) ** 2 for r in free
+            controlled_motions[r].spec.kinetic_energy(controlled_motions[r].numbers, float(velocity[r]))
+            for r in bodies
         )
-        found["free_wall_work"] = float(work[free].sum())
+        found["free_wall_work"] = float(work[bodies].sum())
     return found
 
 
@@ -318,17 +304,12 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     velocity = velocity_half.copy()
     for r in np.flatnonzero(fields.was_active.to_numpy()):
         controlled = state.plan.controlled_motions[r]
-        is_free = controlled.kind == "free"
-        if is_free:
-            drag = 0.5 * controlled.damping * half / controlled.mass
-            velocity[r] = (
-                (1.0 - drag) * velocity_half[r]
-                + half / controlled.mass * (controlled.force + force_on_wall[r])
-            ) / (1.0 + drag)
+        spec = controlled.spec
+        velocity[r] = spec.velocity_at_positions(controlled.numbers, velocity_half[r], force_on_wall[r], half)
         velocity_mean = 0.5 * (velocity_half[r] + velocity[r])
         work_on_particles[r] -= half * velocity_mean * force_on_wall[r]
-        if is_free:
-            work[r] += half * velocity_mean * (controlled.force - controlled.damping * velocity_mean)
+        if spec.is_body:
+            work[r] += half * velocity_mean * spec.other_force(controlled.numbers, velocity_mean)
     return velocity, work_on_particles, work
 
 

@@ -218,8 +218,12 @@ ENGINE_SOURCES = (
     "parallel",
     "particles",
     "plan",
+    "scene/blocks/insertions.py",
     "scene/blocks/motions.py",
     "scene/blocks/outlets.py",
+    "scene/blocks/particle_shapes",
+    "scene/blocks/sizes.py",
+    "scene/blocks/walls",
     "taichi_patches.py",
 )
 """Parts of the package that determine the motion of a run."""

@@ -318,11 +318,11 @@ def _of_flows(plan: Plan) -> Iterator[Parameter]:
 
 
 def _of_motion(prefix: str, motion: ControlledMotion) -> Iterator[Parameter]:
-    """Wall, direction and constants of a force-controlled motion."""
+    """Wall, direction and numbers of a force-controlled motion."""
     yield _scalar(f"{prefix}.wall", "i32", motion.wall)
     yield _vector(f"{prefix}.direction", "f64", motion.direction)
-    for name in ("force", "gain", "lag", "velocity_max", "mass", "damping"):
-        yield _scalar(f"{prefix}.{name}", "real", getattr(motion, name))
+    for name, value in motion.numbers.items():
+        yield _scalar(f"{prefix}.{name}", "real", value)
 
 
 # Structure: what the machine code of a plan depends on. Plans of equal structure differ in parameters only.
@@ -349,7 +349,7 @@ def structure_of(plan: Plan) -> Hashable:
         plan.surface_kinds,
         bool(plan.meshes),
         tuple(outlet.kind for outlet in plan.scene.outlets.values()),
-        tuple(motion.kind for motion in plan.controlled_motions),
+        tuple(motion.spec.kind for motion in plan.controlled_motions),
         tuple((array.name, array.dtype, array.width) for array in particle_arrays(plan) if array.wanted),
         _without_lists(plan.capacities),
         tuple(array.shape for array in mesh_arrays(plan)) if plan.meshes else (),

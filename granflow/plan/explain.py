@@ -25,7 +25,6 @@ from granflow.plan.cost import (
 from granflow.plan.features import Reason
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import rayleigh_time
-from granflow.plan.wall_control import describe
 from granflow.scene.blocks.contact import LawSettings
 from granflow.scene.blocks.run import Stage
 from granflow.schema.quantities import unit_of
@@ -157,11 +156,9 @@ def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
 def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the force-controlled walls with their parameters."""
     for controlled in plan.controlled_motions:
-        yield ExplainRow(
-            controlled.name,
-            controlled.kind,
-            f"{', '.join(f'{name} {value}' for name, value in describe(controlled))} ({controlled.source})",
-        )
+        numbers = controlled.spec.numbers_in_words(controlled.numbers)
+        words = ", ".join(f"{name} {value}" for name, value in numbers)
+        yield ExplainRow(controlled.name, controlled.spec.kind, f"{words} ({controlled.source})")
 
 
 def _table_rows(plan: Plan) -> Iterator[ExplainRow]:

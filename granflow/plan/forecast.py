@@ -317,8 +317,6 @@ SAMPLES_ALONG = 400
 """Points along the path of a servo at which its distance from other walls is computed."""
 ALONG_GRAVITY = 1e-6
 """Largest deviation of the direction of a servo from that of gravity, as the cosine of their angle."""
-VELOCITY_MARGIN = 1.2
-"""Recommended over required velocity."""
 
 
 def servo_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
@@ -337,19 +335,20 @@ def servo_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
         motions = [each for each in plan.controlled_motions if each.name == name]
         given = plan.scene.walls[name].motion
         area = plan.walls[motions[0].wall].surface.area
-        if area is None or any(each.kind != "servo" for each in given):
+        if area is None or not all(each.follows_force for each in given):
             continue
         first = min(motions, key=lambda each: _servo_span(given[each.motion], times)[0])
         if not _is_along(plan.scene.gravity, first):
             continue
         distance = _distance_from_bed(plan, first, area)
         duration = _servo_span(given[first.motion], times)[1]
-        velocity, limit = first.approach(first.force)
+        velocity, limit = first.spec.approach(first.numbers, first.force)
         if velocity * duration < distance:
             yield (
-                f"walls.{name}.motion ({first.source}): the servo moves at most {velocity * duration:.3g} m "
-                f"({velocity:.3g} m/s, {limit}, for {duration:.3g} s), but the bed is about {distance:.3g} m "
-                f"away: it does not reach {first.force:.3g} N. {_servo_remedy(first, distance, duration)}"
+                f"walls.{name}.motion ({first.source}): the {first.spec.kind} moves at most "
+                f"{velocity * duration:.3g} m ({velocity:.3g} m/s, {limit}, for {duration:.3g} s), but the "
+                f"bed is about {distance:.3g} m away: it does not reach {first.force:.3g} N. "
+                f"{first.spec.remedy_of_distance(first.numbers, distance, duration)}"
             )
 
 
@@ -399,24 +398,6 @@ def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledM
             near = np.flatnonzero(np.abs(wall.surface.distances(points, spacing)) <= spacing)
             length = min(length, float(steps[near[0]])) if len(near) else length
     return length
-
-
-def _servo_remedy(motion: ControlledMotion, distance: float, duration: float) -> str:
-    """Instruction with which the servo moves by `distance` [m] in `duration` [s], by what limits the
-    velocity."""
-    needed = VELOCITY_MARGIN * distance / duration
-    free = motion.gain * abs(motion.force)
-    parts = []
-    if needed > motion.velocity_max:
-        parts.append(f"set velocity_max to {needed:.2g} m/s or more")
-    if needed > free:
-        target = abs(motion.force) * needed / free
-        parts.append(f"raise gain or the target (to {target:.2g} N at this gain)")
-    time = f"give it {VELOCITY_MARGIN * distance / min(free, motion.velocity_max):.2g} s"
-    text = f"{' and '.join(parts)}, {time}, or start it closer to the bed"
-    if free < motion.velocity_max:
-        text += "; or approach by a translation, in a stage that ends at a force on the wall"
-    return f"{text[0].upper()}{text[1:]}."
 
 
 # Insertions: runs that are too short, rates too high for a face or region, inlets turned backward.

@@ -50,7 +50,7 @@ class ServoForces:
 
     def begin(self, engine: Engine, longest: float) -> None:
         """Begin a stage that lasts up to `longest` [s]."""
-        has_servo = any(motion.kind == "servo" for motion in engine.plan.controlled_motions)
+        has_servo = any(motion.spec.follows_force for motion in engine.plan.controlled_motions)
         self.samples = []
         self.next_sample = engine.time + longest / SAMPLES_PER_STAGE if has_servo else inf
 
@@ -90,7 +90,7 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
     middle = np.array([engine.time - 0.5 * engine.time_step])
     for index, motion in enumerate(engine.plan.controlled_motions):
         running = engine.state.wall_motions[motion.wall][motion.motion].is_running(middle)[0]
-        if motion.kind != "servo" or not (running and present[motion.wall]):
+        if not motion.spec.follows_force or not (running and present[motion.wall]):
             continue
         series = np.array([sample[index] for sample in samples] or [forces[index]])
         scatter = float(series.std(ddof=1)) / np.sqrt(len(series)) if len(series) > 1 else 0.0
@@ -115,16 +115,14 @@ def _sentence(
         )
     is_away = is_untouched and force == 0.0
     state = "does not touch the particles" if is_away else "is off its target"
-    velocity, limit = motion.approach(motion.force - force)
-    remedy = "more time or a larger velocity_max"
-    if limit != "velocity_max":
-        remedy = (
-            "more time, a larger gain or a higher target force" if is_away else "more time or a larger gain"
-        )
+    error = motion.force - force
+    velocity, limit = motion.spec.approach(motion.numbers, error)
+    remedy = motion.spec.remedy_off_target(motion.numbers, error, is_away)
     return (
         f"walls.{motion.name}.motion ({motion.source}): at the end of stage {stage} ({time:.6g} s), the "
-        f"servo {state}: {reached} instead of {target}. It moves at {velocity:.3g} m/s, {limit}. Give it "
-        f"{remedy}" + (", start it closer to the bed, or approach by a translation." if is_away else ".")
+        f"{motion.spec.kind} {state}: {reached} instead of {target}. It moves at {velocity:.3g} m/s, "
+        f"{limit}. Give it {remedy}"
+        + (", start it closer to the bed, or approach by a translation." if is_away else ".")
     )
 
 

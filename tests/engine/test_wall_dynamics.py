@@ -231,11 +231,12 @@ def test_lag_of_a_servo_makes_it_stable_on_all_contacts_of_the_layer(normal, res
     """
     plan = plan_for(loaded_ball(normal, restitution, fraction))
     (motion,), step = plan.controlled_motions, plan.time_step
+    gain, lag = motion.numbers["gain"], motion.numbers["lag"]
     largest_stiffness, largest_viscosity = largest_response(plan)
     for stiffness in np.linspace(0.01, 1.0, 20) * largest_stiffness:
         for viscosity in np.linspace(0.0, 1.0, 20) * largest_viscosity:
-            p = (motion.lag - motion.gain * viscosity) / (1.0 + motion.lag)
-            b = motion.gain * stiffness * step / (1.0 + motion.lag)
+            p = (lag - gain * viscosity) / (1.0 + lag)
+            b = gain * stiffness * step / (1.0 + lag)
             assert np.abs(np.roots([1.0, -(1.0 + p - b), p])).max() < 1.0
 
 

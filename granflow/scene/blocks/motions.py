@@ -9,16 +9,18 @@ Translations and vibrations add; at most one rotation turns the wall, about an a
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 from math import inf
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
+from types import SimpleNamespace
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from pydantic import Field
 
+from granflow.device_functions import ti
 from granflow.geometry.motion import MotionTable, Poses, ramp, rotation_matrices
 from granflow.geometry.vectors import unit
 from granflow.schema import quantities as q
@@ -37,7 +39,9 @@ class TimedMotion(Model):
     """
 
     force_controlled: ClassVar[bool] = False
-    """True for motions that respond to the force of the particles on the wall."""
+    """True for motions that respond to the force of the particles on the wall (`ForceControlledMotion`)."""
+    follows_force: ClassVar[bool] = False
+    """True for motions with a target force."""
     is_belt: ClassVar[bool] = False
     """True if the surface moves along itself and the wall does not."""
     oscillates: ClassVar[bool] = False
@@ -641,7 +645,117 @@ class TableMotion(TimedMotion):
         return f"{table.values[-1]:.4g} {length} at the end", f"{rows}, {largest}"
 
 
-class Servo(TimedMotion):
+class WallContacts(NamedTuple):
+    """Contacts of a layer of particles on a wall.
+
+    contact_count:  of the layer
+    stiffness:      [N/m] of one contact at the maximum impact velocity
+    resistance:     C + K dt / 2 [N s/m] of one contact, with the largest tangent stiffness K and viscosity C
+                    that it can have, see `NormalLaw.present_response`
+    """
+
+    contact_count: float
+    stiffness: float
+    resistance: float
+
+
+Numbers = Mapping[str, float]
+"""Numbers of a force-controlled motion by name, see `ForceControlledMotion.numbers`."""
+
+
+class ForceControlledMotion(TimedMotion):
+    """A motion that responds to the force of the particles on the wall. Base class of the kinds.
+
+    The plan computes the `numbers` of the motion for its time step, refuses a motion that `instability`
+    rejects, and passes the numbers to the device and to the methods below, which `granflow explain`, messages
+    and totals call. Velocities and forces are along `direction`. The time integration
+    (`engine.wall_dynamics`) is the same for all kinds: the velocity is half a step behind the position.
+
+    follows_force:  whether the motion has a target force; then it has `approach` and the remedies below
+    is_body:        whether the wall has a kinetic energy, and forces besides those of the particles; then it
+                    has `build_other_force`, `other_force` and `kinetic_energy`
+    slower:         what makes the wall slower, as a sentence
+    """
+
+    force_controlled: ClassVar[bool] = True
+    is_body: ClassVar[bool] = False
+    slower: ClassVar[str]
+
+    direction: q.Direction
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        return {"direction": _unit_vector(self.direction)}
+
+    def numbers(self, area: float, gravity: Sequence[float], layer: WallContacts, step: float) -> Numbers:
+        """Numbers of the motion with a time `step` [s] by name, in SI units.
+
+        `area` [m2] of the wall; 0 if it is infinite. `gravity` (3,) [m/s2]. `layer`: contacts of a layer of
+        particles on the wall. One of the numbers is `force` [N], which the wall exerts on particles at rest.
+        """
+        raise NotImplementedError
+
+    def instability(self, layer: WallContacts, step: float) -> tuple[str, str] | None:
+        """Key that makes the motion unstable with a time `step` [s], and a sentence that begins behind the
+        key; None for a stable motion."""
+        raise NotImplementedError
+
+    def build_velocity(self, numbers: SimpleNamespace) -> Callable[..., Any]:
+        """Device function (velocity, force_on_wall, dt, is_first): velocity [m/s] at the next half step.
+
+        `numbers`: for each name in `numbers` a device function () that reads the value. `velocity` [m/s]: at
+        the last half step. `force_on_wall` [N]: of the particles. `is_first`: whether this is the first step
+        of the motion, of which half a step is due.
+        """
+        raise NotImplementedError
+
+    def velocity_at_positions(
+        self, numbers: Numbers, velocity_half: float, force_on_wall: float, half_step: float
+    ) -> float:
+        """Velocity [m/s] at the time of the positions, `half_step` [s] after `velocity_half` [m/s]."""
+        return velocity_half
+
+    def build_other_force(self, numbers: SimpleNamespace) -> Callable[..., Any]:
+        """Device function (velocity): force [N] on a body, besides that of the particles."""
+        raise NotImplementedError
+
+    def other_force(self, numbers: Numbers, velocity: float) -> float:
+        """Force [N] on a body at a velocity [m/s], besides that of the particles."""
+        raise NotImplementedError
+
+    def kinetic_energy(self, numbers: Numbers, velocity: float) -> float:
+        """Kinetic energy [J] of a body at a velocity [m/s]."""
+        raise NotImplementedError
+
+    def numbers_in_words(self, numbers: Numbers) -> Iterator[tuple[str, str]]:
+        """Yield names and values with units of the numbers, for `granflow explain`."""
+        yield from ()
+
+    def approach(self, numbers: Numbers, error: float) -> tuple[float, str]:
+        """Velocity [m/s] at an error [N] of the force, of either sign, and what limits it, in words."""
+        raise NotImplementedError
+
+    def remedy_off_target(self, numbers: Numbers, error: float, is_away: bool) -> str:
+        """What removes an error [N] of the force at the end of a stage: "more time or ...".
+
+        `is_away`: whether the wall does not touch the particles.
+        """
+        raise NotImplementedError
+
+    def remedy_of_distance(self, numbers: Numbers, distance: float, duration: float) -> str:
+        """Instruction with which the wall moves by `distance` [m] in `duration` [s] without contacts."""
+        raise NotImplementedError
+
+
+GAIN_SHARE = 0.2
+"""Share of the force error that a servo corrects in one step, if all particles within reach are in
+contact."""
+MAX_GAIN = 2.0
+"""This share at which the overshoot of a servo grows from step to step."""
+VELOCITY_MARGIN = 1.2
+"""Recommended over required velocity."""
+
+
+class Servo(ForceControlledMotion):
     """A servo wall: its velocity follows the difference between prescribed and measured force.
 
         v = gain (F - f),      |v| <= velocity_max
@@ -653,7 +767,8 @@ class Servo(TimedMotion):
     2000.0
     """
 
-    force_controlled: ClassVar[bool] = True
+    follows_force: ClassVar[bool] = True
+    slower: ClassVar[str] = "Lower its velocity_max."
 
     kind: Literal["servo"] = Field("servo", description="kind of motion")
     direction: q.Direction = Field(
@@ -676,9 +791,6 @@ class Servo(TimedMotion):
         elif self.force is not None and self.pressure is not None:
             yield redundant("pressure", "force")
 
-    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
-        return {"direction": _unit_vector(self.direction)}
-
     @property
     def key_for_area(self) -> str | None:
         """See `TimedMotion`."""
@@ -688,8 +800,101 @@ class Servo(TimedMotion):
         """`velocity_max`."""
         return self.velocity_max
 
+    def numbers(self, area: float, gravity: Sequence[float], layer: WallContacts, step: float) -> Numbers:
+        """Target force F [N], gain [m/(s N)], lag [steps] with which the velocity follows the force error,
+        and maximum velocity [m/s].
 
-class FreeWall(TimedMotion):
+        Contacts of stiffness K change their force by K dt v = gain K dt (F - f) in a step: for gain K dt < 2
+        the force error decreases in every step. The servo is a dashpot of 1/gain: it dissipates energy of the
+        particles.
+
+        With v' = v + (gain (F - f) - v) / (1 + lag), the characteristic equation on contacts of stiffness K
+        and viscosity C
+
+            z^2 - (1 + p - gain K dt / (1 + lag)) z + p = 0,     p = (lag - gain C) / (1 + lag)
+
+        has both roots inside the unit circle for lag >= gain (C + K dt / 2), because then 0 <= p < 1 and
+        2 + 2 p exceeds gain K dt / (1 + lag). Without lag the wall would overshoot at every step on contacts
+        with gain C > 1: the force that it reacts to contains that of its own velocity.
+        """
+        gain = self._default_gain(layer, step) if self.gain is None else self.gain
+        force = self.force
+        if force is None:
+            assert self.pressure is not None
+            force = self.pressure * area
+        return {
+            "force": force,
+            "gain": gain,
+            "lag": gain * layer.contact_count * layer.resistance,
+            "velocity_max": self.velocity_max,
+        }
+
+    @staticmethod
+    def _default_gain(layer: WallContacts, step: float) -> float:
+        return GAIN_SHARE / (layer.contact_count * layer.stiffness * step)
+
+    def instability(self, layer: WallContacts, step: float) -> tuple[str, str] | None:
+        """See `ForceControlledMotion`: a gain that overshoots."""
+        max_gain = MAX_GAIN / (layer.stiffness * step)
+        if self.gain is None or self.gain <= max_gain:
+            return None
+        return "gain", (
+            f"is {self.gain:.3g} m/(s N), but from {max_gain:.3g} on the wall overshoots at every step of "
+            f"{step:.3g} s. Without the key it is {self._default_gain(layer, step):.2g}."
+        )
+
+    def build_velocity(self, numbers: SimpleNamespace) -> Callable[..., Any]:
+        """See `ForceControlledMotion`."""
+
+        @ti.func
+        def velocity_of_servo(velocity, force_on_wall, dt, is_first):
+            error = numbers.force() + force_on_wall
+            after = velocity + (numbers.gain() * error - velocity) / (1.0 + numbers.lag())
+            return ti.max(ti.min(after, numbers.velocity_max()), -numbers.velocity_max())
+
+        return velocity_of_servo
+
+    def numbers_in_words(self, numbers: Numbers) -> Iterator[tuple[str, str]]:
+        """See `ForceControlledMotion`."""
+        yield "target force", f"{numbers['force']:.4g} N"
+        yield "gain", f"{numbers['gain']:.3g} m/(s N)"
+        yield "lag", f"{numbers['lag']:.3g} steps"
+        yield "maximum velocity", f"{numbers['velocity_max']:.3g} m/s"
+
+    def approach(self, numbers: Numbers, error: float) -> tuple[float, str]:
+        """See `ForceControlledMotion`."""
+        velocity = numbers["gain"] * abs(error)
+        if velocity < self.velocity_max:
+            force = "force" if error == numbers["force"] else "force error"
+            return velocity, f"gain times {force}, less than velocity_max {self.velocity_max:.3g} m/s"
+        return self.velocity_max, "velocity_max"
+
+    def remedy_off_target(self, numbers: Numbers, error: float, is_away: bool) -> str:
+        """See `ForceControlledMotion`."""
+        if numbers["gain"] * abs(error) >= self.velocity_max:
+            return "more time or a larger velocity_max"
+        return (
+            "more time, a larger gain or a higher target force" if is_away else "more time or a larger gain"
+        )
+
+    def remedy_of_distance(self, numbers: Numbers, distance: float, duration: float) -> str:
+        """See `ForceControlledMotion`."""
+        needed = VELOCITY_MARGIN * distance / duration
+        free = numbers["gain"] * abs(numbers["force"])
+        parts = []
+        if needed > self.velocity_max:
+            parts.append(f"set velocity_max to {needed:.2g} m/s or more")
+        if needed > free:
+            target = abs(numbers["force"]) * needed / free
+            parts.append(f"raise gain or the target (to {target:.2g} N at this gain)")
+        time = f"give it {VELOCITY_MARGIN * distance / min(free, self.velocity_max):.2g} s"
+        text = f"{' and '.join(parts)}, {time}, or start it closer to the bed"
+        if free < self.velocity_max:
+            text += "; or approach by a translation, in a stage that ends at a force on the wall"
+        return f"{text[0].upper()}{text[1:]}."
+
+
+class FreeWall(ForceControlledMotion):
     """A free wall: a rigid body that contact forces, gravity and a given force move along one direction.
 
         M dv/dt = f + M g + force - damping v
@@ -701,7 +906,8 @@ class FreeWall(TimedMotion):
     0.2
     """
 
-    force_controlled: ClassVar[bool] = True
+    is_body: ClassVar[bool] = True
+    slower: ClassVar[str] = "Increase its mass or damping."
 
     kind: Literal["free"] = Field("free", description="kind of motion")
     direction: q.Direction = Field(description="direction of the motion; its length does not matter")
@@ -709,13 +915,75 @@ class FreeWall(TimedMotion):
     force: q.Force = Field(0.0, description="additional force along the direction [N]")
     damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
 
-    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
-        return {"direction": _unit_vector(self.direction)}
-
     def controlled_speed(self, gravity: Sequence[float], distance: float) -> float:
         """Speed of a free fall by the distance, with the given force."""
         acceleration = abs(float(np.dot(gravity, self.direction))) + abs(self.force) / self.mass
         return float(np.sqrt(2.0 * acceleration * distance))
+
+    def numbers(self, area: float, gravity: Sequence[float], layer: WallContacts, step: float) -> Numbers:
+        """Given force and weight F [N], mass M [kg], damping [kg/s]."""
+        weight = self.mass * float(np.dot(gravity, self.direction))
+        return {"force": self.force + weight, "mass": self.mass, "damping": self.damping}
+
+    def instability(self, layer: WallContacts, step: float) -> tuple[str, str] | None:
+        """See `ForceControlledMotion`: a mass that is too small.
+
+        A free wall of mass M on contacts of stiffness K and viscosity C is stable for M > (C + K dt / 2) dt /
+        2. The least mass is twice as large, and at least K dt^2 [kg], with the contacts of a layer of
+        particles.
+        """
+        min_mass = layer.contact_count * step * max(layer.resistance, layer.stiffness * step)
+        if self.mass >= min_mass:
+            return None
+        return "mass", (
+            f"is {self.mass:.3g} kg, but with contacts of all particles within reach the wall oscillates too "
+            f"fast for a step of {step:.3g} s: set it to {min_mass:.2g} kg or more, or lower run.time_step."
+        )
+
+    def build_velocity(self, numbers: SimpleNamespace) -> Callable[..., Any]:
+        """See `ForceControlledMotion`; the first kick is half a step."""
+
+        @ti.func
+        def velocity_of_free_wall(velocity, force_on_wall, dt, is_first):
+            kick = dt / numbers.mass() * (numbers.force() + force_on_wall)
+            if is_first:
+                kick = 0.5 * kick
+            drag = 0.5 * numbers.damping() * dt / numbers.mass()
+            return ((1.0 - drag) * velocity + kick) / (1.0 + drag)
+
+        return velocity_of_free_wall
+
+    def velocity_at_positions(
+        self, numbers: Numbers, velocity_half: float, force_on_wall: float, half_step: float
+    ) -> float:
+        """See `ForceControlledMotion`."""
+        mass = numbers["mass"]
+        drag = 0.5 * numbers["damping"] * half_step / mass
+        kick = half_step / mass * (numbers["force"] + force_on_wall)
+        return ((1.0 - drag) * velocity_half + kick) / (1.0 + drag)
+
+    def build_other_force(self, numbers: SimpleNamespace) -> Callable[..., Any]:
+        """See `ForceControlledMotion`."""
+
+        @ti.func
+        def other_force(velocity):
+            return numbers.force() - numbers.damping() * velocity
+
+        return other_force
+
+    def other_force(self, numbers: Numbers, velocity: float) -> float:
+        """See `ForceControlledMotion`."""
+        return numbers["force"] - numbers["damping"] * velocity
+
+    def kinetic_energy(self, numbers: Numbers, velocity: float) -> float:
+        """See `ForceControlledMotion`."""
+        return 0.5 * numbers["mass"] * velocity**2
+
+    def numbers_in_words(self, numbers: Numbers) -> Iterator[tuple[str, str]]:
+        """See `ForceControlledMotion`."""
+        yield "mass", f"{numbers['mass']:.4g} kg"
+        yield "force and weight", f"{numbers['force']:.4g} N"
+        yield "damping", f"{numbers['damping']:.3g} kg/s"
 
 
 MotionSpec = Annotated[
