@@ -67,14 +67,14 @@ MUTATIONS = (
     ),
     Mutation(
         "normal modes",
-        "granflow/plan/time_step.py",
+        "granflow/plan/pair_case.py",
         "SLIDING_MODES = 4.0, 20.0",
         "SLIDING_MODES = 2.0, 20.0",
         (f"{STEP}test_stable_step_holds_for_the_densest_packing",),
     ),
     Mutation(
         "sliding modes",
-        "granflow/plan/time_step.py",
+        "granflow/plan/pair_case.py",
         "SLIDING_MODES = 4.0, 20.0",
         "SLIDING_MODES = 4.0, 10.0",
         (f"{STEP}test_friction_reduces_the_stable_step_by_the_rotational_modes",),

@@ -166,7 +166,7 @@ class Law(DeviceObject):
 
         Raises ValueError for a pair that the model does not support.
         """
-        return tuple(pair.options[name] for name in self.constant_names)
+        return tuple(pair.properties[name] for name in self.constant_names)
 
     # What flows through contacts of surfaces that touch, in addition to forces
 
@@ -316,8 +316,8 @@ class NormalLaw(Law):
 
         Raises ValueError for a pair that the model does not support.
         """
-        options = (pair.options[name] for name in self.constant_names[2:])
-        return pair.modulus_eff, pair.shear_modulus_eff, *options
+        properties = (pair.properties[name] for name in self.constant_names[2:])
+        return pair.modulus_eff, pair.shear_modulus_eff, *properties
 
     # Properties of the force
 

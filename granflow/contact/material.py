@@ -63,7 +63,7 @@ class PairMaterial:
     modulus_eff:        E [Pa], see `modulus_eff`
     shear_modulus_eff:  G [Pa], see `shear_modulus_eff`
     friction:           coefficient of sliding friction [-]
-    options:            keys of `pairs` that a contact model declares, other than friction, in SI units
+    properties:         keys of `pairs` that contact models declare, other than friction, in SI units
     """
 
     modulus_eff: float
@@ -74,7 +74,7 @@ class PairMaterial:
     friction: float
     yield_strength: float | None = None
     """Yield strength of the softer material [Pa]; None if neither material has one."""
-    options: Mapping[str, float] = field(default_factory=dict)
+    properties: Mapping[str, float] = field(default_factory=dict)
     has_tangential_force: bool = False
     """Whether a tangential or rolling model acts between the two."""
     tangential_stiffness: float | None = None

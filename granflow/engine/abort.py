@@ -25,7 +25,6 @@ from granflow.plan.overlaps import (
     LIMIT_MARGIN,
     BedPressure,
     ContactForces,
-    TouchingPair,
     attraction_share,
     impact_overlap,
     impact_velocity,
@@ -35,8 +34,8 @@ from granflow.plan.overlaps import (
     static_overlap,
     without_modulus,
 )
+from granflow.plan.pair_case import PairCase
 from granflow.plan.plan import Plan
-from granflow.plan.time_step import PairCase, stable_step
 from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
@@ -72,9 +71,7 @@ class ContactPair:
     approach:         [m/s] along the normal, negative if the bodies separate
     impact_velocity:  impact velocity [m/s] with the energy of this overlap and approach
     stable_step:      time step [s] that is stable for it
-    radius:           [m] of the smaller particle
-    radius_eff:       effective radius [m]
-    mass_eff:         effective mass [kg]
+    case:             its bodies, with the radii [m] and masses [kg]
     weight:           pressure [Pa] of the weight of all particles on the section of the present bed
     """
 
@@ -84,9 +81,7 @@ class ContactPair:
     approach: float
     impact_velocity: float
     stable_step: float
-    radius: float
-    radius_eff: float
-    mass_eff: float
+    case: PairCase
     weight: float
 
 
@@ -203,10 +198,10 @@ def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | Non
             "contact"
         )
         return f"{description}: lower run.time_step, or remove it and {velocity_remedy}."
-    if pair.impact_velocity > plan.velocity_max:
+    if pair.impact_velocity > plan.impact_velocity.value:
         description = (
             f"This overlap results from an impact at {pair.impact_velocity:.3g} m/s, above the planned "
-            f"{plan.velocity_max:.3g} m/s"
+            f"{plan.impact_velocity.value:.3g} m/s"
         )
         return f"{description}: {velocity_remedy}, or find the cause of this velocity."
     return None
@@ -400,15 +395,8 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
     static loads the largest of the observed force, the weight of all particles and the walls counts: the load
     may still increase.
     """
-    touching = TouchingPair(
-        "",
-        (pair.first.material, pair.second.material),
-        plan.pair(pair.first.material, pair.second.material),
-        pair.radius,
-        pair.radius_eff,
-        pair.mass_eff,
-    )
-    attraction = attraction_share(plan.laws, touching, pair.overlap * pair.radius)
+    touching = pair.case
+    attraction = attraction_share(plan.laws, touching, pair.overlap * touching.overlap_radius)
     if attraction > COHESIVE_SHARE:
         return _cohesion(touching, plan, attraction)
     if pair.approach**2 < AT_REST_SHARE * pair.impact_velocity**2:
@@ -420,7 +408,7 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
     return _impact(touching, plan, pair.impact_velocity, reached)
 
 
-def _impact(touching: TouchingPair, plan: Plan, velocity: float, largest: float) -> str:
+def _impact(touching: PairCase, plan: Plan, velocity: float, largest: float) -> str:
     """Cause and remedy of an impact at `velocity` [m/s], which reaches the overlap over radius `largest`."""
     remedy = _moduli(
         touching,
@@ -432,25 +420,27 @@ def _impact(touching: TouchingPair, plan: Plan, velocity: float, largest: float)
         f"This overlap results from an impact at {velocity:.3g} m/s, which reaches {largest:.3g} of the "
         "radius"
     )
-    if velocity <= TOLERANCE * plan.velocity_max:
+    if velocity <= TOLERANCE * plan.impact_velocity.value:
         return f"{cause}: {remedy}."
     planned = f"set run.velocity_max to {SPEED_MARGIN * velocity:.3g} m/s for the time step"
     return (
-        f"{cause}; it is above the planned {plan.velocity_max:.3g} m/s: {planned} and {remedy}, or find the "
-        "cause of this velocity."
+        f"{cause}; it is above the planned {plan.impact_velocity.value:.3g} m/s: {planned} and {remedy}, "
+        "or find the cause of this velocity."
     )
 
 
-def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
+def _at_rest(touching: PairCase, plan: Plan, contact: ContactPair) -> str:
     """Cause and remedy of an overlap that no impact of the two bodies alone explains.
 
     A static load, if the weight or a wall explains at least EXPLAINED of the overlap; otherwise other
     particles that press in motion, such as those that land on a bed or slide down in a drum.
     """
     weight = BedPressure("weight", "", contact.weight, max(3.0 * plan.particle_capacity, 1.0))
-    by_weight = SUDDEN * weight.largest_force(2.0 * touching.radius)
+    by_weight = SUDDEN * weight.largest_force(2.0 * touching.overlap_radius)
     by_wall = max((each.force for each in plan.forecasts if each.cause == "wall"), default=0.0)
-    observed = ContactForces(plan.laws, touching, 1.0).total(GROWTH * contact.overlap * touching.radius, 0.0)
+    observed = ContactForces(plan.laws, touching, 1.0).total(
+        GROWTH * contact.overlap * touching.overlap_radius, 0.0
+    )
     force = max(observed, by_weight, by_wall)
     expected = static_overlap(plan.laws, touching, force)
     remedy = _moduli(touching, plan, lambda pair: static_overlap(plan.laws, pair, force), expected)
@@ -472,8 +462,9 @@ def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
 
 def _fixed_stiffness(plan: Plan) -> str:
     """Instruction that makes all contacts as stiff as those at the planned velocity."""
+    velocity = plan.impact_velocity.value
     return (
-        f"set contact.normal.stiffness to {{reference_velocity: {plan.velocity_max:.3g} m/s}}, because a "
+        f"set contact.normal.stiffness to {{reference_velocity: {velocity:.3g} m/s}}, because a "
         "contact that begins slowly gets a soft spring with onset"
     )
 
@@ -490,24 +481,24 @@ def _moving_load(remedy: str, by_load: float) -> str:
     )
 
 
-def _cohesion(touching: TouchingPair, plan: Plan, attraction: float) -> str:
+def _cohesion(touching: PairCase, plan: Plan, attraction: float) -> str:
     """Cause and remedy of an overlap by cohesion; `attraction`: over the repulsion.
 
     The remedy also covers impacts at the planned velocity, which the attraction makes deeper.
     """
     assert plan.laws.cohesion is not None
 
-    def overlap(pair: TouchingPair) -> float:
-        return max(static_overlap(plan.laws, pair, 0.0), impact_overlap(plan.laws, pair, plan.velocity_max))
+    def overlap(pair: PairCase) -> float:
+        return max(
+            static_overlap(plan.laws, pair, 0.0), impact_overlap(plan.laws, pair, plan.impact_velocity.value)
+        )
 
     remedy = _moduli(touching, plan, overlap, overlap(touching))
     keys = " or ".join(plan.laws.cohesion.constant_names)
     return f"Its cause is cohesion, {attraction:.2g} of the repulsion: lower {keys}, or {remedy}."
 
 
-def _moduli(
-    touching: TouchingPair, plan: Plan, overlap: Callable[[TouchingPair], float], expected: float
-) -> str:
+def _moduli(touching: PairCase, plan: Plan, overlap: Callable[[PairCase], float], expected: float) -> str:
     """Instruction that sets the moduli at which the overlap is below the limit, or raises the limit.
 
     `expected`: overlap over the radius without a change.
@@ -706,20 +697,19 @@ def _contact_pair(
     overlap = float(candidates.overlap[worst])
     approach = float(candidates.approach[worst])
     material = plan.pair_materials[first.material, second.material]
-    touching = TouchingPair("", (first.material, second.material), material, smaller, radius_eff, mass_eff)
-    velocity = impact_velocity(plan.laws, touching, overlap * smaller, approach)
-    material_solid = plan.scene.materials[first.material]
-    pair_case = PairCase(
+    touching = PairCase(
         "",
+        (first.material, second.material),
         material,
         radius_eff,
         mass_eff,
         radius,
         smaller,
-        material_solid,
+        plan.scene.materials[first.material],
         _contact_count(candidates, owner, partner),
     )
-    stable = stable_step(pair_case, plan.law, velocity)
+    velocity = impact_velocity(plan.laws, touching, overlap * smaller, approach)
+    stable = touching.stable_step(plan.laws.normal, velocity)
     return ContactPair(
         first,
         second,
@@ -727,9 +717,7 @@ def _contact_pair(
         approach,
         velocity,
         stable,
-        smaller,
-        radius_eff,
-        mass_eff,
+        touching,
         _weight_pressure(plan, arrays),
     )
 

@@ -517,5 +517,5 @@ def collision_counts(state: State) -> dict[str, np.ndarray]:
     words = state.ranks.total(state.control.collisions.to_numpy())
     counts = [exact_totals(words[:, column], np.array([1.0 / SHARES]))[0] for column in range(words.shape[1])]
     by_kind = np.rint(counts).astype(np.int64).reshape(2, -1)
-    kinds = ("particle", "wall") if state.plan.has_walls else ("particle",)
+    kinds = ("particle", "wall") if state.plan.features.walls else ("particle",)
     return dict(zip(kinds, by_kind, strict=False))

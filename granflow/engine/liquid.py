@@ -177,7 +177,7 @@ def build_prepare_films(state: State) -> Any:
     wall_of = build_wall_of(state)
     names = list(state.neighbors.history)
     return_liquid = build_return_liquid(state)
-    has_walls = state.plan.has_walls
+    has_walls = state.plan.features.walls
 
     @ti.func
     def end_if_removed(chunk, i, j, list_index):

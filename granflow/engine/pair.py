@@ -326,7 +326,7 @@ def build_pair_number(state: State) -> Any:
             number = particles.material[i] * material_count()
             if j >= 0:
                 number += particles.material[j]
-        if ti.static(plan.has_walls):
+        if ti.static(plan.features.walls):
             if j < 0:
                 number += walls.material[wall_of(j)]
         return number

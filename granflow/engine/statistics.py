@@ -219,7 +219,7 @@ def _build_contact_point(state: State) -> Any:
     @ti.func
     def contact_point_of(i, j, pose):
         contact_point = box.wrap_position(state.particles.position[i])
-        if ti.static(state.plan.has_walls):
+        if ti.static(state.plan.features.walls):
             if j < 0:
                 gap, direction = geometry.contact(-1 - j, pose, contact_point)
                 contact_point -= gap * direction
@@ -556,7 +556,7 @@ def _build_overlap_and_rate(state: State) -> Any:
     """
     particles = state.particles
     real = state.backend.real
-    has_walls = state.plan.has_walls
+    has_walls = state.plan.features.walls
     sphere_kinematics = build_sphere_kinematics(state.plan)
     geometry = WallGeometry(state)
     box = state.built(DeviceBox)
@@ -614,7 +614,7 @@ def build_any_kinematics(state: State) -> Any:
 
     Reads:  as `build_pair_kinematics`
     """
-    has_walls = state.plan.has_walls
+    has_walls = state.plan.features.walls
     particle_kinematics = build_pair_kinematics(state, False)
     particle_effective = build_effective(state, False)
     wall_kinematics = build_pair_kinematics(state, True) if has_walls else particle_kinematics

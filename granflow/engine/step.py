@@ -118,7 +118,7 @@ class TimeStep:
         self.batched = state.batch is not None
         self.clear_flows = build_clear_flows(state) if self.has_flows else None
         self.sets_forces_last = not self.exact or features.external_forces or features.damping != "none"
-        self.has_walls = state.plan.has_walls
+        self.has_walls = state.plan.features.walls
         self.transfers = transfers_history(state)
         self.clear_wall_work_ahead = build_clear_wall_work_ahead(state)
         self.to_grid = build_to_grid(state.backend.real)

@@ -28,7 +28,6 @@ from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES
-from granflow.plan.time_step import stable_step
 from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.outlets import outlet_of
 from granflow.snapshot import WallPose
@@ -600,7 +599,7 @@ class StabilityMonitor:
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.warnings: dict[str, str] = {}
-        self._fastest = plan.velocity_max
+        self._fastest = plan.impact_velocity.value
         self._rounding = ROUNDING[plan.scene.run.precision]
         self._initial_energy = 0.0
         self._above_since: float | None = None
@@ -693,14 +692,16 @@ class StabilityMonitor:
         if self.plan.adaptive_time_step is not None or not SPEED_INCREASE * self._fastest < speed < inf:
             return
         self._fastest = speed
-        stable = min(stable_step(pair_case, self.plan.law, speed) for pair_case in self.plan.pair_cases)
+        stable = min(
+            pair_case.stable_step(self.plan.laws.normal, speed) for pair_case in self.plan.pair_cases
+        )
         if self.plan.time_step > stable:
             self._warn_once(
                 "speed",
                 f"At {time:.6g} s the fastest particle moves at {speed:.3g} m/s, above the planned "
-                f"{self.plan.velocity_max:.3g} m/s: an impact at that speed requires a time step below "
-                f"{stable:.3g} s, but it is {self.plan.time_step:.3g} s. Set run.velocity_max to {speed:.3g} "
-                "m/s.",
+                f"{self.plan.impact_velocity.value:.3g} m/s: an impact at that speed requires a time step "
+                f"below {stable:.3g} s, but it is {self.plan.time_step:.3g} s. Set run.velocity_max to "
+                f"{speed:.3g} m/s.",
             )
 
     def _warn_once(self, kind: str, sentence: str) -> None:

@@ -34,6 +34,7 @@ from granflow.plan.limits import (
     resolution_warning,
     share_of,
 )
+from granflow.plan.pair_case import PairCase
 from granflow.plan.pairs import (
     active_models,
     adhesion_velocity,
@@ -47,7 +48,6 @@ from granflow.plan.size_classes import size_classes
 from granflow.plan.stages import refuse_unresolved_drag
 from granflow.plan.time_step import (
     AdaptiveTimeStep,
-    PairCase,
     TimeStep,
     adaptive_time_step_for,
     choose_time_step,

@@ -106,7 +106,7 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
     )
     yield ExplainRow("impact velocity", f"at most {impact_velocity.value:.4g} m/s", impact_velocity.source)
     yield from _bond_number_rows(plan)
-    if plan.law.limits_restitution:
+    if plan.laws.normal.limits_restitution:
         yield ExplainRow(
             "smallest restitution",
             f"{step.least_restitution:.3g}",

@@ -15,8 +15,9 @@ from granflow.contact import theory
 from granflow.errors import SceneError
 from granflow.geometry.periodic_box import AXES, PeriodicBox
 from granflow.load import Scene
+from granflow.plan.pair_case import PairCase
 from granflow.plan.stages import always
-from granflow.plan.time_step import STEP_SHARE, PairCase
+from granflow.plan.time_step import STEP_SHARE
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.motions import single_rotation
 

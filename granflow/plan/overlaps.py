@@ -21,7 +21,7 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.law import ContactState, Law
-from granflow.contact.material import PairMaterial, Solid
+from granflow.contact.material import Solid
 from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.close_pairs import near_pairs
@@ -29,6 +29,7 @@ from granflow.geometry.sphere import sphere_volume
 from granflow.load import Scene
 from granflow.particles.group import ParticleData, SceneGroup
 from granflow.plan.falls import region_of
+from granflow.plan.pair_case import PairCase
 from granflow.plan.plan import Forecast, Plan
 from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.wall_control import section
@@ -50,34 +51,6 @@ BISECTIONS = 30
 """Halvings of the interval in which a static overlap lies: resolves it to 2e-9 of the radius."""
 
 
-@dataclass(frozen=True)
-class TouchingPair:
-    """Two bodies that can be in contact.
-
-    materials:   names of both materials, those of the particle first
-    pair:        mixed constants of the materials
-    radius:      of the smaller particle [m], to which overlaps refer
-    radius_eff:  [m]
-    mass_eff:    [kg]
-    """
-
-    name: str
-    materials: tuple[str, str]
-    pair: PairMaterial
-    radius: float
-    radius_eff: float
-    mass_eff: float
-
-    def stiffer(self, factor: float) -> "TouchingPair":
-        """The same pair with both effective moduli multiplied by `factor`."""
-        pair = replace(
-            self.pair,
-            modulus_eff=factor * self.pair.modulus_eff,
-            shear_modulus_eff=factor * self.pair.shear_modulus_eff,
-        )
-        return replace(self, pair=pair)
-
-
 class ContactForces:
     """Force of the normal and the cohesion model of a pair, by their reference implementations; keeps the
     history.
@@ -87,7 +60,7 @@ class ContactForces:
     the restitution 1.
     """
 
-    def __init__(self, laws: ContactLaws, pair: TouchingPair, time_step: float) -> None:
+    def __init__(self, laws: ContactLaws, pair: PairCase, time_step: float) -> None:
         self.laws: list[tuple[float, Law]] = [(1.0, laws.normal)]
         self.laws += [(-1.0, laws.cohesion)] if laws.cohesion is not None else []
         self.pair = pair
@@ -129,7 +102,7 @@ class ContactForces:
         return sum(self.parts(overlap, rate))
 
 
-def impact_overlap(laws: ContactLaws, pair: TouchingPair, velocity: float, enough: float = 0.0) -> float:
+def impact_overlap(laws: ContactLaws, pair: PairCase, velocity: float, enough: float = 0.0) -> float:
     """Largest overlap over the smaller radius of a head-on impact at `velocity` [m/s].
 
         M d'' = -F(d, d'),     d(0) = 0,     d'(0) = v,     until d' = 0
@@ -140,7 +113,7 @@ def impact_overlap(laws: ContactLaws, pair: TouchingPair, velocity: float, enoug
     reference implementation.
     """
     arguments = (pair.pair, pair.radius_eff, pair.mass_eff, velocity)
-    elastic = laws.normal.overlap_max(*arguments) / pair.radius
+    elastic = laws.normal.overlap_max(*arguments) / pair.overlap_radius
     if elastic <= enough and not laws.attracts:
         return elastic
     step = laws.normal.phase_durations(*arguments)[0] / STEPS_OF_LOADING
@@ -155,10 +128,10 @@ def impact_overlap(laws: ContactLaws, pair: TouchingPair, velocity: float, enoug
             overlap += step * rate
     except NotImplementedError:
         return elastic
-    return overlap / pair.radius
+    return overlap / pair.overlap_radius
 
 
-def impact_velocity(laws: ContactLaws, pair: TouchingPair, overlap: float, approach: float) -> float:
+def impact_velocity(laws: ContactLaws, pair: PairCase, overlap: float, approach: float) -> float:
     """Velocity [m/s] of an impact that has reached `overlap` [m] and approaches at `approach` [m/s], without
     losses.
 
@@ -177,7 +150,7 @@ def impact_velocity(laws: ContactLaws, pair: TouchingPair, overlap: float, appro
     return float(np.hypot(approach, np.sqrt(2.0 * work / pair.mass_eff)))
 
 
-def static_overlap(laws: ContactLaws, pair: TouchingPair, load: float) -> float:
+def static_overlap(laws: ContactLaws, pair: PairCase, load: float) -> float:
     """Overlap over the smaller radius at which a contact carries `load` [N] at rest; 2 if no smaller one
     does.
 
@@ -193,7 +166,7 @@ def static_overlap(laws: ContactLaws, pair: TouchingPair, load: float) -> float:
         return forces.total(overlap, 0.0) - load
 
     low = 0.0
-    high = MAX_OVERLAP_SHARE * pair.radius
+    high = MAX_OVERLAP_SHARE * pair.overlap_radius
     try:
         if excess(high) < 0.0:
             return MAX_OVERLAP_SHARE
@@ -205,10 +178,10 @@ def static_overlap(laws: ContactLaws, pair: TouchingPair, load: float) -> float:
                 low = middle
     except NotImplementedError:
         return float("nan")
-    return high / pair.radius
+    return high / pair.overlap_radius
 
 
-def attraction_share(laws: ContactLaws, pair: TouchingPair, overlap: float) -> float:
+def attraction_share(laws: ContactLaws, pair: PairCase, overlap: float) -> float:
     """Attraction over normal force at an overlap [m] at rest; 0 without a cohesion model."""
     if laws.cohesion is None:
         return 0.0
@@ -232,7 +205,7 @@ LAYER_FRACTION = 0.8
 """Share of an area that a layer of spheres covers."""
 
 
-def touching_pairs(plan: Plan) -> Iterator[TouchingPair]:
+def touching_pairs(plan: Plan) -> Iterator[PairCase]:
     """All pairs of groups, and of groups and wall materials, with the sizes of the largest relative overlaps.
 
     Two groups: smallest and largest sizes in all combinations, because the overlap refers to the smaller
@@ -249,7 +222,7 @@ def touching_pairs(plan: Plan) -> Iterator[TouchingPair]:
             yield _of_wall(plan, group, wall)
 
 
-def supported_pairs(plan: Plan) -> Iterator[tuple[TouchingPair, float]]:
+def supported_pairs(plan: Plan) -> Iterator[tuple[PairCase, float]]:
     """Pairs of a particle and of much smaller ones in a shallow bed below it, and the weight [N] on one of
     these.
 
@@ -298,9 +271,7 @@ def _collide(plan: Plan, group: SceneGroup, other: SceneGroup) -> bool:
     return not alone and not (group.spec.fixed and other.spec.fixed) and materials in plan.pair_materials
 
 
-def _of_particles(
-    plan: Plan, group: SceneGroup, other: SceneGroup, sizes: tuple[float, float]
-) -> TouchingPair:
+def _of_particles(plan: Plan, group: SceneGroup, other: SceneGroup, sizes: tuple[float, float]) -> PairCase:
     """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
     radii = np.array(sizes) / 2.0
     materials = (group.spec.material, other.spec.material)
@@ -309,24 +280,27 @@ def _of_particles(
         if not each.spec.fixed:
             inverse_mass += 1.0 / _mass(plan, each, radius)
     names = group.name if group is other else f"{group.name} and {other.name}"
-    return TouchingPair(
+    return PairCase(
         name=f"particles of {names}",
         materials=materials,
         pair=plan.pair_materials[materials],
-        radius=float(radii.min()),
         radius_eff=float(1.0 / (1.0 / radii).sum()),
         mass_eff=float(1.0 / inverse_mass),
+        radius=float(radii[0]),
+        overlap_radius=float(radii.min()),
+        solid=group.material,
     )
 
 
-def _of_wall(plan: Plan, group: SceneGroup, wall: str) -> TouchingPair:
+def _of_wall(plan: Plan, group: SceneGroup, wall: str) -> PairCase:
     """A particle at a wall of the material `wall`; the relative overlap does not depend on its size
     (Hertz)."""
     radius = 0.5 * group.spec.diameters[0]
     materials = (group.spec.material, wall)
     name = f"particles of {group.name} and walls of {wall}"
     mass = _mass(plan, group, radius)
-    return TouchingPair(name, materials, plan.pair_materials[materials], radius, radius, mass)
+    pair = plan.pair_materials[materials]
+    return PairCase(name, materials, pair, radius, mass, radius, radius, group.material)
 
 
 def _mass(plan: Plan, group: SceneGroup, radius: float) -> float:
@@ -459,11 +433,11 @@ MODULUS_MARGIN = 1.1
 """Recommended over required modulus: of rounding, and of several contacts at a time."""
 FACTOR_BISECTIONS = 60
 """Bisections of the factor."""
-Overlap = Callable[[TouchingPair], float]
+Overlap = Callable[[PairCase], float]
 """Function from a pair to its largest relative overlap."""
 
 
-def modulus_factor(pair: TouchingPair, overlap: Overlap, limit: float) -> float | None:
+def modulus_factor(pair: PairCase, overlap: Overlap, limit: float) -> float | None:
     """Smallest factor on the effective modulus at which the overlap is at most `limit`; None if no factor
     suffices.
 
@@ -486,7 +460,7 @@ def modulus_factor(pair: TouchingPair, overlap: Overlap, limit: float) -> float 
     return high
 
 
-def without_modulus(pair: TouchingPair, overlap: Overlap) -> str:
+def without_modulus(pair: PairCase, overlap: Overlap) -> str:
     """Instruction for an overlap that no modulus reduces enough: the stiffness is a number, or a unit is
     wrong."""
     if overlap(pair.stiffer(LARGEST_FACTOR)) > 0.99 * overlap(pair):
@@ -556,14 +530,12 @@ class _Largest:
     """The pair with the largest overlap of one cause, and the instruction that all pairs of this cause
     require."""
 
-    pair: TouchingPair
+    pair: PairCase
     overlap: float
     instruction: str
 
 
-def impact_forecast(
-    plan: Plan, pairs: Iterable[TouchingPair], velocity: float, source: str
-) -> Forecast | None:
+def impact_forecast(plan: Plan, pairs: Iterable[PairCase], velocity: float, source: str) -> Forecast | None:
     """The largest overlap of an impact at the maximum velocity [m/s]; `source`: origin of the velocity."""
     limit = plan.scene.numerics.max_overlap
     largest = _largest(plan, pairs, lambda pair: impact_overlap(plan.laws, pair, velocity, limit))
@@ -583,7 +555,7 @@ def impact_forecast(
 
 
 def static_forecasts(
-    plan: Plan, pairs: Iterable[TouchingPair], pressures: Iterable[BedPressure]
+    plan: Plan, pairs: Iterable[PairCase], pressures: Iterable[BedPressure]
 ) -> Iterator[Forecast]:
     """The largest overlap at rest without load (only with cohesion), and under each load.
 
@@ -607,11 +579,11 @@ def static_forecasts(
             )
         name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
         remark = f"{largest.pair.name} under {load.cause}"
-        force = load.largest_force(2.0 * largest.pair.radius)
+        force = load.largest_force(2.0 * largest.pair.overlap_radius)
         yield Forecast(name, _up_to(largest.overlap), remark, warning, load.kind, largest.overlap, force)
 
 
-def supported_forecast(plan: Plan, pairs: Iterable[tuple[TouchingPair, float]]) -> Forecast | None:
+def supported_forecast(plan: Plan, pairs: Iterable[tuple[PairCase, float]]) -> Forecast | None:
     """The largest overlap under the weight [N] of a large particle on one of the small ones that carry it."""
     supported = list(pairs)
     weights = {pair.name: weight for pair, weight in supported}  # also of pairs with another modulus
@@ -635,7 +607,7 @@ def supported_forecast(plan: Plan, pairs: Iterable[tuple[TouchingPair, float]]) 
     )
 
 
-def cohesion_forecast(plan: Plan, pairs: Iterable[TouchingPair]) -> Forecast | None:
+def cohesion_forecast(plan: Plan, pairs: Iterable[PairCase]) -> Forecast | None:
     """The overlap at which repulsion and attraction balance: particles that touch are drawn together up to
     it."""
     largest = _largest(plan, pairs, lambda pair: static_overlap(plan.laws, pair, 0.0))
@@ -656,12 +628,12 @@ def cohesion_forecast(plan: Plan, pairs: Iterable[TouchingPair]) -> Forecast | N
     )
 
 
-def loaded_overlap(laws: ContactLaws, load: BedPressure, pair: TouchingPair) -> float:
+def loaded_overlap(laws: ContactLaws, load: BedPressure, pair: PairCase) -> float:
     """Largest relative overlap of a pair under a load; the pressure acts on its smaller particle."""
-    return static_overlap(laws, pair, load.largest_force(2.0 * pair.radius))
+    return static_overlap(laws, pair, load.largest_force(2.0 * pair.overlap_radius))
 
 
-def _largest(plan: Plan, pairs: Iterable[TouchingPair], overlap: Overlap) -> _Largest | None:
+def _largest(plan: Plan, pairs: Iterable[PairCase], overlap: Overlap) -> _Largest | None:
     """The pair with the largest overlap, and the instruction that reduces all to the limit; None without
     pairs."""
     found = [(overlap(pair), pair) for pair in pairs]

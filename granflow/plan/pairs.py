@@ -25,7 +25,7 @@ from granflow.errors import SceneError
 from granflow.geometry.sphere import sphere_mass
 from granflow.load import Scene
 from granflow.particles.group import SceneGroup
-from granflow.plan.time_step import PairCase
+from granflow.plan.pair_case import PairCase
 from granflow.scene.blocks.materials import Material, MaterialPair, RestitutionFit
 from granflow.visible_text import alternatives
 
@@ -138,14 +138,14 @@ def _pair_material(
     else:
         restitution = given
     surface = [model for slot, model in models.items() if SLOTS[slot].on_surface]
-    options = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_properties()}
+    properties = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_properties()}
     return PairMaterial(
         modulus_eff(a, b),
         shear_modulus_eff(a, b),
         restitution,
         pair.friction,
         yield_strength(a, b),
-        options,
+        properties,
         has_tangential_force=any(_acts(model, [pair]) for model in surface),
         tangential_stiffness=getattr(scene.contact.options("tangential"), "stiffness", None),
     )
@@ -195,25 +195,28 @@ def pair_cases_of(scene: Scene, groups: Sequence[SceneGroup], pairs: PairMateria
             both = (group.spec.material, other.spec.material)
             if not (group.spec.fixed and other.spec.fixed) and both in pairs:
                 mobile, partner = (other, group) if group.spec.fixed else (group, other)
+                both = (mobile.spec.material, partner.spec.material)
                 key = scene.pair_key(*both) if group is not other or group.spec.count > 1 else None
-                case = _pair_case(f"{group.name}-{other.name}", pairs[both], mobile, partner)
+                case = _pair_case(f"{group.name}-{other.name}", both, pairs[both], mobile, partner)
                 pair_cases.append(replace(case, pair_key=key))
         for wall in walls if not group.spec.fixed else ():
-            pair = pairs[group.spec.material, wall]
-            key = scene.pair_key(group.spec.material, wall)
-            case = _pair_case(f"{group.name}-{wall} wall", pair, group, None)
+            both = (group.spec.material, wall)
+            key = scene.pair_key(*both)
+            case = _pair_case(f"{group.name}-{wall} wall", both, pairs[both], group, None)
             pair_cases.append(replace(case, pair_key=key))
     if not pair_cases:
         group = groups[0]
         own = group.material
+        both = (group.spec.material, group.spec.material)
         elastic_pair = PairMaterial(modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, 0.0)
-        pair_cases.append(_pair_case(f"{group.name}-{group.name}", elastic_pair, group, group))
+        pair_cases.append(_pair_case(f"{group.name}-{group.name}", both, elastic_pair, group, group))
     contacts = max(sum(group.spec.count for group in groups) + len(scene.walls) - 1, 1)
     return tuple(replace(pair_case, contact_count=contacts) for pair_case in pair_cases)
 
 
 def _pair_case(
     name: str,
+    materials: tuple[str, str],
     pair: PairMaterial,
     group: SceneGroup,
     other: SceneGroup | None,
@@ -222,20 +225,28 @@ def _pair_case(
     (None)."""
     smallest = 0.5 * group.spec.diameters[0]
     largest = 0.5 * group.spec.diameters[1]
-    mass = sphere_mass(smallest, group.density)
-    ratio = max(_mass_ratio(group), _mass_ratio(other))
-    if other is None:
-        return PairCase(name, pair, smallest, mass, smallest, largest, group.material, mass_ratio=ratio)
-    other_smallest = 0.5 * other.spec.diameters[0]
-    other_largest = 0.5 * other.spec.diameters[1]
-    largest = min(largest, other_largest)
-    if other.spec.fixed:
-        radius_eff = smallest * other_largest / (smallest + other_largest)
-        return PairCase(name, pair, radius_eff, mass, smallest, largest, group.material, mass_ratio=ratio)
-    other_mass = sphere_mass(other_smallest, other.density)
-    radius_eff = smallest * other_smallest / (smallest + other_smallest)
-    mass_eff = mass * other_mass / (mass + other_mass)
-    return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, group.material, mass_ratio=ratio)
+    radius_eff = smallest
+    mass_eff = sphere_mass(smallest, group.density)
+    if other is not None:
+        other_smallest = 0.5 * other.spec.diameters[0]
+        other_largest = 0.5 * other.spec.diameters[1]
+        largest = min(largest, other_largest)
+        partner = other_largest if other.spec.fixed else other_smallest
+        radius_eff = smallest * partner / (smallest + partner)
+        if not other.spec.fixed:
+            other_mass = sphere_mass(other_smallest, other.density)
+            mass_eff = mass_eff * other_mass / (mass_eff + other_mass)
+    return PairCase(
+        name,
+        materials,
+        pair,
+        radius_eff,
+        mass_eff,
+        radius=smallest,
+        overlap_radius=largest,
+        solid=group.material,
+        mass_ratio=max(_mass_ratio(group), _mass_ratio(other)),
+    )
 
 
 def _mass_ratio(group: SceneGroup | None) -> float:

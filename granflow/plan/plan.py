@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.particle_equation import ParticleEquation, equations_of
 from granflow.contact.registry import ContactLaws
@@ -42,15 +41,13 @@ from granflow.plan.capacities import (
 )
 from granflow.plan.features import Features, Reason
 from granflow.plan.limits import coordinate_limit
+from granflow.plan.pair_case import PairCase
 from granflow.plan.sum_units import SumUnits, flow_units, liquid_unit, sum_units
 from granflow.plan.time_step import (
     STEP_SHARE,
     AdaptiveTimeStep,
     ImpactVelocity,
-    PairCase,
     TimeStep,
-    shortest_phase,
-    stable_step,
 )
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall
@@ -213,16 +210,6 @@ class Plan:
         return self.time_step if self.adaptive_time_step is None else self.adaptive_time_step.longest
 
     @property
-    def velocity_max(self) -> float:
-        """Maximum expected impact velocity [m/s]."""
-        return self.impact_velocity.value
-
-    @property
-    def law(self) -> NormalLaw:
-        """The normal contact law."""
-        return self.laws.normal
-
-    @property
     def law_parameters(self) -> tuple[float, ...]:
         """Parameters of the contact laws, in the order of `laws.parameters`."""
         return tuple(value for own in self.laws.parameters.values() for value in own.values())
@@ -236,15 +223,6 @@ class Plan:
     def pair(self, first: str, second: str) -> PairMaterial:
         """Constants of two materials in any order. Raises KeyError if they cannot come into contact."""
         return self.pair_materials[first, second]
-
-    def shortest_phase(self, pair_case: PairCase, velocity: float) -> float:
-        """Shorter of loading and unloading time [s] of a contact at an impact velocity [m/s]; see
-        `time_step`."""
-        return shortest_phase(pair_case, self.law, velocity)
-
-    def stable_step(self, pair_case: PairCase, velocity: float) -> float:
-        """Stability limit of the time step [s] of a contact at an impact velocity [m/s]; see `time_step`."""
-        return stable_step(pair_case, self.law, velocity)
 
     @property
     def largest_weight(self) -> float:
@@ -273,11 +251,6 @@ class Plan:
         return self.scene.remarks + self.step.warnings + meshes + forecasts
 
     # Walls, periodic images, and the domain.
-
-    @property
-    def has_walls(self) -> bool:
-        """True if the scene has walls."""
-        return self.features.walls
 
     @property
     def has_poses(self) -> bool:
@@ -438,8 +411,8 @@ class Plan:
             return self.saved_sum_units
         return sum_units(
             self.pair_cases,
-            self.law,
-            velocity=self.velocity_max,
+            self.laws.normal,
+            velocity=self.impact_velocity.value,
             max_overlap=self.scene.numerics.max_overlap,
             radius=self.radius_max,
             time_step=self.longest_time_step,

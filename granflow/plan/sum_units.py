@@ -26,7 +26,7 @@ from granflow.contact.law import FlowCase, NormalLaw
 from granflow.contact.registry import ContactLaws
 from granflow.geometry.sphere import sphere_volume
 from granflow.particles.group import SceneGroup
-from granflow.plan.time_step import PairCase
+from granflow.plan.pair_case import PairCase
 
 # The quantities.
 
@@ -117,8 +117,8 @@ def sum_units(
     energy = 0.0
     possible = [case for case in pair_cases if case.pair_key is not None] or pair_cases
     for case in possible:
-        overlap = max_overlap * case.largest_radius
-        hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.largest_radius) * overlap**1.5
+        overlap = max_overlap * case.overlap_radius
+        hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.overlap_radius) * overlap**1.5
         stiffness = law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity)
         viscosity = law.viscosity(*case.dashpot_arguments, velocity)
         spring = stiffness * overlap + viscosity * velocity
@@ -160,7 +160,7 @@ def flow_units(
         bounds = [
             law.flow_bounds(
                 name,
-                FlowCase(case.pair, case.largest_radius, max_overlap * case.largest_radius, values),
+                FlowCase(case.pair, case.overlap_radius, max_overlap * case.overlap_radius, values),
             )[0]
             for law in laws.laws
             if name in law.adds

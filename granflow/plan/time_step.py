@@ -1,8 +1,7 @@
 """The time step: computed from the stiffest phase of all possible contacts, or given and checked.
 
-`PairCase` is one possible contact; `choose_time_step` is the rule. Durations of contacts and stiffnesses
-come from the normal contact model. An adaptive time step is the same rule, applied to the current maximum
-impact velocity.
+`choose_time_step` is the rule, over all possible contacts (`PairCase`). An adaptive time step is the same
+rule, applied to the current maximum impact velocity.
 
 The maximum impact velocity is given in the scene, or estimated from free fall through the domain, initial
 velocities, and the motions of walls and periodic images.
@@ -17,8 +16,9 @@ from itertools import accumulate
 import numpy as np
 
 from granflow.contact.law import NormalLaw
-from granflow.contact.material import PairMaterial, Solid
+from granflow.contact.material import Solid
 from granflow.load import Scene
+from granflow.plan.pair_case import PairCase
 from granflow.plan.walls import surface_speed
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
@@ -94,46 +94,6 @@ so that the overlap limit stops the run. Two particles pass each other only with
 step. Stable steps are below the limit: v dt < 2 v/w = 2 d_max <= 0.2 R, for overlaps d_max up to the default
 L = 0.1.
 """
-MAX_CONTACTS = 12
-"""Maximum number of contacts of a sphere with equal spheres."""
-NORMAL_MODES, SLIDING_MODES = 4.0, 20.0
-"""Squared highest frequencies of densely packed equal spheres with 12 contacts, over K/M and Kt/M of a
-contact."""
-STABLE_SHARE = 0.99
-"""Time step over the stability limit of the stiffest mode."""
-
-
-@dataclass(frozen=True)
-class PairCase:
-    """The stiffest contact of two groups, or of a group and a wall.
-
-    `radius_eff` [m], `mass_eff` [kg]: effective radius and mass of the contact; `radius` [m], `solid`: of the
-    particle for which the Rayleigh time is computed; `pair`: mixed constants of the two materials;
-    `largest_radius` [m]: largest radius of the smaller particle in a contact of the two groups, which the
-    overlap limit refers to.
-    """
-
-    name: str
-    pair: PairMaterial
-    radius_eff: float
-    mass_eff: float
-    radius: float
-    largest_radius: float
-    solid: Solid
-    contact_count: int = MAX_CONTACTS
-    """Maximum number of simultaneous contacts of a particle: at most the number of other particles and
-    walls."""
-    pair_key: str | None = None
-    """Key of the material pair under `pairs`; None for a contact that limits the time step but cannot
-    occur."""
-    mass_ratio: float = 1.0
-    """Largest mass of a clump over that of its sphere: dashpots have the former, motion at least the
-    latter."""
-
-    @property
-    def dashpot_arguments(self) -> tuple[PairMaterial, float, float]:
-        """Constants of the materials, effective radius [m], and effective mass [kg] in the contact models."""
-        return self.pair, self.radius_eff, self.mass_eff * self.mass_ratio
 
 
 @dataclass(frozen=True)
@@ -181,13 +141,13 @@ def choose_time_step(
     Raises ValueError with one sentence if the given time step exceeds the stable time step.
     """
     resolved, name = min(
-        (fraction * shortest_phase(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases
+        (fraction * pair_case.shortest_phase(law, velocity), pair_case.name) for pair_case in pair_cases
     )
     rayleigh, rayleigh_name = min(
         (rayleigh_fraction * rayleigh_time(case.solid, case.radius), case.name) for case in pair_cases
     )
     stable, stable_name = min(
-        (stable_step(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases
+        (pair_case.stable_step(law, velocity), pair_case.name) for pair_case in pair_cases
     )
     travel = STEP_SHARE * min(pair_case.radius for pair_case in pair_cases) / velocity
     chosen = min(resolved, rayleigh, stable, travel)
@@ -218,76 +178,6 @@ def choose_time_step(
     )
     least, warnings = _restitution_reached(step, pair_cases, law, velocity)
     return replace(step, least_restitution=least, warnings=warnings)
-
-
-def shortest_phase(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
-    """Shorter of loading and unloading time [s] at an impact velocity [m/s]; the unloading time is bounded
-    below.
-
-    The bound is `law.unresolved_unloading` times the loading time: a contact model that limits its own
-    unloading stiffness needs no shorter time step (durations: Zhou 2011, Eqs. 13 to 16, for the model of that
-    paper).
-    """
-    loading, unloading = law.phase_durations(
-        pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity
-    )
-    return min(loading, max(unloading, law.unresolved_unloading(pair_case.pair) * loading))
-
-
-def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
-    """Time step [s] above which the energy of a particle in contact can grow, for its stiffest arrangement.
-
-    The leapfrog scheme is stable for a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, since the
-    velocity in the viscous force is v(t - dt/2) + dt/2 x''(t - dt); at the limit v changes its sign in every
-    step. Masses M with z contacts of stiffness K and viscosity c, and tangential stiffness Kt = 4 G/E K with
-    effective moduli, or that of the tangential model, if there is friction, have at most
-
-        w^2 = S (K + 2 Kt)/M,   2 b = S c/M,   S = min(z, 4)      if neighbors move in opposite directions
-        w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    if all rotate in the same sense and contacts
-        slip
-
-    With friction the second frequency is the higher one and halves the step. A contact model that limits its
-    unloading stiffness has K dt^2 = theta^2 M there, or another number with damping, see
-    `NormalLaw.unloading_number`.
-    """
-    pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
-    count = min(pair_case.contact_count, MAX_CONTACTS)
-    mass = pair_case.mass_eff
-    normal_modes = min(count, NORMAL_MODES)
-    tangential_modes = min(2.5 * count + 1.0, SLIDING_MODES)
-    tangential = _tangential_stiffness(pair_case, law, velocity)
-    viscosity = law.viscosity(*pair_case.dashpot_arguments, velocity)
-    margin = 4.0 - normal_modes * law.unloading_number(pair_case.pair)
-    steps = (
-        _largest_step(
-            law.stable_stiffness(*pair_arguments) + 2.0 * tangential, viscosity, mass / normal_modes, 4.0
-        ),
-        _largest_step(2.0 * tangential, viscosity, mass / normal_modes, margin),
-        _largest_step(tangential, 0.0, mass / tangential_modes, 4.0),
-    )
-    return STABLE_SHARE * min(steps)
-
-
-def _tangential_stiffness(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
-    """Tangential stiffness Kt [N/m] of a contact at an impact velocity [m/s]; 0 without friction."""
-    pair = pair_case.pair
-    if not pair.has_tangential_force:
-        return 0.0
-    if pair.tangential_stiffness is not None:
-        return pair.tangential_stiffness
-    normal = law.loading_stiffness(pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
-    return 4.0 * pair.shear_modulus_eff / pair.modulus_eff * normal
-
-
-def _largest_step(stiffness: float, viscosity: float, mass: float, limit: float) -> float:
-    """Step [s] at which K/M dt^2 + 4 c/M dt equals `limit`; infinite for K = c = 0.
-
-    `stiffness` K [N/m], `viscosity` c [N s/m], `mass` M [kg].
-    """
-    if stiffness == viscosity == 0.0:
-        return math.inf
-    scaled_mass = 0.25 * mass * limit
-    return 2.0 * scaled_mass / (viscosity + math.sqrt(viscosity**2 + stiffness * scaled_mass))
 
 
 def rayleigh_time(solid: Solid, radius: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
 from granflow.load import Scene
-from granflow.plan.time_step import PairCase
+from granflow.plan.pair_case import PairCase
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.motions import ForceControlledMotion, Numbers, WallContacts

@@ -292,7 +292,9 @@ class CollisionBench:
     def most_steps(self) -> int:
         """Upper bound of the number of steps until the slowest collision has ended."""
         cases = {(c.first, c.second, c.radius, c.other_radius, c.velocity): c for c in self.collisions}
-        longest = max(sum(self.plan.law.phase_durations(*self.impact_of(each))) for each in cases.values())
+        longest = max(
+            sum(self.plan.laws.normal.phase_durations(*self.impact_of(each))) for each in cases.values()
+        )
         approach = max(each.first_contact for each in self.collisions)
         return int((approach + LONGEST * longest) / self.simulation.time_step) + 10
 

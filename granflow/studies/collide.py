@@ -223,7 +223,7 @@ def _measured(bench: CollisionBench, impact: Impact) -> dict[str, float]:
     if last + 1 == len(force):
         raise GranflowError(
             "The collision did not end: the attraction prevents separation."
-            if plan.law.attracts
+            if plan.laws.normal.attracts
             else "The collision did not end; increase --steps-per-contact."
         )
     history = history_along(plan, impact, overlap, rate, force)
@@ -251,7 +251,7 @@ def history_along(
     back.
     """
     pair, radius_eff, mass_eff, _ = impact
-    law = plan.law
+    law = plan.laws.normal
     time_step = plan.time_step
     constants = np.array(law.pair_constants(pair))
     history = np.zeros(max(law.history_count, 1))
@@ -269,14 +269,14 @@ def end_overlap(plan: Plan, impact: Impact, time_step: float, overlap: float, hi
     """
     from scipy.optimize import brentq
 
-    constants = np.array(plan.law.pair_constants(impact[0]))
+    constants = np.array(plan.laws.normal.pair_constants(impact[0]))
 
     def is_repulsive(at: float) -> float:
-        force, _ = plan.law.reference_force(constants, *impact[1:3], time_step, at, 0.0, history)
+        force, _ = plan.laws.normal.reference_force(constants, *impact[1:3], time_step, at, 0.0, history)
         return 1.0 if force > 0.0 else -1.0
 
     smallest = 1e-15 * overlap
-    if plan.law.attracts or is_repulsive(smallest) > 0.0:
+    if plan.laws.normal.attracts or is_repulsive(smallest) > 0.0:
         return 0.0
     if is_repulsive(overlap) < 0.0:
         return overlap
@@ -299,9 +299,11 @@ def _expected(plan: Plan, impact: Impact) -> dict[str, float]:
     pair, radius_eff, mass, velocity = impact
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     spring = float(theory.equivalent_spring(k, mass, velocity))
-    requested = plan.law.restitution(*impact)
+    requested = plan.laws.normal.restitution(*impact)
     shared = {"velocity": velocity, "restitution_asked": requested, "spring_equation19": spring}
-    return shared | (damped_path(plan, impact) if plan.law.rate_dependent else loading_path(plan, impact))
+    return shared | (
+        damped_path(plan, impact) if plan.laws.normal.rate_dependent else loading_path(plan, impact)
+    )
 
 
 def loading_path(plan: Plan, impact: Impact) -> dict[str, float]:
@@ -314,7 +316,7 @@ def loading_path(plan: Plan, impact: Impact) -> dict[str, float]:
     the last one is interpolated.
     """
     pair, radius_eff, mass_eff, velocity = impact
-    law = plan.law
+    law = plan.laws.normal
     loading, unloading = law.phase_durations(*impact)
     constants = np.array(law.pair_constants(pair))
     history = np.zeros(max(law.history_count, 1))
@@ -347,8 +349,8 @@ def damped_path(plan: Plan, impact: Impact) -> dict[str, float]:
     from scipy.integrate import solve_ivp
 
     pair, radius_eff, mass_eff, velocity = impact
-    law = plan.law
-    constants = np.array(plan.law.pair_constants(pair))
+    law = plan.laws.normal
+    constants = np.array(plan.laws.normal.pair_constants(pair))
     longest = sum(law.phase_durations(*impact))
 
     def contact(overlap: float, rate: float, history: np.ndarray) -> tuple[float, np.ndarray]:

@@ -97,7 +97,7 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
     plan = plan_for(scene)
     pairs = pairings(plan)
     count = DECADES * VELOCITIES_PER_DECADE + 1
-    velocities = plan.velocity_max * np.logspace(-DECADES, 0, count)
+    velocities = plan.impact_velocity.value * np.logspace(-DECADES, 0, count)
     described = scene.model_dump(by_alias=True, exclude_none=True)
     for pair in described["pairs"].values():
         pair["friction"] = 0.0
@@ -112,7 +112,7 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
             for velocity in velocities
             for phase in PHASES
         ],
-        run={"duration": 1.0, "velocity_max": plan.velocity_max, "precision": scene.run.precision},
+        run={"duration": 1.0, "velocity_max": plan.impact_velocity.value, "precision": scene.run.precision},
         numerics={key: value for key, value in described["numerics"].items() if key != "max_overlap"},
         contact_x=float(np.abs([scene.domain.min, scene.domain.max]).max()),
         arch=arch,
@@ -206,7 +206,7 @@ def warnings(plan: Plan) -> list[str]:
             continue
         deviations: list[tuple[float, _Impact]] = []
         for share in QUICK_VELOCITIES:
-            impact = _impact(plan, pair, share * plan.velocity_max)
+            impact = _impact(plan, pair, share * plan.impact_velocity.value)
             steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
             if steps > QUICK_STEPS or _unreachable(plan, impact):
                 break
@@ -245,15 +245,17 @@ class _Impact:
 def _impact(plan: Plan, pair: Collision, velocity: float) -> _Impact:
     """Collision of a pair at an approach velocity [m/s] with the properties of the contact model."""
     arguments = (plan.pair(pair.first, pair.second), *pair.reduced(plan.scene), velocity)
-    return _Impact(arguments, plan.law.restitution(*arguments), sum(plan.law.phase_durations(*arguments)))
+    return _Impact(
+        arguments, plan.laws.normal.restitution(*arguments), sum(plan.laws.normal.phase_durations(*arguments))
+    )
 
 
 def _unreachable(plan: Plan, impact: _Impact) -> bool:
     """Whether the given restitution is 0 or below the minimum of the time step, for which the plan has a
     warning."""
-    if not plan.law.limits_restitution or impact.requested == 0.0:
+    if not plan.laws.normal.limits_restitution or impact.requested == 0.0:
         return impact.requested == 0.0
-    return impact.requested < plan.law.least_restitution(*impact.arguments, plan.time_step)
+    return impact.requested < plan.laws.normal.least_restitution(*impact.arguments, plan.time_step)
 
 
 def _deviation(plan: Plan, impact: _Impact) -> float:
@@ -277,7 +279,7 @@ def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: floa
 
     `step` [s]; `phase`: time of first contact before the first force, over the step. 0 if the spheres stick.
     """
-    law = plan.law
+    law = plan.laws.normal
     material, radius_eff, mass, velocity = impact.arguments
     constants = np.array(law.pair_constants(material))
     history = np.zeros(max(law.history_count, 1))

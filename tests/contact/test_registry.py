@@ -15,7 +15,7 @@ def law_of(model):
     given = model.options(**model.example)
     restitution = None if model.restitution == "nothing" else 0.7
     options = dict.fromkeys(model.pair_properties.model_fields, 0.1)
-    pair = PairMaterial(4e7, SHEAR_MODULUS, restitution, 0.3, yield_strength=1e6, options=options)
+    pair = PairMaterial(4e7, SHEAR_MODULUS, restitution, 0.3, yield_strength=1e6, properties=options)
     return model.law.from_scene(ModelRequest(given, (pair,), 1.0, 0.5, energy_budget=True)), pair
 
 

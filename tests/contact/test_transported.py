@@ -41,7 +41,7 @@ class Conducting(Hertz):
     reads = ("temperature",)
 
     def pair_constants(self, pair):
-        return *super().pair_constants(pair), pair.options["conductance"]
+        return *super().pair_constants(pair), pair.properties["conductance"]
 
     @ti.func
     def flows(self, constants, contact, first, partner):
@@ -49,7 +49,7 @@ class Conducting(Hertz):
 
     def flow_bounds(self, name, case):
         low, high = case.values["temperature"]
-        return case.pair.options["conductance"] * (high - low), case.pair.options["conductance"]
+        return case.pair.properties["conductance"] * (high - low), case.pair.properties["conductance"]
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Heated(Conducting):
 
     def flow_bounds(self, name, case):
         low, high = case.values["temperature"]
-        conductance = case.pair.options["conductance"]
+        conductance = case.pair.properties["conductance"]
         return conductance * (max(high, 300.0) - min(low, 300.0)), conductance
 
 

@@ -53,7 +53,7 @@ def first_adapted_step(scene):
 def planned_step(plan, velocity):
     numerics = Numerics()
     bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
-    return choose_time_step(None, plan.pair_cases, plan.law, velocity, *bounds).value
+    return choose_time_step(None, plan.pair_cases, plan.laws.normal, velocity, *bounds).value
 
 
 @pytest.mark.parametrize("velocity", [0.05, 0.4, 3.0])

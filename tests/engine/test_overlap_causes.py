@@ -163,11 +163,9 @@ def test_weight_that_explains_less_than_half_of_the_overlap_is_not_named(weight,
     Under 10 Pa, spheres of 4 mm and 1 MPa overlap by 0.01 of the radius, under 10 kPa by more than 0.1.
     """
     plan = plan_for(bed(1e6))
-    radius = 0.5 * DIAMETER
     first = Body("particle 1", "glass", (0.0, 0.0, 0.1), (0.0, 0.0, 0.01))
-    mass = 2500.0 * 4.0 / 3.0 * 3.14159 * radius**3
     second = Body("particle 2", "glass", (0.0, 0.0, 0.0), (0.0, 0.0, 0.014))
-    pair = ContactPair(first, second, 0.11, 0.1, 1.1, 1e-5, radius, 0.5 * radius, 0.5 * mass, weight)
+    pair = ContactPair(first, second, 0.11, 0.1, 1.1, 1e-5, plan.pair_cases[0], weight)
     message = overlap_cause(pair, plan)
     assert message.startswith("The contact is almost at rest: ") and cause in message, message
     assert advised_modulus(message) > 1e6

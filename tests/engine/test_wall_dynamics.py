@@ -194,8 +194,12 @@ def loaded_ball(normal, restitution, fraction, motion=SERVO):
 
 def largest_response(plan):
     """Largest stiffness [N/m] and viscosity [N s/m] of the contacts of a plan."""
-    cases = [(*case.dashpot_arguments, plan.velocity_max, plan.time_step) for case in plan.pair_cases]
-    return [max(each) for each in zip(*(plan.law.present_response(*case) for case in cases), strict=True)]
+    cases = [
+        (*case.dashpot_arguments, plan.impact_velocity.value, plan.time_step) for case in plan.pair_cases
+    ]
+    return [
+        max(each) for each in zip(*(plan.laws.normal.present_response(*case) for case in cases), strict=True)
+    ]
 
 
 @pytest.mark.parametrize(

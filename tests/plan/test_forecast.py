@@ -390,7 +390,7 @@ def test_impact_velocity_follows_from_the_elastic_energy_of_the_model(normal):
     balls = particle_group([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]])
     plan = plan_for(build_scene({"balls": balls}, normal=normal, pair={"restitution": 1.0}))
     (pair,) = touching_pairs(plan)
-    half = 0.5 * pair.radius * impact_overlap(plan.laws, pair, 0.1)
+    half = 0.5 * pair.overlap_radius * impact_overlap(plan.laws, pair, 0.1)
     stored = 0.25 if isinstance(normal, dict) else 0.5**2.5
     approach = 0.1 * sqrt(1.0 - stored)
     assert impact_velocity(plan.laws, pair, half, approach) == pytest.approx(0.1, rel=1e-3)

@@ -12,7 +12,8 @@ from granflow.contact.normal.linear import Linear, Spring
 from granflow.contact.theory import damping_ratio_for
 from granflow.errors import SceneError
 from granflow.plan.build import plan_for
-from granflow.plan.time_step import PairCase, max_impact_velocity, stable_step
+from granflow.plan.pair_case import PairCase
+from granflow.plan.time_step import max_impact_velocity
 from granflow.scene.blocks.materials import Material
 
 RADIUS, DENSITY, YOUNG, POISSON, VELOCITY = 2e-3, 2500.0, 10e6, 0.23, 1.0
@@ -108,9 +109,8 @@ def test_stable_step_of_a_damped_spring_is_the_leapfrog_stability_limit(contacts
     law = Linear(Spring(stiffness, None, 0.0))
     pair = PairMaterial(1e9, 1e9, restitution, 0.0)
     solid = Material(young_modulus=1e9, poisson_ratio=0.25, density=2500.0)
-    allowed = (
-        stable_step(PairCase("pair", pair, 1e-3, MASS, 1e-3, 1e-3, solid, contacts), law, VELOCITY) / 0.99
-    )
+    case = PairCase("pair", ("a", "a"), pair, 1e-3, MASS, 1e-3, 1e-3, solid, contacts)
+    allowed = case.stable_step(law, VELOCITY) / 0.99
 
     def growth(step):
         spring = modes * stiffness * step**2 / MASS

@@ -102,7 +102,7 @@ def load_of(state: Any, list_entries: int, touching: int) -> BytesMoved:
         fields={name: entry_size(field) for name, field in particle_fields.items() if field is not None},
         traveling=sum(map(entry_size, state.particles.sorted_fields())),
         history=sum(map(entry_size, state.neighbors.history.values())),
-        law=plan.law.name,
+        law=plan.laws.normal.name,
         friction=plan.laws.has_tangential,
     )
 

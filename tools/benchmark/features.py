@@ -93,7 +93,7 @@ def _without_rotational_features(scene: Scene, plan: Plan) -> Iterator[FeatureVa
 def _without_history(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
     """Variants with elastic Hertz contacts, which have no normal history, and without any contact history."""
     elastic = _elastic(scene)
-    if plan.law.history_names:
+    if plan.laws.normal.history_names:
         yield FeatureVariant("without normal history", elastic)
     elif plan.features.rate_dependent:
         yield FeatureVariant("without damping", elastic)
@@ -385,7 +385,7 @@ def cost_rows(found: Sequence[FeatureCost]) -> list[tuple[str, ...]]:
 def remarks(found: Sequence[FeatureCost]) -> list[str]:
     """Remarks for the interpretation of the table."""
     simulated_ms = 1e3 * (STEPS_BEFORE + STEPS) * found[0].plan.time_step
-    law = found[0].plan.law
+    law = found[0].plan.laws.normal
     law_remark = f"Without history, elastic hertz replaces {law.name}. " if law.history_names else ""
     return [
         "Step, bytes and contacts are per particle; time is relative to the baseline, as median and "

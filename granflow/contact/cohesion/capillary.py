@@ -131,10 +131,10 @@ class Capillary(BondLaw):
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names`; a pair without liquid has no tension."""
-        volume = pair.options["liquid_volume"]
+        volume = pair.properties["liquid_volume"]
         if volume == 0.0:
             return 0.0, 1.0, 0.0
-        tension = pair.options["surface_tension"] * math.cos(pair.options["contact_angle"])
+        tension = pair.properties["surface_tension"] * math.cos(pair.properties["contact_angle"])
         return tension, volume, _rupture_distance(pair)
 
     @ti.func
@@ -165,7 +165,9 @@ class Capillary(BondLaw):
 
 def _rupture_distance(pair: PairMaterial) -> float:
     """Rupture distance [m] (Lian et al. 1993)."""
-    return rupture_factor(pair.options["contact_angle"]) * float(pair.options["liquid_volume"] ** (1.0 / 3.0))
+    return rupture_factor(pair.properties["contact_angle"]) * float(
+        pair.properties["liquid_volume"] ** (1.0 / 3.0)
+    )
 
 
 class LiquidBridges(Wetting):

@@ -59,7 +59,7 @@ class CapillaryTransfer(CohesionLaw):
     def from_scene(cls, request: ModelRequest) -> "CapillaryTransfer":
         """The law that a scene requests."""
         largest = request.options.max_bridge_volume
-        factor = max(rupture_factor(pair.options["contact_angle"]) for pair in request.pairs)
+        factor = max(rupture_factor(pair.properties["contact_angle"]) for pair in request.pairs)
         return cls(largest, factor * float(largest ** (1.0 / 3.0)), request.energy_budget)
 
     @property
@@ -81,8 +81,8 @@ class CapillaryTransfer(CohesionLaw):
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names`."""
-        angle = pair.options["contact_angle"]
-        return pair.options["surface_tension"] * math.cos(angle), rupture_factor(angle)
+        angle = pair.properties["contact_angle"]
+        return pair.properties["surface_tension"] * math.cos(angle), rupture_factor(angle)
 
     @ti.func
     def rupture_distance(self, constants, volume):

@@ -42,7 +42,7 @@ class Dmt(CohesionLaw):
 
     def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float:
         """Pull-off force [N], 2 pi w R."""
-        return 2.0 * math.pi * pair.options["work_of_adhesion"] * radius_eff
+        return 2.0 * math.pi * pair.properties["work_of_adhesion"] * radius_eff
 
 
 MODEL = ContactModel(

@@ -87,7 +87,7 @@ class Jkr(BondLaw):
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Work of adhesion [J/m2] and effective modulus [Pa]."""
-        return pair.options["work_of_adhesion"], pair.modulus_eff
+        return pair.properties["work_of_adhesion"], pair.modulus_eff
 
     @ti.func
     def rupture_distance(self, constants, contact):
@@ -139,7 +139,7 @@ class Jkr(BondLaw):
 
     def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float:
         """Pull-off force [N], 3/2 pi w R."""
-        return 1.5 * math.pi * pair.options["work_of_adhesion"] * radius_eff
+        return 1.5 * math.pi * pair.properties["work_of_adhesion"] * radius_eff
 
     def equivalent_velocity(self, pair: PairMaterial, radius_eff: float, mass_eff: float) -> float:
         """Velocity [m/s] of a Hertz impact up to the contact radius of the pair at rest."""
@@ -149,7 +149,7 @@ class Jkr(BondLaw):
 
 def _scale(pair: PairMaterial, radius_eff: float) -> float:
     """Contact radius a_s [m] of a pair at zero overlap."""
-    return contact_radius_scale(pair.options["work_of_adhesion"], pair.modulus_eff, radius_eff)
+    return contact_radius_scale(pair.properties["work_of_adhesion"], pair.modulus_eff, radius_eff)
 
 
 MODEL = ContactModel(

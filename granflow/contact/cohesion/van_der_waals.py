@@ -37,7 +37,7 @@ class VanDerWaals(CohesionLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "VanDerWaals":
         """The law that a scene requests."""
-        return cls(CUTOFF * max(pair.options["separation"] for pair in request.pairs))
+        return cls(CUTOFF * max(pair.properties["separation"] for pair in request.pairs))
 
     @property
     def range(self) -> float:
@@ -72,11 +72,13 @@ class VanDerWaals(CohesionLaw):
 
     def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float:
         """Force in contact [N]."""
-        return pair.options["hamaker_constant"] * radius_eff / (6.0 * pair.options["separation"] ** 2)
+        return pair.properties["hamaker_constant"] * radius_eff / (6.0 * pair.properties["separation"] ** 2)
 
     def equivalent_velocity(self, pair: PairMaterial, radius_eff: float, mass_eff: float) -> float:
         """Larger of the velocity at rest, and that for the stiffness A R / (3 s_0^3) = 2 E a."""
-        contact_radius = self.pull_off_force(pair, radius_eff) / pair.options["separation"] / pair.modulus_eff
+        contact_radius = (
+            self.pull_off_force(pair, radius_eff) / pair.properties["separation"] / pair.modulus_eff
+        )
         by_slope = theory.velocity_for_radius(pair.modulus_eff, radius_eff, mass_eff, contact_radius)
         return max(super().equivalent_velocity(pair, radius_eff, mass_eff), by_slope)
 

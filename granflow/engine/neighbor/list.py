@@ -228,7 +228,7 @@ class NeighborListFill:
     def fill(self, owner: ti.template(), list_index):
         """Append walls, then particles: contact forces evaluate the two kinds in separate loops."""
         list_end = list_index
-        if ti.static(self.plan.has_walls):
+        if ti.static(self.plan.features.walls):
             list_end = self._append_walls(owner, list_end)
         self.neighbors.list_walls_end[owner.i] = list_end
         return self._append_particles(owner, list_end)

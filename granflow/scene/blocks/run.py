@@ -159,7 +159,7 @@ LARGEST_CHUNK = 1_000_000
 bits."""
 LARGEST_ANGLE = 0.9
 """Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4
-(`granflow.plan.time_step.stable_step`)."""
+(`granflow.plan.pair_case.PairCase.stable_step`)."""
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
 ChunkSize = Annotated[

@@ -80,7 +80,8 @@ def phase_of(scene: Scene) -> tuple[float, float]:
     At the maximum impact velocity of the plan.
     """
     plan = plan_for(scene)
-    phase = min(plan.shortest_phase(pair_case, plan.velocity_max) for pair_case in plan.pair_cases)
+    velocity = plan.impact_velocity.value
+    phase = min(pair_case.shortest_phase(plan.laws.normal, velocity) for pair_case in plan.pair_cases)
     return phase, plan.time_step / phase
 
 

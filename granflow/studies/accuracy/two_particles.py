@@ -611,4 +611,5 @@ def _phase(bench: AccuracyBench, index: int) -> float:
     kind = bench.kinds[index]
     group = bench.bench.collisions[index * PHASES].first
     pair_case = next(each for each in bench.plan.pair_cases if each.name == f"{group}-{group}")
-    return bench.plan.shortest_phase(pair_case, kind.velocity) / (2.0 * pair_case.radius) * kind.diameter
+    phase = pair_case.shortest_phase(bench.plan.laws.normal, kind.velocity)
+    return phase / (2.0 * pair_case.radius) * kind.diameter

@@ -93,7 +93,7 @@ def law_names(given: str) -> tuple[str, ...]:
 
 def reference_velocity_of(scene: Scene) -> float:
     """Typical impact velocity [m/s]: TYPICAL_SHARE of the largest that the plan assumes."""
-    return TYPICAL_SHARE * automatic_plan(scene).velocity_max
+    return TYPICAL_SHARE * automatic_plan(scene).impact_velocity.value
 
 
 def automatic_plan(scene: Scene) -> Plan:

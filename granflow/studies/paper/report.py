@@ -115,7 +115,7 @@ def candidate_model(name: str) -> CandidateModel:
     fits = tuple({"preset": case.name} for case in PAPER_CASES)
     given = {"number or fit": fits, "nothing": (None, None)}.get(kind.restitution, wanted)
     pairs = [case.head_on(e, float(VELOCITIES.max())) for case, e in zip(PAPER_CASES, given, strict=True)]
-    law = head_on_bench(pairs, {"law": name, **settings}, "auto", np.zeros(len(pairs))).plan.law
+    law = head_on_bench(pairs, {"law": name, **settings}, "auto", np.zeros(len(pairs))).plan.laws.normal
     if kind.restitution == "number or fit":
         return CandidateModel(name, settings, law, fits, (None, None))
     if kind.restitution == "nothing":

@@ -558,11 +558,11 @@ def _overlap_for_load(plan: Plan, index: int, load: float, masses: np.ndarray) -
     lower, upper = masses[index], masses[index + 1]
     mass_eff = upper if index == 0 else lower * upper / (lower + upper)
     constants = plan.pair_constants[0]
-    history = np.zeros(plan.law.history_count)
+    history = np.zeros(plan.laws.normal.history_count)
 
     def excess(overlap: float) -> float:
         arguments = (constants, radius_eff, mass_eff, plan.time_step, overlap, 0.0, history)
-        return plan.law.reference_force(*arguments)[0] - load
+        return plan.laws.normal.reference_force(*arguments)[0] - load
 
     least = 1e-15 * RADIUS  # without an overlap the particles are not in contact and have no force
     return float(brentq(excess, least, RADIUS, xtol=least, rtol=1e-15))

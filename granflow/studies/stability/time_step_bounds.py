@@ -159,9 +159,9 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
     for name, lattice in LATTICES.items():
         pair_case = _pair_case(plan, lattice)
         impact = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, VELOCITY)
-        allowed = plan.stable_step(pair_case, VELOCITY)
-        scale = np.sqrt(pair_case.mass_eff / plan.law.stable_stiffness(*impact))
-        particles = _particles(lattice, plan.law.overlap_max(*impact), friction)
+        allowed = pair_case.stable_step(plan.laws.normal, VELOCITY)
+        scale = np.sqrt(pair_case.mass_eff / plan.laws.normal.stable_stiffness(*impact))
+        particles = _particles(lattice, plan.laws.normal.overlap_max(*impact), friction)
         bound = _find_bound(simulation, particles, allowed)
         bounds.append(Bound(law, friction, name, bound, allowed, float(scale)))
     simulation.free()
