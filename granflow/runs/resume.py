@@ -121,7 +121,7 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
     return change
 
 
-def _numbers(plan: Plan) -> dict[str, float]:
+def _numbers_of(plan: Plan) -> dict[str, float]:
     """Numbers of a plan [SI] that must not change when a run continues: positions and contact history depend
     on them."""
     return {"time_step": plan.time_step, "skin": plan.skin, "velocity_max": plan.impact_velocity.value}
@@ -142,12 +142,12 @@ FEATURE_SWITCHES = (
 def plan_fingerprint(plan: Plan) -> dict[str, Any]:
     """Return the numbers and features of a plan that checkpoints contain, by name.
 
-    Those of `_numbers`, the contact models, FEATURE_SWITCHES, and `mesh_digest`. A run continues only if
+    Those of `_numbers_of`, the contact models, FEATURE_SWITCHES, and `mesh_digest`. A run continues only if
     all are equal.
     """
     laws = {slot: name for slot, name in plan.laws.names.items() if slot not in ("normal", "tangential")}
     switches = {name: getattr(plan.features, name) for name in FEATURE_SWITCHES}
-    numbers = _numbers(plan) | {"mesh_digest": mesh_digest(plan)}
+    numbers = _numbers_of(plan) | {"mesh_digest": mesh_digest(plan)}
     return numbers | {"friction": plan.laws.has_tangential} | laws | switches
 
 
@@ -218,7 +218,7 @@ def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
                 "not change when a run continues; restore the mesh files."
             )
         if now != before:
-            remedy = "; give the old value with --set" if name in _numbers(plan) else ""
+            remedy = "; give the old value with --set" if name in _numbers_of(plan) else ""
             raise GranflowError(
                 f"{checkpoint.path}: {name} was {before!r} and would be {now!r} with this scene, but must "
                 f"not change when a run continues{remedy}."
