@@ -42,7 +42,7 @@ from granflow.engine.pair import (
 )
 from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.sums import add_energy, build_list_shares, build_to_grid, holds_sums
-from granflow.engine.transported import build_add_flows
+from granflow.engine.transported import Flows
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
     LOSSES,
@@ -228,7 +228,7 @@ def _build_gather(state: State) -> Any:
     has_flows = len(plan.laws.adds) > 0
     pair_constants = build_pair_constants(state)
     contact_of = _build_contact_of(state)
-    add_flows = build_add_flows(state, False) if has_flows else None
+    flows = state.built(Flows) if has_flows else None
     longest_time_step = state.parameter("longest_time_step")
 
     @ti.func
@@ -267,7 +267,7 @@ def _build_gather(state: State) -> Any:
             if ti.static(has_flows):
                 time_step = normal_time_step(dt, longest_time_step())
                 contact = contact_of(worker, entry, i, j, velocity_rel, time_step)
-                add_flows(chunk, i, j, pair_constants(i, j), contact)
+                flows.add(chunk, i, j, pair_constants(i, j), contact, False)
             if ti.static(not features.one_material):
                 store_vector(batch.constants, worker, entry, control.pair_constants[pair_number(i, j)])
 

@@ -37,9 +37,9 @@ from granflow.engine.pair import (
 )
 from granflow.engine.state import State
 from granflow.engine.sums import SHARES, add_energy, build_list_shares, build_to_grid, carried, exact_totals
-from granflow.engine.transported import build_add_flows
+from granflow.engine.transported import Flows
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
-from granflow.engine.walls import WallGeometry, build_wall_of
+from granflow.engine.walls import Faces, WallGeometry
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
     LOSS_WALL_WORK,
@@ -82,7 +82,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     form_bridge = build_form_bridge(state) if liquid else None
     return_liquid = build_return_liquid(state) if liquid else None
     has_flows = len(state.plan.laws.adds) > 0
-    add_flows = build_add_flows(state, with_wall) if has_flows else None
+    flows = state.built(Flows) if has_flows else None
 
     @ti.func
     def contact(chunk, i, list_index, j, pose, dt):
@@ -111,7 +111,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
             add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
             if ti.static(has_flows):
                 touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step()))
-                add_flows(chunk, i, j, constants, touching)
+                flows.add(chunk, i, j, constants, touching, with_wall)
         elif in_range(i, j, kinematics.overlap):
             if ti.static(acts_at_distance):
                 force = distant_contact(chunk, i, list_index, j, pose, kinematics, dt)
@@ -138,7 +138,7 @@ def _build_angular_velocities(state: State, with_wall: bool) -> Any:
     particles = state.particles
     features = state.plan.features
     real = state.backend.real
-    wall_of = build_wall_of(state)
+    wall_of = state.built(Faces).wall_of
 
     @ti.func
     def angular_velocities_of(i, j, pose):
@@ -300,7 +300,7 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
     Writes:  losses, wall_work_ahead, boundary_work, impulses, wall_force
     """
     features = state.plan.features
-    wall_of = build_wall_of(state)
+    wall_of = state.built(Faces).wall_of
     wall_power = _build_wall_power(state)
     control = state.control
     list_shares = build_list_shares(state)
@@ -355,8 +355,8 @@ def _build_wall_power(state: State) -> Any:
 
     Reads:  position, velocities of walls
     """
-    geometry = WallGeometry(state)
-    wall_of = build_wall_of(state)
+    geometry = state.built(WallGeometry)
+    wall_of = state.built(Faces).wall_of
     real = state.backend.real
 
     @ti.func

@@ -168,7 +168,7 @@ class HistoryTransfer:
         self.neighbors = state.neighbors
         self.stored = state.neighbors.history
         self.names = list(self.stored)
-        self.geometry = WallGeometry(state)
+        self.geometry = state.built(WallGeometry)
         self.acts_at_distance = state.plan.laws.acts_at_distance
         self.pair_constants = build_pair_constants(state)
 

@@ -17,7 +17,7 @@ from granflow.engine.history import (
     NO_CONTACT,
 )
 from granflow.engine.state import State
-from granflow.engine.walls import build_wall_of
+from granflow.engine.walls import Faces
 from granflow.kernel_language import ti
 
 
@@ -174,7 +174,7 @@ def build_prepare_films(state: State) -> Any:
     particles = state.particles
     neighbors = state.neighbors
     walls = state.walls
-    wall_of = build_wall_of(state)
+    wall_of = state.built(Faces).wall_of
     names = list(state.neighbors.history)
     return_liquid = build_return_liquid(state)
     has_walls = state.plan.features.walls

@@ -1,7 +1,7 @@
 """One pair of partners in contact: its kinematics, its constants and its force.
 
 A pair is a particle i and a partner j, which is another particle, or a wall or triangle if j < 0 (see
-`walls.build_wall_of`). The state gives
+`walls.Faces.wall_of`). The state gives
 
     kinematics   overlap, normal, relative velocity and lever arms (`build_pair_kinematics`)
     bodies       effective radius, mass and inertia (`build_effective`)
@@ -23,7 +23,7 @@ from granflow.contact.registry import ContactLaws
 from granflow.engine.box import DeviceBox
 from granflow.engine.contact_structs import build_constants, member, set_member
 from granflow.engine.state import State
-from granflow.engine.walls import WallGeometry, build_wall_contact, build_wall_of
+from granflow.engine.walls import Faces, JoinedWalls, WallGeometry
 from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
@@ -91,15 +91,15 @@ def _build_wall_kinematics(state: State) -> Any:
     particles = state.particles
     features = state.plan.features
     real = state.backend.real
-    geometry = WallGeometry(state)
+    geometry = state.built(WallGeometry)
     acts_at_distance = state.plan.laws.acts_at_distance
-    wall_contact = build_wall_contact(state, geometry)
+    joined_walls = state.built(JoinedWalls)
 
     @ti.func
     def wall_kinematics(i, j, pose, dt):
         radius = particles.radius[i]
         face = -1 - j
-        gap, direction = wall_contact(i, j, pose)
+        gap, direction = joined_walls.contact(i, j, pose)
         found = no_contact(ti.cast(radius - gap, real), particles.velocity[i])
         found.arm = radius - 0.5 * found.overlap
         if ti.static(acts_at_distance):
@@ -316,7 +316,7 @@ def build_pair_number(state: State) -> Any:
     particles = state.particles
     walls = state.walls
     features = plan.features
-    wall_of = build_wall_of(state)
+    wall_of = state.built(Faces).wall_of
     material_count = state.parameter("material_count")
 
     @ti.func

@@ -17,14 +17,13 @@ from granflow.engine.fields import (
     write_field,
     write_padded,
 )
-from granflow.engine.mesh import fill_mesh
+from granflow.engine.mesh import DeviceMesh
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.surface import AnalyticSurface
 from granflow.kernel_language import ti
 from granflow.plan.arrays import (
     cell_arrays,
-    mesh_arrays,
     neighbor_arrays,
     parameters_of,
     particle_arrays,
@@ -54,7 +53,7 @@ class State:
     neighbors:      neighbor lists and contact histories
     batch:          columns of the batched contacts; None on a GPU and with one particle per chunk
     wall_dynamics:  force-controlled walls; None without
-    mesh:           mesh walls, see `engine.mesh`; None without
+    mesh:           mesh walls, see `engine.mesh.DeviceMesh`; None without
     ranks:          combines the data of MPI ranks
     """
 
@@ -86,7 +85,7 @@ class State:
         self.cell_sort.fill(plan)
         self.walls.fill(plan)
         if self.mesh is not None:
-            fill_mesh(self.mesh, plan)
+            self.mesh.fill(plan)
         self.control.fill(plan)
 
     @property
@@ -110,9 +109,7 @@ class State:
         self.wall_dynamics: Any = (
             WallDynamicsFields(block, plan, backend) if plan.controlled_motions else None
         )
-        self.mesh: Any = (
-            Fields(block.arrays(mesh_arrays(plan), backend)) if plan.features.mesh_walls else None
-        )
+        self.mesh: Any = DeviceMesh(block, plan, backend) if plan.features.mesh_walls else None
         self.control = Control(block, plan, backend)
         block.finish()
 

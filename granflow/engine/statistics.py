@@ -213,7 +213,7 @@ def _build_contact_point(state: State) -> Any:
 
     Reads:  position, walls
     """
-    geometry = WallGeometry(state)
+    geometry = state.built(WallGeometry)
     box = state.built(DeviceBox)
 
     @ti.func
@@ -558,7 +558,7 @@ def _build_overlap_and_rate(state: State) -> Any:
     real = state.backend.real
     has_walls = state.plan.features.walls
     sphere_kinematics = build_sphere_kinematics(state.plan)
-    geometry = WallGeometry(state)
+    geometry = state.built(WallGeometry)
     box = state.built(DeviceBox)
 
     @ti.func

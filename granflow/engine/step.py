@@ -55,9 +55,9 @@ from granflow.engine.history import CONTACT_ORDER, transfers_history
 from granflow.engine.liquid import build_save_film
 from granflow.engine.particle_forces import Damping, ExternalForces
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
-from granflow.engine.sums import build_changed, build_to_grid, build_weight_rest, holds_sums, shares_rows
+from granflow.engine.sums import VelocitySum, build_to_grid, holds_sums, shares_rows
 from granflow.engine.threads import arrive, release, wait
-from granflow.engine.transported import build_clear_flows, build_integrate_properties
+from granflow.engine.transported import Flows
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
 from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
@@ -82,7 +82,7 @@ class TimeStep:
              `build_set_forces`
     Writes:  position, velocity, velocity_synchronized, angular_velocity, force, torque, history,
              external_work, losses, wall_work_ahead, impulses, wall_force, rebuild_requested, abort,
-             abort_particle; as these, `build_changed`, `ParticleWrap` and `build_save_film`
+             abort_particle; as these, `VelocitySum`, `ParticleWrap` and `build_save_film`
     """
 
     def __init__(self, state: State) -> None:
@@ -102,11 +102,10 @@ class TimeStep:
         self.impulses = state.built(WallImpulses)
         self.save_film = build_save_film(state) if features.liquid_transfer else None
         self.has_flows = len(features.transported) > 0
-        self.integrate_properties = build_integrate_properties(state) if self.has_flows else None
+        self.flows = state.built(Flows) if self.has_flows else None
         self.clumps = state.built(ClumpMotion)
-        self.weight_rest = build_weight_rest(state)
-        self.changed_velocity = build_changed(state, "velocity")
-        self.changed_rotation = build_changed(state, "angular_velocity")
+        self.velocity_sum = VelocitySum(state, "velocity")
+        self.rotation_sum = VelocitySum(state, "angular_velocity")
         self.counts_damping = features.damping != "none" and features.energy_budget
         self.periodic = features.periodic != "none"
         self.particle_wrap = state.built(ParticleWrap)
@@ -116,7 +115,6 @@ class TimeStep:
         # Forces
         self.exact = holds_sums(state)
         self.batched = state.batch is not None
-        self.clear_flows = build_clear_flows(state) if self.has_flows else None
         self.sets_forces_last = not self.exact or features.external_forces or features.damping != "none"
         self.has_walls = state.plan.features.walls
         self.transfers = transfers_history(state)
@@ -163,11 +161,11 @@ class TimeStep:
         if ti.static(self.features.liquid_transfer):
             self.save_film(i)
         if ti.static(self.has_flows):
-            self.integrate_properties(i, dt)
+            self.flows.integrate(i, dt)
         mass = self.particles.mass[i]
-        force = self.particles.force[i] + self.weight_rest(mass * gravity, shift)
+        force = self.particles.force[i] + self._weight_rest(mass * gravity, shift)
         kick = self.particles.mobility(i) * dt / mass * force
-        velocity = self.changed_velocity(i, kick)
+        velocity = self.velocity_sum.changed(i, kick)
         self.particles.velocity[i] = velocity
         if ti.static(self.features.rate_dependent):
             self.particles.velocity_synchronized[i] = velocity + 0.5 * kick
@@ -178,10 +176,21 @@ class TimeStep:
         if ti.static(self.features.rotation):  # a sphere needs no orientation and no gyroscopic term
             inertia = sphere_inertia(mass, self.particles.radius[i])
             kick_of_rotation = self.particles.mobility(i) * dt / inertia * self.particles.torque[i]
-            self.particles.angular_velocity[i] = self.changed_rotation(i, kick_of_rotation)
+            self.particles.angular_velocity[i] = self.rotation_sum.changed(i, kick_of_rotation)
         if ti.static(self.counts_damping):
             self.damping.add_loss(chunk, i, dt)
         return displacement
+
+    @ti.func
+    def _weight_rest(self, weight, shift):
+        """What rounding takes from the weight [N] in a sum of forces; 0 unless `holds_sums`.
+
+        It is below 2e-14 of the largest force of a contact.
+        """
+        rest = 0.0 * weight
+        if ti.static(self.exact):
+            rest = weight - self.to_grid(weight, shift)
+        return rest
 
     @ti.func
     def _check_limits(self, i, displacement, limit_squared, per_unit):
@@ -278,7 +287,7 @@ class TimeStep:
         force_sum = ti.Vector.zero(ti.f64, 3)
         torque_sum = ti.Vector.zero(ti.f64, 3)
         if ti.static(self.has_flows):
-            self.clear_flows(i)
+            self.flows.clear(i)
         if ti.static(self.exact):
             force_sum = self.to_grid(self.particles.mass[i] * gravity, self.shift()[UNIT_FORCE])
             if ti.static(self.features.clumps):  # the weight of a clump acts at its center of mass

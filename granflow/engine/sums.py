@@ -49,24 +49,6 @@ def holds_sums(state: State) -> bool:
     return state.backend.real == ti.f64
 
 
-def build_weight_rest(state: State) -> Any:
-    """Device function (weight [N], shift of forces): what the rounded weight lacks; zero unless `holds_sums`.
-
-    It is below 2e-14 of the largest force of a contact.
-    """
-    exact = holds_sums(state)
-    to_grid = build_to_grid(state.backend.real)
-
-    @ti.func
-    def weight_rest(weight, shift):
-        rest = 0.0 * weight
-        if ti.static(exact):
-            rest = weight - to_grid(weight, shift)
-        return rest
-
-    return weight_rest
-
-
 # Energies and impulses, by chunk
 
 
@@ -236,19 +218,15 @@ def scale_exponent(largest: float, count: int) -> int:
     return 62 - int(np.frexp(largest * count)[1])
 
 
-def build_to_nearest() -> Any:
-    """Device function (f64 number): the nearest integer as i64, the even one of two, as `numpy.rint`."""
-
-    @ti.func
-    def to_nearest(value):
-        lower = ti.floor(value)
-        rest = value - lower
-        integer = ti.cast(lower, ti.i64)
-        if rest > 0.5 or (rest == 0.5 and integer % 2 != 0):
-            integer += 1
-        return integer
-
-    return to_nearest
+@ti.func
+def to_nearest(value):
+    """The nearest integer of an f64 number as i64, the even one of two, as `numpy.rint`."""
+    lower = ti.floor(value)
+    rest = value - lower
+    integer = ti.cast(lower, ti.i64)
+    if rest > 0.5 or (rest == 0.5 and integer % 2 != 0):
+        integer += 1
+    return integer
 
 
 # Velocities in float32, which would otherwise lose small changes of large velocities
@@ -258,27 +236,27 @@ def build_to_nearest() -> Any:
 # (Kahan, Commun. ACM 8 (1965) 40). Clumps sum their velocities in the precision of positions instead.
 
 
-def build_changed(state: State, name: str) -> Any:
-    """Device function (i, change): a velocity of particle i after a change in this step; does not write the
-    velocity.
+class VelocitySum:
+    """The sum of the changes of a velocity.
 
     name:  "velocity" or "angular_velocity"
 
     Reads:   the velocity, its remainder
     Writes:  the remainder
     """
-    velocity = getattr(state.particles, name)
-    keeps_remainder = state.plan.features.velocity_remainders
-    remainder = getattr(state.particles, f"{name}_remainder")
+
+    def __init__(self, state: State, name: str) -> None:
+        self.velocity = getattr(state.particles, name)
+        self.remainder = getattr(state.particles, f"{name}_remainder")
+        self.keeps_remainder = state.plan.features.velocity_remainders
 
     @ti.func
-    def changed(i, change):
-        before = velocity[i]
+    def changed(self, i, change):
+        """The velocity of particle i after a change in this step; does not write the velocity."""
+        before = self.velocity[i]
         after = before + change
-        if ti.static(keeps_remainder):
-            whole = change + remainder[i]
+        if ti.static(self.keeps_remainder):
+            whole = change + self.remainder[i]
             after = before + whole
-            remainder[i] = whole - (after - before)
+            self.remainder[i] = whole - (after - before)
         return after
-
-    return changed

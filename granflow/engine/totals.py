@@ -16,12 +16,12 @@ from granflow.engine.statistics import LIQUID_SUMS
 from granflow.engine.sums import (
     REDUCED_ROWS,
     SHARES,
-    build_to_nearest,
     chunk_words,
     exact_sum,
     exact_total,
     exact_totals,
     scale_exponent,
+    to_nearest,
 )
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_totals, controlled_work
 from granflow.geometry.sphere import sphere_inertia
@@ -446,7 +446,6 @@ def _build_particle_sums(state: State) -> tuple[Callable[..., None], Callable[..
     particles = state.particles
     features = state.plan.features
     terms_of = _build_energy_terms(state)
-    to_nearest = build_to_nearest()
     external: Any = ti.types.ndarray()
 
     @ti.kernel

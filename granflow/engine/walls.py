@@ -5,7 +5,7 @@ motions are added to them (`wall_dynamics.py`). `WallGeometry` evaluates one fac
 `plan.surface_kinds`, or a triangle of a mesh (`mesh.py`).
 
 A contact with a surface made of several faces has one owner. Of the triangles of a mesh, `triangle_contact`
-finds it; where several walls touch or overlap, `build_wall_contact`, which the contact kinematics call.
+finds it; where several walls touch or overlap, `JoinedWalls`, which the contact kinematics call.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.box import DeviceBox, upload_offsets
-from granflow.engine.mesh import SAME_DIRECTION, from_nearest, normal_near, triangle_contact
+from granflow.engine.mesh import SAME_DIRECTION
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import ForceControlledWalls, upload_running
 from granflow.geometry.surface import FAR_AWAY, reader_of_numbers
@@ -46,26 +46,41 @@ LEAST_COSINE = 0.5
 """Cosine of the angle between two directions above which they can belong to one contact."""
 
 
-def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
-    """Device function (i, j, pose) -> (gap [m], direction) of particle i and partner j < 0.
+class JoinedWalls:
+    """Contact of a particle with a face, counted once where walls are joined (see `plan.joined_walls`).
 
-    They are those of `WallGeometry.contact`.
+    Without the feature `joined_walls` it is that of the face alone, `WallGeometry.contact`.
 
-    The gap is FAR_AWAY if a nearer face in the neighbor list of the particle has the same contact.
-
-    Reads:  position, radius, neighbor lists, walls, mesh
+    Reads:  position, radius, list_begin, list_walls_end, partner; kind and joints of walls; as `WallGeometry`
     """
-    particles = state.particles
-    neighbors = state.neighbors
-    walls = state.walls
-    real = state.backend.position_real
-    wall_of = build_wall_of(state)
-    force_range = state.parameter("force_range")
-    joined = state.plan.features.joined_walls
-    curved = [code for code, surface in enumerate(state.plan.surface_kinds) if surface.is_curved]
+
+    def __init__(self, state: State) -> None:
+        self.particles = state.particles
+        self.neighbors = state.neighbors
+        self.walls = state.walls
+        self.geometry = state.built(WallGeometry)
+        self.faces = state.built(Faces)
+        self.real = state.backend.position_real
+        self.force_range = state.parameter("force_range")
+        self.joined = state.plan.features.joined_walls
+        self.curved = [code for code, kind in enumerate(state.plan.surface_kinds) if kind.is_curved]
 
     @ti.func
-    def is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
+    def contact(self, i, j, pose):
+        """Gap [m] and direction of the contact of particle i with the face of partner j < 0.
+
+        The gap is FAR_AWAY if a nearer face in the neighbor list of the particle has the same contact.
+        """
+        gap = 0.0 * self.particles.position[i][0]
+        direction = 0.0 * self.particles.position[i]
+        if ti.static(self.joined):
+            gap, direction = self._contact_among_faces(i, j, pose)
+        else:
+            gap, direction = self.geometry.contact(-1 - j, pose, self.particles.position[i])
+        return gap, direction
+
+    @ti.func
+    def _is_same(self, j, other, pose, point, radius, gap, direction, other_gap, other_direction):
         """Whether partner j at `gap` has the same contact as another one at `other_gap`, which keeps it."""
         unit = SAME_DISTANCE * radius
         same = False
@@ -79,67 +94,57 @@ def build_wall_contact(state: State, geometry: "WallGeometry") -> Any:
             probe = contact_point + gap * other_direction
             in_plane = ti.abs(other_gap - gap * cosine) <= SAME_PLACE * radius
             on_curve = False
-            for code in ti.static(curved):
-                if not in_plane and walls.kind[wall_of(other)] == code:
+            for code in ti.static(self.curved):
+                if not in_plane and self.walls.kind[self.faces.wall_of(other)] == code:
                     on_curve = True
                     face = -1 - other
                     probe = contact_point
             if in_plane or on_curve:
-                distance = geometry.distance(face, pose, probe)
+                distance = self.geometry.distance(face, pose, probe)
                 same = (in_plane and distance >= gap - SAME_PLACE * radius) or (
                     on_curve and distance <= SAME_PLACE * radius
                 )
         return same
 
     @ti.func
-    def may_be_same(w, j, other):
+    def _may_be_same(self, w, j, other):
         wanted = OTHERS
-        if wall_of(other) == w:
+        if self.faces.wall_of(other) == w:
             wanted = ITSELF
-        return other != j and (walls.joints[wall_of(other)] & wanted) != 0
+        return other != j and (self.walls.joints[self.faces.wall_of(other)] & wanted) != 0
 
     @ti.func
-    def joined_contact(i, j, pose):
-        point = particles.position[i]
-        radius = ti.cast(particles.radius[i], real)
-        w = wall_of(j)
-        gap = ti.cast(FAR_AWAY, real)
+    def _contact_among_faces(self, i, j, pose):
+        point = self.particles.position[i]
+        radius = ti.cast(self.particles.radius[i], self.real)
+        w = self.faces.wall_of(j)
+        gap = ti.cast(FAR_AWAY, self.real)
         direction = 0.0 * point
         first = True
-        list_index = neighbors.list_begin[i]
-        end = neighbors.list_walls_end[i]
+        list_index = self.neighbors.list_begin[i]
+        end = self.neighbors.list_walls_end[i]
         # This face, then the others: one loop, so that `contact` is compiled once.
         while first or list_index < end:
             other = j
             if not first:
-                other = neighbors.partner[list_index]
+                other = self.neighbors.partner[list_index]
                 list_index += 1
-            if first or may_be_same(w, j, other):
+            if first or self._may_be_same(w, j, other):
                 # The distance without regard to shared edges is cheaper, and at most that of a contact.
-                if first or geometry.distance(-1 - other, pose, point) <= gap + SAME_DISTANCE * radius:
-                    other_gap, other_direction = geometry.contact(-1 - other, pose, point)
+                if first or self.geometry.distance(-1 - other, pose, point) <= gap + SAME_DISTANCE * radius:
+                    other_gap, other_direction = self.geometry.contact(-1 - other, pose, point)
                     if first:
                         gap = other_gap
                         direction = other_direction
-                        if walls.joints[w] == 0 or gap > radius + force_range():
+                        if self.walls.joints[w] == 0 or gap > radius + self.force_range():
                             end = list_index
-                    elif is_same(j, other, pose, point, radius, gap, direction, other_gap, other_direction):
-                        gap = ti.cast(FAR_AWAY, real)
+                    elif self._is_same(
+                        j, other, pose, point, radius, gap, direction, other_gap, other_direction
+                    ):
+                        gap = ti.cast(FAR_AWAY, self.real)
                         end = list_index
             first = False
         return gap, direction
-
-    @ti.func
-    def wall_contact(i, j, pose):
-        gap = 0.0 * particles.position[i][0]
-        direction = 0.0 * particles.position[i]
-        if ti.static(joined):
-            gap, direction = joined_contact(i, j, pose)
-        else:
-            gap, direction = geometry.contact(-1 - j, pose, particles.position[i])
-        return gap, direction
-
-    return wall_contact
 
 
 # One face
@@ -161,9 +166,10 @@ class WallGeometry:
     def __init__(self, state: State) -> None:
         self.state = state
         self.walls = state.walls
+        self.mesh = state.mesh
         self.features = state.plan.features
         self.wall_count = state.parameter("wall_count")
-        self.wall_of_face = build_wall_of_face(state)
+        self.faces = state.built(Faces)
         self.kinds = [
             (code, surface, reader_of_numbers(surface), range(surface.count()))
             for code, surface in enumerate(state.plan.surface_kinds)
@@ -203,7 +209,7 @@ class WallGeometry:
     @ti.func
     def contact(self, face, pose, point):
         """Distance [m] and normal of the contact with a face."""
-        w = self.wall_of_face(face)
+        w = self.faces.wall_of_face(face)
         local = self.to_wall_frame(w, pose, point)
         parameters = self.walls.parameters[w]
         gap = 0.0 * point[0]
@@ -214,7 +220,7 @@ class WallGeometry:
                 gap, normal = surface.contact(local, numbers)
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
-                gap, normal = triangle_contact(self.state.mesh, face - self.wall_count(), local)
+                gap, normal = self.mesh.triangle_contact(face - self.wall_count(), local)
         if ti.static(self.features.moving_walls):
             normal = self.walls.rotation[pose, w] @ normal
         return gap, normal
@@ -235,7 +241,9 @@ class WallGeometry:
             velocity_rel = ti.cast(velocity, self.real) - self.velocity(face, pose, point)
             found = self._normal_near(face, pose, point, point - half * velocity_rel, normal)
         if ti.static(self.features.moving_walls):
-            angular_velocity = ti.cast(self.walls.angular_velocity[pose, self.wall_of_face(face)], self.real)
+            angular_velocity = ti.cast(
+                self.walls.angular_velocity[pose, self.faces.wall_of_face(face)], self.real
+            )
             found -= half * angular_velocity.cross(found)
         return found + (1.0 - found.dot(normal)) * normal
 
@@ -247,7 +255,7 @@ class WallGeometry:
         there, and the direction from the edge would be integrated as slip. Near an edge it is the direction
         from the wall.
         """
-        w = self.wall_of_face(face)
+        w = self.faces.wall_of_face(face)
         local = self.to_wall_frame(w, pose, point)
         local_half = self.to_wall_frame(w, pose, point_half)
         found = normal
@@ -265,7 +273,7 @@ class WallGeometry:
                     else:
                         _gap, found = surface.contact(local_half, numbers)
         elif ti.static(self.features.mesh_walls):
-            found = normal_near(self.state.mesh, face - self.wall_count(), local_half, found)
+            found = self.mesh.normal_near(face - self.wall_count(), local_half, found)
         if ti.static(self.features.moving_walls):
             found = self.walls.rotation[pose, w] @ found
         return found
@@ -280,7 +288,7 @@ class WallGeometry:
         """
         found = self.velocity(face, pose, point)
         if ti.static(self.features.moving_walls):
-            w = self.wall_of_face(face)
+            w = self.faces.wall_of_face(face)
             of_pivot = self.velocity(face, pose, self._center(w, pose))
             angular_velocity = ti.cast(self.walls.angular_velocity[pose, w], self.real)
             found -= ti.cast(0.5 * dt, self.real) * angular_velocity.cross(
@@ -294,12 +302,12 @@ class WallGeometry:
 
         It is negative behind a half space.
         """
-        w = self.wall_of_face(face)
+        w = self.faces.wall_of_face(face)
         result = self.wall_distance(w, pose, point)
         if ti.static(self.features.mesh_walls):
             if face >= self.wall_count():
-                result = from_nearest(
-                    self.state.mesh, face - self.wall_count(), self.to_wall_frame(w, pose, point)
+                result = self.mesh.from_nearest(
+                    face - self.wall_count(), self.to_wall_frame(w, pose, point)
                 ).norm()
         return result
 
@@ -310,7 +318,7 @@ class WallGeometry:
         In a periodic box, the nearest of the images of the point counts: an image is outside of the box by up
         to the distance from a boundary.
         """
-        w = self.wall_of_face(face)
+        w = self.faces.wall_of_face(face)
         _, direction = self.contact(face, pose, point)
         found = self.wall_distance(w, pose, point) * direction
         if ti.static(self.features.mesh_walls):
@@ -321,7 +329,7 @@ class WallGeometry:
                     image, is_near = self.box.near_image(wrapped, number, FAR_AWAY)
                     if is_near:
                         local = self.image_in_wall_frame(w, pose, image)
-                        separation = from_nearest(self.state.mesh, face - self.wall_count(), local)
+                        separation = self.mesh.from_nearest(face - self.wall_count(), local)
                         if separation.norm() < nearest:
                             nearest = separation.norm()
                             found = separation
@@ -338,7 +346,7 @@ class WallGeometry:
         """
         velocity = 0.0 * point
         if ti.static(self.features.moving_walls):
-            w = self.wall_of_face(face)
+            w = self.faces.wall_of_face(face)
             arm = point - self._center(w, pose)
             velocity = self.walls.velocity[step, w] + self.walls.angular_velocity[step, w].cross(arm)
         return velocity
@@ -349,7 +357,7 @@ class WallGeometry:
         velocity = self.prescribed_velocity(face, pose, pose, point)
         if ti.static(self.features.force_controlled_walls):
             velocity += self.controlled_walls.sum_of(
-                self.state.wall_dynamics.velocity, self.wall_of_face(face)
+                self.state.wall_dynamics.velocity, self.faces.wall_of_face(face)
             )
         return velocity
 
@@ -363,7 +371,7 @@ class WallGeometry:
         """
         velocity = 0.0 * normal
         if ti.static(self.features.surface_velocity):
-            given = self.walls.surface_velocity[pose, self.wall_of_face(face)]
+            given = self.walls.surface_velocity[pose, self.faces.wall_of_face(face)]
             velocity = given - given.dot(normal) * normal
         return velocity
 
@@ -379,42 +387,34 @@ class WallGeometry:
 # Faces and their numbers
 
 
-def build_wall_of(state: State) -> Any:
-    """Device function (j): the wall of a partner j < 0, whose face is -1 - j.
+class Faces:
+    """Walls of faces and partners in device functions.
 
     Reads:  wall of the mesh triangles
     """
-    wall_of_face = build_wall_of_face(state)
+
+    def __init__(self, state: State) -> None:
+        self.wall_count = state.parameter("wall_count")
+        self.mesh = state.mesh
+        self.has_mesh = state.mesh is not None
 
     @ti.func
-    def wall_of(j):
-        return wall_of_face(-1 - j)
-
-    return wall_of
-
-
-def build_wall_of_face(state: State) -> Any:
-    """Device function (face): the wall of a face, see `WallGeometry`.
-
-    Reads:  wall of the mesh triangles
-    """
-    wall_count = state.parameter("wall_count")
-    mesh = state.mesh
-    has_mesh = state.mesh is not None
+    def wall_of(self, j):
+        """The wall of a partner j < 0, whose face is -1 - j."""
+        return self.wall_of_face(-1 - j)
 
     @ti.func
-    def wall_of_face(face):
+    def wall_of_face(self, face):
+        """The wall of a face, see `WallGeometry`."""
         w = face
-        if ti.static(has_mesh):
-            if w >= wall_count():
-                w = mesh.wall[w - wall_count()]
+        if ti.static(self.has_mesh):
+            if w >= self.wall_count():
+                w = self.mesh.wall[w - self.wall_count()]
         return w
-
-    return wall_of_face
 
 
 def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
-    """Wall index (n,) of each partner (n,) below 0; see `build_wall_of`."""
+    """Wall index (n,) of each partner (n,) below 0; see `Faces.wall_of`."""
     walls = np.arange(len(state.plan.walls))
     if state.mesh is not None:
         walls = np.concatenate([walls, state.mesh.wall.to_numpy()])

@@ -13,7 +13,6 @@ from subprocess_runner import each_in_subprocess
 
 from granflow.engine import backend
 from granflow.engine import threads as workers
-from granflow.engine.mesh import from_nearest, may_own, triangle_contact
 from granflow.engine.state import State
 from granflow.geometry.mesh_contact import triangle_contacts, triangle_distances
 from granflow.geometry.surface import FAR_AWAY
@@ -57,9 +56,9 @@ def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
         for i in range(points.shape[0]):
             point = ti.Vector([points[i, 0], points[i, 1], points[i, 2]])
             for t in range(gap.shape[1]):
-                gap[i, t], direction = triangle_contact(state.mesh, t, point)
-                bare[i, t] = from_nearest(state.mesh, t, point).norm()
-                near[i, t] = may_own(state.mesh, t, point, slack)
+                gap[i, t], direction = state.mesh.triangle_contact(t, point)
+                bare[i, t] = state.mesh.from_nearest(t, point).norm()
+                near[i, t] = state.mesh.may_own(t, point, slack)
                 for axis in ti.static(range(3)):
                     normal[i, t, axis] = direction[axis]
 

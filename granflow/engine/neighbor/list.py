@@ -10,7 +10,6 @@ from typing import Any
 from granflow.engine.box import DeviceBox
 from granflow.engine.codes import NOT_HALTED, PHASE_FORCES, PHASE_INTEGRATION
 from granflow.engine.history import SavedHistory
-from granflow.engine.mesh import from_nearest, may_own, triangle_range
 from granflow.engine.neighbor.phases import Phase, is_count
 from granflow.engine.neighbor.sort import (
     BLOCK_SIDE,
@@ -215,7 +214,7 @@ class NeighborListFill:
         self.gradient = -1 if periodic_box.image_motion is None else periodic_box.image_motion.gradient
         self.periodic = periodic_box.axes
         self.periodic_unsheared = tuple(axis for axis in periodic_box.axes if axis != self.gradient)
-        self.geometry = WallGeometry(state)
+        self.geometry = state.built(WallGeometry)
         self.can_touch = build_can_touch(state)
         self.wall_count = state.parameter("wall_count")
         self.domain_low = state.parameter("domain_low")
@@ -278,7 +277,7 @@ class NeighborListFill:
             image, is_near = self.box.near_image(position, number, slack)
             if is_near:
                 local = self.geometry.image_in_wall_frame(w, owner.pose, image)
-                begin, end = triangle_range(self.mesh, w, local)
+                begin, end = self.mesh.triangle_range(w, local)
                 for k in range(begin, end):
                     t = self.mesh.cell_triangles[k]
                     if self._first_image_at(owner, w, t, position, number) == number:
@@ -297,8 +296,8 @@ class NeighborListFill:
             if is_near:
                 local = self.geometry.image_in_wall_frame(w, owner.pose, image)
                 if (
-                    may_own(self.mesh, t, local, slack) == 1
-                    and from_nearest(self.mesh, t, local).norm() < search_radius
+                    self.mesh.may_own(t, local, slack) == 1
+                    and self.mesh.from_nearest(t, local).norm() < search_radius
                 ):
                     found = number
             number += 1
