@@ -265,7 +265,7 @@ class Box:
 
 def reaches(state: State, arrays: Arrays, reach_time: float) -> np.ndarray:
     """Radius plus an upper bound of the reach (n,) [m] of particles, see
-    `engine.neighbor.sort.bounds_phases`."""
+    `engine.neighbor.sort.Bounds`."""
     plan = state.plan
     velocity = arrays["velocity"].astype(float)
     speed = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
@@ -343,7 +343,7 @@ class GhostExchange:
         """Indices (k,) of the owned particles that each rank needs as ghosts.
 
         arrays:      position, velocity, radius and reach of the owned particles
-        reach_time:  [s], see `engine.neighbor.sort.bounds_phases`
+        reach_time:  [s], see `engine.neighbor.sort.Bounds`
         """
         communicator = self._communicator
         position = arrays["position"].astype(float)

@@ -317,7 +317,7 @@ class RankRebuild:
 
         present:     (k,) indices of the particles that are not deleted
         deleted:     of this rank
-        reach_time:  [s], see `engine.neighbor.sort.bounds_phases`
+        reach_time:  [s], see `engine.neighbor.sort.Bounds`
         """
         share = self._share(particles, present)
         entries = self.ghosts.selected(share.arrays, reach_time)

@@ -5,7 +5,7 @@ import pytest
 from scene_builders import box, build_scene, particle_group, prepared_simulation, run_to_end
 
 from granflow.engine import state_cache
-from granflow.engine.neighbor.sort import BLOCK_SIDE, build_grid_over
+from granflow.engine.neighbor.sort import BLOCK_SIDE, CellGrids
 from granflow.kernel_language import ti
 from granflow.observers.observer import on_interval
 from granflow.plan import capacities
@@ -142,11 +142,11 @@ def falling_particle_grid():
     state = prepared_simulation(
         build_scene({"ball": particle_group([[0.0] * 3])}, domain=domain)
     ).engine.state
-    grid_over = build_grid_over(state)
+    grids = CellGrids(state)
 
     @ti.kernel
     def lay(extent: ti.f64, side: ti.f64, limit: ti.i32) -> ti.types.vector(6, ti.f64):
-        _low, sides, cells = grid_over(
+        _low, sides, cells = grids.over(
             ti.Vector.zero(ti.f64, 3), extent * ti.Vector.one(ti.f64, 3), side, limit
         )
         return ti.Vector([sides[0], sides[1], sides[2], cells[0], cells[1], cells[2]], dt=ti.f64)

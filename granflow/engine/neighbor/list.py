@@ -5,25 +5,14 @@ before the next rebuild. The order of the cells and of their particles determine
 bits for any number of threads.
 """
 
-from typing import Any
-
 from granflow.engine.box import DeviceBox
 from granflow.engine.codes import NOT_HALTED, PHASE_FORCES, PHASE_INTEGRATION
 from granflow.engine.history import SavedHistory
 from granflow.engine.neighbor.phases import Phase, is_count
-from granflow.engine.neighbor.sort import (
-    BLOCK_SIDE,
-    adjacent_cells,
-    cell_number,
-    cell_of_point,
-    cells_within,
-    wrapped_cell,
-)
+from granflow.engine.neighbor.sort import BLOCK_SIDE, CellGrids, cell_number
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
 from granflow.kernel_language import ti
-
-# The phase, chunk by chunk or particle by particle
 
 TOO_LONG = 2**30
 """Added to the length of a chunk in which the list of a particle is too long for a batch.
@@ -59,92 +48,98 @@ def fill_phase(state: State) -> Phase:
     Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed, present,
              position_at_rebuild, rebuild_due, rebuild_requested, halted_at
     """
-    present_count = _build_present_count(state)
-    chunk_size = state.parameter("chunk_size")
-    fill = _build_fill_one(state) if state.plan.chunk_size == 1 else _build_fill(state, present_count)
+    lists = NeighborListFill(state)
+    fill = lists.fill_one if state.plan.chunk_size == 1 else lists.fill_chunk
+    return Phase(fill, state.plan.capacities.chunks, lists.chunk_count, per_task=1, serial=lists.finish)
+
+
+class NeighborListFill:
+    """Device functions of the phase that fills the lists, see `fill_phase`.
+
+    `owner` of a list, a struct: index `i` of the particle, `first` and `end` of its chunk, `limit` of the
+    list indices of the chunk, the `skin` [m], the `reach_largest` [m] of all particles and the `pose` of the
+    walls. Functions that append entries take the list index of the next entry and return the one after their
+    last entry.
+    """
+
+    def __init__(self, state: State) -> None:
+        plan = state.plan
+        self.plan = plan
+        self.walls = state.walls
+        self.mesh = state.mesh
+        self.particles = state.particles
+        self.neighbors = state.neighbors
+        self.control = state.control
+        self.sorting = state.cell_sort
+        self.grids = state.built(CellGrids)
+        self.geometry = state.built(WallGeometry)
+        self.saved_history = state.built(SavedHistory)
+        self.box = state.built(DeviceBox)
+        self.chunk_size = state.parameter("chunk_size")
+        self.list_capacity = state.parameter("list_capacity")
+        self.class_count = state.parameter("class_count")
+        self.wall_count = state.parameter("wall_count")
+        self.domain_low = state.parameter("domain_low")
+        self.domain_high = state.parameter("domain_high")
+        self.force_range = state.parameter("force_range")
+        self.longest_allowed = NO_LIMIT if state.batch is None else state.batch.longest_list
+        self.can_halt = state.control.halted_at is not None
+        self.by_class = state.cell_sort.class_order is not None
+        self.sheared = plan.features.lees_edwards
+        self.image_range = int(plan.features.lees_edwards)
+
+    # The phase, chunk by chunk or particle by particle
 
     @ti.func
-    def chunk_count(rebuild: ti.template()):
-        return (present_count(rebuild) + chunk_size() - 1) // chunk_size()
-
-    return Phase(fill, state.plan.capacities.chunks, chunk_count, 1, _build_finish(state, present_count))
-
-
-def _build_present_count(state: State) -> Any:
-    """Device function (rebuild): number of particles with a neighbor list."""
-    sorting = state.cell_sort
-    has_ghosts = state.plan.has_ghosts
-
-    @ti.func
-    def present_count(rebuild: ti.template()):
+    def present_count(self, rebuild: ti.template()):
+        """Number of particles with a neighbor list."""
         present = 0
         if rebuild.count > 0:
-            if ti.static(has_ghosts):
-                present = sorting.owned_count[0]  # the lists of ghosts are on the ranks that own them
+            if ti.static(self.plan.has_ghosts):
+                present = self.sorting.owned_count[0]  # the lists of ghosts are on the ranks that own them
             else:
                 # Deleted particles are in the cell behind the last.
-                present = sorting.cell_start[sorting.cell_count[0]]
+                present = self.sorting.cell_start[self.sorting.cell_count[0]]
         return present
 
-    return present_count
-
-
-def _build_fill(state: State, present_count: Any) -> Any:
-    """Device function (task, rebuild): fill the neighbor lists of a chunk, see `fill_phase`."""
-    particles = state.particles
-    neighbors = state.neighbors
-    control = state.control
-    sorting = state.cell_sort
-    chunk_size = state.parameter("chunk_size")
-    list_capacity = state.parameter("list_capacity")
-    lists = NeighborListFill(state)
-    longest_allowed = NO_LIMIT
-    if state.batch is not None:
-        longest_allowed = state.batch.longest_list
+    @ti.func
+    def chunk_count(self, rebuild: ti.template()):
+        """Number of chunks with neighbor lists."""
+        return (self.present_count(rebuild) + self.chunk_size() - 1) // self.chunk_size()
 
     @ti.func
-    def fill(task: ti.template(), rebuild: ti.template()):
-        first = task.index * chunk_size()
-        end = (task.index + 1) * chunk_size()
-        begin = task.index * list_capacity()
-        limit = begin + list_capacity()
+    def fill_chunk(self, task: ti.template(), rebuild: ti.template()):
+        """Fill the neighbor lists of a chunk."""
+        first = task.index * self.chunk_size()
+        end = (task.index + 1) * self.chunk_size()
+        begin = task.index * self.list_capacity()
+        limit = begin + self.list_capacity()
         list_index = begin
         longest = 0
-        for i in range(first, ti.min(end, present_count(rebuild))):
-            particles.position_at_rebuild[i] = particles.position[i]
-            neighbors.list_begin[i] = list_index
+        for i in range(first, ti.min(end, self.present_count(rebuild))):
+            self.particles.position_at_rebuild[i] = self.particles.position[i]
+            self.neighbors.list_begin[i] = list_index
             owner = ti.Struct(
                 i=i,
                 first=first,
                 end=end,
                 limit=limit,
                 skin=rebuild.skin,
-                reach_largest=sorting.reach_largest[0],
+                reach_largest=self.sorting.reach_largest[0],
                 pose=rebuild.pose,
             )
-            list_index = lists.fill(owner, list_index)
-            lists.restore(owner, neighbors.list_begin[i], list_index)
-            neighbors.list_end[i] = list_index
-            longest = ti.max(longest, list_index - neighbors.list_begin[i])
-        excess = ti.cast(longest > longest_allowed, ti.i32) * TOO_LONG
-        ti.atomic_max(control.list_length_needed[0], list_index - begin + excess)
-
-    return fill
-
-
-def _build_fill_one(state: State) -> Any:
-    """Device function (task, rebuild): fill the neighbor list of one particle, see `fill_phase`."""
-    particles = state.particles
-    neighbors = state.neighbors
-    control = state.control
-    sorting = state.cell_sort
-    lists = NeighborListFill(state)
-    list_capacity = state.parameter("list_capacity")
+            list_index = self._append_partners(owner, list_index)
+            self._restore(owner, self.neighbors.list_begin[i], list_index)
+            self.neighbors.list_end[i] = list_index
+            longest = ti.max(longest, list_index - self.neighbors.list_begin[i])
+        excess = ti.cast(longest > self.longest_allowed, ti.i32) * TOO_LONG
+        ti.atomic_max(self.control.list_length_needed[0], list_index - begin + excess)
 
     @ti.func
-    def fill_one(task: ti.template(), rebuild: ti.template()):
+    def fill_one(self, task: ti.template(), rebuild: ti.template()):
+        """Fill the neighbor list of one particle."""
         i = task.index
-        particles.position_at_rebuild[i] = particles.position[i]
+        self.particles.position_at_rebuild[i] = self.particles.position[i]
         begin = 0
         end = 0
         limit = 0
@@ -155,76 +150,31 @@ def _build_fill_one(state: State) -> Any:
                 end=i + 1,
                 limit=limit,
                 skin=rebuild.skin,
-                reach_largest=sorting.reach_largest[0],
+                reach_largest=self.sorting.reach_largest[0],
                 pose=rebuild.pose,
             )
-            end = lists.fill(owner, begin)
-            lists.restore(owner, begin, end)
+            end = self._append_partners(owner, begin)
+            self._restore(owner, begin, end)
             if limit == 0:
-                begin = ti.atomic_add(control.list_length_needed[0], end)
-                limit = list_capacity()
-        neighbors.list_begin[i] = begin
-        neighbors.list_end[i] = end
-
-    return fill_one
-
-
-def _build_finish(state: State, present_count: Any) -> Any:
-    """Device function (rebuild): store the number of particles and reset the requests of a rebuild."""
-    control = state.control
-    sorting = state.cell_sort
-    can_halt = state.control.halted_at is not None
+                begin = ti.atomic_add(self.control.list_length_needed[0], end)
+                limit = self.list_capacity()
+        self.neighbors.list_begin[i] = begin
+        self.neighbors.list_end[i] = end
 
     @ti.func
-    def finish(rebuild: ti.template()):
-        sorting.present[0] = present_count(rebuild)
-        control.rebuild_due[0] = 0
-        control.rebuild_requested[0] = 0
-        if ti.static(can_halt):
+    def finish(self, rebuild: ti.template()):
+        """Store the number of particles and reset the requests of a rebuild."""
+        self.sorting.present[0] = self.present_count(rebuild)
+        self.control.rebuild_due[0] = 0
+        self.control.rebuild_requested[0] = 0
+        if ti.static(self.can_halt):
             for phase in ti.static((PHASE_INTEGRATION, PHASE_FORCES)):
-                control.halted_at[phase] = NOT_HALTED
+                self.control.halted_at[phase] = NOT_HALTED
 
-    return finish
-
-
-# One list
-
-
-class NeighborListFill:
-    """Device functions that append the entries of one neighbor list.
-
-    `owner`, a struct: index `i` of the particle, `first` and `end` of its chunk, `limit` of the list indices
-    of the chunk, the `skin` [m], the `reach_largest` [m] of all particles and the `pose` of the walls.
-    Each function takes the list index of the next entry and returns the one after its last entry.
-    """
-
-    def __init__(self, state: State) -> None:
-        plan = state.plan
-        periodic_box = state.plan.periodic_box
-        self.state = state
-        self.plan = plan
-        self.mesh = state.mesh
-        self.particles = state.particles
-        self.neighbors = state.neighbors
-        self.sorting = state.cell_sort
-        self.sheared = plan.features.lees_edwards
-        self.by_class = state.cell_sort.class_order is not None
-        self.image_range = int(plan.features.lees_edwards)
-        self.class_count = state.parameter("class_count")
-        self.gradient = -1 if periodic_box.image_motion is None else periodic_box.image_motion.gradient
-        self.periodic = periodic_box.axes
-        self.periodic_unsheared = tuple(axis for axis in periodic_box.axes if axis != self.gradient)
-        self.geometry = state.built(WallGeometry)
-        self.can_touch = build_can_touch(state)
-        self.wall_count = state.parameter("wall_count")
-        self.domain_low = state.parameter("domain_low")
-        self.domain_high = state.parameter("domain_high")
-        self.force_range = state.parameter("force_range")
-        self.saved_history = state.built(SavedHistory)
-        self.box = state.built(DeviceBox)
+    # One list
 
     @ti.func
-    def fill(self, owner: ti.template(), list_index):
+    def _append_partners(self, owner: ti.template(), list_index):
         """Append walls, then particles: contact forces evaluate the two kinds in separate loops."""
         list_end = list_index
         if ti.static(self.plan.features.walls):
@@ -239,7 +189,7 @@ class NeighborListFill:
         return list_index + 1
 
     @ti.func
-    def restore(self, owner: ti.template(), begin, end):
+    def _restore(self, owner: ti.template(), begin, end):
         """Restore the contact histories of a list of these entries."""
         if ti.static(len(self.neighbors.history) > 0):
             for list_index in range(begin, ti.min(end, owner.limit)):
@@ -257,7 +207,7 @@ class NeighborListFill:
         list_end = list_index
         search_radius = self.particles.radius[owner.i] + self._slack(owner)
         for w in range(self.wall_count()):
-            if self.state.walls.present[w] == 1 and self.can_touch(owner.i, -1 - w):
+            if self.walls.present[w] == 1 and self._can_touch(owner.i, -1 - w):
                 if ti.static(self.plan.features.mesh_walls):
                     list_end = self._append_triangles(owner, list_end, w)
                 if self.geometry.wall_distance(w, owner.pose, position) < search_radius:
@@ -318,14 +268,10 @@ class NeighborListFill:
                     search_radius += owner.skin
                 for image in range(-self.image_range, self.image_range + 1):
                     point = self.box.shift_by_images(position, image, owner.pose)
-                    first, end = cells_within(
-                        self.sorting, self.periodic_unsheared, self.gradient, grid, point, search_radius
-                    )
+                    first, end = self.grids.cells_within(grid, point, search_radius)
                     list_end = self._append_cells(owner, list_end, grid, first, end, image)
         else:
-            first, end = adjacent_cells(
-                self.periodic, cell_of_point(self.sorting, 0, position), self.sorting.cells[0]
-            )
+            first, end = self.grids.adjacent_cells(0, position)
             list_end = self._append_cells(owner, list_end, 0, first, end, 0)
         return list_end
 
@@ -340,7 +286,7 @@ class NeighborListFill:
             while (y < end[1]) & is_count(list_end):
                 x = first[0]
                 while x < end[0]:
-                    cell = wrapped_cell(self.periodic, ti.Vector([x, y, z]), cells)
+                    cell = self.grids.wrapped_cell(ti.Vector([x, y, z]), cells)
                     # Cells along x are consecutive within a block: their particles are one range.
                     count = ti.min(end[0] - x, cells[0] - cell[0], BLOCK_SIDE - cell[0] % BLOCK_SIDE)
                     list_end = self._append_range(
@@ -373,7 +319,7 @@ class NeighborListFill:
     def _can_cross(self, position, skin):
         """True if a particle can cross a sheared face before the next rebuild; it is an image for others
         then."""
-        axis = ti.static(self.gradient)
+        axis = ti.static(self.grids.gradient)
         return (
             position[axis] < self.domain_low()[axis] + skin
             or position[axis] > self.domain_high()[axis] - skin
@@ -405,30 +351,22 @@ class NeighborListFill:
                 ):
                     search_radius += owner.skin
             is_near = branch.dot(branch) < search_radius * search_radius
-            if is_near and is_nearest_image and self.can_touch(i, j):
+            if is_near and is_nearest_image and self._can_touch(i, j):
                 list_end = self._append(owner, list_end, j)
         return list_end
 
-
-def build_can_touch(state: State) -> Any:
-    """Device function (i, j): false for two fixed particles, a fixed particle and a wall (j < 0), and in a
-    clump.
-
-    Reads:  fixed, clump
-    """
-    particles = state.particles
-
     @ti.func
-    def can_touch(i, j):
+    def _can_touch(self, i, j):
+        """False for two fixed particles, a fixed particle and a wall (j < 0), and two spheres of a clump."""
         can = True
-        if ti.static(state.plan.features.fixed_particles):
-            if particles.fixed[i] == 1:
+        if ti.static(self.plan.features.fixed_particles):
+            if self.particles.fixed[i] == 1:
                 can = j >= 0
                 if j >= 0:
-                    can = particles.fixed[j] == 0
-        if ti.static(state.plan.features.clumps):
+                    can = self.particles.fixed[j] == 0
+        if ti.static(self.plan.features.clumps):
             if j >= 0:
-                can = can and (particles.clump[i] < 0 or particles.clump[i] != particles.clump[j])
+                can = can and (
+                    self.particles.clump[i] < 0 or self.particles.clump[i] != self.particles.clump[j]
+                )
         return can
-
-    return can_touch

@@ -20,7 +20,7 @@ from granflow.engine.host import HistoryTable, HostParticles, copy_to_host, save
 from granflow.engine.liquid import build_prepare_films
 from granflow.engine.neighbor.list import TOO_LONG, fill_phase
 from granflow.engine.neighbor.phases import Phase, build_rebuild, granularity, is_count
-from granflow.engine.neighbor.sort import KEPT_REACH, bounds_phases, class_phases, find_farthest, sort_phases
+from granflow.engine.neighbor.sort import KEPT_REACH, SortByCell, SortByClass, bounds_phases, find_farthest
 from granflow.engine.state import DeviceFlags, State, read_flags
 from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.errors import GranflowError
@@ -38,11 +38,11 @@ class RebuildKernel:
     def __init__(self, state: State) -> None:
         phases = bounds_phases(state)
         if not state.plan.has_ghosts:  # ranks sort their particles on the host
-            phases = [*_chunk_phases(state), *phases, *sort_phases(state), *reorder_phases(state)]
+            phases = [*_chunk_phases(state), *phases, *SortByCell(state).phases(), *reorder_phases(state)]
         if state.plan.features.clumps:
             phases.append(index_phase(state))
         if state.cell_sort.class_order is not None:
-            phases += class_phases(state)
+            phases += SortByClass(state).phases()
         self.fill = len(phases)
         self.launch = build_rebuild(state, [*phases, fill_phase(state)])
 
