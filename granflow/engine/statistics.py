@@ -171,86 +171,38 @@ AT_LIMIT = 1.0 - 1e-6
 def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
     """Kernel (count, pose, time_step): evaluate all list entries.
 
-    Reads:   position, velocity, radius, mass, neighbor lists, history, walls
+    Reads:   velocity, neighbor lists; as `AnyContact`
     Writes:  numbers, force, contact_point of `output`
     """
     particles = state.particles
     neighbors = state.neighbors
     real = state.backend.real
-    any_kinematics = build_any_kinematics(state)
+    contacts = state.built(AnyContact)
     histories = state.built(ContactHistory)
-    pair_constants = build_pair_constants(state)
     normal_force_of = build_normal_force(state.plan.laws, False)
-    surface_forces = _build_surface_forces(state)
     numbers = output.numbers
-    contact_point_of = _build_contact_point(state)
 
     @ti.kernel
     def evaluate(count: ti.i32, pose: ti.i32, dt: real):
         for i in range(count):
             for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                 j = neighbors.partner[list_index]
-                normal, contact = any_kinematics(i, j, pose, dt)
+                normal, contact = contacts.kinematics(i, j, pose, dt)
                 numbers[list_index][OVERLAP] = contact.overlap
                 if contact.overlap > 0.0:
-                    constants = pair_constants(i, j)
+                    constants = contacts.constants(i, j)
                     history = histories.read(list_index)
                     normal_force, load, _viscous, _new = normal_force_of(constants, contact, history)
-                    tangential, size, limit = surface_forces(
+                    tangential, size, limit = contacts.surface_forces(
                         constants, contact, load, history, particles.velocity[i]
                     )
                     numbers[list_index][NORMAL] = normal_force
                     numbers[list_index][TANGENTIAL] = size
                     numbers[list_index][LIMIT] = limit
-                    output.contact_point[list_index] = contact_point_of(i, j, pose)
+                    output.contact_point[list_index] = contacts.point(i, j, pose)
                     output.force[list_index] = normal_force * normal + tangential
 
     return evaluate
-
-
-def _build_contact_point(state: State) -> Any:
-    """Device function (i, j, pose): contact point [m] with a wall; for particles the wrapped position of i.
-
-    Reads:  position, walls
-    """
-    geometry = state.built(WallGeometry)
-    box = state.built(DeviceBox)
-
-    @ti.func
-    def contact_point_of(i, j, pose):
-        contact_point = box.wrap_position(state.particles.position[i])
-        if ti.static(state.plan.features.walls):
-            if j < 0:
-                gap, direction = geometry.contact(-1 - j, pose, contact_point)
-                contact_point -= gap * direction
-        return contact_point
-
-    return contact_point_of
-
-
-def _build_surface_forces(state: State) -> Any:
-    """Device function (constants, contact, load, history, a vector): tangential force, size, limit [N].
-
-    The vector gives the type of the force; without a tangential model all are 0.
-    """
-    laws = state.plan.laws
-
-    @ti.func
-    def surface_forces(constants, contact, load, history, vector):
-        force = 0.0 * vector
-        size = 0.0 * load
-        limit = 0.0 * load
-        if ti.static(laws.has_tangential):
-            surface = ti.Struct(
-                radius_eff=contact.radius_eff,
-                normal_load=load,
-                stiffness=laws.normal.tangential_stiffness(constants.normal, contact, history.normal),
-            )
-            force, size = laws.tangential.present_force(constants.tangential, surface, history.tangential)
-            limit = laws.tangential.limit(constants.tangential, surface)
-        return force, size, limit
-
-    return surface_forces
 
 
 # Sums over all contacts
@@ -312,7 +264,7 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
 
     A row is that of a chunk, or of every k-th one if there are k rows.
 
-    Reads:   position, velocity, radius, mass, neighbor lists, history, walls
+    Reads:   radius, liquid_film, neighbor lists; as `AnyContact` and `build_in_range`
     Writes:  coordination_number, wall_contact_count, sums, energies, largest
     """
     particles = state.particles
@@ -321,14 +273,14 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
     real = state.backend.real
     chunk_size = state.parameter("chunk_size")
     sum_count = sums.n
-    any_kinematics = build_any_kinematics(state)
+    contacts = state.built(AnyContact)
     list_shares = build_list_shares(state)
-    energies = build_energies(state)
-    pair_constants = build_pair_constants(state)
     in_range = build_in_range(state)
     stride = state.stride
     high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
-    with_film, with_bridge = _build_liquid_sums(state)
+    liquid = state.plan.features.liquid_transfer
+    cohesion_history: Any = state.neighbors.history.get("cohesion")
+    liquid_unit = state.parameter("liquid_unit") if liquid else None
 
     @ti.kernel
     def measure(chunks: ti.i32, rows: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
@@ -348,14 +300,19 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                 for k in range(particles_of_row(row, rows, chunks, size, count)):
                     chunk = row + k // size * rows
                     i = chunk * size + k % size
-                    found = with_film(found, i)
+                    if ti.static(liquid):  # in half units: those that bridges return
+                        found[FILMS] += to_units(SHARES * particles.liquid_film[i] / liquid_unit())
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
-                        _normal, contact = any_kinematics(i, j, pose, dt)
+                        _normal, contact = contacts.kinematics(i, j, pose, dt)
                         shares = list_shares(chunk, j)
-                        found = with_bridge(found, list_index, shares)
+                        if ti.static(liquid):
+                            bridge = cohesion_history[list_index][0] / liquid_unit()
+                            found[BRIDGES] += shares * to_units(bridge)
                         if in_range(i, j, contact.overlap):
-                            elastic, plastic = energies(list_index, pair_constants(i, j), contact)
+                            elastic, plastic = contacts.energies(
+                                list_index, contacts.constants(i, j), contact
+                            )
                             elastic_low, elastic_high = energy_words(scale * elastic)
                             plastic_low, plastic_high = energy_words(scale * plastic)
                             low += shares * ti.Vector([elastic_low, plastic_low])
@@ -389,82 +346,6 @@ def particles_of_row(row, rows, chunks, size, count):
     return chunk_count * size - ti.max((last + 1) * size - count, 0)
 
 
-def _build_liquid_sums(state: State) -> tuple[Any, Any]:
-    """Device functions (sums, i) and (sums, list index, shares) -> sums with the film of i, or with a bridge.
-
-    Films are in half units: those that bridges return.
-
-    Reads:  liquid_film, history
-    """
-    liquid = state.plan.features.liquid_transfer
-    particles = state.particles
-    history = state.neighbors.history
-    unit = state.parameter("liquid_unit") if liquid else None
-
-    @ti.func
-    def with_film(sums, i):
-        result = sums
-        if ti.static(liquid):
-            result[FILMS] += to_units(SHARES * particles.liquid_film[i] / unit())
-        return result
-
-    @ti.func
-    def with_bridge(sums, list_index, shares):
-        result = sums
-        if ti.static(liquid):
-            result[BRIDGES] += shares * to_units(history["cohesion"][list_index][0] / unit())
-        return result
-
-    return with_film, with_bridge
-
-
-def build_energies(state: State) -> Any:
-    """Device function (list index, constants, contact): stored and lost energy [J].
-
-    Both are 0 without the energy budget.
-
-    The stored energy includes that of all models; the lost energy is the plastic work.
-
-    Reads:  history
-    """
-    laws = state.plan.laws
-    surface_laws = laws.on_surface
-    energy_budget = state.plan.features.energy_budget
-    histories = state.built(ContactHistory)
-
-    @ti.func
-    def with_surface_energy(normal_energy, constants, contact, history):
-        """The stored energy [J] with that of the models that act on the surfaces."""
-        stored = normal_energy
-        surface = ti.Struct(
-            radius_eff=contact.radius_eff,
-            mass_eff=contact.mass_eff,
-            overlap=contact.overlap,
-            stiffness=laws.normal.tangential_stiffness(constants.normal, contact, history.normal),
-        )
-        for slot, law in ti.static(surface_laws):
-            stored += law.stored_energy(member(constants, slot), surface, member(history, slot))
-        return stored
-
-    @ti.func
-    def energies(list_index, constants, contact):
-        stored = 0.0 * contact.overlap
-        lost = 0.0 * contact.overlap
-        if ti.static(energy_budget):
-            history = histories.read(list_index)
-            if contact.overlap > 0.0:
-                stored = laws.normal.stored_energy(constants.normal, contact, history.normal)
-                lost = laws.normal.lost_energy(constants.normal, contact, history.normal)
-            if ti.static(laws.has_cohesion):
-                stored += laws.cohesion.stored_energy(constants.cohesion, contact, history.cohesion)
-                lost += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
-            if contact.overlap > 0.0:
-                stored = with_surface_energy(stored, constants, contact, history)
-        return stored, lost
-
-    return energies
-
-
 # Largest impact velocity
 
 
@@ -494,14 +375,14 @@ class MaxImpactVelocity:
 def _build_scan(state: State, squares: Any) -> Any:
     """Kernel (chunks, count, time_step): largest squared impact velocity [m2/s2] of each chunk.
 
-    Reads:   position, velocity, radius, mass, neighbor lists, walls
+    Reads:   neighbor lists; as `Impacts`
     Writes:  squares
     """
     neighbors = state.neighbors
     stride = state.stride
     real = state.backend.real
     chunk_size = state.parameter("chunk_size")
-    energy_velocity_squared = _build_square(state)
+    impacts = Impacts(state)
 
     @ti.kernel
     def scan(chunks: ti.i32, count: ti.i32, dt: real):
@@ -511,79 +392,70 @@ def _build_scan(state: State, squares: Any) -> Any:
                 largest = ti.cast(0.0, real)
                 for i in range(chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
-                        largest = ti.max(
-                            largest, energy_velocity_squared(i, neighbors.partner[list_index], dt)
-                        )
+                        j = neighbors.partner[list_index]
+                        largest = ti.max(largest, impacts.velocity_squared(i, j, dt))
                 squares[chunk] = largest
 
     return scan
 
 
-def _build_square(state: State) -> Any:
-    """Device function (i, j, time_step): squared impact velocity with the energy of a pair.
+class Impacts:
+    """Impact velocities of pairs. Walls are at pose 0; velocities are half a step behind the positions.
 
-    It is that of the kinetic and the elastic energy.
-
-        v^2 = d'^2 + 4 k d^2.5 / (5 M)        (Zhou 2011, Eq. 5)
-
-    For a pair without overlap v is the approach velocity, 0 if the pair separates.
+    Reads:  position, velocity, radius, image_offset, image_speed; as `AnyContact` and `WallGeometry`
     """
-    overlap_and_rate = _build_overlap_and_rate(state)
-    pair_constants = build_pair_constants(state)
-    effective = build_effective(state, False)
-    wall_effective = build_effective(state, True)
+
+    def __init__(self, state: State) -> None:
+        self.particles = state.particles
+        self.real = state.backend.real
+        self.has_walls = state.plan.features.walls
+        self.contacts = state.built(AnyContact)
+        self.geometry = state.built(WallGeometry)
+        self.box = state.built(DeviceBox)
+        self.sphere_kinematics = build_sphere_kinematics(state.plan)
 
     @ti.func
-    def energy_velocity_squared(i, j, dt):
-        overlap, rate = overlap_and_rate(i, j, dt)
+    def velocity_squared(self, i, j, dt):
+        """Squared impact velocity [m2/s2] with the kinetic and the elastic energy of a pair.
+
+            v^2 = d'^2 + 4 k d^2.5 / (5 M)        (Zhou 2011, Eq. 5)
+
+        For a pair without overlap v is the approach velocity, 0 if the pair separates.
+        """
+        overlap, rate = self._overlap_and_rate(i, j, dt)
         found = ti.max(rate, 0.0) ** 2
         if overlap > 0.0:
-            bodies = wall_effective(i, j)
-            if j >= 0:
-                bodies = effective(i, j)
-            constants = pair_constants(i, j)
+            bodies = self.contacts.bodies(i, j)
+            constants = self.contacts.constants(i, j)
             k = 4.0 / 3.0 * constants.normal.modulus_eff * ti.sqrt(bodies.radius_eff)
             found = rate * rate + 0.8 * k * overlap * overlap * ti.sqrt(overlap) / bodies.mass_eff
         return found
 
-    return energy_velocity_squared
-
-
-def _build_overlap_and_rate(state: State) -> Any:
-    """Device function (i, j, time_step): overlap [m], negative for a gap, and overlap rate [m/s] of a pair.
-
-    Walls are at pose 0. Velocities are half a step behind the positions.
-    """
-    particles = state.particles
-    real = state.backend.real
-    has_walls = state.plan.features.walls
-    sphere_kinematics = build_sphere_kinematics(state.plan)
-    geometry = state.built(WallGeometry)
-    box = state.built(DeviceBox)
-
     @ti.func
-    def overlap_and_rate(i, j, dt):
-        overlap = 0.0 * particles.radius[i]
-        rate = 0.0 * particles.radius[i]
+    def _overlap_and_rate(self, i, j, dt):
+        """Overlap [m], negative for a gap, and overlap rate [m/s] of a pair."""
+        position = self.particles.position[i]
+        velocity = self.particles.velocity[i]
+        radius = self.particles.radius[i]
+        overlap = 0.0 * radius
+        rate = 0.0 * radius
         if j >= 0:
-            branch = ti.cast(box.minimum_image(particles.position[i], particles.position[j], 0), real)
-            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - box.image_velocity(i, j, 0)
-            kinematics = sphere_kinematics(
-                particles.radius[i], particles.radius[j], branch, velocity_rel_half, velocity_rel_half, dt
+            branch = ti.cast(self.box.minimum_image(position, self.particles.position[j], 0), self.real)
+            velocity_rel_half = velocity - self.particles.velocity[j] - self.box.image_velocity(i, j, 0)
+            kinematics = self.sphere_kinematics(
+                radius, self.particles.radius[j], branch, velocity_rel_half, velocity_rel_half, dt
             )
             overlap = kinematics.overlap
             rate = kinematics.overlap_rate_half
-        elif ti.static(has_walls):
-            gap, normal = geometry.contact(-1 - j, 0, particles.position[i])
-            wall_velocity = geometry.velocity(-1 - j, 0, particles.position[i])
-            overlap = ti.cast(particles.radius[i] - gap, real)
-            rate = -(particles.velocity[i] - ti.cast(wall_velocity, real)).dot(ti.cast(normal, real))
+        elif ti.static(self.has_walls):
+            gap, normal = self.geometry.contact(-1 - j, 0, position)
+            wall_velocity = self.geometry.velocity(-1 - j, 0, position)
+            overlap = ti.cast(radius - gap, self.real)
+            rate = -(velocity - ti.cast(wall_velocity, self.real)).dot(ti.cast(normal, self.real))
         return overlap, rate
 
-    return overlap_and_rate
 
-
-# Parts of several of them: the candidate pairs, and the kinematics of one.
+# Parts of several of them: the candidate pairs, and one contact
 
 
 def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -605,30 +477,100 @@ def _partner_table(state: State) -> FieldTable:
     return FieldTable({"partner": state.neighbors.partner})
 
 
-def build_any_kinematics(state: State) -> Any:
-    """Device function (i, j, pose, time_step): kinematics for particles and walls alike.
+class AnyContact:
+    """Device functions of the contact of particle i with any partner j, where speed does not matter.
 
-    It serves where speed does not matter.
+    `pose` is the index of the poses of the walls, `dt` the time step [s]; `constants` are those of all slots.
 
-    Returns the normal, and the struct `contact` of the contact models.
-
-    Reads:  as `build_pair_kinematics`
+    Reads:  as `build_pair_kinematics`, `build_effective` and `build_pair_constants`; history
     """
-    has_walls = state.plan.features.walls
-    particle_kinematics = build_pair_kinematics(state, False)
-    particle_effective = build_effective(state, False)
-    wall_kinematics = build_pair_kinematics(state, True) if has_walls else particle_kinematics
-    wall_effective = build_effective(state, True)
+
+    def __init__(self, state: State) -> None:
+        self.particles = state.particles
+        self.laws = state.plan.laws
+        self.has_walls = state.plan.features.walls
+        self.energy_budget = state.plan.features.energy_budget
+        self.histories = state.built(ContactHistory)
+        self.geometry = state.built(WallGeometry)
+        self.box = state.built(DeviceBox)
+        self.constants = build_pair_constants(state)
+        self.particle_effective = build_effective(state, False)
+        self.wall_effective = build_effective(state, True)
+        self.particle_kinematics = build_pair_kinematics(state, False)
+        self.wall_kinematics = build_pair_kinematics(state, True) if self.has_walls else None
 
     @ti.func
-    def any_kinematics(i, j, pose, time_step):
-        bodies = wall_effective(i, j)
-        found = no_contact(0.0 * bodies.radius_eff, state.particles.velocity[i])
-        if j < 0:
-            found = wall_kinematics(i, j, pose, time_step)
-        else:
-            bodies = particle_effective(i, j)
-            found = particle_kinematics(i, j, pose, time_step)
-        return found.normal, normal_contact(bodies, found, time_step)
+    def bodies(self, i, j):
+        """Effective radius, mass and inertia, as of `build_effective`."""
+        found = self.wall_effective(i, j)
+        if j >= 0:
+            found = self.particle_effective(i, j)
+        return found
 
-    return any_kinematics
+    @ti.func
+    def kinematics(self, i, j, pose, dt):
+        """The normal, and the struct `contact` of the contact models."""
+        bodies = self.bodies(i, j)
+        found = no_contact(0.0 * bodies.radius_eff, self.particles.velocity[i])
+        if j >= 0:
+            found = self.particle_kinematics(i, j, pose, dt)
+        elif ti.static(self.has_walls):
+            found = self.wall_kinematics(i, j, pose, dt)
+        return found.normal, normal_contact(bodies, found, dt)
+
+    @ti.func
+    def point(self, i, j, pose):
+        """Contact point [m] with a wall; for particles the wrapped position of i."""
+        contact_point = self.box.wrap_position(self.particles.position[i])
+        if ti.static(self.has_walls):
+            if j < 0:
+                gap, direction = self.geometry.contact(-1 - j, pose, contact_point)
+                contact_point -= gap * direction
+        return contact_point
+
+    @ti.func
+    def surface_forces(self, constants, contact, load, history, vector):
+        """Tangential force, its size and its limit [N]; all are 0 without a tangential model.
+
+        vector:  gives the type of the force
+        """
+        force = 0.0 * vector
+        size = 0.0 * load
+        limit = 0.0 * load
+        if ti.static(self.laws.has_tangential):
+            surface = ti.Struct(
+                radius_eff=contact.radius_eff,
+                normal_load=load,
+                stiffness=self.laws.normal.tangential_stiffness(constants.normal, contact, history.normal),
+            )
+            force, size = self.laws.tangential.present_force(
+                constants.tangential, surface, history.tangential
+            )
+            limit = self.laws.tangential.limit(constants.tangential, surface)
+        return force, size, limit
+
+    @ti.func
+    def energies(self, list_index, constants, contact):
+        """Stored energy of all models and plastic work [J]; both are 0 without the energy budget."""
+        stored = 0.0 * contact.overlap
+        lost = 0.0 * contact.overlap
+        if ti.static(self.energy_budget):
+            history = self.histories.read(list_index)
+            if contact.overlap > 0.0:
+                stored = self.laws.normal.stored_energy(constants.normal, contact, history.normal)
+                lost = self.laws.normal.lost_energy(constants.normal, contact, history.normal)
+            if ti.static(self.laws.has_cohesion):
+                stored += self.laws.cohesion.stored_energy(constants.cohesion, contact, history.cohesion)
+                lost += self.laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
+            if contact.overlap > 0.0:
+                surface = ti.Struct(
+                    radius_eff=contact.radius_eff,
+                    mass_eff=contact.mass_eff,
+                    overlap=contact.overlap,
+                    stiffness=self.laws.normal.tangential_stiffness(
+                        constants.normal, contact, history.normal
+                    ),
+                )
+                for slot, law in ti.static(self.laws.on_surface):
+                    stored += law.stored_energy(member(constants, slot), surface, member(history, slot))
+        return stored, lost

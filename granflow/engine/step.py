@@ -38,6 +38,7 @@ costs more than the whole contact model and is not needed within a chunk.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from granflow.engine.batch import build_batched_forces, build_load_sums, build_store_sums
 from granflow.engine.box import ParticleWrap
@@ -348,11 +349,26 @@ class TimeStep:
 # CPU: one launch for many steps
 
 
-def build_cpu_steps(state: State) -> Callable[..., None]:
-    """Kernel for up to `steps` steps on a CPU.
+class CpuLaunch(NamedTuple):
+    """Arguments of the kernel for up to `steps` steps on a CPU, in their order; the defaults do nothing.
 
-    Arguments: steps, workers, number of chunks, particle count, pose, time step [s], and whether to integrate
-    (`moving`) and compute forces (`forcing`).
+    pose:             index of the poses of the walls in the first step
+    dt:               time step [s]
+    moving, forcing:  whether to integrate, and to compute forces
+    """
+
+    steps: int = 0
+    workers: int = 1
+    chunk_count: int = 0
+    particle_count: int = 0
+    pose: int = 0
+    dt: float = 0.0
+    moving: int = 1
+    forcing: int = 1
+
+
+def build_cpu_steps(state: State) -> Callable[..., None]:
+    """Kernel for several steps on a CPU; its arguments are those of `CpuLaunch`.
 
     Reads:   as the phases
     Writes:  as the phases; rebuild_due, steps_done, running, and the fields of the barrier
@@ -476,11 +492,27 @@ class CpuSteps:
 # GPU: one launch of two dispatches for each step
 
 
-def build_gpu_step(state: State) -> Callable[..., None]:
-    """Kernel for one step on a GPU.
+class GpuLaunch(NamedTuple):
+    """Arguments of the kernel for one step on a GPU, in their order; the defaults do nothing.
 
-    Arguments: number of the launch, number of steps before it since the flags were read, number of chunks,
-    particle count, pose, time step [s], and whether to integrate (`moving`) and compute forces (`forcing`).
+    number:        number of the launch
+    steps_before:  number of steps before it since the flags were read
+
+    The others are those of `CpuLaunch`.
+    """
+
+    number: int = 0
+    steps_before: int = 1
+    chunk_count: int = 0
+    particle_count: int = 0
+    pose: int = 0
+    dt: float = 0.0
+    moving: int = 1
+    forcing: int = 1
+
+
+def build_gpu_step(state: State) -> Callable[..., None]:
+    """Kernel for one step on a GPU; its arguments are those of `GpuLaunch`.
 
     The host launches many steps before it reads a flag. A launch whose phase requests a rebuild or aborts
     records its number in `halted_at`; all later launches then do nothing. A phase compares numbers that no

@@ -19,7 +19,7 @@ from granflow.engine.host import HistoryTable, HostParticles, saved_particle_tab
 from granflow.engine.neighbor.rebuild import NeighborListRebuild, Rebuild
 from granflow.engine.particle_forces import write_force_inputs
 from granflow.engine.state import BATCH, LANES, DeviceFlags, State, read_flags
-from granflow.engine.step import build_steps
+from granflow.engine.step import CpuLaunch, GpuLaunch, build_steps
 from granflow.engine.sums import shares_rows
 from granflow.engine.threads import Workers
 from granflow.engine.walls import WallPoses
@@ -43,6 +43,7 @@ class Stepper:
 
     LONGEST_LAUNCH = 2**30
     """Largest number of steps of a launch: the kernel counts them in 32 bits."""
+    EMPTY_LAUNCH: CpuLaunch | GpuLaunch = CpuLaunch()
 
     def __init__(self, state: State, on_deleted: Callable[..., None]) -> None:
         self.state = state
@@ -66,7 +67,7 @@ class Stepper:
         state = self.state
         self._rebuild.compile()
         self._take_steps = state.built(build_steps)
-        self._take_steps(0, 1, 0, 0, 0, 0.0, 1, 1)
+        self._take_steps(*self.EMPTY_LAUNCH)
         self.timing.compile += clock.perf_counter() - began
 
     def _prepare_workers(self) -> None:
@@ -264,7 +265,17 @@ class Stepper:
         state = self.state
         workers = self._workers.count
         self._workers.place(workers)
-        self._take_steps(steps, workers, state.chunk_count, state.count, pose, time_step, moving, forcing)
+        launch = CpuLaunch(
+            steps=steps,
+            workers=workers,
+            chunk_count=state.chunk_count,
+            particle_count=state.count,
+            pose=pose,
+            dt=time_step,
+            moving=moving,
+            forcing=forcing,
+        )
+        self._take_steps(*launch)
 
     def _sampled_step(self) -> int:
         """Take one step and time its phases separately."""
@@ -297,6 +308,7 @@ class GpuStepper(Stepper):
     """Advances a State on a GPU by steps, each of them a launch."""
 
     LONGEST_LAUNCH = STEPS_BETWEEN_READS
+    EMPTY_LAUNCH = GpuLaunch()
 
     _launches = 0
     """Number of the next launch that computes forces."""
@@ -372,10 +384,17 @@ class GpuStepper(Stepper):
     ) -> None:
         """Launch one step. If `moving` or `forcing` is 0, only the other phase."""
         state = self.state
-        before = self._launches - self._first_launch
-        self._take_steps(
-            self._launches, before, state.chunk_count, state.count, pose, time_step, moving, forcing
+        launch = GpuLaunch(
+            number=self._launches,
+            steps_before=self._launches - self._first_launch,
+            chunk_count=state.chunk_count,
+            particle_count=state.count,
+            pose=pose,
+            dt=time_step,
+            moving=moving,
+            forcing=forcing,
         )
+        self._take_steps(*launch)
         self._launches += forcing
         self._read = None
 

@@ -23,6 +23,7 @@ from granflow.engine.host import (
     saved_particle_table,
 )
 from granflow.engine.neighbor.list import TOO_LONG
+from granflow.engine.neighbor.phases import RebuildLaunch
 from granflow.engine.neighbor.rebuild import ChunkKernel, RebuildKernel
 from granflow.engine.neighbor.sort import KEPT_REACH, find_farthest, remaining
 from granflow.engine.state import BATCH, LANES, Arrays, State
@@ -301,7 +302,15 @@ class RankRebuild:
         launch = state.built(ChunkKernel).launch
         if launch is None:
             return True
-        launch(workers, 0, count, state.plan.skin, 0.0, state.clock.time_step, pose)
+        launch(
+            *RebuildLaunch(
+                workers=workers,
+                particle_count=count,
+                skin=state.plan.skin,
+                dt=state.clock.time_step,
+                pose=pose,
+            )
+        )
         return int(state.control.list_length_needed[0]) <= state.capacities.saved_entries_per_segment
 
     def _list(
@@ -422,12 +431,18 @@ class RankRebuild:
         state = self._state
         while True:
             kernel = state.built(RebuildKernel)
-            step = state.clock.time_step
             needed = 0
             control = state.control
             if state.count:
-                end = self.ghosts.first + self.ghosts.count
-                kernel.launch(workers, 0, end, state.plan.skin, reach_time, step, pose)
+                launch = RebuildLaunch(
+                    workers=workers,
+                    particle_count=self.ghosts.first + self.ghosts.count,
+                    skin=state.plan.skin,
+                    reach_time=reach_time,
+                    dt=state.clock.time_step,
+                    pose=pose,
+                )
+                kernel.launch(*launch)
                 needed = int(control.list_length_needed[0])
             control.rebuild_due[0] = control.rebuild_requested[0] = 0
             too_long, length = divmod(needed, TOO_LONG)

@@ -7,7 +7,7 @@ barrier 1 us. On a GPU each phase is a loop over its tasks. `rebuild.py` lists t
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
@@ -27,8 +27,8 @@ def all_particles(rebuild: ti.template()):
 
 @dataclass(frozen=True)
 class Phase:
-    """Device functions of a phase; `rebuild` is a struct with the arguments of the launch, see
-    `build_rebuild`.
+    """Device functions of a phase; `rebuild` is a struct with the number of particles, `count`, and with
+    `skin` to `pose` of `RebuildLaunch`.
 
     body:      (task, rebuild): one task, a struct of its `index` and its entries `begin` to `end`, exclusive
     most:      largest number of tasks; on a GPU the length of the loop
@@ -54,10 +54,27 @@ def granularity(state: State) -> tuple[int, int]:
     return (EVENLY, SCAN_BLOCK) if state.backend.on_cpu else (1, 1)
 
 
-def build_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
-    """Kernel that runs the phases from number `first`.
+class RebuildLaunch(NamedTuple):
+    """Arguments of the kernel of a rebuild, in their order; by default there are no particles.
 
-    Arguments: workers, first, particle count, skin [m], time [s] of the reach, time step [s], pose.
+    first:       number of the first phase
+    skin:        [m]
+    reach_time:  time [s] of the reach, see `sort.Bounds`
+    dt:          time step [s]
+    pose:        index of the poses of the walls
+    """
+
+    workers: int = 1
+    first: int = 0
+    particle_count: int = 0
+    skin: float = 0.0
+    reach_time: float = 0.0
+    dt: float = 0.0
+    pose: int = 0
+
+
+def build_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
+    """Kernel that runs the phases from number `first`; its arguments are those of `RebuildLaunch`.
 
     A phase that sets `control.running` to 0 is the last one.
 
@@ -71,48 +88,7 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
     control = state.control
     real = state.backend.real
     position_real = state.backend.position_real
-    numbered = [*enumerate(phases)]
-    phase_count = len(phases)
-    special = [each for each in numbered if (each[1].count, each[1].per_task) != (all_particles, EVENLY)]
-    serial = [(number, phase) for number, phase in numbered if phase.has_serial]
-
-    @ti.func
-    def next_task():
-        return ti.atomic_add(control.next_chunk[CACHE_LINE], 1)
-
-    @ti.func
-    def run_tasks(current, rebuild: ti.template()):
-        """Tasks of one phase of one worker."""
-        index = next_task()
-        entries = all_particles(rebuild)
-        per_task = EVENLY
-        for number, phase in ti.static(special):
-            if number == current:
-                entries = phase.count(rebuild)
-                per_task = phase.per_task
-        tasks = task_count(entries, per_task)
-        while index < tasks:
-            begin, end = entry_range(index, entries, per_task)
-            task = ti.Struct(index=index, begin=begin, end=end)
-            for number, phase in ti.static(numbered):
-                if number == current:
-                    phase.body(task, rebuild)
-            index = next_task()
-
-    @ti.func
-    def complete(current, barrier, rebuild: ti.template()):
-        """Wait for all workers; the last one runs the serial part. Returns 1 if this worker leaves the
-        launch."""
-        left = 0
-        if arrive(control, barrier) == 1:
-            for number, phase in ti.static(serial):
-                if number == current:
-                    phase.serial(rebuild)
-            control.next_chunk[CACHE_LINE] = 0
-            release(control, barrier)
-        else:
-            left = wait(control, barrier)
-        return left
+    cpu_phases = CpuPhases(state, phases)
 
     @ti.kernel
     def rebuild_on_cpu(
@@ -134,15 +110,71 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
                 rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
-                # One loop with the phase chosen in it, not a sequence of phases: half the compile time.
-                current = first
-                left = 0
-                while current < phase_count and left == 0 and control.running[0] == 1:
-                    run_tasks(current, rebuild)
-                    left = complete(current, current - first + 1, rebuild)
-                    current += 1
+                cpu_phases.work(first, rebuild)
 
     return rebuild_on_cpu
+
+
+class CpuPhases:
+    """What one worker does in the launch of a rebuild."""
+
+    def __init__(self, state: State, phases: list[Phase]) -> None:
+        self.control = state.control
+        self.numbered = [*enumerate(phases)]
+        self.phase_count = len(phases)
+        self.special = [
+            each for each in self.numbered if (each[1].count, each[1].per_task) != (all_particles, EVENLY)
+        ]
+        self.serial = [each for each in self.numbered if each[1].has_serial]
+
+    @ti.func
+    def work(self, first, rebuild: ti.template()):
+        """Phases from number `first`, until the launch ends or the worker leaves it."""
+        # One loop with the phase chosen in it, not a sequence of phases: half the compile time.
+        current = first
+        left = 0
+        while current < self.phase_count and left == 0 and self.control.running[0] == 1:
+            self._run_tasks(current, rebuild)
+            left = self._complete(current, current - first + 1, rebuild)
+            current += 1
+
+    @ti.func
+    def _next_task(self):
+        return ti.atomic_add(self.control.next_chunk[CACHE_LINE], 1)
+
+    @ti.func
+    def _run_tasks(self, current, rebuild: ti.template()):
+        """Tasks of one phase of one worker."""
+        index = self._next_task()
+        entries = all_particles(rebuild)
+        per_task = EVENLY
+        for number, phase in ti.static(self.special):
+            if number == current:
+                entries = phase.count(rebuild)
+                per_task = phase.per_task
+        tasks = task_count(entries, per_task)
+        while index < tasks:
+            begin, end = entry_range(index, entries, per_task)
+            task = ti.Struct(index=index, begin=begin, end=end)
+            for number, phase in ti.static(self.numbered):
+                if number == current:
+                    phase.body(task, rebuild)
+            index = self._next_task()
+
+    @ti.func
+    def _complete(self, current, barrier, rebuild: ti.template()):
+        """Wait for all workers; the last one runs the serial part. Returns 1 if this worker leaves the
+        launch."""
+        left = 0
+        if arrive(self.control, barrier) == 1:
+            for number, phase in ti.static(self.serial):
+                if number == current:
+                    phase.serial(rebuild)
+            self.control.next_chunk[CACHE_LINE] = 0
+            release(self.control, barrier)
+        else:
+            left = wait(self.control, barrier)
+        return left
 
 
 def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:

@@ -19,7 +19,7 @@ from granflow.engine.history import SavedHistory
 from granflow.engine.host import HistoryTable, HostParticles, copy_to_host, saved_particle_table
 from granflow.engine.liquid import build_prepare_films
 from granflow.engine.neighbor.list import TOO_LONG, fill_phase
-from granflow.engine.neighbor.phases import Phase, build_rebuild, granularity, is_count
+from granflow.engine.neighbor.phases import Phase, RebuildLaunch, build_rebuild, granularity, is_count
 from granflow.engine.neighbor.sort import KEPT_REACH, SortByCell, SortByClass, bounds_phases, find_farthest
 from granflow.engine.state import DeviceFlags, State, read_flags
 from granflow.engine.wall_dynamics import mark_rebuild
@@ -48,7 +48,7 @@ class RebuildKernel:
 
     def compile(self) -> None:
         """Compile the kernel by launching it on an empty range."""
-        self.launch(1, self.fill, 0, 0.0, 0.0, 0.0, 0)
+        self.launch(*RebuildLaunch(first=self.fill))
 
 
 class ChunkKernel:
@@ -157,9 +157,17 @@ class NeighborListRebuild:
         """
         state = self._state
         first = 0 if state.count else self._kernel.fill
-        step = state.clock.time_step
         while True:
-            self._kernel.launch(workers, first, state.count, state.plan.skin, reach_time, step, pose)
+            launch = RebuildLaunch(
+                workers=workers,
+                first=first,
+                particle_count=state.count,
+                skin=state.plan.skin,
+                reach_time=reach_time,
+                dt=state.clock.time_step,
+                pose=pose,
+            )
+            self._kernel.launch(*launch)
             flags = read_flags(state)
             needed = flags.list_length_needed
             if first < self._kernel.fill and flags.running == 0:  # the histories do not fit
