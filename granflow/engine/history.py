@@ -184,7 +184,7 @@ class HistoryTransfer:
             largest_distance = self.particles.radius[i]
             if ti.static(self.acts_at_distance):
                 largest_distance += self.pair_constants(i, j).cohesion.range
-            if self.geometry.from_surface(-1 - j, pose, self.particles.position[i]).norm() < largest_distance:
+            if self.geometry.from_nearest(-1 - j, pose, self.particles.position[i]).norm() < largest_distance:
                 self.neighbors.in_contact[list_index] = RELEASED
                 released = 1
         return released
@@ -216,12 +216,12 @@ class HistoryTransfer:
         # A sphere has few wall entries, so that a search among all of them is cheap.
         for list_index in range(self.neighbors.list_begin[i], self.neighbors.list_walls_end[i]):
             if self.neighbors.in_contact[list_index] == RELEASED:
-                for side in range(2):  # this face, then the other: `from_surface` is compiled once
+                for side in range(2):  # this face, then the other: `from_nearest` is compiled once
                     if side == 1 or is_known == 0:
                         face = -1 - j
                         if side == 1:
                             face = -1 - self.neighbors.partner[list_index]
-                        separation = self.geometry.from_surface(face, pose, position)
+                        separation = self.geometry.from_nearest(face, pose, position)
                         if side == 0:
                             from_nearest = separation
                             is_known = 1

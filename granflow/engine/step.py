@@ -79,8 +79,8 @@ class TimeStep:
 
     Reads:   parameters, position, velocity, velocity_synchronized, angular_velocity, force, torque, mass,
              radius, fixed, clump, position_at_rebuild, reach, neighbor lists, history, walls; as
-             `ClumpMotion`, `ForceControlledWalls`, `build_contact`, `build_batched_forces` and
-             `build_set_forces`
+             `ClumpMotion`, `ForceControlledWalls`, `Flows`, `build_contact`, `build_batched_forces`
+             and `build_set_forces`
     Writes:  position, velocity, velocity_synchronized, angular_velocity, force, torque, history,
              external_work, losses, wall_work_ahead, impulses, wall_force, rebuild_requested, abort,
              abort_particle; as these, `VelocitySum`, `ParticleWrap` and `build_save_film`

@@ -153,7 +153,8 @@ class JoinedWalls:
 class WallGeometry:
     """Device functions of a wall or triangle at a point, for the shapes of a plan.
 
-    They contain the motion only if a wall moves.
+    They contain the motion only if a wall moves. `contact` and `distance` are those of `Surface`
+    (`geometry.surface`).
 
     Points are in m in the frame of the scene; in a periodic box they are wrapped into the box first. A face
     is a wall index, or wall count + index of a triangle, numbered over all meshes; the partner of a contact
@@ -312,7 +313,7 @@ class WallGeometry:
         return result
 
     @ti.func
-    def from_surface(self, face, pose, point):
+    def from_nearest(self, face, pose, point):
         """Vector [m] to a point from the nearest point of a face, without regard to shared edges.
 
         In a periodic box, the nearest of the images of the point counts: an image is outside of the box by up

@@ -44,7 +44,8 @@ def fill_phase(state: State) -> Phase:
     If each particle is a chunk, it counts its entries, reserves them by an atomic addition and then stores
     them. Their places depend on the threads; nothing depends on their places.
 
-    Reads:   position, radius, reach, fixed, cells and order of the cell sort, walls, mesh, saved history
+    Reads:   position, radius, reach, fixed, clump, cells and order of the cell sort, walls, mesh, saved
+             history
     Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed, present,
              position_at_rebuild, rebuild_due, rebuild_requested, halted_at
     """
