@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+from pydantic.json_schema import GenerateJsonSchema
 from ruamel.yaml import YAML
 
 from granflow.io.files import example_paths
-from granflow.scene.blocks.metrics import METRICS
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.blocks.walls.kinds import WALLS
 from granflow.schema.messages import nearest
 from granflow.schema.model import DEFAULT_IN_WORDS, DIMENSION, NOTES
 from granflow.units import DIMENSIONS, Dimension
@@ -42,8 +41,24 @@ def json_schema() -> dict[str, Any]:
 
 def _schema_with_notes() -> dict[str, Any]:
     """The schema with the NOTES of its keys."""
-    simplified: dict[str, Any] = _simplified(SceneInput.model_json_schema(by_alias=True))
+    schema = SceneInput.model_json_schema(by_alias=True, schema_generator=_SortedSchema)
+    simplified: dict[str, Any] = _simplified(schema)
     return simplified
+
+
+class _SortedSchema(GenerateJsonSchema):
+    """Sorts the schema as pydantic does, but not the keys of examples."""
+
+    def sort(self, value: Any, parent_key: str | None = None) -> Any:
+        """The value with sorted keys; `parent_key`: the key that has it."""
+        if parent_key == "examples":
+            return value
+        if isinstance(value, list):
+            return [self.sort(each, parent_key) for each in value]
+        if not isinstance(value, dict):
+            return value
+        names = value if parent_key in ("properties", "default") else sorted(value)
+        return {name: self.sort(value[name], name) for name in names}
 
 
 def _without_notes(value: Any) -> Any:
@@ -329,21 +344,18 @@ def _mappings(schema: dict[str, Any]) -> Iterator[str]:
         yield f"mapping with `{key}`" + (f": {', '.join(words)}" if words else "")
 
 
-# Examples: from the tables below, a shipped scene, or the type of the value
+# Examples: that of the key, else the most frequent value in the shipped scenes, else one of the type
 
 
 def example_of(key: Key) -> str:
     """Key and example value as YAML on one line."""
-    of_metric = next((metric.examples for metric in METRICS if metric.__name__ == key.part), {})
-    value = (
-        PART_EXAMPLES.get(f"{key.part}.{key.name}")
-        or of_metric.get(key.name)
-        or EXAMPLES.get(key.name)
-        or _from_scenes(key)
-    )
-    return f"{key.name}: {value or _typical(key.schema, key.name)}"
+    examples = key.schema.get("examples")
+    value = as_yaml(examples[0]) if examples else _from_scenes(key) or _typical(key.schema)
+    return f"{key.name}: {value}"
 
 
+PLAIN_NUMBER = DIMENSIONS["number"].example
+"""Example of a number without unit; as the last component of a vector it is replaced by 1."""
 NO_SCENES = ("sweeps/", "calibration/")
 """Folders of shipped files that are not scenes."""
 LONGEST = 72
@@ -406,31 +418,10 @@ def _fits(part: str, value: dict[str, Any]) -> bool:
     )
 
 
-TEXTS = {
-    "description": "8000 glass beads discharge through the outlet.",
-    "file": "parts/drum.stl",
-    "start_from": "../out/hopper",
-    "quantity": "mass_flow.outlet",
-    "name": "settle",
-    "materials": "glass",
-    "groups": "red",
-    "stages": "settle",
-}
-"""Examples of text by key."""
-VECTORS = {
-    "min": "[0, 0, 0]",
-    "max": "[40 mm, 40 mm, 80 mm]",
-    "sides": "[[40 mm, 0, 0], [0, 20 mm, 0]]",
-    **dict.fromkeys(("point", "center", "corner", "translate"), "[0, 0, 10 mm]"),
-    **dict.fromkeys(("normal", "axis", "direction"), "[0, 0, 1]"),
-}
-"""Examples of lists of numbers by key."""
-
-
-def _typical(schema: dict[str, Any], key: str = "") -> str:
-    """A value of the type of a schema; `key` selects the example of text."""
+def _typical(schema: dict[str, Any]) -> str:
+    """The example of a key, else its default, else a value of its type."""
     if examples := schema.get("examples"):
-        return str(examples[0])
+        return as_yaml(examples[0])
     if default := schema.get("default"):
         return as_yaml(default)
     options = list(alternatives(schema))
@@ -443,130 +434,21 @@ def _typical(schema: dict[str, Any], key: str = "") -> str:
     if "const" in first or "enum" in first:
         return str(first.get("const") or first["enum"][0])
     if "prefixItems" in first:
-        return VECTORS.get(key) or f"[{', '.join(_typical(each) for each in first['prefixItems'])}]"
+        last = _typical(first["prefixItems"][-1])
+        zeros = ["0"] * (len(first["prefixItems"]) - 1)
+        return f"[{', '.join([*zeros, '1' if last == PLAIN_NUMBER else last])}]"
     if "items" in first:
-        return f"[{_typical(first['items'], key)}]"
+        return f"[{_typical(first['items'])}]"
     if "patternProperties" in first:
         return f"{{first: {_typical(next(iter(first['patternProperties'].values())))}}}"
-    return {"boolean": "true", "integer": "100", "number": "0.5", "string": TEXTS.get(key, "glass")}[
-        first["type"]
-    ]
+    return {"boolean": "true", "integer": "100", "number": "0.5", "string": "glass"}[first["type"]]
 
 
 def _mapping(part: str) -> str:
     """A mapping with the required keys of a part."""
     schema = parts()[part]
     required = [name for name in schema["properties"] if name in schema.get("required", ())]
-    return "{" + ", ".join(f"{name}: {_typical(schema['properties'][name], name)}" for name in required) + "}"
-
-
-EXAMPLES = {
-    "expect": "[{quantity: particle_count, equals: 8000, tolerance: 0}]",
-    "phase": "90 deg",
-    "motion": "{kind: vibration, direction: [0, 0, 1], amplitude: 1 mm, frequency: 25 Hz}",
-    "until": "{quantity: wall_pressure.lid, above: 100 kPa}",
-    "domain": "{min: [0, 0, 0], max: [40 mm, 40 mm, 80 mm], on_exit: error}",
-}
-"""Examples by key where the shipped scenes have special values or none."""
-PART_EXAMPLES = {
-    "scene.start_from": "out/hopper",
-    "scene.title": "Conical hopper",
-    "scene.damping": "{drag: 5 1/s, stages: [settle]}",
-    "scene.gravity": "[0, 0, -9.81]",
-    "scene.contact": "{normal: zhou, tangential: mindlin, rolling: none}",
-    "Domain.periodic": "[x, y]",
-    "Expectation.quantity": "mass_flow.outlet",
-    "LudingNormal.plasticity_depth": "0.05",
-    "Material.young_modulus": "70 GPa",
-    "Material.poisson_ratio": "0.3",
-    "Material.density": "2500",
-    "RotationStep.angle": "90 deg",
-    "Material.restitution_fit": "[3.0, 0.5]",
-    "MaterialPair.twisting_friction": "20 um",
-    "MaterialPair.rolling_dissipation": "0.1 ms",
-    "MaterialPair.rolling_damping": "0.3",
-    "MaterialPair.hamaker_constant": "6.5e-20",
-    "MaterialPair.separation": "1.65e-10",
-    "RestitutionFit.sigma": "3.0",
-    "RestitutionFit.limit_velocity": "100 m/s",
-    "Damping.drag": "5 1/s",
-    "Group.mass": "20 g",
-    "Group.clump": "{spheres: [{position: [0, 0, 0], radius: 2 mm}, {position: [3 mm, 0, 0], radius: 2 mm}]}",
-    "Clump.spheres": "[{position: [0, 0, 0], radius: 2 mm}, {position: [3 mm, 0, 0], radius: 2 mm}]",
-    "Group.radius": "2 mm",
-    "Group.velocity": "[0, 0, -0.5 m/s]",
-    "Group.angular_velocity": "[0, 6, 0]",
-    "Group.liquid_content": "1 %",
-    "Group.thermal": "{velocity_rms: 0.1 m/s}",
-    "Stage.min_duration": "50 ms",
-    "RunSettings.time_step": "2 us",
-    "Output.fields": "{bed: {cell: 5 mm, quantities: [solid_fraction, velocity]}}",
-    "ThorntonNormal.yield_ratio": "0.02",
-    "KuwabaraKonoNormal.reference_velocity": "1 m/s",
-    "Vibration.amplitude": "1 mm",
-    "Vibration.frequency": "25 Hz",
-    "Vibration.angular_frequency": "157 rad/s",
-    "Translation.velocity": "[0, 0, -20 mm/s]",
-    "Translation.initial_velocity": "[0, 0, 0]",
-    "Translation.ramp_duration": "50 ms",
-    "Rotation.ramp_duration": "0.5 s",
-    "Rotation.initial_angular_velocity": "0",
-    "SurfaceVelocity.velocity": "[0.5 m/s, 0, 0]",
-    "SurfaceVelocity.initial_velocity": "[0, 0, 0]",
-    "SurfaceVelocity.ramp_duration": "0.2 s",
-    "TableMotion.file": "motion.csv",
-    "TableMotion.times": "[0, 0.5 s, 1 s]",
-    "TableMotion.displacements": "[0, 4 mm, 0]",
-    "TableMotion.velocities": "[0, 20 mm/s, 0]",
-    "TableMotion.angles": "[0, 30 deg, 0]",
-    "TableMotion.angular_velocities": "[0, 30 rpm, 0]",
-    "Servo.direction": "[0, 0, -1]",
-    "Servo.pressure": "50 kPa",
-    "Servo.velocity_max": "0.1 m/s",
-    "FreeWall.direction": "[0, 0, -1]",
-    "LogNormalSizes.min": "1 mm",
-    "LogNormalSizes.max": "4 mm",
-    "LogNormalSizes.median": "2 mm",
-    "LogNormalSizes.sigma": "0.3",
-    "ThermalMotion.velocity_rms": "0.1 m/s",
-    "RainInsertion.rate": "2000 1/s",
-    "RainInsertion.end": "1 s",
-    "InletInsertion.start": "0",
-    "FileInsertion.file": "particles.csv",
-    "StageCondition.quantity": "wall_pressure.lid",
-    "StageCondition.above": "100 kPa",
-    "StageCondition.below": "5 kPa",
-    "FieldGrid.cells": "[20, 1, 40]",
-    "Box.min": "[0, 0, 0]",
-    "Box.max": "[40 mm, 40 mm, 80 mm]",
-    "Checkpoints.interval": "0.5 s",
-    "CollisionEnergies.min": "1 nJ",
-    "CollisionEnergies.max": "1 mJ",
-    "FileSummary.speed_max": "0.5 m/s",
-    "FileSummary.diameter_min": "3 mm",
-    "FileSummary.overlap_max": "0.01",
-    "FileSummary.overlap_rows": "lines 12 and 40",
-    "LeesEdwards.start": "0.2 s",
-    "BoxOutlet.box": "{min: [-0.5, -0.5, 0.2], max: [0.5, 0.5, 0.4]}",
-    **{
-        f"{motion}.end": "1.5 s"
-        for motion in (
-            "Vibration",
-            "Translation",
-            "Rotation",
-            "TableMotion",
-            "SurfaceVelocity",
-            "Servo",
-            "FreeWall",
-        )
-    },
-    **{
-        f"{wall.__name__}.{key}": value
-        for wall in WALLS
-        for key, value in {"vanishes_at": "1 s", **wall.examples}.items()
-    },
-}
-"""Examples by part and key where neither the shipped scenes nor the type give a realistic value."""
+    return "{" + ", ".join(f"{name}: {_typical(schema['properties'][name])}" for name in required) + "}"
 
 
 # Keys by path, such as run.time_step

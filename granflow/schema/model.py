@@ -140,10 +140,12 @@ def optional(description: str, otherwise: str, **settings: Any) -> Any:
     """Field of a key that is None unless given.
 
     otherwise:  what then applies, in words; it ends the description
-    settings:   of the field, such as a `default` other than None
+    settings:   of the field, such as `examples`, or a `default` other than None
     """
+    if "default_factory" not in settings:
+        settings = {"default": None, **settings}
     return Field(
-        **(settings or {"default": None}),
+        **settings,
         description=f"{description}; default: {otherwise}",
         json_schema_extra={DEFAULT_IN_WORDS: otherwise},
     )

@@ -16,7 +16,7 @@ from granflow import fields
 from granflow.cli.main import build_parser
 from granflow.scene import reference as schema_keys
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.reference import PART_EXAMPLES, example_of, type_text
+from granflow.scene.reference import example_of, type_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -94,10 +94,6 @@ def _subclasses(model):
     for each in model.__subclasses__():
         yield each
         yield from _subclasses(each)
-
-
-def test_no_example_is_left_over(keys):
-    assert {f"{key.part}.{key.name}" for key in keys} >= set(PART_EXAMPLES)
 
 
 def test_units_of_types_agree_with_descriptions(keys):

@@ -20,12 +20,11 @@ class Height(Metric):
     """Heights of the particles above a level."""
 
     kind: Literal["height"] = Field("height", description="kind of metric")
-    level: float = Field(0.0, description="level [m]")
+    level: float = Field(0.0, description="level [m]", examples=[0.25])
     quantities = (
         Quantity("mean_height", "z", "m", "mean height of the particles above a level"),
         Quantity("share_above", "", "1", "share of the particles above a level"),
     )
-    examples = {"level": "0.25"}
 
     def faults_in(self, parts):
         if self.level < parts.scene.domain.min[2]:

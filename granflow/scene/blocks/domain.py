@@ -33,7 +33,7 @@ class LeesEdwards(Model):
     flow: Axis = Field(description="flow axis, the direction of the velocity")
     gradient: Axis = Field(description="gradient axis, along which the velocity changes")
     rate: ShearRate = Field(description="shear rate, change of velocity per length [1/s]; may be negative")
-    start: q.Time = Field(0.0, description="time at which the shear begins [s]")
+    start: q.Time = Field(0.0, description="time at which the shear begins [s]", examples=["0.2 s"])
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless the flow and gradient axes differ."""
@@ -51,7 +51,7 @@ class Domain(Box):
     """
 
     periodic: Annotated[tuple[Axis, ...], ListOf(one=True)] = Field(
-        (), description="axes with periodic boundary conditions, such as [x, y]"
+        (), description="axes with periodic boundary conditions, such as [x, y]", examples=[["x", "y"]]
     )
     lees_edwards: LeesEdwards | None = Field(
         None, description="uniform shear with Lees-Edwards boundary conditions; both axes must be periodic"

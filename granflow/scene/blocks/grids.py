@@ -25,9 +25,13 @@ class GridSpec(Model):
 
     region: Box | None = optional("box that is divided into cells", "the domain")
     cell: q.PositiveLength | None = Field(
-        None, description="edge length of a cell [m], adjusted to fit the box; or give cells"
+        None,
+        description="edge length of a cell [m], adjusted to fit the box; or give cells",
+        examples=["5 mm"],
     )
-    cells: q.Counts | None = Field(None, description="number of cells along x, y and z; or give cell")
+    cells: q.Counts | None = Field(
+        None, description="number of cells along x, y and z; or give cell", examples=[[4, 4, 8]]
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one of edge length and number of cells is given."""

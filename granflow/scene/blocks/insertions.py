@@ -93,7 +93,8 @@ class RectangleOutline(Rectangular):
     sides: q.Sides = Field(
         description=(
             "the two edge vectors from that corner, perpendicular [m]; particles enter along first x second"
-        )
+        ),
+        examples=[[["40 mm", 0, 0], [0, "20 mm", 0]]],
     )
 
 
@@ -325,12 +326,16 @@ class FileSummary(Model):
     """Summary of the particles in a file; granflow fills it in when it reads the file."""
 
     count: q.ParticleCount = Field(description="number of particles read from the file")
-    diameter_min: q.UnscaledLength = Field(description="smallest diameter [m]")
+    diameter_min: q.UnscaledLength = Field(description="smallest diameter [m]", examples=["3 mm"])
     diameter_max: q.UnscaledLength = Field(description="largest diameter [m]")
-    speed_max: q.AnySpeed = Field(description="largest speed [m/s]")
+    speed_max: q.AnySpeed = Field(description="largest speed [m/s]", examples=["0.5 m/s"])
     angular_velocity_max: q.AngularVelocity = Field(description="largest angular velocity [rad/s]")
-    overlap_max: q.Share = Field(description="largest overlap of two particles over the smaller radius")
-    overlap_rows: str = Field("", description="lines or points of the file with the largest overlap")
+    overlap_max: q.Share = Field(
+        description="largest overlap of two particles over the smaller radius", examples=[0.01]
+    )
+    overlap_rows: str = Field(
+        "", description="lines or points of the file with the largest overlap", examples=["lines 12 and 40"]
+    )
 
 
 class FileInsertion(InsertionKind):
@@ -344,7 +349,10 @@ class FileInsertion(InsertionKind):
     """
 
     kind: Literal["file"] = Field("file", description="kind of insertion")
-    file: FileName = Field(description="CSV, text or VTU file; path relative to the folder of the scene")
+    file: FileName = Field(
+        description="CSV, text or VTU file; path relative to the folder of the scene",
+        examples=["particles.csv"],
+    )
     found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
     order: ClassVar[int | None] = 1
     has_rows: ClassVar[bool] = True
@@ -389,12 +397,16 @@ class TimedInsertion(InsertionKind):
     """
 
     one_way: ClassVar[bool] = False
-    rate: q.Rate | None = Field(None, description="insertion rate, particles per second [1/s]")
+    rate: q.Rate | None = Field(
+        None, description="insertion rate, particles per second [1/s]", examples=["2000 1/s"]
+    )
     mass_flow: q.MassFlow | None = Field(
         None, description="insertion rate, mass per second [kg/s]; instead of rate"
     )
-    start: q.Time = Field(0.0, description="time of the first particle [s]")
-    end: q.PositiveTime | None = optional("end of the insertion [s]", "when all particles are inserted")
+    start: q.Time = Field(0.0, description="time of the first particle [s]", examples=[0])
+    end: q.PositiveTime | None = optional(
+        "end of the insertion [s]", "when all particles are inserted", examples=["1 s"]
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one of rate and mass_flow is given, and the end is after the start."""

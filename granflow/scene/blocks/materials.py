@@ -99,9 +99,11 @@ class Material(Model):
     preset: Text | None = Field(
         None, description="name of a preset that supplies the values that are not given"
     )
-    young_modulus: YoungModulus = Field(description="Young's modulus [Pa], such as 70 GPa")
-    poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.3")
-    density: q.Density = Field(description="density of the solid [kg/m3], such as 2500")
+    young_modulus: YoungModulus = Field(
+        description="Young's modulus [Pa], such as 70 GPa", examples=["70 GPa"]
+    )
+    poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.3", examples=[0.3])
+    density: q.Density = Field(description="density of the solid [kg/m3], such as 2500", examples=[2500])
     yield_strength: YieldStrength | None = Field(
         None,
         description="yield strength [Pa]; required by some contact models and by Eq. 11 of Zhou (2011)",
@@ -111,6 +113,7 @@ class Material(Model):
         description=(
             "sigma and psi (Zhou 2011, Eq. 12) for contacts within this material; available in some presets"
         ),
+        examples=[[3.0, 0.5]],
     )
 
     @model_validator(mode="before")
@@ -149,10 +152,12 @@ class RestitutionFit(Model):
 
     model_config = ConfigDict(json_schema_extra=required_unless("preset", "sigma", "psi"))
 
-    sigma: q.Positive = Field(description="sigma of Zhou (2011), Eq. 12")
+    sigma: q.Positive = Field(description="sigma of Zhou (2011), Eq. 12", examples=[3.0])
     psi: q.Positive = Field(description="psi of Zhou (2011), Eq. 12")
     limit_velocity: q.Speed | None = optional(
-        "impact velocity above which e is 0 [m/s]", "Zhou (2011), Eq. 11, with the yield strengths"
+        "impact velocity above which e is 0 [m/s]",
+        "Zhou (2011), Eq. 11, with the yield strengths",
+        examples=["100 m/s"],
     )
     preset: Text | None = Field(None, description="name of a preset that supplies sigma and psi")
 

@@ -116,8 +116,6 @@ class Metric(Model):
 
     quantities: ClassVar[tuple[Quantity, ...]]
     wants: ClassVar[frozenset[str]] = frozenset({PARTICLES})
-    examples: ClassVar[Mapping[str, str]] = {}
-    """Examples for the documentation, by key, where the type gives no realistic one."""
 
     def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
         """Contradictions to the rest of the scene; key paths begin at the metric."""
@@ -158,7 +156,9 @@ def _mean(values: np.ndarray) -> float:
 class TwoComponentGrid(GridSpec, Metric):
     """Grid for the shares of two components: particles of some groups, materials or sizes, and all others."""
 
-    groups: Names | None = Field(None, description="groups whose particles form the first component")
+    groups: Names | None = Field(
+        None, description="groups whose particles form the first component", examples=[["red"]]
+    )
     materials: Names | None = Field(None, description="materials whose particles form the first component")
     smaller_than: q.UnscaledLength | None = Field(
         None, description="diameter below which particles belong to the first component [m]"
@@ -250,7 +250,6 @@ class LaceyMetric(TwoComponentGrid):
     kind: Literal["lacey"] = Field("lacey", description="kind of metric")
     at_least: q.Count = Field(10, description="smallest number of particles in a cell that is evaluated")
     quantities = (Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),)
-    examples = {"cells": "[4, 4, 8]"}
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; the remark says that more than DROPPED_SHARE of a component is excluded."""
@@ -341,7 +340,6 @@ class SegregationMetric(TwoComponentGrid):
             "segregation_intensity_random", "I_R", "1", "the same for a random mixture of the same particles"
         ),
     )
-    examples = {"cells": "[4, 4, 8]", "cell": "20 mm"}
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`."""
@@ -710,7 +708,7 @@ class CenterOfMassMetric(Metric):
     """
 
     kind: Literal["center_of_mass"] = Field("center_of_mass", description="kind of metric")
-    groups: Names | None = optional("groups whose particles are evaluated", "all")
+    groups: Names | None = optional("groups whose particles are evaluated", "all", examples=[["red"]])
     quantities = (
         Quantity("center_of_mass_x", "x", "m", "x coordinate of the center of mass"),
         Quantity("center_of_mass_y", "y", "m", "y coordinate of the center of mass"),
@@ -750,12 +748,13 @@ class SlidingMetric(Metric):
     """
 
     kind: Literal["sliding"] = Field("sliding", description="kind of metric")
-    walls: Names | None = optional("walls whose contacts are evaluated", "the contacts between particles")
+    walls: Names | None = optional(
+        "walls whose contacts are evaluated", "the contacts between particles", examples=[["floor"]]
+    )
     quantities = (
         Quantity("sliding_share", "", "1", "share of contacts whose friction force is at the Coulomb limit"),
     )
     wants = frozenset({CONTACTS})
-    examples = {"walls": "[floor]"}
 
     def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
         """See `Metric`."""

@@ -51,9 +51,11 @@ class TimedMotion(Model):
 
     kind: str = Field(description="kind of motion")
     start: q.Time | None = optional("time at which the motion begins [s]", "start of the run")
-    end: q.Time | None = optional("time at which the motion ends [s]", "end of the run")
+    end: q.Time | None = optional("time at which the motion ends [s]", "end of the run", examples=["1.5 s"])
     stages: Names | None = Field(
-        None, description="stages with this motion; its time starts at the first of them"
+        None,
+        description="stages with this motion; its time starts at the first of them",
+        examples=[["settle"]],
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -233,16 +235,19 @@ class Vibration(TimedMotion):
     kind: Literal["vibration"] = Field("vibration", description="kind of motion")
     direction: q.Direction = Field(description="direction of the motion; its length does not matter")
     amplitude: q.UnscaledLength | None = Field(
-        None, description="amplitude, half of the peak-to-peak value [m]"
+        None, description="amplitude, half of the peak-to-peak value [m]", examples=["1 mm"]
     )
-    frequency: q.Frequency | None = Field(None, description="frequency [Hz]")
-    angular_frequency: q.PositiveAngularVelocity | None = Field(None, description="angular frequency [rad/s]")
+    frequency: q.Frequency | None = Field(None, description="frequency [Hz]", examples=["25 Hz"])
+    angular_frequency: q.PositiveAngularVelocity | None = Field(
+        None, description="angular frequency [rad/s]", examples=["157 rad/s"]
+    )
     gamma: q.Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
     phase: q.Angle = Field(
         0.0,
         description=(
             "phase at the start [rad]; 0: the wall starts at full speed from the center of the oscillation"
         ),
+        examples=["90 deg"],
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -320,12 +325,14 @@ class VelocityMotion(TimedMotion):
         "ramp_duration": 1,
     }
 
-    velocity: q.VelocityVector = Field(description="velocity [m/s], after the ramp if there is one")
+    velocity: q.VelocityVector = Field(
+        description="velocity [m/s], after the ramp if there is one", examples=[["0.5 m/s", 0, 0]]
+    )
     ramp_duration: q.PositiveTime | None = optional(
-        "time from the start during which the velocity changes linearly [s]", "no ramp"
+        "time from the start during which the velocity changes linearly [s]", "no ramp", examples=["0.2 s"]
     )
     initial_velocity: q.VelocityVector | None = optional(
-        "with ramp_duration: velocity at the start [m/s]", "0"
+        "with ramp_duration: velocity at the start [m/s]", "0", examples=[[0, 0, 0]]
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -442,10 +449,10 @@ class Rotation(TimedMotion):
         description="angular velocity [rad/s], such as 30 rpm; after the ramp if there is one"
     )
     ramp_duration: q.PositiveTime | None = optional(
-        "time from the start during which the rate changes linearly [s]", "no ramp"
+        "time from the start during which the rate changes linearly [s]", "no ramp", examples=["0.5 s"]
     )
     initial_angular_velocity: q.AngularVelocity | None = optional(
-        "with ramp_duration: angular velocity at the start [rad/s]", "0"
+        "with ramp_duration: angular velocity at the start [rad/s]", "0", examples=[0]
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -527,20 +534,27 @@ class TableMotion(TimedMotion):
             "CSV file with the columns time and displacement, velocity, angle or angular_velocity, such as "
             "time [ms], displacement [mm]; path relative to the folder of the scene"
         ),
+        examples=["motion.csv"],
     )
     direction: q.Direction | None = Field(None, description="direction of displacements or velocities")
     point: q.Point | None = Field(None, description="with angles: a point on the axis [m]")
     axis: q.Direction | None = Field(None, description="with angles: direction of the axis, right-handed")
     times: _Column[q.Time] | None = Field(
-        None, description="times [s], ascending; instead of a file, or from it"
+        None,
+        description="times [s], ascending; instead of a file, or from it",
+        examples=[[0, "0.5 s", "1 s"]],
     )
     displacements: _Column[_Displacement] | None = Field(
-        None, description="displacements along the direction [m]"
+        None, description="displacements along the direction [m]", examples=[[0, "4 mm", 0]]
     )
-    velocities: _Column[q.Velocity] | None = Field(None, description="velocities along the direction [m/s]")
-    angles: _Column[q.Angle] | None = Field(None, description="angles about the axis [rad]")
+    velocities: _Column[q.Velocity] | None = Field(
+        None, description="velocities along the direction [m/s]", examples=[[0, "20 mm/s", 0]]
+    )
+    angles: _Column[q.Angle] | None = Field(
+        None, description="angles about the axis [rad]", examples=[[0, "30 deg", 0]]
+    )
     angular_velocities: _Column[q.AngularVelocity] | None = Field(
-        None, description="rates about the axis [rad/s]"
+        None, description="rates about the axis [rad/s]", examples=[[0, "30 rpm", 0]]
     )
 
     @property
@@ -772,13 +786,16 @@ class Servo(ForceControlledMotion):
 
     kind: Literal["servo"] = Field("servo", description="kind of motion")
     direction: q.Direction = Field(
-        description="direction of the force on the particles; its length does not matter"
+        description="direction of the force on the particles; its length does not matter",
+        examples=[[0, 0, -1]],
     )
     force: q.PositiveForce | None = Field(None, description="prescribed force on the particles [N]")
     pressure: q.Pressure | None = Field(
-        None, description="prescribed pressure, force over the area of the wall [Pa]; instead of force"
+        None,
+        description="prescribed pressure, force over the area of the wall [Pa]; instead of force",
+        examples=["50 kPa"],
     )
-    velocity_max: q.Speed = Field(description="largest speed of the wall [m/s]")
+    velocity_max: q.Speed = Field(description="largest speed of the wall [m/s]", examples=["0.1 m/s"])
     gain: q.Positive | None = optional(
         "velocity over force difference [m/(s N)]", "from stiffness and time step"
     )
@@ -910,7 +927,9 @@ class FreeWall(ForceControlledMotion):
     slower: ClassVar[str] = "Increase its mass or damping."
 
     kind: Literal["free"] = Field("free", description="kind of motion")
-    direction: q.Direction = Field(description="direction of the motion; its length does not matter")
+    direction: q.Direction = Field(
+        description="direction of the motion; its length does not matter", examples=[[0, 0, -1]]
+    )
     mass: q.Mass = Field(description="mass of the wall [kg]")
     force: q.Force = Field(0.0, description="additional force along the direction [N]")
     damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")

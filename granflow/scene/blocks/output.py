@@ -51,10 +51,12 @@ class CollisionEnergies(Model):
     """
 
     min: q.Energy = Field(
-        description="lower edge of the first class [J]; smaller energies have a class of their own"
+        description="lower edge of the first class [J]; smaller energies have a class of their own",
+        examples=["1 nJ"],
     )
     max: q.Energy = Field(
-        description="upper edge of the last class [J]; larger energies have a class of their own"
+        description="upper edge of the last class [J]; larger energies have a class of their own",
+        examples=["1 mJ"],
     )
     classes: q.Count = Field(30, description="number of classes between min and max, at most 200")
 
@@ -85,6 +87,7 @@ class FlowMeter(Model):
         description=(
             "the two edge vectors of the rectangle [m], perpendicular to each other and to the normal"
         ),
+        examples=[[["40 mm", 0, 0], [0, "20 mm", 0]]],
     )
     group_by: Literal["material", "group"] | None = Field(
         None, description="additional separate counts for each material or group"
@@ -151,7 +154,9 @@ class Checkpoints(Model):
     """
 
     wall_clock: q.PositiveTime = Field(600.0, description="wall-clock time between checkpoints [s]")
-    interval: q.PositiveTime | None = optional("simulated time between additional checkpoints [s]", "none")
+    interval: q.PositiveTime | None = optional(
+        "simulated time between additional checkpoints [s]", "none", examples=["0.5 s"]
+    )
     keep: q.Count = Field(2, description="number of checkpoints that are kept, the newest ones")
 
 
@@ -192,7 +197,9 @@ class Output(Model):
     )
     flow_meters: dict[Name, FlowMeter] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field(
-        {}, description="fields on grids by name, written as fields_NAME_*.vtu"
+        {},
+        description="fields on grids by name, written as fields_NAME_*.vtu",
+        examples=[{"bed": {"cell": "5 mm", "quantities": ["solid_fraction", "velocity"]}}],
     )
     metrics: dict[Name, AnyMetric] = Field(
         {}, description="metrics of the bed by name, for timeseries.csv and expect"
@@ -224,7 +231,9 @@ class Expectation(Model):
     0.5
     """
 
-    quantity: Text = Field(description="quantity to compare, such as mass_flow.outlet")
+    quantity: Text = Field(
+        description="quantity to compare, such as mass_flow.outlet", examples=["mass_flow.outlet"]
+    )
     between: Annotated[tuple[q.AnyQuantity, q.AnyQuantity], pair_list("[smallest, largest]")] | None = Field(
         None, description="smallest and largest value"
     )

@@ -73,7 +73,9 @@ class ThermalMotion(Model):
     """
 
     velocity_rms: q.Speed | None = Field(
-        None, description="root mean square of the random velocities [m/s], which they have exactly"
+        None,
+        description="root mean square of the random velocities [m/s], which they have exactly",
+        examples=["0.1 m/s"],
     )
     granular_temperature: q.GranularTemperature | None = Field(
         None,
@@ -133,7 +135,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             "number of particles, or of clumps; with positions or file: default is the number of rows"
         ),
     )
-    mass: q.ParticleMass | None = Field(None, description="total mass [kg], instead of count")
+    mass: q.ParticleMass | None = Field(
+        None, description="total mass [kg], instead of count", examples=["20 g"]
+    )
     diameter: Sizes = Field(
         None,
         description=(
@@ -143,6 +147,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     radius: RadiusOrMany | None = Field(
         None,
         description="radius [m], instead of diameter; with positions, also a list; with file, not allowed",
+        examples=["2 mm"],
     )
     clump: Clump | None = Field(
         None,
@@ -157,13 +162,18 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             "initial volume of the liquid film on each particle over the volume of the particle, 0 for dry "
             "particles; required with contact.cohesion: {law: capillary_transfer, ...}"
         ),
+        examples=["1 %"],
     )
-    velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
+    velocity: VelocityOrMany = Field(
+        (0.0, 0.0, 0.0), description="initial velocity [m/s]", examples=[[0, 0, "-0.5 m/s"]]
+    )
     angular_velocity: AngularVelocityOrMany = Field(
-        (0.0, 0.0, 0.0), description="initial angular velocity [rad/s]"
+        (0.0, 0.0, 0.0), description="initial angular velocity [rad/s]", examples=[[0, 6, 0]]
     )
     thermal: ThermalMotion | None = Field(
-        None, description="random initial velocities, {velocity_rms: 0.1 m/s} or {granular_temperature: ...}"
+        None,
+        description="random initial velocities, {velocity_rms: 0.1 m/s} or {granular_temperature: ...}",
+        examples=[{"velocity_rms": "0.1 m/s"}],
     )
     fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
     insert: Insertion = Field(description=f"insertion, {{kind: {', '.join(kinds(lambda kind: True))}, ...}}")

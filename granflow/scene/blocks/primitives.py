@@ -21,8 +21,10 @@ class Box(Model):
     Box(min=(0.0, 0.0, 0.0), max=(0.1, 0.1, 0.1))
     """
 
-    min: q.Point = Field(description="corner with the smallest coordinates [m]")
-    max: q.Point = Field(description="corner with the largest coordinates [m]")
+    min: q.Point = Field(description="corner with the smallest coordinates [m]", examples=[[0, 0, 0]])
+    max: q.Point = Field(
+        description="corner with the largest coordinates [m]", examples=[["40 mm", "40 mm", "80 mm"]]
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for each axis along which the extent is not positive."""
@@ -81,4 +83,4 @@ class RotationStep(Model):
     """
 
     axis: q.Direction = Field(description="direction of the axis; its length does not matter")
-    angle: q.Angle = Field(description="angle [rad], such as 90 deg")
+    angle: q.Angle = Field(description="angle [rad], such as 90 deg", examples=["90 deg"])

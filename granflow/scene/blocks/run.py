@@ -27,13 +27,14 @@ class StageCondition(Model):
     """
 
     quantity: Text = Field(
-        description="column of timeseries.csv, such as wall_force_z.lid, deleted_mass or mass_flow.outlet"
+        description="column of timeseries.csv, such as wall_force_z.lid, deleted_mass or mass_flow.outlet",
+        examples=["wall_pressure.lid"],
     )
     above: q.AnyQuantity | None = Field(
-        None, description="the stage ends if the quantity is above this value"
+        None, description="the stage ends if the quantity is above this value", examples=["100 kPa"]
     )
     below: q.AnyQuantity | None = Field(
-        None, description="the stage ends if the quantity is below this value"
+        None, description="the stage ends if the quantity is below this value", examples=["5 kPa"]
     )
     hold: q.Time = Field(0.0, description="time during which all rows must satisfy the condition [s]")
 
@@ -73,9 +74,12 @@ class Stage(Model):
         description=(
             "the stage ends if a quantity is above or below a value: one condition, or a list, any of which"
         ),
+        examples=[{"quantity": "wall_pressure.lid", "above": "100 kPa"}],
     )
     min_duration: q.Time = Field(
-        0.0, description="with kinetic_energy_below or until: time before which no condition is satisfied [s]"
+        0.0,
+        description="with kinetic_energy_below or until: time before which no condition is satisfied [s]",
+        examples=["50 ms"],
     )
     max_duration: q.PositiveTime | None = Field(
         None, description="with kinetic_energy_below or until: longest duration [s]"
@@ -135,6 +139,7 @@ class RunSettings(Model):
         description=(
             "time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest current one"
         ),
+        examples=["2 us"],
     )
     velocity_max: q.Speed | None = optional(
         "largest expected impact velocity [m/s]", "estimate from drop heights and speeds"
@@ -218,9 +223,11 @@ class Damping(Model):
         None, description="ratio of the non-viscous damping force (Cundall) to the total force, by component"
     )
     drag: DragRate | None = Field(
-        None, description="rate of a viscous background drag [1/s]: velocities decay as exp(-drag t)"
+        None,
+        description="rate of a viscous background drag [1/s]: velocities decay as exp(-drag t)",
+        examples=["5 1/s"],
     )
-    stages: Names | None = optional("stages in which the damping acts", "all")
+    stages: Names | None = optional("stages in which the damping acts", "all", examples=[["settle"]])
 
     def values(self, stage: str) -> tuple[float, float]:
         """Cundall ratio and drag rate [1/s] in a stage."""

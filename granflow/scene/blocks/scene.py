@@ -33,8 +33,12 @@ class SceneInput(Model):
     messages.
     """
 
-    title: Text = Field(description="title of the scene, one line")
-    description: Text | None = Field(None, description="description of the scene and its expected behavior")
+    title: Text = Field(description="title of the scene, one line", examples=["Conical hopper"])
+    description: Text | None = Field(
+        None,
+        description="description of the scene and its expected behavior",
+        examples=["8000 glass beads discharge through the outlet."],
+    )
     seed: Seed = Field(1, description="seed of all random numbers")
     scale: q.Positive = Field(
         1.0,
@@ -42,16 +46,21 @@ class SceneInput(Model):
             "factor of equipment lengths; particle counts scale with its cube, particle sizes do not change"
         ),
     )
-    gravity: q.AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
+    gravity: q.AccelerationVector = Field(
+        description="gravity [m/s2], such as [0, 0, -9.81]", examples=[[0, 0, -9.81]]
+    )
     materials: dict[Name, Material] = Field(description="materials by name")
     pairs: dict[PairName, MaterialPair] = Field(
         description="contact properties of material pairs; each key is two names joined by a hyphen"
     )
     contact: Contact = Field(
-        description="contact models, such as {normal: zhou, tangential: mindlin, rolling: none}"
+        description="contact models, such as {normal: zhou, tangential: mindlin, rolling: none}",
+        examples=[{"normal": "zhou", "tangential": "mindlin", "rolling": "none"}],
     )
     damping: Damping | None = optional(
-        "damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}", "none"
+        "damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}",
+        "none",
+        examples=[{"drag": "5 1/s", "stages": ["settle"]}],
     )
     walls: Annotated[dict[WallName, AnyWall], AfterValidator(with_faces)] = Field(
         {}, description="walls by name"
@@ -62,11 +71,15 @@ class SceneInput(Model):
         description=(
             "directory of an earlier run; its last particles replace those of groups with the same name"
         ),
+        examples=["out/hopper"],
     )
     outlets: dict[Name, Outlet] = Field(
         {}, description="outlets by name: regions in which particles are deleted and counted"
     )
-    domain: Domain = Field(description="the simulated box")
+    domain: Domain = Field(
+        description="the simulated box",
+        examples=[{"min": [0, 0, 0], "max": ["40 mm", "40 mm", "80 mm"], "on_exit": "error"}],
+    )
     stages: Annotated[tuple[Stage, ...], ListOf()] = Field((), description="stages of the run, in order")
     run: RunSettings = Field(RunSettings.model_construct(), description="duration, time step and precision")
     numerics: Numerics = Field(
@@ -74,7 +87,9 @@ class SceneInput(Model):
     )
     output: Output = Field(description="selection and intervals of the output")
     expect: Annotated[tuple[Expectation, ...], ListOf()] = Field(
-        (), description="expectations for the results of the finished run"
+        (),
+        description="expectations for the results of the finished run",
+        examples=[[{"quantity": "particle_count", "equals": 8000, "tolerance": 0}]],
     )
 
     _path: Path = PrivateAttr(Path())

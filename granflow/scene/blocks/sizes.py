@@ -89,8 +89,8 @@ class TruncatedSizes(SizeDistribution, Model):
     """A size distribution that is truncated to an interval: diameters outside [`min`, `max`] do not occur
     [m]."""
 
-    min: q.Diameter = Field(description="smallest diameter [m]")
-    max: q.Diameter = Field(description="largest diameter [m]")
+    min: q.Diameter = Field(description="smallest diameter [m]", examples=["1 mm"])
+    max: q.Diameter = Field(description="largest diameter [m]", examples=["8 mm"])
 
     def spans(self) -> list[tuple[float, float]]:
         """The interval."""
@@ -149,8 +149,10 @@ class LogNormalSizes(TruncatedSizes):
     """
 
     distribution: Literal["log_normal"] = Field("log_normal", description="kind of size distribution")
-    median: q.Diameter = Field(description="median diameter before truncation [m]")
-    sigma: q.Positive = Field(description="standard deviation of ln(diameter) before truncation")
+    median: q.Diameter = Field(description="median diameter before truncation [m]", examples=["2 mm"])
+    sigma: q.Positive = Field(
+        description="standard deviation of ln(diameter) before truncation", examples=[0.3]
+    )
 
     def faults(self) -> Iterator[Fault]:
         yield from super().faults()

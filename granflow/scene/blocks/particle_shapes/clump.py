@@ -73,7 +73,12 @@ class Clump(Model, ParticleShape):
     spheres: Annotated[
         tuple[ClumpSphere, ...],
         ListOf(some="[{position: [0, 0, 0], radius: 1 mm}, {position: [1.5 mm, 0, 0], ...}]"),
-    ] = Field(description="centers and radii of the spheres, {position: [..], radius: ..}, at most 100")
+    ] = Field(
+        description="centers and radii of the spheres, {position: [..], radius: ..}, at most 100",
+        examples=[
+            [{"position": [0, 0, 0], "radius": "2 mm"}, {"position": ["3 mm", 0, 0], "radius": "2 mm"}]
+        ],
+    )
     orientation: Orientation | None = optional(
         "orientation of new clumps: {axis: [..], angle: ..} turns the given positions; random; with "
         "insert: {kind: positions}, also a list",

@@ -47,14 +47,15 @@ class MeshWall(Wall):
     """
 
     has_notes: ClassVar[bool] = True
-    examples: ClassVar[Mapping[str, str]] = {"scale": "0.001"}
 
     shape: Literal["mesh"] = Field("mesh", description="shape of the wall")
     file: FileName = Field(
         description="STL, OBJ, PLY, VTK or VTU file; path relative to the folder of the scene"
     )
     scale: MeshScale = Field(
-        1.0, description="factor from the length unit of the file to m, such as 0.001 for mm"
+        1.0,
+        description="factor from the length unit of the file to m, such as 0.001 for mm",
+        examples=[0.001],
     )
     rotate: Annotated[tuple[RotationStep, ...], ListOf(one=True)] = Field(
         (),

@@ -36,16 +36,16 @@ class Wall(Model):
     """False if the surface is infinite, so that it has no area and no pressure."""
     has_notes: ClassVar[bool] = False
     """True for walls from files, about whose size and place `notes` says what is odd."""
-    examples: ClassVar[Mapping[str, str]] = {}
-    """Examples of keys for which neither the shipped scenes nor the type give a realistic value."""
 
     shape: str = Field(description="shape of the wall")
     material: Text = Field(description="name of the wall's material")
     appears_at: q.Time | None = optional("time at which the wall appears [s]", "start of the run")
-    vanishes_at: q.Time | None = optional("time at which the wall vanishes [s]", "never")
-    stages: Names | None = optional("stages in which the wall is present", "all")
+    vanishes_at: q.Time | None = optional("time at which the wall vanishes [s]", "never", examples=["1 s"])
+    stages: Names | None = optional("stages in which the wall is present", "all", examples=[["settle"]])
     motion: Annotated[tuple[MotionSpec, ...], ListOf(one=True)] = Field(
-        (), description="motion of the wall: one motion or a list of motions"
+        (),
+        description="motion of the wall: one motion or a list of motions",
+        examples=[{"kind": "vibration", "direction": [0, 0, 1], "amplitude": "1 mm", "frequency": "25 Hz"}],
     )
 
     def faults(self) -> Iterator[Fault]:
