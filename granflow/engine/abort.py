@@ -219,8 +219,8 @@ def _change_cause(change: WallChange, wall: str, plan: Plan) -> str:
             f"intersect {wall}."
         )
     planned = next(each for each in plan.walls if each.name == name)
-    keys = ([] if planned.given.stages is None else [f"walls.{name}.stages"]) + (
-        [f"walls.{name}.appears_at"] if planned.given.start_time > 0.0 else []
+    keys = ([] if planned.spec.stages is None else [f"walls.{name}.stages"]) + (
+        [f"walls.{name}.appears_at"] if planned.spec.start_time > 0.0 else []
     )
     remedy = f" Change {' or '.join(keys)}, or let" if keys else " Let"
     return (

@@ -712,7 +712,7 @@ class StabilityMonitor:
 
 def _conserves_energy(plan: Plan) -> bool:
     """True if only inserted particles can increase the energy."""
-    walls_static = all(wall.given.is_permanent for wall in plan.walls)
+    walls_static = all(wall.spec.is_permanent for wall in plan.walls)
     # Gravity along a periodic axis accelerates particles without limit.
     has_other_work = any(plan.scene.gravity[axis] for axis in plan.periodic_box.axes)
     has_other_work = has_other_work or plan.features.lees_edwards

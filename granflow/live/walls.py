@@ -1,14 +1,14 @@
 """The walls of a simulation, changed from Python while it runs: `simulation.walls[NAME]` is a `LiveWall`."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NoReturn, get_args
+from typing import Any, NoReturn
 
 from granflow.engine.totals import wall_poses
 from granflow.errors import GranflowError
 from granflow.plan.wall_changes import wall_named, with_motions, without_wall
 from granflow.plan.walls import wall_motions
 from granflow.runs.run_state import RunState
-from granflow.scene.blocks.motions import AssignableMotion, TimedMotion
+from granflow.scene.blocks.motions import ASSIGNABLE, TimedMotion
 from granflow.snapshot import WallPose
 
 
@@ -43,7 +43,7 @@ class LiveWall:
         engine = self._state.engine
         middle = engine.time + 0.5 * engine.time_step
         wall = wall_named(self._state.plan, self.name)
-        return wall.given.is_present(self._state.progress.stage, middle)
+        return wall.spec.is_present(self._state.progress.stage, middle)
 
     @property
     def pose(self) -> WallPose:
@@ -71,7 +71,7 @@ class LiveWall:
         return wall_named(self._state.plan, self.name).motions
 
     @motion.setter
-    def motion(self, given: AssignableMotion | Sequence[AssignableMotion] | None) -> None:
+    def motion(self, given: TimedMotion | Sequence[TimedMotion] | None) -> None:
         state = self._state
         time = state.engine.time
         motions: list[Any]
@@ -80,8 +80,8 @@ class LiveWall:
         else:
             motions = list(given) if isinstance(given, list | tuple) else [given]
         for each in motions:
-            if not isinstance(each, AssignableMotion):
-                kinds = ", ".join(kind.__name__ for kind in get_args(AssignableMotion))
+            if not isinstance(each, ASSIGNABLE):
+                kinds = ", ".join(kind.__name__ for kind in ASSIGNABLE)
                 raise GranflowError(
                     f"walls[{self.name!r}].motion is {each!r}, but must be a {kinds}, a list of them, or "
                     "None."
@@ -89,9 +89,9 @@ class LiveWall:
             if each.stages is not None:
                 raise GranflowError(f"walls[{self.name!r}].motion has stages: give start and end instead.")
         wall = wall_named(state.plan, self.name)
-        if wall.given.end_time <= time:
+        if wall.spec.end_time <= time:
             raise GranflowError(
-                f"walls[{self.name!r}] was removed at {wall.given.end_time:.6g} s: it cannot move."
+                f"walls[{self.name!r}] was removed at {wall.spec.end_time:.6g} s: it cannot move."
             )
         (present,) = wall_motions([wall.motions], state.progress.stage_times)
         begun = [each.numeric(state.plan.scene.gravity).not_before(time) for each in motions]

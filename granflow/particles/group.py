@@ -30,7 +30,7 @@ class SceneGroup:
 
     @property
     def spec(self) -> Group:
-        """Entry of `particles`."""
+        """Its record in the scene, the entry of `particles`."""
         return self.scene.particles[self.name]
 
     @property

@@ -54,7 +54,7 @@ from granflow.plan.time_step import (
     max_impact_velocity,
 )
 from granflow.plan.wall_control import controlled_motions_of
-from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
+from granflow.plan.walls import PlannedWall, meshes_of, planned_walls, wall_speeds
 from granflow.scene.blocks.run import Numerics
 from granflow.scene.blocks.walls.wall import WallNote
 
@@ -97,7 +97,8 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     law = laws.normal
     periodic_box = scene.domain.periodic_box()
     joints = joints_of(walls, radius_max, periodic_box.axes)
-    features, reasons = features_of(scene, models, law.rate_dependent, any(joints))
+    mesh_walls = [walls[index].name for index in meshes_of(walls)]
+    features, reasons = features_of(scene, models, law.rate_dependent, any(joints), mesh_walls)
     pair_constants = pair_table(scene, laws, pairs, materials)
     refuse_coarse(scene, radius_min)
     refuse_coarse_liquid(scene, features.liquid_transfer)
@@ -155,7 +156,7 @@ def _used_materials(scene: Scene) -> tuple[str, ...]:
 def _wall_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> tuple[WallNote, ...]:
     """Notes on all walls; `smallest`: diameter [m] of the smallest particle."""
     return tuple(
-        note for wall in walls for note in wall.given.notes(wall.name, wall.surface, scene.domain, smallest)
+        note for wall in walls for note in wall.spec.notes(wall.name, wall.surface, scene.domain, smallest)
     )
 
 

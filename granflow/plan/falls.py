@@ -72,7 +72,7 @@ def path_velocity(plan: Plan) -> ImpactVelocity:
     up = -gravity / np.linalg.norm(gravity)
     low = lowest_level(scene, plan.walls, up)
     assert low is not None
-    walls = [wall for wall in plan.walls if wall.given.is_permanent]
+    walls = [wall for wall in plan.walls if wall.spec.is_permanent]
     falling = FallingParticles(
         facets=WallFacets(walls, np.array(scene.domain.min), np.array(scene.domain.max)),
         gravity=gravity,
@@ -199,7 +199,7 @@ def lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) -
             lowest.append(float((points @ up).min()))
             continue
         point, normal = plane
-        if float(normal @ up) > 1.0 - LEVEL and wall.given.is_permanent:
+        if float(normal @ up) > 1.0 - LEVEL and wall.spec.is_permanent:
             floors.append(float(point @ up))
         else:
             lowest.append(end)

@@ -5,7 +5,7 @@ the reason with the line of the scene that determines it. The kernels read the v
 `granflow explain` prints the rows.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -68,15 +68,19 @@ class Reason:
 
 
 def features_of(
-    scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool, has_joined_walls: bool
+    scene: Scene,
+    models: Mapping[str, ContactModel],
+    law_is_damped: bool,
+    has_joined_walls: bool,
+    mesh_walls: Sequence[str],
 ) -> tuple[Features, tuple[Reason, ...]]:
     """All features of the scene, and the reasons of all of them and of the contact models but the normal one.
 
     `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous
     term, so that forces depend on synchronized velocities; `has_joined_walls`: whether surfaces of walls may
-    touch.
+    touch; `mesh_walls`: names of the walls with a mesh.
     """
-    rows = list(_rows(scene, models, law_is_damped, has_joined_walls))
+    rows = list(_rows(scene, models, law_is_damped, has_joined_walls, mesh_walls))
     names = {each.name for each in fields(Features)}
     values: dict[str, Any] = {name: value for name, value, _ in rows if name in names}
     reasons = tuple(Reason(name, _setting(value), why) for name, value, why in rows)
@@ -93,7 +97,11 @@ def _setting(value: bool | str | tuple[str, ...]) -> str:
 
 
 def _rows(
-    scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool, has_joined_walls: bool
+    scene: Scene,
+    models: Mapping[str, ContactModel],
+    law_is_damped: bool,
+    has_joined_walls: bool,
+    mesh_walls: Sequence[str],
 ) -> Iterator[tuple[str, bool | str | tuple[str, ...], str]]:
     """Name, value and reason of each feature. Arguments as of `features_of`."""
     walls = scene.walls
@@ -147,12 +155,11 @@ def _rows(
         if controlled
         else "no wall is force-controlled",
     )
-    meshes = [name for name, wall in walls.items() if wall.shape == "mesh"]
     yield (
         "mesh_walls",
-        bool(meshes),
-        f"walls.{meshes[0]} is a mesh ({where('walls', meshes[0], 'shape')})"
-        if meshes
+        bool(mesh_walls),
+        f"walls.{mesh_walls[0]} is a mesh ({where('walls', mesh_walls[0], 'shape')})"
+        if mesh_walls
         else "no wall is a mesh",
     )
     yield (

@@ -219,10 +219,10 @@ def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes)
     if scene.domain.on_exit == "expand":
         return
     for wall in walls:
-        if oversized(scene, wall.name, wall.given):
+        if oversized(scene, wall.name, wall.spec):
             continue
         endless = _is_endless(scene, wall)
-        if wall.given.has_notes and not endless:
+        if wall.spec.has_notes and not endless:
             continue
         if _wall_gaps(scene, wall, times, 1)[0] <= 0.0 and not endless:
             continue
@@ -258,8 +258,8 @@ def _wall_gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -
 
 def present_from(wall: PlannedWall, times: StageTimes) -> float:
     """Time [s] at which a wall appears; infinite if it never does."""
-    started = [times[name][0] for name in wall.given.stages or times if name in times]
-    return max(wall.given.start_time, min(started, default=np.inf))
+    started = [times[name][0] for name in wall.spec.stages or times if name in times]
+    return max(wall.spec.start_time, min(started, default=np.inf))
 
 
 def _outside_text(scene: Scene, wall: PlannedWall, gap: float) -> str:
@@ -274,7 +274,7 @@ def _outside_text(scene: Scene, wall: PlannedWall, gap: float) -> str:
 
 def _is_endless(scene: Scene, wall: PlannedWall) -> bool:
     """Whether a wall is present and translates until the run ends, without limits of its time."""
-    return wall.given.is_permanent and any(each.is_endless for each in wall.given.motion)
+    return wall.spec.is_permanent and any(each.is_endless for each in wall.spec.motion)
 
 
 def _leaving_text(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray) -> str:
@@ -296,7 +296,7 @@ def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator
     """
     for first, second in combinations(walls, 2):
         is_alike = first.motions == second.motions and all(
-            getattr(first.given, name) == getattr(second.given, name)
+            getattr(first.spec, name) == getattr(second.spec, name)
             for name in ("stages", "start_time", "end_time")
         )
         if is_alike and first.surface.has_same_place(second.surface):

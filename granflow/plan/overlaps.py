@@ -819,7 +819,7 @@ def _overlaps(
 def is_present(wall: PlannedWall, time: float, times: StageTimes) -> bool:
     """Whether a wall is present at `time` [s]."""
     stage = next((name for name, (start, end) in times.items() if start <= time < end), None)
-    return stage is not None and wall.given.is_present(stage, time)
+    return stage is not None and wall.spec.is_present(stage, time)
 
 
 def _started(times: StageTimes, time: float) -> Mapping[str, tuple[float, float]]:

@@ -50,7 +50,7 @@ from granflow.plan.time_step import (
     TimeStep,
 )
 from granflow.plan.wall_control import ControlledMotion
-from granflow.plan.walls import PlannedWall
+from granflow.plan.walls import PlannedWall, meshes_of
 from granflow.scene.blocks.run import Stage
 from granflow.scene.blocks.walls.wall import WallNote
 
@@ -265,9 +265,7 @@ class Plan:
     @cached_property
     def meshes(self) -> dict[int, Mesh]:
         """The mesh walls by wall index."""
-        return {
-            index: wall.surface for index, wall in enumerate(self.walls) if isinstance(wall.surface, Mesh)
-        }
+        return meshes_of(self.walls)
 
     @cached_property
     def surface_kinds(self) -> tuple[type[AnalyticSurface], ...]:

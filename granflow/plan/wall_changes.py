@@ -39,7 +39,7 @@ def without_wall(plan: Plan, name: str, time: float) -> Plan:
 
 def vanishing(wall: PlannedWall, time: float) -> PlannedWall:
     """The wall with another time [s] at which it vanishes."""
-    return replace(wall, given=wall.given.model_copy(update={"vanishes_at": time}))
+    return replace(wall, spec=wall.spec.model_copy(update={"vanishes_at": time}))
 
 
 def with_motions(

@@ -12,6 +12,7 @@ from math import inf
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.geometry.mesh import Mesh
 from granflow.geometry.surface import Surface, assign_shared_edges
 from granflow.io.files import FormatError
 from granflow.load import Scene
@@ -22,12 +23,12 @@ from granflow.scene.blocks.walls.wall import Wall
 
 @dataclass(frozen=True)
 class PlannedWall:
-    """One wall: name in the scene, what the scene gives, surface at rest, material number in the plan, and
-    numeric motions.
+    """One wall: name in the scene, its record there (`spec`), surface at rest, material number in the plan,
+    and numeric motions.
     """
 
     name: str
-    given: Wall
+    spec: Wall
     surface: Surface
     material: int
     motions: tuple[TimedMotion, ...]
@@ -56,7 +57,7 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
     return tuple(
         PlannedWall(
             name=name,
-            given=wall,
+            spec=wall,
             surface=surface,
             material=material_numbers[wall.material],
             motions=tuple(each.numeric(scene.gravity) for each in wall.motion),
@@ -100,8 +101,13 @@ def wall_change_times(walls: Sequence[PlannedWall]) -> tuple[float, ...]:
 
     Changes at the start and end of stages are not included.
     """
-    times = {time for wall in walls for time in (wall.given.start_time, wall.given.end_time)}
+    times = {time for wall in walls for time in (wall.spec.start_time, wall.spec.end_time)}
     return tuple(sorted(times - {0.0, inf}))
+
+
+def meshes_of(walls: Sequence[PlannedWall]) -> dict[int, Mesh]:
+    """The walls whose surface is a mesh: the surfaces by the number of the wall."""
+    return {index: wall.surface for index, wall in enumerate(walls) if isinstance(wall.surface, Mesh)}
 
 
 # Largest speeds of walls, before the run.

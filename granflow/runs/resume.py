@@ -453,13 +453,13 @@ def _saved_wall(wall: PlannedWall) -> dict[str, Any]:
     """End of a changed wall [s], and its motions if a program has changed them, otherwise None."""
     is_placed = placement_of(wall.motions) is not None
     saved = [_saved_motion(each) for each in wall.motions] if is_placed else None
-    return {"vanishes_at": wall.given.end_time, "motions": saved}
+    return {"vanishes_at": wall.spec.end_time, "motions": saved}
 
 
 def _saved_motion(motion: TimedMotion) -> dict[str, Any]:
     """Name of the class of a motion, and its numbers."""
     return {"kind": type(motion).__name__} | {
-        name: _lists(getattr(motion, name)) for name in motion.number_counts
+        name: _lists(getattr(motion, name)) for name in motion.saved_numbers
     }
 
 
@@ -482,9 +482,9 @@ def _restored_wall(part: Part, wall: PlannedWall) -> PlannedWall:
 def _restored(part: Part) -> TimedMotion:
     """One motion. Raises CheckpointError."""
     kind = MOTIONS[part["kind"].text(MOTIONS)]
-    part.mapping(("kind", *kind.number_counts))
+    part.mapping(("kind", *kind.saved_numbers))
     values: dict[str, Any] = {}
-    for name, count in kind.number_counts.items():
+    for name, count in kind.saved_numbers.items():
         if count == 9:
             values[name] = tuple(_numbers(row, 3) for row in part[name].items(3))
         elif name in ("start", "end"):

@@ -355,7 +355,7 @@ class StageProgress:
         """
         walls = engine.plan.walls
         middle = engine.time + 0.5 * engine.time_step
-        presence = [wall.given.is_present(self.stage, middle) for wall in walls]
+        presence = [wall.spec.is_present(self.stage, middle) for wall in walls]
         engine.set_walls(presence, wall_motions([wall.motions for wall in walls], self.stage_times))
 
     def state_dict(self) -> dict[str, Any]:

@@ -130,7 +130,7 @@ def test_changes_that_are_not_possible_are_refused(taichi_f64):
         for name, motion, message in (
             ("floor", None, "is force-controlled"),
             ("side", gf.Translation(velocity=[1e4, 0.0, 0.0]), "at up to 1e.04 m/s, but at most"),
-            ("side", "fast", "must be a Rotation, Translation, Vibration"),
+            ("side", "fast", "must be a Vibration, Translation, Rotation, SurfaceVelocity"),
         ):
             with pytest.raises(gf.GranflowError, match=message):
                 walls[name].motion = motion

@@ -46,8 +46,8 @@ class TimedMotion(Model):
     """True if the surface moves along itself and the wall does not."""
     oscillates: ClassVar[bool] = False
     """True for motions to and fro with a period."""
-    number_counts: ClassVar[Mapping[str, int]] = {}
-    """Keys in checkpoints with their count of numbers; empty for kinds that a program cannot assign."""
+    saved_numbers: ClassVar[Mapping[str, int]] = {}
+    """Keys in checkpoints with their count of numbers. A program can assign the kinds that have them."""
 
     kind: str = Field(description="kind of motion")
     start: q.Time | None = optional("time at which the motion begins [s]", "start of the run")
@@ -223,7 +223,7 @@ class Vibration(TimedMotion):
     """
 
     oscillates: ClassVar[bool] = True
-    number_counts: ClassVar[Mapping[str, int]] = {
+    saved_numbers: ClassVar[Mapping[str, int]] = {
         "direction": 3,
         "amplitude": 1,
         "angular_frequency": 1,
@@ -317,7 +317,7 @@ class Vibration(TimedMotion):
 class VelocityMotion(TimedMotion):
     """A velocity [m/s] that is constant, or changes linearly during a ramp at the start."""
 
-    number_counts: ClassVar[Mapping[str, int]] = {
+    saved_numbers: ClassVar[Mapping[str, int]] = {
         "velocity": 3,
         "start": 1,
         "end": 1,
@@ -432,7 +432,7 @@ class Rotation(TimedMotion):
     3.141592653589793
     """
 
-    number_counts: ClassVar[Mapping[str, int]] = {
+    saved_numbers: ClassVar[Mapping[str, int]] = {
         "point": 3,
         "axis": 3,
         "angular_velocity": 1,
@@ -1011,7 +1011,9 @@ MotionSpec = Annotated[
 ]
 """Any kind of motion; the key `kind` selects it."""
 
-AssignableMotion = Rotation | Translation | Vibration | SurfaceVelocity
+ASSIGNABLE: tuple[type[TimedMotion], ...] = tuple(
+    kind for kind in get_args(get_args(MotionSpec)[0]) if kind.saved_numbers
+)
 """Kinds of motion that a program can assign to a wall; checkpoints contain them."""
 
 
@@ -1025,7 +1027,7 @@ class Placement(TimedMotion):
     pivot:        [m], point of the wall at rest that a later rotation does not define
     """
 
-    number_counts: ClassVar[Mapping[str, int]] = {
+    saved_numbers: ClassVar[Mapping[str, int]] = {
         "rotation": 9,
         "translation": 3,
         "pivot": 3,
@@ -1040,7 +1042,8 @@ class Placement(TimedMotion):
 
 
 MOTIONS: Mapping[str, type[TimedMotion]] = {
-    kind.__name__: kind for kind in (*get_args(AssignableMotion), Placement)
+    **{kind.__name__: kind for kind in ASSIGNABLE},
+    Placement.__name__: Placement,
 }
 """Kinds of motion that checkpoints contain, by name."""
 

@@ -6,7 +6,7 @@ The triangles are a `geometry.mesh.Mesh`; on the device they are evaluated by `e
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -45,8 +45,6 @@ class MeshWall(Wall):
     >>> gf.MeshWall(material="steel", file="meshes/bowl.stl", scale=0.001).file
     'meshes/bowl.stl'
     """
-
-    has_notes: ClassVar[bool] = True
 
     shape: Literal["mesh"] = Field("mesh", description="shape of the wall")
     file: FileName = Field(

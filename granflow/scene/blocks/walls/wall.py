@@ -34,8 +34,6 @@ class Wall(Model):
 
     is_bounded: ClassVar[bool] = True
     """False if the surface is infinite, so that it has no area and no pressure."""
-    has_notes: ClassVar[bool] = False
-    """True for walls from files, about whose size and place `notes` says what is odd."""
 
     shape: str = Field(description="shape of the wall")
     material: Text = Field(description="name of the wall's material")
@@ -80,6 +78,11 @@ class Wall(Model):
     def notes(self, name: str, surface: Surface, domain: Domain, smallest: float) -> Iterator[WallNote]:
         """Notes for the user on a wall from a file, with its name; none for other walls."""
         yield from ()
+
+    @property
+    def has_notes(self) -> bool:
+        """Whether the kind has `notes`, about the size and place of the surface among others."""
+        return type(self).notes is not Wall.notes
 
     @property
     def start_time(self) -> float:
