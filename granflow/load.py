@@ -326,7 +326,7 @@ def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
     """A group with the path of the copy of its particle file."""
     if group.insert.source is None:
         return group
-    insertion = group.insert.model_copy(update={"file": copies[group.insert.source]})
+    insertion = group.insert.with_source(copies[group.insert.source])
     return group.model_copy(update={"insert": insertion})
 
 

@@ -177,5 +177,5 @@ def shortfall(group: SceneGroup, error: RegionFullError) -> str:
     """Error message for a group that does not fit, with the source position of its count."""
     return (
         f"{group.locate('count')}: particles.{group.name}.count is {group.spec.count}, but "
-        f"{error.shortfall} in its {group.spec.insert.place}. {error.remedy}"
+        f"{error.shortfall} in its {group.spec.insert.place_key}. {error.remedy}"
     )

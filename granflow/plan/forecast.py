@@ -163,10 +163,11 @@ def _oversizes(scene: Scene) -> Iterator[tuple[tuple[str, ...], str]]:
     for name, group in scene.particles.items():
         diameter = group.outer_diameters[1]
         path = ("particles", name, "diameter")
-        width = group.insert.opening
+        place = group.insert.place
+        width = inf if place is None else place.opening
         if diameter > width:
-            place = f"{group.insert.place} of the {group.insert.kind}"
-            face = f"larger than the {place}, which is {width:.3g} m wide"
+            where = f"{group.insert.place_key} of the {group.insert.kind}"
+            face = f"larger than the {where}, which is {width:.3g} m wide"
             yield path, f"is {diameter:.3g} m, {face}. {_likely_unit(diameter, width)}"
         elif diameter > LARGE_DIAMETER * side and scene.domain.on_exit != "expand":
             yield (
@@ -452,7 +453,7 @@ def flow_warnings(plan: Plan) -> Iterator[str]:
             continue
         largest, held = _largest_flow(scene, group, insertion, interval)
         key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
-        place = insertion.place
+        place = insertion.place_key
         is_small = insertion.one_way or group.count * (1.0 - interval * largest) > held
         also = "" if insertion.one_way else f", which holds {held:.2g}"
         if is_small and 1.0 / interval > largest > 0.0:
@@ -546,8 +547,8 @@ def _wrong_direction(plan: Plan, name: str, insertion: TimedInsertion) -> str:
     else:
         fault = "has no component along it, so that they do not leave the face along its normal"
     remedy = ""
-    if through < 0.0 or along < 0.0:
-        remedy = f", or {insertion.reversal}"
+    if insertion.place is not None and (through < 0.0 or along < 0.0):
+        remedy = f", or {insertion.place.reversal}"
     key = f"particles.{name}.velocity ({scene.where('particles', name, 'velocity')})"
     return (
         f"{key} is {_velocity_text(velocity)} m/s, but particles enter through the face of the inlet along "

@@ -400,7 +400,8 @@ def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
     if group.insert.points:
         x, y, z = np.ptp(np.array(group.insert.points), axis=0) + group.diameters[1]
         return float(np.abs(down) @ [y * z, z * x, x * y])
-    region = group.insert.filled
+    place = group.insert.place
+    region = None if place is None or group.insert.order is None else place.sampler
     return section(domain, down) if region is None else region.section(down)
 
 

@@ -353,11 +353,12 @@ def inside_domain(parts: PartialScene) -> Iterator[Fault]:
         for index, point in enumerate(group.insert.points):
             if not all(a <= x <= b or b <= a for a, x, b in zip(low, point, high, strict=True)):
                 yield Fault((*path, "positions", index), "it lies outside the domain")
-        for axis, (a, b) in enumerate(group.insert.extent()):
+        place = group.insert.place
+        for axis, (a, b) in enumerate(place.extent() if place is not None else ()):
             if low[axis] < high[axis] and (a < low[axis] or b > high[axis]):
                 reach = f"extends from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
                 reason = f"{reach}, beyond the domain, {low[axis]:g} to {high[axis]:g} m"
-                yield whole((*path, group.insert.place), reason)
+                yield whole((*path, group.insert.place_key), reason)
 
 
 _AXES = "xyz"

@@ -37,7 +37,32 @@ def round_extent(a: Vector3, b: Vector3, axis: Vector3, radius: float) -> Iterat
         yield min(start, end) - reach, max(start, end) + reach
 
 
-class BoxRegion(Model):
+class Place(Model):
+    """A region or face in which particles are inserted. Base class.
+
+    The checks of the scene ask for `extent`, the warnings of the plan for the rest.
+
+    reversal:  what turns the normal of a face around, as an instruction
+    """
+
+    reversal: ClassVar[str] = ""
+
+    @property
+    def sampler(self) -> FilledRegion | None:
+        """The region in SI units; None for a face."""
+        return None
+
+    @property
+    def opening(self) -> float:
+        """Diameter of the largest sphere that fits through a face [m]; infinite for a region."""
+        return inf
+
+    def extent(self) -> Iterator[Extent]:
+        """Smallest and largest coordinate [m] along each axis."""
+        raise NotImplementedError
+
+
+class BoxRegion(Place):
     """An insertion region: a box. Particles lie entirely inside.
 
     >>> gf.BoxRegion(box=gf.Box(min=[0, 0, 0], max=["10 cm", 0.1, 0.1])).box.max
@@ -56,7 +81,7 @@ class BoxRegion(Model):
         yield from zip(self.box.min, self.box.max, strict=True)
 
 
-class CylinderRegion(Model):
+class CylinderRegion(Place):
     """An insertion region: a cylinder. Particles lie entirely inside.
 
     >>> gf.CylinderRegion(cylinder={"from": [0, 0, 0], "to": [0, 0, 0.1], "radius": "5 cm"}).cylinder.radius
@@ -106,7 +131,7 @@ class DiscOutline(Model):
     radius: q.PositiveLength = Field(description="radius [m]")
 
 
-class RectangleFace(Model):
+class RectangleFace(Place):
     """A rectangle through which particles enter.
 
     >>> outline = {"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}
@@ -115,11 +140,11 @@ class RectangleFace(Model):
     """
 
     rectangle: RectangleOutline = Field(description="{corner: [..], sides: [[..], [..]]}")
-    reversal: ClassVar[str] = "exchange the two sides of face.rectangle"
+    reversal = "exchange the two sides of face.rectangle"
 
     @property
-    def width(self) -> float:
-        """Diameter of the largest sphere that fits through the face [m]."""
+    def opening(self) -> float:
+        """See `Place`."""
         return min(hypot(*each) for each in self.rectangle.sides)
 
     @property
@@ -140,7 +165,7 @@ class RectangleFace(Model):
             yield min(corners), max(corners)
 
 
-class DiscFace(Model):
+class DiscFace(Place):
     """A disc through which particles enter.
 
     >>> gf.DiscFace(disc={"center": [0, 0, 0.2], "normal": [0, 0, -1], "radius": "3 cm"}).disc.radius
@@ -148,11 +173,11 @@ class DiscFace(Model):
     """
 
     disc: DiscOutline = Field(description="{center: [..], normal: [..], radius: ..}")
-    reversal: ClassVar[str] = "reverse face.disc.normal"
+    reversal = "reverse face.disc.normal"
 
     @property
-    def width(self) -> float:
-        """Diameter of the largest sphere that fits through the face [m]."""
+    def opening(self) -> float:
+        """See `Place`."""
         return 2.0 * self.disc.radius
 
     @property
@@ -178,63 +203,38 @@ Face = Annotated[
     ),
 ]
 """A rectangle or a disc through which particles enter along its normal."""
+
+
 # What a kind answers
 
 
 class InsertionKind(Model):
     """A kind of insertion: its keys and what follows from them. Base class of the kinds.
 
+    A kind is required to have either `order` and `centers` (particles at the start), or the methods of
+    `TimedInsertion` (particles during the run). `particles.insertion` calls them: `centers` once for each
+    group, in the order of `order`; `region_for` when it makes the inserter of a group. Everything else has a
+    default: a kind declares what applies to it.
+
     order:          place among the kinds that are inserted at the start, from 0: given positions first,
                     random packings last, so that each kind can avoid the particles before it; None if no
                     particle exists at the start
+    place_key:      key of the region or face in which particles are inserted; empty without one
     has_rows:       whether a row of data defines each particle, so that neither mass nor scale change them
     defines_sizes:  whether the data contain the sizes
     from_program:   whether only a program adds particles
-    place:          key of the region or face in which particles are inserted; empty without one
     """
 
     order: ClassVar[int | None] = None
+    place_key: ClassVar[str] = ""
     has_rows: ClassVar[bool] = False
     defines_sizes: ClassVar[bool] = False
     from_program: ClassVar[bool] = False
-    place: ClassVar[str] = ""
 
     @property
-    def points(self) -> tuple[Vector3, ...]:
-        """Given centers [m]; empty without."""
-        return ()
-
-    @property
-    def source(self) -> str | None:
-        """Path of the file with the particles; None without one."""
-        return None
-
-    @property
-    def summary(self) -> "FileSummary | None":
-        """Summary of the file, once it is read; None without a file."""
-        return None
-
-    @property
-    def opening(self) -> float:
-        """Diameter of the largest sphere that fits through the face [m]; infinite without one."""
-        return inf
-
-    @property
-    def filled(self) -> FilledRegion | None:
-        """Region that the particles fill at the start; None without one."""
-        return None
-
-    def region_for(self, radius: float, velocity: np.ndarray, gathered: float = 0.0) -> RegionSampler | None:
-        """Region in which particles are inserted; None for those of a file or a program, or given centers.
-
-        `radius` [m]: largest; `velocity` (3,) [m/s] of the group; `gathered` [s]: time of one batch.
-        """
-        return self.filled
-
-    def extent(self) -> Iterator[Extent]:
-        """Smallest and largest coordinate [m] of `place` along each axis; none without one."""
-        if self.place:
-            yield from getattr(self, self.place).extent()
+    def place(self) -> Place | None:
+        """The region or face in which particles are inserted; None without one."""
+        return getattr(self, self.place_key) if self.place_key else None
 
     def centers(self, radius: np.ndarray, existing: Spheres, random: np.random.Generator) -> np.ndarray:
         """Centers (n, 3) [m] of the particles at the start, of radii (n,) [m], without overlap with
@@ -242,6 +242,34 @@ class InsertionKind(Model):
 
         Raises RegionFullError if the particles do not fit.
         """
+        raise NotImplementedError
+
+    def region_for(self, radius: float, velocity: np.ndarray, gathered: float = 0.0) -> RegionSampler | None:
+        """Region in which particles are inserted; None for those of a file or a program, or given centers.
+
+        Besides the inserter, the forecasts of the plan ask for it: heights of fall, weight of the bed, and
+        flow out of the region. `radius` [m]: largest; `velocity` (3,) [m/s] of the group; `gathered` [s]:
+        time of one batch.
+        """
+        return None
+
+    @property
+    def points(self) -> tuple[Vector3, ...]:
+        """Given centers [m], for checks of the scene and forecasts; empty without."""
+        return ()
+
+    @property
+    def source(self) -> str | None:
+        """Path of the file with the particles, which `particles.file` reads; None without one."""
+        return None
+
+    @property
+    def summary(self) -> "FileSummary | None":
+        """Summary of the file, once it is read; None without a file."""
+        return None
+
+    def with_source(self, path: str) -> "InsertionKind":
+        """This insertion with another path of its file; a run saves a copy of the file."""
         raise NotImplementedError
 
 
@@ -265,16 +293,15 @@ class LatticeInsertion(InsertionKind):
     region: Region = Field(description="region to fill: a box or a cylinder")
     jitter: Jitter = Field(0.0, description="random displacement, as a fraction of the free gap")
     order: ClassVar[int | None] = 2
-    place: ClassVar[str] = "region"
+    place_key: ClassVar[str] = "region"
 
-    @property
-    def filled(self) -> FilledRegion:
-        """The region."""
+    def region_for(self, radius: float, velocity: np.ndarray, gathered: float = 0.0) -> RegionSampler:
+        """The region as given."""
         return self.region.sampler
 
     def centers(self, radius: np.ndarray, existing: Spheres, random: np.random.Generator) -> np.ndarray:
         """Centers (n, 3) [m] on the lattice."""
-        return fill_lattice(self.filled, radius, self.jitter, existing, random)
+        return fill_lattice(self.region.sampler, radius, self.jitter, existing, random)
 
 
 class PackInsertion(InsertionKind):
@@ -288,16 +315,15 @@ class PackInsertion(InsertionKind):
     kind: Literal["pack"] = Field("pack", description="kind of insertion")
     region: Region = Field(description="region to fill: a box or a cylinder")
     order: ClassVar[int | None] = 3
-    place: ClassVar[str] = "region"
+    place_key: ClassVar[str] = "region"
 
-    @property
-    def filled(self) -> FilledRegion:
-        """The region."""
+    def region_for(self, radius: float, velocity: np.ndarray, gathered: float = 0.0) -> RegionSampler:
+        """The region as given."""
         return self.region.sampler
 
     def centers(self, radius: np.ndarray, existing: Spheres, random: np.random.Generator) -> np.ndarray:
         """Centers (n, 3) [m] of the packing."""
-        return pack_at_random(self.filled, radius, existing, random)
+        return pack_at_random(self.region.sampler, radius, existing, random)
 
 
 class PositionsInsertion(InsertionKind):
@@ -368,6 +394,10 @@ class FileInsertion(InsertionKind):
         """Summary of the file, once it is read."""
         return self.found
 
+    def with_source(self, path: str) -> "FileInsertion":
+        """See `InsertionKind`."""
+        return self.model_copy(update={"file": path})
+
 
 class PythonInsertion(InsertionKind):
     """No particles from the scene: a Python program adds them, with `simulation.particles.add` or from
@@ -391,7 +421,8 @@ class TimedInsertion(InsertionKind):
     """Insertion during the run at a constant number or mass per second.
 
     It ends when the count or mass of the group is inserted, or at `end`. Sizes are in a fixed order, so that
-    each size class has its fraction at any time.
+    each size class has its fraction at any time. A kind is required to have `region_for`; the inserter
+    (`particles.insertion`) calls `interval` and `delays`.
 
     one_way:  whether particles leave the region along the normal of a face only
     """
@@ -433,11 +464,6 @@ class TimedInsertion(InsertionKind):
         assert self.mass_flow is not None
         return np.asarray((np.cumsum(mass) - mass) / self.mass_flow)
 
-    @property
-    def reversal(self) -> str:
-        """What turns the normal around, as an instruction."""
-        raise NotImplementedError
-
     def region_for(self, radius: float, velocity: np.ndarray, gathered: float = 0.0) -> RegionSampler:
         """Region in which particles are inserted, see `InsertionKind`."""
         raise NotImplementedError
@@ -456,7 +482,7 @@ class RainInsertion(TimedInsertion):
 
     kind: Literal["rain"] = Field("rain", description="kind of insertion")
     region: Region = Field(description="region of the insertion: a box or a cylinder")
-    place: ClassVar[str] = "region"
+    place_key: ClassVar[str] = "region"
 
     def region_for(self, radius: float, velocity: np.ndarray, gathered: float = 0.0) -> RegionSampler:
         """The region as given."""
@@ -476,17 +502,7 @@ class InletInsertion(TimedInsertion):
     kind: Literal["inlet"] = Field("inlet", description="kind of insertion")
     face: Face = Field(description="face of the inlet: a rectangle or a disc")
     one_way: ClassVar[bool] = True
-    place: ClassVar[str] = "face"
-
-    @property
-    def opening(self) -> float:
-        """Diameter of the largest sphere that fits through the face [m]."""
-        return self.face.width
-
-    @property
-    def reversal(self) -> str:
-        """What turns the normal around, as an instruction."""
-        return self.face.reversal
+    place_key: ClassVar[str] = "face"
 
     def region_for(self, radius: float, velocity: np.ndarray, gathered: float = 0.0) -> RegionSampler:
         """The volume behind the face that particles cross in the time of one batch.
