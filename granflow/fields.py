@@ -97,6 +97,8 @@ class FieldSpec(Quantity):
     condition:  function of the features of a plan: whether the field exists
     block:      fields that follow each other with the same block are interleaved entry by entry, because
                 kernels read them together
+    of_ghosts:  sent in every step to the MPI ranks that have a ghost of the particle; these fields are one
+                block, so that they are sent as one record
     sorted:     permuted with the particles at a neighbor-list rebuild; other fields are computed again after
                 it
     saved:      in checkpoints
@@ -107,6 +109,7 @@ class FieldSpec(Quantity):
     dtype: DeviceType | None = None
     condition: Callable[[Any], bool] = _always
     block: str = ""
+    of_ghosts: bool = False
     sorted: bool = True
     saved: bool = True
     displayed: bool = True
@@ -288,10 +291,20 @@ _PARTICLE_FIELDS = {
             "float64",
             dtype="position",
             block="motion",
+            of_ghosts=True,
             displayed=False,
         ),
-        FieldSpec("radius", "R", "m", "radius of the sphere", dtype="real", block="motion"),
-        FieldSpec("mass", "m", "kg", "mass of the sphere", dtype="real", block="motion", displayed=False),
+        FieldSpec("radius", "R", "m", "radius of the sphere", dtype="real", block="motion", of_ghosts=True),
+        FieldSpec(
+            "mass",
+            "m",
+            "kg",
+            "mass of the sphere",
+            dtype="real",
+            block="motion",
+            of_ghosts=True,
+            displayed=False,
+        ),
         FieldSpec(
             "velocity",
             "v",
@@ -300,6 +313,7 @@ _PARTICLE_FIELDS = {
             "vector",
             dtype="real",
             block="motion",
+            of_ghosts=True,
         ),
         FieldSpec(
             "angular_velocity",
@@ -310,6 +324,7 @@ _PARTICLE_FIELDS = {
             dtype="real",
             condition=_rotation,
             block="motion",
+            of_ghosts=True,
         ),
         FieldSpec(
             "velocity_synchronized",
@@ -321,6 +336,7 @@ _PARTICLE_FIELDS = {
             dtype="real",
             condition=lambda features: features.rate_dependent,
             block="motion",
+            of_ghosts=True,
             displayed=False,
         ),
         FieldSpec(

@@ -80,13 +80,16 @@ class PairMaterial:
     tangential_stiffness: float | None = None
     """Stiffness [N/m] of a tangential model that does not take that of the normal model."""
 
+    @property
+    def fit(self) -> VelocityRestitution | None:
+        """The restitution if it is a function of the velocity."""
+        return self.restitution if isinstance(self.restitution, VelocityRestitution) else None
+
     def restitution_at(self, velocity: float) -> float:
         """Restitution coefficient at an approach velocity [m/s]. Raises ValueError if the pair has none."""
         if self.restitution is None:
             raise ValueError("this pair has no restitution coefficient")
-        if isinstance(self.restitution, VelocityRestitution):
-            return float(self.restitution(velocity))
-        return self.restitution
+        return float(self.restitution(velocity) if callable(self.restitution) else self.restitution)
 
 
 def modulus_eff(a: Solid, b: Solid) -> float:

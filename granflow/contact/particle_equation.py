@@ -62,7 +62,8 @@ class ParticleEquation(DeviceObject):
     @property
     def field(self) -> FieldSpec:
         """The property as a field of the particles; ghosts get it with positions and velocities."""
-        return _field(self.name, self.symbol, self.unit, self.meaning, dtype="position", block="motion")
+        storage = {"dtype": "position", "block": "motion", "of_ghosts": True}
+        return _field(self.name, self.symbol, self.unit, self.meaning, **storage)
 
 
 def add(equation: ParticleEquation) -> None:

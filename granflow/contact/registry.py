@@ -84,6 +84,12 @@ def liquid_models() -> list[str]:
     return [name for name, law in laws.items() if issubclass(law, CohesionLaw) and law.transfers_liquid]
 
 
+def dashpot_models() -> list[str]:
+    """Names of the normal models with a dashpot."""
+    laws = {name: model.law for name, model in models("normal").items()}
+    return [name for name, law in laws.items() if issubclass(law, NormalLaw) and law.has_dashpot()]
+
+
 def _problems(model: ContactModel) -> Iterator[str]:
     """Reasons why a record cannot be registered."""
     if not any(issubclass(model.law, slot.base) for slot in SLOTS.values()):

@@ -17,6 +17,7 @@ from granflow.fields import (
     TOTAL_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
+    Quantity,
 )
 from granflow.io.tables import COLLISION_COLUMNS, COLLISION_FILE, RowFile
 from granflow.observers.meters import FlowCount, FlowCounter, WallForceMeter
@@ -27,8 +28,12 @@ from granflow.snapshot import PARTICLES, TOTALS, Snapshot
 
 # `timeseries.csv`
 
-READINGS = (FLOW_METER_QUANTITIES, WALL_FORCE_QUANTITIES, METRIC_QUANTITIES)
-"""Quantities that meters read, by name, in one table for each kind of meter."""
+READINGS: Mapping[str, Mapping[str, Quantity]] = {
+    "flow_meters": FLOW_METER_QUANTITIES,
+    "wall_forces": WALL_FORCE_QUANTITIES,
+    "metrics": METRIC_QUANTITIES,
+}
+"""Quantities that the meters of each kind read, by name, in the order of the columns."""
 PARTS = {**OUTLET_QUANTITIES, **WALL_QUANTITIES}
 """Totals of one outlet or wall, named `NAME.PART`."""
 NO_ROWS = {"size": 0, "unwritten": ""}
@@ -75,12 +80,8 @@ class TimeSeries(ScheduledObserver):
         metrics: Mapping[str, MetricMeter] | None = None,
     ) -> None:
         super().__init__(interval, start)
-        kinds: dict[str, Mapping[str, Meter] | None] = {
-            "flow_meters": flow_meters,
-            "wall_forces": wall_forces,
-            "metrics": metrics,
-        }
-        self.meters = {kind: dict(meters or {}) for kind, meters in kinds.items()}
+        given: tuple[Mapping[str, Meter] | None, ...] = (flow_meters, wall_forces, metrics)
+        self.meters = {kind: dict(meters or {}) for kind, meters in zip(READINGS, given, strict=True)}
         self.wants = frozenset({TOTALS, PARTICLES} if flow_meters else {TOTALS})
         self.wants = self.wants.union(*(metric.wants for metric in (metrics or {}).values()))
         self.path = None if directory is None else Path(directory) / "timeseries.csv"
@@ -131,7 +132,7 @@ class TimeSeries(ScheduledObserver):
         if self._last is None:
             return None
         time, time_before, totals = self._last
-        readings = {f"{quantity}.{name}": value for quantity, name, value in self._read_meters()}
+        readings = {f"{quantity.name}.{name}": value for quantity, name, value in self._read_meters()}
         return Row(time, time_before, {**totals, **readings})
 
     def finish(self) -> None:
@@ -169,16 +170,13 @@ class TimeSeries(ScheduledObserver):
 
     def _readings(self) -> dict[str, float]:
         """Return the readings of all meters by column name, with units, in the order of the columns."""
-        return {
-            next(known[quantity] for known in READINGS if quantity in known).label_of(name): value
-            for quantity, name, value in self._read_meters()
-        }
+        return {quantity.label_of(name): value for quantity, name, value in self._read_meters()}
 
-    def _read_meters(self) -> Iterator[tuple[str, str, float]]:
+    def _read_meters(self) -> Iterator[tuple[Quantity, str, float]]:
         """Yield quantity, name of the meter and value of all readings, in the order of the columns."""
-        for kind in self.meters:
+        for kind, known in READINGS.items():
             for name, meter in self._named(kind):
-                yield from ((quantity, name, value) for quantity, value in meter.readings().items())
+                yield from ((known[quantity], name, value) for quantity, value in meter.readings().items())
 
     def sync(self) -> None:
         """Flush all rows to the disk."""

@@ -404,13 +404,12 @@ class GhostExchange:
 
 
 def _records(state: State) -> np.ndarray:
-    """Records (capacity,) of positions, velocities and angular velocities, with radii and masses between
-    them."""
-    return state.built(_motion_records)
+    """Records (capacity,) of the properties that ghosts get in every step, see `FieldSpec.of_ghosts`."""
+    return state.built(_ghost_records)
 
 
-def _motion_records(state: State) -> np.ndarray:
-    names = [name for name, field in PARTICLE_QUANTITIES.items() if field.block == "motion"]
+def _ghost_records(state: State) -> np.ndarray:
+    names = [name for name, field in PARTICLE_QUANTITIES.items() if field.of_ghosts]
     return records_of([field for name in names if (field := getattr(state.particles, name)) is not None])
 
 

@@ -295,23 +295,15 @@ def _model_reason(scene: Scene, models: Mapping[str, ContactModel], slot: str) -
 
 
 def _rate_reason(scene: Scene, law_is_damped: bool) -> str:
-    """The damping ratio, or the property of the contact model, that makes forces depend on velocities."""
+    """The key, or the property of the contact model, that makes forces depend on velocities."""
     normal = scene.contact.normal
-    options = scene.contact.options("normal")
-    damping_ratio = getattr(options, "damping_ratio", None)
-    if damping_ratio is not None:
-        rests = not law_is_damped and getattr(options, "rest_damping", None)
-        addition = ", and rest_damping acts only on contacts that reload" if rests else ""
-        return (
-            f"contact.normal.damping_ratio is {damping_ratio:g}{addition} "
-            f"({scene.where('contact', 'normal')})"
-        )
-    if not law_is_damped:
-        return f"the {normal.law} contact model with these settings has no viscous force"
-    return (
-        f"the {normal.law} contact model obtains a restitution below 1 by damping "
-        f"({scene.where('contact', 'normal')})"
-    )
+    place = scene.where("contact", "normal")
+    reason = scene.contact.options("normal").rate_reason
+    if reason:
+        return f"{reason} ({place})"
+    if law_is_damped:
+        return f"the {normal.law} contact model obtains a restitution below 1 by damping ({place})"
+    return f"the {normal.law} contact model with these settings has no viscous force"
 
 
 def _kinds_of_motion(scene: Scene, wall: str) -> str:

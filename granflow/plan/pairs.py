@@ -14,8 +14,6 @@ from granflow.contact import registry
 from granflow.contact.law import SLOTS, ContactModel, ModelRequest
 from granflow.contact.material import (
     PairMaterial,
-    VelocityRestitution,
-    limit_velocity,
     modulus_eff,
     shear_modulus_eff,
     yield_strength,
@@ -26,7 +24,7 @@ from granflow.geometry.sphere import sphere_mass
 from granflow.load import Scene
 from granflow.particles.group import SceneGroup
 from granflow.plan.pair_case import PairCase
-from granflow.scene.blocks.materials import Material, MaterialPair, RestitutionFit
+from granflow.scene.blocks.materials import Material, MaterialPair
 from granflow.visible_text import alternatives
 
 PairMaterials = Mapping[tuple[str, str], PairMaterial]
@@ -81,7 +79,7 @@ def build_laws(
         )
         laws.append(model.law.from_scene(request))
     found = ContactLaws(tuple(laws))
-    if found.damped_slots and not found.normal.has_dashpot:
+    if found.damped_slots and not found.normal.has_dashpot():
         _refuse_dashpot(scene, found.damped_slots[0])
     return found
 
@@ -89,15 +87,12 @@ def build_laws(
 def _refuse_dashpot(scene: Scene, slot: str) -> None:
     """Raise SceneError for the dashpot of a slot if the normal model provides none, of which it is a
     multiple."""
-    damped = [
-        name for name, model in registry.models("normal").items() if getattr(model.law, "has_dashpot", False)
-    ]
     damping = scene.contact.options(slot).damping
     raise SceneError(
         f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, a multiple of "
         "the dashpot from which the normal model obtains the restitution, but "
-        f"{scene.contact.name('normal')} has no such dashpot; write 0, or choose {alternatives(damped)} as "
-        "normal model."
+        f"{scene.contact.name('normal')} has no such dashpot; write 0, or choose "
+        f"{alternatives(registry.dashpot_models())} as normal model."
     )
 
 
@@ -129,20 +124,12 @@ def _pair_material(
     The restitution is a number, a fit e(v) (Zhou 2011, Eq. 12) with its limit velocity (Eq. 11 unless given),
     or None.
     """
-    given = pair.restitution
-    restitution: float | VelocityRestitution | None
-    if isinstance(given, RestitutionFit):
-        restitution = VelocityRestitution(
-            given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b)
-        )
-    else:
-        restitution = given
     surface = [model for slot, model in models.items() if SLOTS[slot].on_surface]
     properties = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_properties()}
     return PairMaterial(
         modulus_eff(a, b),
         shear_modulus_eff(a, b),
-        restitution,
+        pair.restitution_of(a, b),
         pair.friction,
         yield_strength(a, b),
         properties,

@@ -295,8 +295,8 @@ def restitution(parts: PartialScene) -> Iterator[Fault]:
                 yield whole(("pairs", key), reason)
         elif pair.restitution is None:
             yield missing(path, "restitution coefficient, a number in [0, 1]")
-        elif isinstance(pair.restitution, RestitutionFit):
-            yield from _restitution_fit(parts, key, pair.restitution)
+        elif pair.fit:
+            yield from _restitution_fit(parts, key, pair.fit)
         elif pair.restitution == 0 and normal.record.restitution == "positive number":
             yield Fault(path, f"the contact model {normal.law} requires a number above 0 and at most 1")
 

@@ -16,7 +16,6 @@ from pydantic import ValidationError
 from granflow.arguments import refuse_other
 from granflow.contact.law import SLOTS
 from granflow.errors import FileError, SceneError
-from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.checks import PartialScene, consistency_problems, partial_scene_of
 from granflow.schema.document import (
@@ -136,7 +135,7 @@ def _resolved_law(scene: SceneInput) -> SceneInput:
     Example: `restitution_at` of zhou becomes constant.
     """
     normal = scene.contact.normal
-    has_fit = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
+    has_fit = any(pair.fit for pair in scene.pairs.values())
     with_numbers = normal.record.options.with_numbers
     if has_fit or not with_numbers:
         return scene

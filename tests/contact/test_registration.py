@@ -39,7 +39,7 @@ class WithDefault(PairProperties):
     [
         (
             ContactModel(Incomplete, "x"),
-            "must define force, stored_energy, phase_durations, unloading_stiffness, see ",
+            "must define force, reference, stored_energy, phase_durations, unloading_stiffness, see ",
         ),
         (
             ContactModel(type("Other", (Hertz,), {"name": "other", "constant_names": ("k",)}), "x"),

@@ -94,3 +94,10 @@ def test_property_with_a_condition_exists_only_if_the_plan_needs_it(taichi_f64, 
     assert simulation.engine.state.particles.charge is None
     assert "charge" not in simulation.snapshot().particles
     simulation.free()
+
+
+def test_the_properties_of_ghosts_are_one_block():
+    """They are sent as records of that block: another property in it would be sent as well."""
+    of_ghosts = {each.name for each in fields.PARTICLE_QUANTITIES.values() if each.of_ghosts}
+    (block,) = {fields.PARTICLE_QUANTITIES[name].block for name in of_ghosts}
+    assert of_ghosts == {each.name for each in fields.PARTICLE_QUANTITIES.values() if each.block == block}

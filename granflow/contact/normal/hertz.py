@@ -44,7 +44,6 @@ class Hertz(HertzSpring):
     damped: bool
 
     name = "hertz"
-    has_dashpot = True
     source = "Hertz 1882; Tsuji et al. 1992; Antypov & Elliott 2011, doi 10.1209/0295-5075/94/50004"
     limits = "e does not depend on velocity; the viscous force is numerical and has no physical basis"
     constant_names = ("modulus_eff", "shear_modulus_eff", "viscosity")

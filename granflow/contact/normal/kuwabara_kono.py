@@ -43,7 +43,6 @@ class KuwabaraKono(HertzSpring):
     reference_velocity: float
 
     name = "kuwabara_kono"
-    has_dashpot = True
     source = (
         "Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, doi "
         "10.1103/PhysRevE.53.5382"

@@ -214,7 +214,6 @@ class Linear(SpringLaw):
     """Linear spring of stiffness K [N/m] and dashpot."""
 
     name = "linear"
-    has_dashpot = True
     source = "Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007"
     limits = (
         "duration and restitution do not depend on velocity; with damping the force is discontinuous at "

@@ -238,7 +238,7 @@ class Zhou(NormalLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Zhou":
         """The law that a scene requests; constant restitution if that of every pair is a number."""
-        fitted = any(isinstance(pair.restitution, VelocityRestitution) for pair in request.pairs)
+        fitted = any(pair.fit for pair in request.pairs)
         restitution_at: RestitutionAt = request.options.restitution_at if fitted else "constant"
         elastic = all(pair.restitution == 1.0 for pair in request.pairs)
         return cls(
@@ -265,9 +265,8 @@ class Zhou(NormalLaw):
         Raises ValueError if the pair has no restitution.
         """
         moduli = (pair.modulus_eff, pair.shear_modulus_eff)
-        if isinstance(pair.restitution, VelocityRestitution):
-            fit = pair.restitution
-            return (*moduli, 0.0, fit.sigma, fit.psi, fit.limit_velocity)
+        if pair.fit:
+            return (*moduli, 0.0, pair.fit.sigma, pair.fit.psi, pair.fit.limit_velocity)
         return (*moduli, pair.restitution_at(0.0), 0.0, 1.0, 0.0)
 
     @property
@@ -777,6 +776,13 @@ class ZhouOptions(Options):
         "separated, as in a bed at rest; binary collisions are not affected; 0: no such force",
         examples=["0.1"],
     )
+
+    @property
+    def rate_reason(self) -> str:
+        """The damping ratio, and whether `rest_damping` acts without it."""
+        rests = self.rest_damping and not self.damping_ratio
+        addition = ", and rest_damping acts only on contacts that reload" if rests else ""
+        return f"contact.normal.damping_ratio is {self.damping_ratio:g}{addition}"
 
 
 MODEL = ContactModel(

@@ -141,7 +141,7 @@ def _model(model: ContactModel) -> type[LawSettings]:
     """The schema class of one contact model: its name and its options; the same at each call."""
     name = f"{_camel(model.name)}{_camel(model.slot)}"
     law: Any = (Literal[model.name], Field(description=f"name of the {model.slot} contact model"))
-    bases: Any = (LawSettings,) if model.options is Options else (model.options, LawSettings)
+    bases: Any = (model.options, LawSettings)
     # where pickle finds it
     globals()[name] = create_model(name, __base__=bases, __doc__=model.summary, law=law)
     return globals()[name]

@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, Tag, model_validator
 
 from granflow.contact import registry
 from granflow.contact.law import FrictionCoefficient
+from granflow.contact.material import VelocityRestitution, limit_velocity
 from granflow.contact.particle_equation import equations
 from granflow.schema import quantities as q
 from granflow.schema.faults import value_error
@@ -202,6 +203,22 @@ class MaterialPair(Model):
         ),
     )
     friction: FrictionCoefficient = Field(description="Coulomb friction coefficient; 0 for no friction")
+
+    @property
+    def fit(self) -> RestitutionFit | None:
+        """The restitution if it is a fit."""
+        return self.restitution if isinstance(self.restitution, RestitutionFit) else None
+
+    def restitution_of(self, first: Material, second: Material) -> float | VelocityRestitution | None:
+        """The restitution of the two materials as contact models read it.
+
+        A limit velocity that is not given follows from their yield strengths (Zhou 2011, Eq. 11).
+        """
+        if isinstance(self.restitution, RestitutionFit):
+            fit = self.restitution
+            limit = fit.limit_velocity or limit_velocity(first, second)
+            return VelocityRestitution(fit.sigma, fit.psi, limit)
+        return self.restitution
 
 
 def use_registry() -> None:

@@ -9,7 +9,7 @@ from validation import theory_of_collisions as theory
 from validation.theory_of_collisions import Pair, Partner
 
 from granflow.contact import theory as theory_of_granflow
-from granflow.plan import pairs as pair_cases
+from granflow.scene.blocks import materials
 
 GLASS = {"young_modulus": 48e9, "poisson_ratio": 0.20, "density": 2800.0}
 SPHERES = Pair(Partner(GLASS, 0.01), Partner(GLASS, 0.01))
@@ -58,8 +58,8 @@ def test_restitution_over_velocity_and_stated_closed_forms_pass(taichi_f64):
 
 def test_limit_velocity_without_its_factor_fails(taichi_f64, monkeypatch):
     """Eq. 11 with the factor 1 instead of 3."""
-    exact = pair_cases.limit_velocity
-    monkeypatch.setattr(pair_cases, "limit_velocity", lambda *solids: exact(*solids) / math.sqrt(3.0))
+    exact = materials.limit_velocity
+    monkeypatch.setattr(materials, "limit_velocity", lambda *solids: exact(*solids) / math.sqrt(3.0))
     found = statuses(collisions.steel_cases())
     assert {status for name, status in found.items() if "limit velocity" in name} == {"fail"}
 
