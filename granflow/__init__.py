@@ -96,6 +96,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.walls.revolved import Disc as Disc
     from granflow.scene.registration import register_contact_model as register_contact_model
     from granflow.scene.registration import register_metric as register_metric
+    from granflow.scene.registration import register_particle_equation as register_particle_equation
     from granflow.simulation import Simulation as Simulation
     from granflow.snapshot import Snapshot as Snapshot
     from granflow.studies.calibration.calibrate import calibrate as calibrate
@@ -196,6 +197,7 @@ _LOCATIONS = {
     "read_run": "granflow.runs.read_run.read_run",
     "register_contact_model": "granflow.scene.registration.register_contact_model",
     "register_metric": "granflow.scene.registration.register_metric",
+    "register_particle_equation": "granflow.scene.registration.register_particle_equation",
     "start": "granflow.engine.state_cache.start",
     "steady_flow": "granflow.observers.meters.steady_flow",
     "sweep": "granflow.studies.sweep.sweep",

@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from contact import test_transported
+from contact import test_flows
 from geometry.meshes import cube, write
 from scene_builders import (
     DASHPOTS,
@@ -172,12 +172,10 @@ def uneven():
 
 def conducting():
     """Particles with a temperature: model and equation are registered as by a program."""
-    for model in test_transported.MODELS:
+    for model in test_flows.MODELS:
         register_contact_model(model)
-    register_particle_equation(test_transported.EQUATION)
-    return test_transported.bed(
-        8, run={"duration": 3e-3, "time_step": test_transported.TIME_STEP, "velocity_max": 1.0}
-    )
+    register_particle_equation(test_flows.EQUATION)
+    return test_flows.bed(8, run={"duration": 3e-3, "time_step": test_flows.TIME_STEP, "velocity_max": 1.0})
 
 
 SPRING = {"stiffness": {"reference_velocity": 1.0}}

@@ -36,7 +36,7 @@ To write a model:
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from types import SimpleNamespace
 from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
@@ -93,8 +93,8 @@ class HistoryField:
 
 
 @dataclass(frozen=True)
-class Sum:
-    """A quantity that flows through contacts, summed over those of each particle.
+class Flow:
+    """A quantity that flows through contacts, such as heat; the engine sums it over those of each particle.
 
     unit:     SI unit
     meaning:  description in a few words
@@ -143,10 +143,10 @@ class Law(DeviceObject):
     """Kinds of the values of each device function: number, vector or history."""
     constant_names: ClassVar[tuple[str, ...]] = ()
     """Names of the constants of a pair of materials, in the order of `pair_constants`."""
-    adds: ClassVar[Mapping[str, Sum]] = {}
-    """What flows through a contact, by name, see `flows`; particle equations read the sums."""
-    reads: ClassVar[tuple[str, ...]] = ()
-    """Properties of the particles that `flows` reads."""
+    flows: ClassVar[Mapping[str, Flow]] = {}
+    """What flows through a contact, by name, see `flow`; particle equations read the sums."""
+    particle_properties: ClassVar[tuple[str, ...]] = ()
+    """Properties of the particles that `flow` reads."""
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Law":
@@ -172,11 +172,11 @@ class Law(DeviceObject):
     # What flows through contacts of surfaces that touch, in addition to forces
 
     @ti.func
-    def flows(self, constants, contact, first, partner):
-        """Struct of the flows from the partner to the first particle, by the names of `adds`.
+    def flow(self, constants, contact, first, partner):
+        """Struct of the flows from the partner to the first particle, by the names of `flows`.
 
         contact:         as of a normal model, before its force is evaluated: without history and force
-        first, partner:  structs of the properties `reads`
+        first, partner:  structs of `particle_properties`
 
         If both are exchanged, each flow changes its sign to the last bit: then sums are conserved.
         """
@@ -187,7 +187,7 @@ class Law(DeviceObject):
         return first
 
     def flow_bounds(self, name: str, case: FlowCase) -> tuple[float, float]:
-        """Largest flow of a contact, and its largest derivative by a property in `reads`.
+        """Largest flow of a contact, and its largest derivative by a property of the particle.
 
         The first determines the unit of the sum: the sum over all contacts of a particle must be at most 32
         times as large. The second limits the time step of each equation that reads the sum.
@@ -907,6 +907,12 @@ class ContactModel:
     def slot(self) -> str:
         """Key of `contact` that selects the model."""
         return next(name for name, slot in SLOTS.items() if issubclass(self.law, slot.base))
+
+    def acts(self, pairs: Iterable[Any]) -> bool:
+        """Whether the model acts between any of the pairs of the block `pairs`: it has no properties of
+        pairs, or one of them is not 0."""
+        keys = self.pair_properties.model_fields
+        return not keys or any(getattr(pair, key) for pair in pairs for key in keys)
 
     @property
     def required_options(self) -> dict[str, str]:

@@ -1,34 +1,40 @@
 """Equations of particle properties that contacts change, such as a temperature with conduction.
 
-A contact model declares what flows from the partner to a particle (`Law.adds`), and the engine sums it over
-the contacts of the particle, exactly. A particle equation reads such sums:
+A contact model declares what flows through a contact (`Law.flows`), and the engine sums each flow over the
+contacts of a particle, exactly. A particle equation integrates a property with such sums:
 
-    dy/dt = rate(constants, particle, sums),       y(t + dt) = y(t) + dt rate(t)
+    dy/dt = rate(constants, particle, flows),       y(t + dt) = y(t) + dt rate(t)
 
-It acts in scenes whose contact models add all sums that it reads. Array, sort, checkpoints, snapshots, files,
-the keys of the scene and the ghosts of MPI ranks follow from its class. No Taichi.
+It acts in scenes whose contact models have all flows that it names. Array, sort, checkpoints, snapshots,
+files, the keys of the scene and their checks, and the ghosts of MPI ranks follow from its class. An equation
+is one file, and an entry of the list in `granflow.contact.registry`; a program registers its own with
+`granflow.register_particle_equation`. No Taichi.
 """
 
-from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Mapping
+from typing import ClassVar
 
-from granflow import fields
 from granflow.device_functions import DeviceObject, ti
 from granflow.fields import FieldSpec
-from granflow.schema.model import is_name
+from granflow.schema.model import Model
 from granflow.schema.quantities import Number
 
-_EQUATIONS: dict[str, "ParticleEquation"] = {}
+
+class MaterialProperties(Model):
+    """Keys of a material that a particle equation requires; this class has none.
+
+    A subclass declares them as fields, each with a description, without a default.
+    """
 
 
 class ParticleEquation(DeviceObject):
     """How one property of the particles changes; a class without options, with device functions as methods.
 
-    name:           name of the property, and key of a group in `particles` for its initial value
+    name:                   name of the property, and key of a group in `particles` for its initial value
     symbol, unit, meaning:  as of a `Quantity`
-    initial:        type of the initial value, which every group requires
-    reads:          names of the sums that the rate reads
-    material_keys:  type and description of the keys of a material that the rate reads, by name
+    initial:                type of the initial value, which every group requires
+    flows:                  names of the flows whose sums the rate reads
+    material_properties:    class of the keys of a material that the rate reads
     """
 
     name: ClassVar[str]
@@ -36,16 +42,16 @@ class ParticleEquation(DeviceObject):
     unit: ClassVar[str] = "1"
     meaning: ClassVar[str]
     initial: ClassVar[Number]
-    reads: ClassVar[tuple[str, ...]]
-    material_keys: ClassVar[Mapping[str, tuple[Number, str]]] = {}
+    flows: ClassVar[tuple[str, ...]]
+    material_properties: ClassVar[type[MaterialProperties]] = MaterialProperties
 
     @ti.func
-    def rate(self, constants, particle, sums):
+    def rate(self, constants, particle, flows):
         """Rate of change of the property.
 
-        constants:  values of `material_keys`
+        constants:  values of `material_properties`
         particle:   radius [m], mass [kg], value of the property
-        sums:       of `reads`, by name
+        flows:      sum of each flow in `flows` over the contacts of the particle, by name
         """
 
     def longest_time_step(
@@ -53,57 +59,47 @@ class ParticleEquation(DeviceObject):
     ) -> float:
         """Time step [s] below which the explicit step is stable.
 
-        constants:     values of `material_keys`
+        constants:     values of `material_properties`
         radius, mass:  [m], [kg], of the smallest particle of a group
         slope:         largest derivative of the sum of its flows by the property, for all its contacts
         """
         raise NotImplementedError
 
     @property
+    def material_keys(self) -> tuple[str, ...]:
+        """Names of `material_properties`."""
+        return tuple(self.material_properties.model_fields)
+
+    def acts_with(self, flows: tuple[str, ...]) -> bool:
+        """Whether contact models with these flows have all that the equation needs."""
+        return set(self.flows).issubset(flows)
+
+    @property
     def field(self) -> FieldSpec:
         """The property as a field of the particles; ghosts get it with positions and velocities."""
-        storage = {"dtype": "position", "block": "motion", "of_ghosts": True}
-        return _field(self.name, self.symbol, self.unit, self.meaning, **storage)
+        return FieldSpec(
+            self.name,
+            self.symbol,
+            self.unit,
+            self.meaning,
+            file_type="float64",
+            dtype="position",
+            condition=lambda features: self.acts_with(features.flows),
+            block="motion",
+            of_ghosts=True,
+        )
 
 
-def add(equation: ParticleEquation) -> None:
-    """Register an equation. Raises ValueError for a name that exists or is not valid."""
-    if not is_name(equation.name):
-        raise ValueError(f"particle equation {equation.name}: a name has lowercase letters, digits and _")
-    fields.add(equation.field)
-    _EQUATIONS[equation.name] = equation
-
-
-def remove(equation: ParticleEquation) -> None:
-    """Remove an equation that was added."""
-    fields.remove(equation.name)
-    del _EQUATIONS[equation.name]
-
-
-def equations() -> tuple[ParticleEquation, ...]:
-    """All registered equations."""
-    return tuple(_EQUATIONS.values())
-
-
-def equations_of(sums: Iterable[str]) -> tuple[ParticleEquation, ...]:
-    """The equations that act if contact models add these sums."""
-    known = set(sums)
-    return tuple(each for each in _EQUATIONS.values() if known.issuperset(each.reads))
-
-
-def sum_field(name: str, unit: str, meaning: str) -> FieldSpec:
-    """A sum over the contacts of a particle as a field; exact in f64 in every precision."""
-    return _field(name, "", unit, meaning, dtype="f64", sorted=False, displayed=False)
-
-
-def _field(name: str, symbol: str, unit: str, meaning: str, **storage: Any) -> FieldSpec:
-    """Field of a property or sum, which exists in scenes with the feature."""
+def flow_field(name: str, unit: str, meaning: str) -> FieldSpec:
+    """The sum of a flow over the contacts of a particle as a field; exact in f64 in every precision."""
     return FieldSpec(
         name,
-        symbol,
+        "",
         unit,
         meaning,
         file_type="float64",
-        condition=lambda features: name in features.transported,
-        **storage,
+        dtype="f64",
+        condition=lambda features: name in features.flows,
+        sorted=False,
+        displayed=False,
     )

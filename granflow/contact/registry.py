@@ -1,7 +1,8 @@
-"""Registry of contact models by slot and name, and the laws that one scene selects. No Taichi.
+"""Registry of contact models by slot and name and of particle equations, and the laws that one scene selects.
+No Taichi.
 
-A built-in model is one file and one entry here. `ContactLaws` holds the laws of a scene, one per slot that it
-needs, and their layout in arrays.
+A built-in model or equation is one file and one entry here. `ContactLaws` holds the laws of a scene, one per
+slot that it needs, and their layout in arrays.
 """
 
 from collections.abc import Iterator, Mapping
@@ -27,7 +28,7 @@ from granflow.contact.law import (
 )
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
-from granflow.contact.particle_equation import sum_field
+from granflow.contact.particle_equation import MaterialProperties, ParticleEquation, flow_field
 from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import linear_history, mindlin
 from granflow.contact.twisting import marshall, torsion_spring
@@ -41,16 +42,16 @@ def add(model: ContactModel) -> None:
     problem = next(_problems(model), None)
     if problem:
         raise ValueError(f"contact model {getattr(model.law, 'name', model.law.__name__)}: {problem}")
-    for name, each in model.law.adds.items():
-        fields.add(sum_field(name, each.unit, each.meaning))
+    for name, each in model.law.flows.items():
+        fields.add(flow_field(name, each.unit, each.meaning))
     _MODELS[model.slot][model.name] = model
 
 
 def remove(model: ContactModel) -> None:
     """Remove a model that was added."""
     del _MODELS[model.slot][model.name]
-    others = {name for slot in _MODELS.values() for other in slot.values() for name in other.law.adds}
-    for name in set(model.law.adds) - others:
+    others = {name for slot in _MODELS.values() for other in slot.values() for name in other.law.flows}
+    for name in set(model.law.flows) - others:
         fields.remove(name)
 
 
@@ -135,7 +136,7 @@ def _meaning(field: FieldInfo) -> tuple[Any, ...]:
 def _undefined(model: ContactModel) -> Iterator[str]:
     """Functions and constants that the interface of the slot requires and the law does not define."""
     base = SLOTS[model.slot].base
-    required = (*base.required, *(("flows", "flow_bounds") if model.law.adds else ()))
+    required = (*base.required, *(("flow", "flow_bounds") if model.law.flows else ()))
     undefined = [name for name in required if getattr(model.law, name) is getattr(base, name)]
     if undefined:
         yield f"its law must define {', '.join(undefined)}, see {base.__module__}.{base.__name__}"
@@ -148,6 +149,61 @@ _NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono)
 _SURFACE = (mindlin, linear_history, epsd, cdt, sds, viscous, marshall, torsion_spring)
 for _module in (*_NORMAL, *_SURFACE, sjkr, dmt, jkr, capillary, capillary_transfer, van_der_waals):
     add(_module.MODEL)
+
+# Particle equations
+
+_EQUATIONS: dict[str, ParticleEquation] = {}
+
+
+def add_equation(equation: ParticleEquation) -> None:
+    """Add a particle equation. Raises ValueError for one that is not valid, or a name that exists."""
+    problem = next(_problems_of_equation(equation), None)
+    if problem:
+        raise ValueError(f"particle equation {getattr(equation, 'name', type(equation).__name__)}: {problem}")
+    fields.add(equation.field)
+    _EQUATIONS[equation.name] = equation
+
+
+def remove_equation(equation: ParticleEquation) -> None:
+    """Remove an equation that was added."""
+    fields.remove(equation.name)
+    del _EQUATIONS[equation.name]
+
+
+def equations() -> tuple[ParticleEquation, ...]:
+    """All registered equations."""
+    return tuple(_EQUATIONS.values())
+
+
+def equations_with(flows: tuple[str, ...]) -> tuple[ParticleEquation, ...]:
+    """The equations that act if contact models have these flows."""
+    return tuple(each for each in _EQUATIONS.values() if each.acts_with(flows))
+
+
+def _problems_of_equation(equation: ParticleEquation) -> Iterator[str]:
+    """Reasons why an equation cannot be registered."""
+    missing = [name for name in ("name", "meaning", "initial", "flows") if not hasattr(equation, name)]
+    undefined = [
+        name
+        for name in ("rate", "longest_time_step")
+        if getattr(type(equation), name) is getattr(ParticleEquation, name)
+    ]
+    if missing or undefined:
+        needed = " and ".join((*missing, *undefined))
+        yield f"its class must define {needed}, see {ParticleEquation.__module__}.ParticleEquation"
+    elif not is_name(equation.name):
+        yield "a name has lowercase letters, digits and _"
+    elif equation.name in fields.PARTICLE_QUANTITIES:
+        yield f"a property {equation.name} of the particles exists"
+    elif not issubclass(equation.material_properties, MaterialProperties):
+        yield f"{shown(equation.material_properties)} is not a subclass of {MaterialProperties.__module__}"
+
+
+_BUILT_IN_EQUATIONS: tuple[ParticleEquation, ...] = ()
+for _equation in _BUILT_IN_EQUATIONS:
+    add_equation(_equation)
+
+# The laws of one scene
 
 
 @dataclass(frozen=True)
@@ -205,9 +261,9 @@ class ContactLaws:
         return tuple((slot, law) for slot, law in self.by_slot.items() if isinstance(law, SurfaceLaw))
 
     @property
-    def adds(self) -> tuple[str, ...]:
-        """Names of the sums to which the laws add."""
-        return tuple(dict.fromkeys(name for law in self.laws for name in law.adds))
+    def flows(self) -> tuple[str, ...]:
+        """Names of what flows through contacts, each once."""
+        return tuple(dict.fromkeys(name for law in self.laws for name in law.flows))
 
     @property
     def damped_slots(self) -> tuple[str, ...]:

@@ -326,9 +326,9 @@ def _liquid(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 def _flow(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """A sum that a contact model declares is above the range in which it is exact."""
     return (
-        f"one of the flows to {diagnosis.body} at {time:.6g} s, {', '.join(plan.laws.adds)}, is not a number "
-        "or more than 30 times the bound that its contact model gives (flow_bounds). Correct the model, or "
-        "begin with values nearer to each other."
+        f"one of the flows to {diagnosis.body} at {time:.6g} s, {', '.join(plan.laws.flows)}, is not a "
+        "number or more than 30 times the bound that its contact model gives (flow_bounds). Correct the "
+        "model, or begin with values nearer to each other."
     )
 
 

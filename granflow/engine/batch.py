@@ -25,6 +25,7 @@ from granflow.engine.contact_structs import (
     build_slot_vector,
     member,
 )
+from granflow.engine.flows import Flows
 from granflow.engine.history import IN_CONTACT, ContactHistory
 from granflow.engine.liquid import build_form_bridge, build_return_liquid
 from granflow.engine.pair import (
@@ -42,7 +43,6 @@ from granflow.engine.pair import (
 )
 from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.sums import add_energy, build_list_shares, build_to_grid, holds_sums
-from granflow.engine.transported import Flows
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
     LOSSES,
@@ -225,7 +225,7 @@ def _build_gather(state: State) -> Any:
     prepare = _build_prepare(state)
     liquid = features.liquid_transfer
     with_bridge = _build_with_bridge(state) if liquid else None
-    has_flows = len(plan.laws.adds) > 0
+    has_flows = len(plan.laws.flows) > 0
     pair_constants = build_pair_constants(state)
     contact_of = _build_contact_of(state)
     flows = state.built(Flows) if has_flows else None

@@ -15,6 +15,7 @@ from granflow.engine.box import DeviceBox
 from granflow.engine.codes import ABORT_OVERLAP
 from granflow.engine.contact_structs import build_slot_vector
 from granflow.engine.fields import build_tasks_of_thread, thread_count
+from granflow.engine.flows import Flows
 from granflow.engine.history import (
     IN_CONTACT,
     NO_CONTACT,
@@ -37,7 +38,6 @@ from granflow.engine.pair import (
 )
 from granflow.engine.state import State
 from granflow.engine.sums import SHARES, add_energy, build_list_shares, build_to_grid, carried, exact_totals
-from granflow.engine.transported import Flows
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
 from granflow.engine.walls import Faces, WallGeometry
 from granflow.kernel_language import ti
@@ -81,7 +81,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     liquid = state.plan.features.liquid_transfer
     form_bridge = build_form_bridge(state) if liquid else None
     return_liquid = build_return_liquid(state) if liquid else None
-    has_flows = len(state.plan.laws.adds) > 0
+    has_flows = len(state.plan.laws.flows) > 0
     flows = state.built(Flows) if has_flows else None
 
     @ti.func

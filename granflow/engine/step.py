@@ -52,13 +52,13 @@ from granflow.engine.codes import (
 )
 from granflow.engine.contact import build_carry_sums, build_clear_wall_work_ahead, build_contact
 from granflow.engine.fields import build_tasks_of_thread, thread_count
+from granflow.engine.flows import Flows
 from granflow.engine.history import CONTACT_ORDER, transfers_history
 from granflow.engine.liquid import build_save_film
 from granflow.engine.particle_forces import Damping, ExternalForces
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.sums import VelocitySum, build_to_grid, holds_sums, shares_rows
 from granflow.engine.threads import arrive, release, wait
-from granflow.engine.transported import Flows
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
 from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
@@ -102,7 +102,7 @@ class TimeStep:
         self.carries_impulses = state.control.impulses is not None and shares_rows(state)
         self.impulses = state.built(WallImpulses)
         self.save_film = build_save_film(state) if features.liquid_transfer else None
-        self.has_flows = len(features.transported) > 0
+        self.has_flows = len(features.flows) > 0
         self.flows = state.built(Flows) if self.has_flows else None
         self.clumps = state.built(ClumpMotion)
         self.velocity_sum = VelocitySum(state, "velocity")

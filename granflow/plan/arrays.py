@@ -307,11 +307,11 @@ def _of_sums(plan: Plan) -> Iterator[Parameter]:
 
 
 def _of_flows(plan: Plan) -> Iterator[Parameter]:
-    """Reciprocal unit and `shift` of each declared sum; constants of the materials of particle equations."""
+    """Reciprocal unit and `shift` of each flow; constants of the materials of particle equations."""
     for name, unit in plan.flow_units.items():
         yield _scalar(f"per_unit.{name}", "f64", 1.0 / unit)
         yield _scalar(f"shift.{name}", "f64", 1.5 * unit * 2.0**52)
-    for equation in plan.equations:
+    for equation in plan.scene.equations:
         constants = [plan.material_constants(equation, material) for material in plan.materials]
         for key in equation.material_keys:
             yield _vector(f"{equation.name}.{key}", "f64", tuple(each[key] for each in constants))
@@ -339,7 +339,7 @@ def structure_of(plan: Plan) -> Hashable:
         plan.scene.run.precision,
         plan.features,
         plan.laws.structure,
-        plan.equations,
+        plan.scene.equations,
         plan.external_forces,
         plan.periodic_box.axes,
         _shear_axes(plan),

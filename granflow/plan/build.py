@@ -36,7 +36,6 @@ from granflow.plan.limits import (
 )
 from granflow.plan.pair_case import PairCase
 from granflow.plan.pairs import (
-    active_models,
     adhesion_velocity,
     build_laws,
     pair_cases_of,
@@ -91,7 +90,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     radius_max = 0.5 * max(group.diameters[1] for group in scene.particles.values())
 
     # Contact laws of all pairs, from which the switches of the kernels follow.
-    models = active_models(scene)
+    models = scene.active_models
     pairs = pair_materials(scene, models)
     laws = build_laws(scene, groups, models, pairs, velocity)
     law = laws.normal
@@ -140,7 +139,6 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
         controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
         wall_notes=_wall_notes(scene, walls, 2.0 * radius_min),
     )
-    _refuse_without_values(scene, plan.equations)
     _refuse_long_step(plan)
     _refuse_fast(plan, speeds)
     _refuse_collision_energies(plan)
@@ -292,45 +290,16 @@ def _refuse_collision_energies(plan: Plan) -> None:
         )
 
 
-# Particle properties that equations integrate: their keys, and the limit of the time step.
+# The limit of the time step of particle equations.
 
 CONTACTS = 12
 """Contacts of the smallest particle that limit the time step: equal spheres around it."""
 
 
-def _refuse_without_values(scene: Scene, equations: tuple[ParticleEquation, ...]) -> None:
-    """Raise SceneError for keys that particle equations require and the scene lacks, and for what they do not
-    support."""
-    problems = [problem for equation in equations for problem in _missing_values(scene, equation)]
-    if problems:
-        raise SceneError(problems)
-
-
-def _missing_values(scene: Scene, equation: ParticleEquation) -> Iterator[str]:
-    """Problems of the keys of one equation."""
-    name = equation.name
-    for group_name, group in scene.particles.items():
-        place = f"{scene.locate('particles', group_name)}: particles.{group_name}"
-        if getattr(group, name) is None:
-            yield f"{place}.{name} is missing; give the initial value, {equation.meaning} [{equation.unit}]."
-        if group.shape.body is not None:
-            yield f"{place}.clump cannot be combined with an equation of the {name}."
-    for material in dict.fromkeys(group.material for group in scene.particles.values()):
-        for key, (_, description) in equation.material_keys.items():
-            if getattr(scene.materials[material], key) is None:
-                place = f"{scene.locate('materials', material)}: materials.{material}.{key}"
-                yield f"{place} is missing; the equation of the {name} requires it: {description}."
-    if scene.start_from is not None:
-        yield (
-            f"{scene.locate('start_from')}: start_from cannot be combined with an equation of the {name}, "
-            "whose values it does not read."
-        )
-
-
 def _refuse_long_step(plan: Plan) -> None:
     """Raise SceneError if the time step exceeds the limit of a particle equation."""
     scene = plan.scene
-    for equation in plan.equations:
+    for equation in plan.scene.equations:
         longest = min(_longest_steps(plan, equation))
         if plan.longest_time_step > longest:
             raise SceneError(
@@ -356,7 +325,7 @@ def _slopes(plan: Plan, equation: ParticleEquation, material: str, radius: float
     for (first, _), pair in plan.pair_materials.items():
         case = FlowCase(pair, radius, overlap, plan.value_ranges)
         for law in plan.laws.laws if first == material else ():
-            yield from (law.flow_bounds(name, case)[1] for name in law.adds if name in equation.reads)
+            yield from (law.flow_bounds(name, case)[1] for name in law.flows if name in equation.flows)
 
 
 # The plan of one of several MPI ranks.

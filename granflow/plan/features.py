@@ -11,7 +11,6 @@ from typing import Any
 
 from granflow.contact import registry
 from granflow.contact.law import SLOTS, ContactModel
-from granflow.contact.particle_equation import equations_of
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, size_classes
 from granflow.scene.blocks.run import Damping
@@ -52,8 +51,8 @@ class Features:
     """Whether the cohesion model takes liquid from films on the particles."""
     velocity_remainders: bool = False
     """Whether velocities in float32 keep what rounding takes from their changes."""
-    transported: tuple[str, ...] = ()
-    """Particle properties that equations integrate, and the sums over contacts that they read."""
+    flows: tuple[str, ...] = ()
+    """What flows through contacts and is summed for each particle; particle equations read the sums."""
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
@@ -261,11 +260,11 @@ def _rows(
         scene.run.precision != "f64",
         f"run.precision is {scene.run.precision} ({where('run', 'precision')})",
     )
-    sums = {name: slot for slot, model in models.items() for name in model.law.adds}
-    properties = [each.name for each in equations_of(sums)]
-    if sums:
-        adding = ", ".join(f"contact.{slot}" for slot in dict.fromkeys(sums.values()))
-        yield "transported", (*properties, *sums), f"{adding} adds {', '.join(sums)}"
+    flows = {name: f"contact.{slot}" for slot, model in models.items() for name in model.law.flows}
+    if flows:
+        why = f"through the contacts of {', '.join(dict.fromkeys(flows.values()))}"
+        changed = [each.name for each in registry.equations_with(tuple(flows))]
+        yield "flows", tuple(flows), why + (f"; they change the {' and '.join(changed)}" if changed else "")
     yield "external_forces", False, "forces are added from Python only"
 
 

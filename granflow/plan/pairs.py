@@ -31,27 +31,6 @@ PairMaterials = Mapping[tuple[str, str], PairMaterial]
 """Mixed constants of two materials by their names in either order."""
 
 
-def active_models(scene: Scene) -> dict[str, ContactModel]:
-    """The contact models of the scene by slot.
-
-    A model with properties of pairs is active only if a pair has a value other than 0; slots without an
-    active model are absent.
-    """
-    found = {}
-    for slot in SLOTS:
-        name = scene.contact.name(slot)
-        model = registry.models(slot).get(name)
-        if model is not None and _acts(model, scene.pairs.values()):
-            found[slot] = model
-    return found
-
-
-def _acts(model: ContactModel, pairs: Iterable[MaterialPair]) -> bool:
-    """Whether a model acts between any of the pairs."""
-    keys = model.pair_properties.model_fields
-    return not keys or any(getattr(pair, key) for pair in pairs for key in keys)
-
-
 def build_laws(
     scene: Scene,
     groups: Sequence[SceneGroup],
@@ -133,7 +112,7 @@ def _pair_material(
         pair.friction,
         yield_strength(a, b),
         properties,
-        has_tangential_force=any(_acts(model, [pair]) for model in surface),
+        has_tangential_force=any(model.acts([pair]) for model in surface),
         tangential_stiffness=getattr(scene.contact.options("tangential"), "stiffness", None),
     )
 

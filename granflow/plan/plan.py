@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from granflow.contact.material import PairMaterial
-from granflow.contact.particle_equation import ParticleEquation, equations_of
+from granflow.contact.particle_equation import ParticleEquation
 from granflow.contact.registry import ContactLaws
 from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
 from granflow.geometry.periodic_box import PeriodicBox
@@ -419,16 +419,11 @@ class Plan:
         )
 
     @cached_property
-    def equations(self) -> tuple[ParticleEquation, ...]:
-        """The particle equations that act: those whose sums the contact models add."""
-        return equations_of(self.laws.adds)
-
-    @cached_property
     def initial_values(self) -> dict[str, tuple[float, ...]]:
         """Initial value of each group, by the property that a particle equation integrates."""
         return {
             each.name: tuple(getattr(group.spec, each.name) for group in self.groups)
-            for each in self.equations
+            for each in self.scene.equations
         }
 
     @cached_property

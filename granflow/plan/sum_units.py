@@ -151,19 +151,19 @@ def flow_units(
     max_overlap: float,
     values: Mapping[str, tuple[float, float]],
 ) -> dict[str, float]:
-    """Unit of each sum of `laws.adds`, a power of two: the largest flow of a contact over 2^FORCE_BITS.
+    """Unit of each sum of `laws.flows`, a power of two: the largest flow of a contact over 2^FORCE_BITS.
 
     values:  smallest and largest initial value of each property that a particle equation integrates
     """
     found = {}
-    for name in laws.adds:
+    for name in laws.flows:
         bounds = [
             law.flow_bounds(
                 name,
                 FlowCase(case.pair, case.overlap_radius, max_overlap * case.overlap_radius, values),
             )[0]
             for law in laws.laws
-            if name in law.adds
+            if name in law.flows
             for case in pair_cases
         ]
         found[name] = _power_of_two(max(*bounds, TINY)) / 2.0**FORCE_BITS

@@ -332,7 +332,7 @@ def _without_yield_strength(parts: PartialScene, key: str) -> list[str]:
     return [name for name in names if name in materials and not materials[name].yield_strength]
 
 
-# Particle groups: regions, clumps, liquid
+# Particle groups: regions, clumps, liquid, properties that equations integrate
 
 
 def some_particles(parts: PartialScene) -> Iterator[Fault]:
@@ -397,6 +397,31 @@ def liquid_content(parts: PartialScene) -> Iterator[Fault]:
             f"cannot be combined with contact.cohesion: {name}: it reads no liquid; remove one of the two"
         )
         yield whole(("start_from",), reason)
+
+
+def equation_values(parts: PartialScene) -> Iterator[Fault]:
+    """A particle equation requires an initial value of each group, and its keys of their materials.
+
+    Clumps are not supported, and earlier runs have no values.
+    """
+    scene = parts.scene
+    for equation in scene.equations:
+        for name, group in scene.particles.items():
+            if getattr(group, equation.name) is None:
+                value = f"give the initial value, {equation.meaning} [{equation.unit}]"
+                yield missing(("particles", name, equation.name), value)
+            if group.shape.body is not None:
+                reason = f"cannot be combined with an equation of the {equation.name}"
+                yield whole(("particles", name, "clump"), reason)
+        used = dict.fromkeys(group.material for group in scene.particles.values())
+        for name in (each for each in used if each in scene.materials):
+            for key, each in equation.material_properties.model_fields.items():
+                if getattr(scene.materials[name], key) is None:
+                    reason = f"{each.description}, for the equation of the {equation.name}"
+                    yield missing(("materials", name, key), reason)
+        if scene.start_from is not None:
+            reason = f"cannot be combined with an equation of the {equation.name}: it reads no values"
+            yield whole(("start_from",), f"{reason}; remove one of the two")
 
 
 # Features that Lees-Edwards boundaries exclude
@@ -704,6 +729,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("domain", "particles", "output"), lees_edwards),
     (("domain", "run", "output"), unsupported_shapes),
     (("contact",), liquid_content),
+    (("contact", "pairs"), equation_values),
     (("output", "stages", "domain"), field_grids),
     (("output", "gravity", "domain"), metrics),
     (("output", "expect", "stages"), expected_names),

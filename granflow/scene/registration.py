@@ -7,7 +7,7 @@ metric becomes a kind of `output.metrics`.
 from inspect import unwrap
 
 from granflow.arguments import refuse_other, shown
-from granflow.contact import particle_equation, registry
+from granflow.contact import registry
 from granflow.contact.law import SLOTS, ContactModel
 from granflow.contact.particle_equation import ParticleEquation
 from granflow.device_functions import run_time_branches, source_lines
@@ -46,14 +46,19 @@ def register_contact_model(model: ContactModel) -> None:
 
 
 def register_particle_equation(equation: ParticleEquation) -> None:
-    """Register the equation of a particle property, for scenes whose contact models add the sums it reads.
+    """Register the equation of a particle property that contacts change, such as a temperature.
 
-    Call it before a scene is read, also in a program that resumes a run.
+    It acts in scenes whose contact models have the flows that it reads. Call it before a scene is read, also
+    in a program that resumes a run. The guide "Simulations in Python" has an example.
 
-    Raises GranflowError for a name that exists or is not valid.
+        gf.register_particle_equation(Temperature())
+
+    Raises GranflowError for an equation that is not valid, or a name that exists.
     """
+    refuse_other("equation", equation, ParticleEquation, "a ParticleEquation, see the guide")
     try:
-        particle_equation.add(equation)
+        source_lines(unwrap(type(equation).rate))
+        registry.add_equation(equation)
     except ValueError as error:
         raise GranflowError(str(error)) from None
     _use_registry()
@@ -61,13 +66,13 @@ def register_particle_equation(equation: ParticleEquation) -> None:
 
 def unregister_particle_equation(equation: ParticleEquation) -> None:
     """Remove an equation that was registered."""
-    particle_equation.remove(equation)
+    registry.remove_equation(equation)
     _use_registry()
 
 
 def _refuse_without_source(model: ContactModel) -> None:
     """Raise GranflowError if the text of a device function, which is compiled, is not available."""
-    for name in ("force", "torque", "flows"):
+    for name in ("force", "torque", "flow"):
         try:
             source_lines(unwrap(getattr(model.law, name, registry.add)))
         except ValueError as error:

@@ -33,7 +33,7 @@ def test_each_feature_has_a_reason(tmp_path):
     ]
     found = list(reasons(scene_of(tmp_path)))
     assert [name for name in found if name in models] == models
-    others = [item.name for item in fields(Features) if item.name != "transported"]  # of models of a program
+    others = [item.name for item in fields(Features) if item.name != "flows"]  # of models of a program
     assert [name for name in found if name not in models] == others
 
 

@@ -38,7 +38,13 @@ arrays, mappings, other blocks. `from` is `from_`, and a key that selects the ki
 joins the blocks and validates them together. Blocks are immutable.
 """
 GROUPS: Mapping[str, Sequence[str]] = {
-    "Scenes": ("load_scene", "Scene", "register_contact_model", "register_metric"),
+    "Scenes": (
+        "load_scene",
+        "Scene",
+        "register_contact_model",
+        "register_metric",
+        "register_particle_equation",
+    ),
     "Simulations": (
         "Simulation",
         "ParticleForce",

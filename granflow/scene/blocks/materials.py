@@ -10,11 +10,11 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, Tag, model_validator
+from pydantic.fields import FieldInfo
 
 from granflow.contact import registry
 from granflow.contact.law import FrictionCoefficient
 from granflow.contact.material import VelocityRestitution, limit_velocity
-from granflow.contact.particle_equation import equations
 from granflow.schema import quantities as q
 from granflow.schema.faults import value_error
 from granflow.schema.messages import suggestion_or_list
@@ -221,6 +221,14 @@ class MaterialPair(Model):
         return self.restitution
 
 
+def _annotation(field: FieldInfo) -> Any:
+    """Type of a field with its notes."""
+    found: Any = field.annotation
+    for note in field.metadata:
+        found = Annotated[found, note]
+    return found
+
+
 def use_registry() -> None:
     """Add the keys that contact models require of `pairs`, except those that every pair has, and those that
     particle equations require of materials.
@@ -228,21 +236,18 @@ def use_registry() -> None:
     A schema that is built must be rebuilt afterwards.
     """
     of_equations = {
-        key: optional_key(Annotated[float, number], description)
-        for equation in equations()
-        for key, (number, description) in equation.material_keys.items()
+        key: optional_key(_annotation(each), f"{each.description}; for the {equation.name}", each.examples)
+        for equation in registry.equations()
+        for key, each in equation.material_properties.model_fields.items()
     }
     add_keys(Material, of_equations)
     of_models = {}
     for key, each in registry.pair_properties().items():
-        annotation: Any = each.annotation
-        for note in each.metadata:
-            annotation = Annotated[annotation, note]
         needed = " or ".join(
             f"contact.{slot}: {' or '.join(names)}" for slot, names in registry.models_with(key).items()
         )
         description = f"{each.description}; required with {needed}"
-        of_models[key] = optional_key(annotation, description, each.examples)
+        of_models[key] = optional_key(_annotation(each), description, each.examples)
     declared = MaterialPair.__annotations__
     add_keys(MaterialPair, {key: each for key, each in of_models.items() if key not in declared})
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, Tag, model_validator
 
-from granflow.contact.particle_equation import equations
+from granflow.contact import registry
 from granflow.scene.blocks.insertions import Insertion, InsertionKind, TimedInsertion, kinds
 from granflow.scene.blocks.particle_shapes.clump import Clump
 from granflow.scene.blocks.particle_shapes.shape import SPHERE, ParticleShape
@@ -377,7 +377,7 @@ def use_registry() -> None:
     """
     initial = {
         each.name: optional_key(Annotated[float, each.initial], f"initial value: {each.meaning}")
-        for each in equations()
+        for each in registry.equations()
     }
     add_keys(Group, initial)
 

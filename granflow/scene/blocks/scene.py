@@ -10,6 +10,9 @@ from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
+from granflow.contact import registry
+from granflow.contact.law import SLOTS, ContactModel
+from granflow.contact.particle_equation import ParticleEquation
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.materials import Material, MaterialPair
@@ -153,6 +156,18 @@ class SceneInput(Model):
         if isinstance(requested, bool):
             return tuple(self.walls) if requested else ()
         return tuple(name for name in self.walls if name in requested)
+
+    @property
+    def active_models(self) -> dict[str, ContactModel]:
+        """The contact models that act, by slot, see `ContactModel.acts`; other slots are absent."""
+        chosen = {slot: registry.models(slot).get(self.contact.name(slot)) for slot in SLOTS}
+        return {slot: each for slot, each in chosen.items() if each and each.acts(self.pairs.values())}
+
+    @property
+    def equations(self) -> tuple[ParticleEquation, ...]:
+        """The particle equations that act, because the contact models have the flows that they read."""
+        flows = tuple(name for model in self.active_models.values() for name in model.law.flows)
+        return registry.equations_with(flows)
 
     def pair(self, first: str, second: str) -> MaterialPair:
         """The pair of two materials in either order. Raises KeyError if the scene does not have it."""

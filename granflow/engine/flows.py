@@ -1,8 +1,8 @@
 """Particle properties that equations integrate, and the sums over contacts that they read.
 
-Only scenes whose contact models declare sums (`Law.adds`) compile these functions. The sums are fields of the
-particles in f64, in every precision: a flow is rounded to a multiple of a unit of the plan, so that they are
-exact and do not depend on the order of the contacts.
+Only scenes whose contact models declare flows (`Law.flows`) compile these functions. The sums are fields of
+the particles in f64, in every precision: a flow is rounded to a multiple of a unit of the plan, so that they
+are exact and do not depend on the order of the contacts.
 """
 
 from typing import Any
@@ -31,20 +31,20 @@ class Flows:
         self.one_material = state.plan.features.one_material
         self.several_materials = len(state.plan.materials) > 1
         laws = state.plan.laws
-        self.sums = [(field, state.parameter(f"per_unit.{name}")) for name, field in self._fields(laws.adds)]
+        self.sums = [(field, state.parameter(f"per_unit.{name}")) for name, field in self._fields(laws.flows)]
         self.laws = [
-            (slot, law, self._fields(law.reads), self._sums_of(law.adds))
+            (slot, law, self._fields(law.particle_properties), self._sums_of(law.flows))
             for slot, law in laws.by_slot.items()
-            if law.adds
+            if law.flows
         ]
         self.equations = [
             (
                 equation,
                 getattr(state.particles, equation.name),
-                self._fields(equation.reads),
+                self._fields(equation.flows),
                 [(key, state.parameter(f"{equation.name}.{key}")) for key in equation.material_keys],
             )
-            for equation in state.plan.equations
+            for equation in state.plan.scene.equations
         ]
 
     def _fields(self, names: Any) -> list[tuple[str, Any]]:
@@ -81,7 +81,7 @@ class Flows:
                 partner = law.at_wall(member(constants, slot), first)
             else:
                 partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
-            flows = law.flows(member(constants, slot), contact, first, partner)
+            flows = law.flow(member(constants, slot), contact, first, partner)
             for name, field, shift in ti.static(sums):
                 flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
                 field[i] = field[i] + flow

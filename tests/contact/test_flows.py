@@ -3,21 +3,21 @@ declare, and particle equations."""
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 import pytest
 from pydantic import Field
 
-from granflow import Scene, Simulation, register_contact_model
-from granflow.contact.law import ContactModel, PairProperties, Sum
+from granflow import Scene, Simulation, register_contact_model, register_particle_equation
+from granflow.contact.law import ContactModel, Flow, PairProperties
 from granflow.contact.normal.hertz import Hertz
-from granflow.contact.particle_equation import ParticleEquation
+from granflow.contact.particle_equation import MaterialProperties, ParticleEquation
 from granflow.device_functions import ti
 from granflow.errors import RunError, SceneError
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
 from granflow.scene.registration import (
-    register_particle_equation,
     unregister_contact_model,
     unregister_particle_equation,
 )
@@ -37,14 +37,14 @@ class Conducting(Hertz):
     source = "this test, 2026"
     limits = "a conductance without dependence on the load"
     constant_names = (*Hertz.constant_names, "conductance")
-    adds = {"heat_flow": Sum("W", "heat from the contacts")}
-    reads = ("temperature",)
+    flows = {"heat_flow": Flow("W", "heat from the contacts")}
+    particle_properties = ("temperature",)
 
     def pair_constants(self, pair):
         return *super().pair_constants(pair), pair.properties["conductance"]
 
     @ti.func
-    def flows(self, constants, contact, first, partner):
+    def flow(self, constants, contact, first, partner):
         return ti.Struct(heat_flow=constants.conductance * (partner.temperature - first.temperature))
 
     def flow_bounds(self, name, case):
@@ -82,6 +82,10 @@ class ConductancePair(PairProperties):
     conductance: NotNegative = Field(description="conductance [W/K]", examples=["1e-3"])
 
 
+class Heat(MaterialProperties):
+    heat_capacity: Annotated[float, Number(above=0)] = Field(description="specific heat capacity [J/(kg K)]")
+
+
 class Temperature(ParticleEquation):
     """dT/dt = q / (m c)."""
 
@@ -90,12 +94,12 @@ class Temperature(ParticleEquation):
     unit = "K"
     meaning = "temperature of the particle"
     initial = Number(above=0)
-    reads = ("heat_flow",)
-    material_keys = {"heat_capacity": (Number(above=0), "specific heat capacity [J/(kg K)]")}
+    flows = ("heat_flow",)
+    material_properties = Heat
 
     @ti.func
-    def rate(self, constants, particle, sums):
-        return sums.heat_flow / (particle.mass * constants.heat_capacity)
+    def rate(self, constants, particle, flows):
+        return flows.heat_flow / (particle.mass * constants.heat_capacity)
 
     def longest_time_step(self, constants, radius, mass, slope):
         return mass * constants["heat_capacity"] / slope if slope else np.inf
@@ -284,5 +288,5 @@ def test_a_scene_without_the_model_has_no_sums():
     scene["contact"]["normal"] = "hertz"
     del scene["pairs"]["glass-glass"]["conductance"]
     plan = plan_for(Scene.from_dict(scene))
-    assert plan.features.transported == plan.laws.adds == plan.equations == ()
+    assert plan.features.flows == plan.laws.flows == plan.scene.equations == ()
     assert not plan.flow_units and all(a != b for a, b in pairwise(plan.laws.names))
