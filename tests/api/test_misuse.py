@@ -66,6 +66,10 @@ WRONG = {
     "analyze_snapshots": (lambda _: gf.analyze_snapshots(scene(), 5, "out"), "snapshots is 5, but must be a list"),
     "register_contact_model": (lambda _: gf.register_contact_model(5), "model is 5, but must be a ContactModel"),
     "register_metric": (lambda _: gf.register_metric(5), "metric is 5, but must be a subclass of"),
+    "register_particle_equation": (
+        lambda _: gf.register_particle_equation(5),
+        "equation is 5, but must be a ParticleEquation",
+    ),
     "start": (lambda _: gf.start("cpu", "f64", "two"), "threads is 'two'; give a whole number of at least 1"),
     "ParticleData": (lambda _: gf.ParticleData(1, 2, 3, 4, 5, 6), "ParticleData: radius is 4, but must be an array"),
     "ParticleData shape": (

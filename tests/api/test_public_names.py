@@ -14,7 +14,7 @@ import granflow as gf
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT_EXAMPLE = {
     "FunctionError", "ParticleForce", "Simulation", "analyze_snapshots", "calibrate", "on_interval",
-    "register_contact_model", "register_metric", "start", "sweep",
+    "register_contact_model", "register_metric", "register_particle_equation", "start", "sweep",
 }  # fmt: skip
 """Names that compile kernels, run sweeps or read measurements: pages of the documentation show them."""
 
