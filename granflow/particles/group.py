@@ -175,7 +175,9 @@ def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray, ba
 
 def shortfall(group: SceneGroup, error: RegionFullError) -> str:
     """Error message for a group that does not fit, with the source position of its count."""
+    spec = group.spec
+    place = f" in its {spec.insert.place_key}" if spec.insert.place_key else ""
     return (
-        f"{group.locate('count')}: particles.{group.name}.count is {group.spec.count}, but "
-        f"{error.shortfall} in its {group.spec.insert.place_key}. {error.remedy}"
+        f"{group.locate('count')}: particles.{group.name}.count is {spec.count}, but "
+        f"{error.shortfall}{place}. {error.remedy}"
     )
