@@ -13,13 +13,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from math import isnan, log, pi
+from math import log, pi
 from types import SimpleNamespace
 from typing import Literal
 
 import numpy as np
 
-from granflow.contact import theory
 from granflow.contact.law import ContactState, Law
 from granflow.contact.material import Solid
 from granflow.contact.registry import ContactLaws
@@ -109,8 +108,7 @@ def impact_overlap(laws: ContactLaws, pair: PairCase, velocity: float, enough: f
 
     by leapfrog, unless the closed form is below `enough`: without attraction it is an upper bound. For
     elastic loading the energy balance gives d = (5 M v^2 / (4 k))^(2/5) with k = (4/3) E sqrt(R) (Hertz 1882;
-    Zhou 2011, Eq. 5); viscous forces lower it, attractions raise it. Closed form of the model if it has no
-    reference implementation.
+    Zhou 2011, Eq. 5); viscous forces lower it, attractions raise it.
     """
     arguments = (pair.pair, pair.radius_eff, pair.mass_eff, velocity)
     elastic = laws.normal.overlap_max(*arguments) / pair.overlap_radius
@@ -120,14 +118,11 @@ def impact_overlap(laws: ContactLaws, pair: PairCase, velocity: float, enough: f
     forces = ContactForces(laws, pair, step)
     overlap = 0.5 * step * velocity
     rate = velocity
-    try:
-        for _ in range(MAX_LOADING_TIMES * STEPS_OF_LOADING):
-            rate -= step * forces.total(overlap, rate) / pair.mass_eff
-            if rate <= 0.0:
-                break
-            overlap += step * rate
-    except NotImplementedError:
-        return elastic
+    for _ in range(MAX_LOADING_TIMES * STEPS_OF_LOADING):
+        rate -= step * forces.total(overlap, rate) / pair.mass_eff
+        if rate <= 0.0:
+            break
+        overlap += step * rate
     return overlap / pair.overlap_radius
 
 
@@ -138,15 +133,11 @@ def impact_velocity(laws: ContactLaws, pair: PairCase, overlap: float, approach:
         v^2 = approach^2 + (2 / M) int_0^d F(x, 0) dx     e.g. (4/5) (k/M) d^2.5, k = (4/3) E sqrt(R) (Hertz
         1882)
 
-    The work of attractions, which act before contact too, is not included. Hertz's if the model has no
-    reference implementation.
+    The work of attractions, which act before contact too, is not included.
     """
     width = overlap / STEPS_OF_LOADING
     forces = ContactForces(laws, pair, 1.0)
-    try:
-        work = width * sum(forces.parts((k + 0.5) * width, 0.0)[0] for k in range(STEPS_OF_LOADING))
-    except NotImplementedError:
-        work = 0.4 * theory.hertz_stiffness(pair.pair.modulus_eff, pair.radius_eff) * overlap**2.5
+    work = width * sum(forces.parts((k + 0.5) * width, 0.0)[0] for k in range(STEPS_OF_LOADING))
     return float(np.hypot(approach, np.sqrt(2.0 * work / pair.mass_eff)))
 
 
@@ -156,8 +147,7 @@ def static_overlap(laws: ContactLaws, pair: PairCase, load: float) -> float:
 
         F(d, 0) = load       e.g. d = (load / k)^(2/3), k = (4/3) E sqrt(R), without attraction (Hertz 1882)
 
-    The contact has no history: it is loaded for the first time. NaN if a model has no reference
-    implementation.
+    The contact has no history: it is loaded for the first time.
     """
     forces = ContactForces(laws, pair, 1.0)
 
@@ -167,17 +157,14 @@ def static_overlap(laws: ContactLaws, pair: PairCase, load: float) -> float:
 
     low = 0.0
     high = MAX_OVERLAP_SHARE * pair.overlap_radius
-    try:
-        if excess(high) < 0.0:
-            return MAX_OVERLAP_SHARE
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            if excess(middle) > 0.0:
-                high = middle
-            else:
-                low = middle
-    except NotImplementedError:
-        return float("nan")
+    if excess(high) < 0.0:
+        return MAX_OVERLAP_SHARE
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if excess(middle) > 0.0:
+            high = middle
+        else:
+            low = middle
     return high / pair.overlap_radius
 
 
@@ -638,7 +625,6 @@ def _largest(plan: Plan, pairs: Iterable[PairCase], overlap: Overlap) -> _Larges
     """The pair with the largest overlap, and the instruction that reduces all to the limit; None without
     pairs."""
     found = [(overlap(pair), pair) for pair in pairs]
-    found = [each for each in found if not isnan(each[0])]  # NaN: a model without reference implementation
     if not found:
         return None
     limit = plan.scene.numerics.max_overlap
