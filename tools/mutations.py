@@ -205,15 +205,15 @@ MUTATIONS = (
     Mutation(
         "overlap limit, scalar",
         "granflow/engine/contact.py",
-        "if overlap > max_overlap() * radius_min:",
-        "if overlap > 4.0 * max_overlap() * radius_min:",
+        "if overlap > self.max_overlap() * radius_min:",
+        "if overlap > 4.0 * self.max_overlap() * radius_min:",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
         "overlap over the larger radius",
         "granflow/engine/contact.py",
-        "radius_min = ti.min(radius_min, particles.radius[j])",
-        "radius_min = ti.max(radius_min, particles.radius[j])",
+        "radius_min = ti.min(radius_min, self.particles.radius[j])",
+        "radius_min = ti.max(radius_min, self.particles.radius[j])",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(

@@ -612,7 +612,7 @@ class SurfaceLaw(Law):
         """Struct of the force on the first particle [N], if there is one, the torques on both [N m], the
         history, and the loss [J], the energy dissipated in this step.
 
-        kinematics:  of the pair, with the lever arms, see `engine.pair.build_sphere_kinematics`
+        kinematics:  of the pair, with the lever arms, see `engine.pair.sphere_kinematics`
         """
 
     @ti.func

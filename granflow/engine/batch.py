@@ -15,31 +15,20 @@ holds only a few neighbor lists, so that its columns remain in the cache.
 
 from typing import Any
 
-from granflow.engine.box import DeviceBox
 from granflow.engine.codes import ABORT_OVERLAP
-from granflow.engine.contact import build_boundary_work, build_count_collision, build_distant_force
-from granflow.engine.contact_structs import (
-    build_constants,
-    build_read_slots,
-    build_slot_history,
-    build_slot_vector,
-    member,
-)
+from granflow.engine.contact import Contact
 from granflow.engine.flows import Flows
 from granflow.engine.history import IN_CONTACT, ContactHistory
-from granflow.engine.liquid import build_form_bridge, build_return_liquid
+from granflow.engine.liquid import LiquidFilms
 from granflow.engine.pair import (
     PAIR_LOSSES,
-    build_contact_mass,
-    build_effective,
-    build_overlaps,
-    build_pair_constants,
-    build_pair_force,
-    build_pair_kinematics,
-    build_pair_number,
-    build_sphere_kinematics,
+    ModelStructs,
+    Pair,
+    PairForce,
+    member,
     normal_time_step,
     sphere_bodies,
+    sphere_kinematics,
 )
 from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.sums import add_energy, build_list_shares, build_to_grid, holds_sums
@@ -52,310 +41,257 @@ from granflow.plan.sum_units import (
 )
 
 
-def build_batched_forces(state: State) -> Any:
-    """Device function (worker, chunk, first, end, pose, dt): add the contacts between particles.
+class BatchedContacts:
+    """The contacts between the particles of a chunk.
 
-    first, end:  particles of the chunk, `end` exclusive
+    In methods, `entry` is the index of a contact in the columns of the batch of a worker; `first` and `end`
+    are the particles of the chunk, `end` exclusive.
 
-    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
-    Writes:  force, torque, history, losses, liquid_film, abort, batch of the worker
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, fixed, material,
+             neighbor lists, history, in_contact, pair_constants, law_parameters, liquid_film_before,
+             collision_edges, image_offset, image_speed, and the properties that flows read
+    Writes:  force, torque, history, in_contact, losses, boundary_work, collisions, liquid_film, flows,
+             abort, abort_particle, batch of the worker
     """
-    collect = _build_collect(state)
-    gather = _build_gather(state)
-    evaluate = _build_evaluate(state)
-    scatter = _build_scatter(state)
+
+    def __init__(self, state: State) -> None:
+        plan = state.plan
+        self.particles = state.particles
+        self.neighbors = state.neighbors
+        self.control = state.control
+        self.batch = state.batch
+        self.features = plan.features
+        self.laws = plan.laws
+        self.has_history = bool(state.neighbors.history)
+        self.slots = list(state.neighbors.history)
+        self.pair = state.built(Pair, False)
+        self.contact = state.built(Contact, False)
+        self.accounting = self.contact.accounting
+        self.histories = state.built(ContactHistory)
+        self.structs = ModelStructs(plan.laws)
+        self.sums = state.built(ContactSums)
+        self.liquid = plan.features.liquid_transfer
+        self.films = state.built(LiquidFilms) if self.liquid else None
+        self.has_flows = len(plan.laws.flows) > 0
+        self.flows = state.built(Flows) if self.has_flows else None
+        self.list_shares = build_list_shares(state)
+        self.to_grid = build_to_grid(state.backend.real)
+        self.loss_count = len(LOSSES)
+        self.max_overlap = state.parameter("max_overlap")
+        self.longest_time_step = state.parameter("longest_time_step")
+        self.shift = state.parameter("shift", UNIT_FORCE)
+        self.evaluate = _build_evaluate(state)
+        self.forces, self.torques, self.torques_partner = _result_columns(state.batch)
 
     @ti.func
-    def batched_forces(worker, chunk, first, end, pose, dt):
+    def add(self, worker, chunk, first, end, pose, dt):
+        """Add force and torque of all contacts to the sums of the particles."""
         i = first
         while i < end:
             entry_count = 0
             while i < end and entry_count < BATCH:
-                entry_count = collect(worker, chunk, i, entry_count, first, end, pose, dt)
+                entry_count = self._collect(worker, chunk, i, entry_count, first, end, pose, dt)
                 i += 1
-            gather(worker, chunk, entry_count, pose, dt)
-            evaluate(worker, (entry_count + LANES - 1) // LANES * LANES, dt)
-            scatter(worker, chunk, entry_count, first, end, pose, dt)
+            self._gather(worker, chunk, entry_count, pose, dt)
+            self.evaluate(worker, (entry_count + LANES - 1) // LANES * LANES, dt)
+            self._scatter(worker, chunk, entry_count, first, end, pose, dt)
 
-    return batched_forces
-
-
-# Collect
-
-
-def _build_collect(state: State) -> Any:
-    """Device function that adds the contacts of one neighbor list to the batch.
-
-    Arguments: worker, chunk, i, next entry of the batch, first and end of the particles of the chunk, pose,
-    dt. Returns the next entry after those of the list. Candidate pairs without contact are overwritten by the
-    next one; open contacts end.
-
-    Reads:   position, radius, neighbor lists, in_contact
-    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort; with a model
-             that acts at a distance, sums
-    """
-    particles = state.particles
-    neighbors = state.neighbors
-    control = state.control
-    batch = state.batch
-    real = state.backend.real
-    has_history = bool(neighbors.history)
-    overlaps = build_overlaps(real)
-    histories = state.built(ContactHistory)
-    effective = build_effective(state, False)
-    box = state.built(DeviceBox)
-    pair_constants = build_pair_constants(state)
-    max_overlap = state.parameter("max_overlap")
-    acts_at_distance = state.plan.laws.acts_at_distance
-    attract = _build_attract(state) if acts_at_distance else None
+    # Collect
 
     @ti.func
-    def end_lost_contact(chunk, list_index, i, j, dt):
-        energy_lost = histories.end(list_index, pair_constants(i, j), effective(i, j), dt)
-        histories.add_plastic_loss(chunk, j, energy_lost)
+    def _collect(self, worker, chunk, i, entry_begin, first, end, pose, dt):
+        """Add the contacts of one neighbor list to the batch; returns the next entry after those of the list.
 
-    @ti.func
-    def check_overlap(i, distance_squared, contact_distance, overlap_limit):
-        distance_limit = contact_distance - overlap_limit
-        if distance_squared < distance_limit * distance_limit:
-            ti.atomic_max(control.abort[0], ABORT_OVERLAP)
-            ti.atomic_min(control.abort_particle[0], particles.id[i])
-
-    @ti.func
-    def collect(worker, chunk, i, entry_begin, first, end, pose, dt):
-        position = particles.position[i]
-        radius = particles.radius[i]
-        overlap_ratio = max_overlap()
+        Candidate pairs without contact are overwritten by the next one; open contacts end.
+        """
+        position = self.particles.position[i]
+        radius = self.particles.radius[i]
+        overlap_ratio = self.max_overlap()
         entry = entry_begin
-        for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
-            j = neighbors.partner[list_index]
-            branch = ti.cast(box.minimum_image(position, particles.position[j], pose), real)
-            radius_partner = particles.radius[j]
-            batch.list_index[worker, entry] = list_index
-            batch.owner[worker, entry] = i
-            batch.partner[worker, entry] = j
-            batch.radius_partner[worker, entry] = radius_partner
-            for axis in ti.static(range(3)):
-                batch.branch[axis][worker, entry] = branch[axis]
+        for list_index in range(self.neighbors.list_walls_end[i], self.neighbors.list_end[i]):
+            j = self.neighbors.partner[list_index]
+            branch = self.pair.branch(position, j, pose)
+            radius_partner = self.particles.radius[j]
+            self.batch.list_index[worker, entry] = list_index
+            self.batch.owner[worker, entry] = i
+            self.batch.partner[worker, entry] = j
+            self.batch.radius_partner[worker, entry] = radius_partner
+            store_vector(self.batch.branch, worker, entry, branch)
             distance_squared = branch.dot(branch)
             contact_distance = radius + radius_partner
-            is_contact = overlaps(distance_squared, contact_distance)
+            is_contact = self.pair.overlaps(distance_squared, contact_distance)
             entry += ti.cast(is_contact, ti.i32)
             radius_min = ti.select(radius < radius_partner, radius, radius_partner)
-            check_overlap(i, distance_squared, contact_distance, overlap_ratio * radius_min)
-            if ti.static(acts_at_distance):
+            self._check_overlap(i, distance_squared, contact_distance, overlap_ratio * radius_min)
+            if ti.static(self.laws.acts_at_distance):
                 if not is_contact:
-                    attract(worker, chunk, i, j, list_index, branch, contact_distance, first, end, pose, dt)
-            elif ti.static(has_history):
-                if neighbors.in_contact[list_index] == IN_CONTACT and not is_contact:
-                    end_lost_contact(chunk, list_index, i, j, dt)
+                    self._attract(
+                        worker, chunk, i, j, list_index, branch, contact_distance, first, end, pose, dt
+                    )
+            elif ti.static(self.has_history):
+                if self.neighbors.in_contact[list_index] == IN_CONTACT and not is_contact:
+                    self._end_contact(chunk, list_index, i, j, dt)
         return entry
 
-    return collect
-
-
-def _build_attract(state: State) -> Any:
-    """Device function: attraction of a pair without overlap, one at a time; ends the contact beyond the
-    range.
-
-    Arguments: worker, chunk, i, j, list index, branch vector and sum of the radii [m], first and end of the
-    particles of the chunk, pose, dt. The force is rounded for the exact sums.
-
-    Reads:   radius, mass, history, pair_constants, law_parameters
-    Writes:  sums of the batch, history, in_contact, losses, boundary_work, liquid_film
-    """
-    features = state.plan.features
-    to_grid = build_to_grid(state.backend.real)
-    shift = state.parameter("shift", UNIT_FORCE)
-    add_to_sums = build_add_to_sums(state)
-    liquid = features.liquid_transfer
-    return_liquid = build_return_liquid(state) if liquid else None
-    distant_force = build_distant_force(state, False)
-    add_boundary_work = build_boundary_work(state)
-    histories = state.built(ContactHistory)
-    pair_constants = build_pair_constants(state)
-    effective = build_effective(state, False)
-    has_history = bool(state.neighbors.history)
+    @ti.func
+    def _check_overlap(self, i, distance_squared, contact_distance, overlap_limit):
+        distance_limit = contact_distance - overlap_limit
+        if distance_squared < distance_limit * distance_limit:
+            ti.atomic_max(self.control.abort[0], ABORT_OVERLAP)
+            ti.atomic_min(self.control.abort_particle[0], self.particles.id[i])
 
     @ti.func
-    def attract(worker, chunk, i, j, list_index, branch, contact_distance, first, end, pose, dt):
+    def _end_contact(self, chunk, list_index, i, j, dt):
+        constants = self.pair.constants(i, j)
+        energy_lost = self.histories.end(list_index, constants, self.pair.bodies(i, j), dt)
+        self.histories.add_plastic_loss(chunk, j, energy_lost)
+
+    @ti.func
+    def _attract(self, worker, chunk, i, j, list_index, branch, contact_distance, first, end, pose, dt):
+        """Attraction of a pair without overlap, one at a time; ends the contact beyond the range.
+
+        The force is rounded for the exact sums.
+        """
         distance = ti.sqrt(branch.dot(branch))
-        constants = pair_constants(i, j)
-        if distance < contact_distance + constants.cohesion.range:
+        if distance < contact_distance + self.pair.constants(i, j).cohesion.range:
             overlap = ti.min(contact_distance - distance, 0.0)
-            attraction = distant_force(chunk, i, list_index, j, overlap, dt)
-            force = to_grid(-attraction / distance * branch, shift())
+            attraction = self.contact.distant_force(chunk, i, list_index, j, overlap, dt)
+            force = self.to_grid(-attraction / distance * branch, self.shift())
             added = ti.cast(force, ti.f64)
-            add_to_sums(worker, i, first, 0, added)
+            self.sums.add(worker, i, first, 0, added)
             if j >= first and j < end:
-                add_to_sums(worker, j, first, 0, -added)
-            if ti.static(features.energy_budget and features.lees_edwards):
-                add_boundary_work(chunk, i, j, force, pose, dt)
-        elif ti.static(has_history):
-            if ti.static(liquid):
-                return_liquid(chunk, i, j, list_index)
-            histories.add_plastic_loss(chunk, j, histories.end(list_index, constants, effective(i, j), dt))
+                self.sums.add(worker, j, first, 0, -added)
+            if ti.static(self.features.energy_budget and self.features.lees_edwards):
+                self.accounting.add_boundary_work(chunk, i, j, force, pose, dt)
+        elif ti.static(self.has_history):
+            if ti.static(self.liquid):
+                self.films.return_liquid(chunk, i, j, list_index)
+            self._end_contact(chunk, list_index, i, j, dt)
 
-    return attract
-
-
-# Gather
-
-
-def _build_gather(state: State) -> Any:
-    """Device function (worker, chunk, entry_count, pose, dt): gather velocities, masses and histories into
-    columns.
-
-    Evaluates `NormalLaw.prepare` and forms bridges, which have branches, so that `evaluate` has none.
-
-    Reads:   velocity, velocity_synchronized, angular_velocity, radius, mass, history
-    Writes:  columns of the batch, liquid_film
-    """
-    plan = state.plan
-    particles = state.particles
-    control = state.control
-    batch = state.batch
-    features = plan.features
-    stored = state.neighbors.history
-    pair_number = build_pair_number(state)
-    slots = list(stored)
-    law_prepares = plan.laws.normal.prepares
-    box = state.built(DeviceBox)
-    contact_mass = build_contact_mass(state)
-    prepare = _build_prepare(state)
-    liquid = features.liquid_transfer
-    with_bridge = _build_with_bridge(state) if liquid else None
-    has_flows = len(plan.laws.flows) > 0
-    pair_constants = build_pair_constants(state)
-    contact_of = _build_contact_of(state)
-    flows = state.built(Flows) if has_flows else None
-    longest_time_step = state.parameter("longest_time_step")
+    # Gather
 
     @ti.func
-    def gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt):
-        for slot in ti.static(slots):
-            vector = stored[slot][list_index]
-            if ti.static(slot == "normal" and law_prepares):
-                vector = prepare(worker, entry, i, j, velocity_rel, vector, dt)
-            elif ti.static(slot == "cohesion" and liquid):
-                vector = with_bridge(worker, chunk, entry, i, j, vector)
-            store_vector(batch.history[slot], worker, entry, vector)
+    def _gather(self, worker, chunk, entry_count, pose, dt):
+        """Gather velocities, masses, constants and histories into the columns.
 
-    @ti.func
-    def gather(worker, chunk, entry_count, pose, dt):
+        Evaluates `NormalLaw.prepare` and forms bridges, which have branches, so that `evaluate` has none.
+        """
         for entry in range(entry_count):
-            i = batch.owner[worker, entry]
-            j = batch.partner[worker, entry]
-            list_index = batch.list_index[worker, entry]
-            batch.radius[worker, entry] = particles.radius[i]
-            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - box.image_velocity(i, j, pose)
-            velocity_rel = velocity_rel_half
-            store_vector(batch.velocity_rel_half, worker, entry, velocity_rel_half)
-            if ti.static(features.rate_dependent):
-                velocity_rel = (
-                    particles.velocity_synchronized[i]
-                    - particles.velocity_synchronized[j]
-                    - box.image_velocity(i, j, pose)
-                )
-                store_vector(batch.velocity_rel, worker, entry, velocity_rel)
-            batch.mass[worker, entry] = contact_mass(i)
-            batch.mass_partner[worker, entry] = contact_mass(j)
-            if ti.static(features.rotation):
-                store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
-                store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
-            gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt)
-            if ti.static(has_flows):
-                time_step = normal_time_step(dt, longest_time_step())
-                contact = contact_of(worker, entry, i, j, velocity_rel, time_step)
-                flows.add(chunk, i, j, pair_constants(i, j), contact, False)
-            if ti.static(not features.one_material):
-                store_vector(batch.constants, worker, entry, control.pair_constants[pair_number(i, j)])
-
-    return gather
-
-
-@ti.func
-def branch_of(batch: ti.template(), worker, entry):
-    """Branch vector [m] of an entry of the batch."""
-    return ti.Vector(
-        [batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]]
-    )
-
-
-def _build_prepare(state: State) -> Any:
-    """Device function (worker, entry, i, j, relative velocity [m/s], normal history, dt) -> normal
-    history.
-
-    Evaluates the branches of the normal model.
-
-    Reads:  branch vector of the batch, radius, mass, pair_constants, law_parameters
-    """
-    plan = state.plan
-    law = state.plan.laws.normal
-    pair_constants = build_pair_constants(state)
-    history_of = build_slot_history(plan.laws, "normal")
-    vector_of = build_slot_vector(plan.laws, "normal")
-    contact_of = _build_contact_of(state)
-    longest_time_step = state.parameter("longest_time_step")
+            i = self.batch.owner[worker, entry]
+            j = self.batch.partner[worker, entry]
+            list_index = self.batch.list_index[worker, entry]
+            self.batch.radius[worker, entry] = self.particles.radius[i]
+            velocity_rel_half, velocity_rel = self.pair.relative_velocities(i, j, pose)
+            store_vector(self.batch.velocity_rel_half, worker, entry, velocity_rel_half)
+            if ti.static(self.features.rate_dependent):
+                store_vector(self.batch.velocity_rel, worker, entry, velocity_rel)
+            self.batch.mass[worker, entry] = self.pair.contact_mass(i)
+            self.batch.mass_partner[worker, entry] = self.pair.contact_mass(j)
+            if ti.static(self.features.rotation):
+                angular_velocities = self.pair.angular_velocities(i, j, pose)
+                store_vector(self.batch.angular_velocity, worker, entry, angular_velocities.first)
+                store_vector(self.batch.angular_velocity_partner, worker, entry, angular_velocities.partner)
+            self._gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt)
+            if ti.static(self.has_flows):
+                contact = self._contact_of(worker, entry, i, j, velocity_rel, dt)
+                self.flows.add(chunk, i, j, self.pair.constants(i, j), contact, False)
+            if ti.static(not self.features.one_material):
+                row = self.control.pair_constants[self.pair.row(i, j)]
+                store_vector(self.batch.constants, worker, entry, row)
 
     @ti.func
-    def prepare(worker, entry, i, j, velocity_rel, vector, dt):
-        contact = contact_of(worker, entry, i, j, velocity_rel, normal_time_step(dt, longest_time_step()))
-        return vector_of(law.prepare(pair_constants(i, j).normal, contact, history_of(vector)))
-
-    return prepare
-
-
-def _build_contact_of(state: State) -> Any:
-    """Device function (worker, entry, i, j, relative velocity [m/s], time step [s]) -> struct `contact` of
-    the normal model.
-
-    Reads:  branch vector of the batch, radius, mass
-    """
-    particles = state.particles
-    batch = state.batch
-    effective = build_effective(state, False)
+    def _gather_history(self, worker, chunk, entry, i, j, list_index, velocity_rel, dt):
+        for slot in ti.static(self.slots):
+            vector = self.neighbors.history[slot][list_index]
+            if ti.static(slot == "normal" and self.laws.normal.prepares):
+                vector = self._prepared(worker, entry, i, j, velocity_rel, vector, dt)
+            elif ti.static(slot == "cohesion" and self.liquid):
+                vector = self._with_bridge(worker, chunk, entry, i, j, vector)
+            store_vector(self.batch.history[slot], worker, entry, vector)
 
     @ti.func
-    def contact_of(worker, entry, i, j, velocity_rel, time_step):
-        branch = branch_of(batch, worker, entry)
+    def _prepared(self, worker, entry, i, j, velocity_rel, vector, dt):
+        """Components of the normal history after the branches of the normal model."""
+        contact = self._contact_of(worker, entry, i, j, velocity_rel, dt)
+        history = self.structs.history("normal", vector)
+        constants = self.pair.constants(i, j)
+        return self.structs.vector("normal", self.laws.normal.prepare(constants.normal, contact, history))
+
+    @ti.func
+    def _contact_of(self, worker, entry, i, j, velocity_rel, dt):
+        """Struct `contact` of the normal model."""
+        branch = self._branch(worker, entry)
         distance = ti.sqrt(branch.dot(branch))
-        bodies = effective(i, j)
+        bodies = self.pair.bodies(i, j)
         return ti.Struct(
             radius_eff=bodies.radius_eff,
             mass_eff=bodies.mass_eff,
-            time_step=time_step,
-            overlap=particles.radius[i] + particles.radius[j] - distance,
+            time_step=normal_time_step(dt, self.longest_time_step()),
+            overlap=self.particles.radius[i] + self.particles.radius[j] - distance,
             overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
         )
 
-    return contact_of
-
-
-def _build_with_bridge(state: State) -> Any:
-    """Device function (worker, chunk, entry, i, j, components) -> components of the cohesion history, with a
-    bridge.
-
-    Reads:   branch vector of the batch, radius, mass, liquid_film_before, pair_constants, law_parameters
-    Writes:  liquid_film
-    """
-    laws = state.plan.laws
-    particles = state.particles
-    batch = state.batch
-    effective = build_effective(state, False)
-    form_bridge = build_form_bridge(state)
-    pair_constants = build_pair_constants(state)
-    history_of = build_slot_history(laws, "cohesion")
-    vector_of = build_slot_vector(laws, "cohesion")
+    @ti.func
+    def _with_bridge(self, worker, chunk, entry, i, j, components):
+        """Components of the cohesion history, with a bridge."""
+        branch = self._branch(worker, entry)
+        overlap = self.particles.radius[i] + self.particles.radius[j] - ti.sqrt(branch.dot(branch))
+        history = self.structs.history("cohesion", components)
+        formed = self.films.form_bridge(
+            chunk, i, j, self.pair.constants(i, j), self.pair.bodies(i, j), overlap, history
+        )
+        return self.structs.vector("cohesion", formed)
 
     @ti.func
-    def with_bridge(worker, chunk, entry, i, j, components):
-        branch = branch_of(batch, worker, entry)
-        overlap = particles.radius[i] + particles.radius[j] - ti.sqrt(branch.dot(branch))
-        history = history_of(components)
-        return vector_of(form_bridge(chunk, i, j, pair_constants(i, j), effective(i, j), overlap, history))
+    def _branch(self, worker, entry):
+        return vector_of(self.batch.branch, worker, entry)
 
-    return with_bridge
+    # Scatter
+
+    @ti.func
+    def _scatter(self, worker, chunk, entry_count, first, end, pose, dt):
+        """Add forces, write histories back.
+
+        Forces are added to both partners, if the second is in this chunk.
+        """
+        for entry in range(entry_count):
+            i = self.batch.owner[worker, entry]
+            j = self.batch.partner[worker, entry]
+            force = ti.cast(vector_of(self.forces, worker, entry), ti.f64)
+            self.sums.add(worker, i, first, 0, force)
+            if ti.static(self.features.rotation):
+                torque = vector_of(self.torques, worker, entry)
+                self.sums.add(worker, i, first, 3, ti.cast(torque, ti.f64))
+            if j >= first and j < end:
+                self.sums.add(worker, j, first, 0, -force)
+                if ti.static(self.features.rotation):
+                    torque_partner = vector_of(self.torques_partner, worker, entry)
+                    self.sums.add(worker, j, first, 3, ti.cast(torque_partner, ti.f64))
+            list_index = self.batch.list_index[worker, entry]
+            if ti.static(self.features.collision_energies):
+                rate = self.pair.kinematics(i, j, pose, dt).overlap_rate_half
+                self.accounting.count_collision(chunk, list_index, j, self.pair.bodies(i, j), rate, False)
+            self._store_history(worker, entry, list_index)
+            if ti.static(self.features.energy_budget):
+                self._add_losses(worker, chunk, j, entry)
+                if ti.static(self.features.lees_edwards):
+                    force_on_owner = vector_of(self.forces, worker, entry)
+                    self.accounting.add_boundary_work(chunk, i, j, force_on_owner, pose, dt)
+
+    @ti.func
+    def _store_history(self, worker, entry, list_index):
+        if ti.static(self.has_history):
+            self.neighbors.in_contact[list_index] = IN_CONTACT
+        for slot in ti.static(self.slots):
+            for k in ti.static(range(len(self.batch.history[slot]))):
+                self.neighbors.history[slot][list_index][k] = self.batch.history[slot][k][worker, entry]
+
+    @ti.func
+    def _add_losses(self, worker, chunk, j, entry):
+        shares = self.list_shares(chunk, j)
+        for k, loss in ti.static(enumerate(PAIR_LOSSES)):
+            value = self.batch.losses[k][worker, entry]
+            add_energy(self.control.losses, chunk, loss, self.loss_count, shares, value)
 
 
 # Evaluate
@@ -372,31 +308,12 @@ def _build_evaluate(state: State) -> Any:
     Reads:   columns of the batch, pair_constants, law_parameters
     Writes:  columns of the batch
     """
-    plan = state.plan
     control = state.control
-    batch = state.batch
     real = state.backend.real
-    features = plan.features
-    constant_count = plan.pair_constants.shape[1]
-    sphere_kinematics = build_sphere_kinematics(plan)
-    pair_force = build_pair_force(plan, True)
-    load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
-    constants_of = build_constants(plan.laws)
-    store_results = _build_store_results(state)
+    columns = Columns(state)
     longest_time_step = state.parameter("longest_time_step")
     shift_parameter = state.parameter("shift")
     per_unit_parameter = state.parameter("per_unit")
-
-    @ti.func
-    def kinematics_of(worker, entry, dt):
-        return sphere_kinematics(
-            batch.radius[worker, entry],
-            batch.radius_partner[worker, entry],
-            load_vector(batch.branch, worker, entry, 3),
-            load_vector(batch.velocity_rel_half, worker, entry, 3),
-            load_vector(batch.velocity_rel, worker, entry, 3),
-            dt,
-        )
 
     @ti.real_func
     def evaluate(worker: ti.i32, entry_count: ti.i32, dt: real):
@@ -406,19 +323,7 @@ def _build_evaluate(state: State) -> Any:
         shift = shift_parameter()
         per_unit = per_unit_parameter()
         for entry in range(entry_count):
-            row = row_of_only_pair
-            if ti.static(not features.one_material):
-                row = load_vector(batch.constants, worker, entry, constant_count)
-            found = pair_force(
-                constants_of(row, parameters),
-                load_bodies(worker, entry),
-                kinematics_of(worker, entry, dt),
-                load_angular_velocities(worker, entry),
-                load_history(worker, entry),
-                dt,
-                longest,
-            )
-            store_results(worker, entry, found, shift, per_unit)
+            columns.evaluate(worker, entry, row_of_only_pair, parameters, dt, longest, shift, per_unit)
 
     return evaluate
 
@@ -431,145 +336,96 @@ def _result_columns(batch: Any) -> tuple[Any, Any, Any]:
     return batch.branch, batch.angular_velocity, batch.angular_velocity_partner
 
 
-def _build_load(state: State) -> Any:
-    """Device functions (worker, entry) that load vectors, bodies, angular velocities and history from the
-    columns.
+class Columns:
+    """Evaluates one entry of the columns of the batch, without branches.
 
-    Reads:  columns of the batch
+    Reads:   columns of the batch
+    Writes:  columns of the batch
     """
-    batch = state.batch
-    real = state.backend.real
-    sizes = state.plan.history
+
+    def __init__(self, state: State) -> None:
+        plan = state.plan
+        self.batch = state.batch
+        self.features = plan.features
+        self.real = state.backend.real
+        self.sizes = plan.history
+        self.slots = list(plan.history)
+        self.constant_count = plan.pair_constants.shape[1]
+        self.pair_force = PairForce(plan.laws, plan.features.rotation, True)
+        self.structs = ModelStructs(plan.laws)
+        self.to_grid = build_to_grid(state.backend.real)
+        self.forces, self.torques, self.torques_partner = _result_columns(state.batch)
 
     @ti.func
-    def load_vector(columns: ti.template(), worker, entry, count: ti.template()):
+    def evaluate(self, worker, entry, row_of_only_pair, parameters, dt, longest_time_step, shift, per_unit):
+        """Force, torques, history and losses of an entry."""
+        row = row_of_only_pair
+        if ti.static(not self.features.one_material):
+            row = self._load(self.batch.constants, worker, entry, self.constant_count)
+        found = self.pair_force.evaluate(
+            self.structs.constants(row, parameters),
+            self._bodies(worker, entry),
+            self._kinematics(worker, entry, dt),
+            self._angular_velocities(worker, entry),
+            self.structs.histories(self._slot, worker, entry),
+            dt,
+            longest_time_step,
+        )
+        store_vector(self.forces, worker, entry, self.to_grid(found.force, shift[UNIT_FORCE]))
+        store_vector(self.torques, worker, entry, self.to_grid(found.torque, shift[UNIT_TORQUE]))
+        torque_partner = self.to_grid(found.torque_partner, shift[UNIT_TORQUE])
+        store_vector(self.torques_partner, worker, entry, torque_partner)
+        for slot in ti.static(self.slots):
+            vector = self.structs.vector(slot, member(found.history, slot))
+            store_vector(self.batch.history[slot], worker, entry, vector)
+        if ti.static(self.features.energy_budget):
+            store_vector(self.batch.losses, worker, entry, per_unit[UNIT_ENERGY] * found.losses)
+
+    @ti.func
+    def _bodies(self, worker, entry):
+        return sphere_bodies(
+            self.batch.radius[worker, entry],
+            self.batch.mass[worker, entry],
+            self.batch.radius_partner[worker, entry],
+            self.batch.mass_partner[worker, entry],
+        )
+
+    @ti.func
+    def _kinematics(self, worker, entry, dt):
+        return sphere_kinematics(
+            self.batch.radius[worker, entry],
+            self.batch.radius_partner[worker, entry],
+            self._load(self.batch.branch, worker, entry, 3),
+            self._load(self.batch.velocity_rel_half, worker, entry, 3),
+            self._load(self.batch.velocity_rel, worker, entry, 3),
+            dt,
+            self.features.rate_dependent,
+        )
+
+    @ti.func
+    def _angular_velocities(self, worker, entry):
+        return ti.Struct(
+            first=self._load(self.batch.angular_velocity, worker, entry, 3),
+            partner=self._load(self.batch.angular_velocity_partner, worker, entry, 3),
+        )
+
+    @ti.func
+    def _slot(self, slot: ti.template(), worker, entry):
+        return self._load(self.batch.history[slot], worker, entry, self.sizes[slot])
+
+    @ti.func
+    def _load(self, columns: ti.template(), worker, entry, count: ti.template()):
         """Vector of `count` components from columns; zeros without columns."""
-        vector = ti.Vector.zero(real, count)
+        vector = ti.Vector.zero(self.real, count)
         for k in ti.static(range(len(columns))):
             vector[k] = columns[k][worker, entry]
         return vector
 
-    @ti.func
-    def load_bodies(worker, entry):
-        return sphere_bodies(
-            batch.radius[worker, entry],
-            batch.mass[worker, entry],
-            batch.radius_partner[worker, entry],
-            batch.mass_partner[worker, entry],
-        )
 
-    @ti.func
-    def load_angular_velocities(worker, entry):
-        return ti.Struct(
-            first=load_vector(batch.angular_velocity, worker, entry, 3),
-            partner=load_vector(batch.angular_velocity_partner, worker, entry, 3),
-        )
-
-    @ti.func
-    def load_slot(slot: ti.template(), worker, entry):
-        return load_vector(batch.history[slot], worker, entry, sizes[slot])
-
-    load_history = build_read_slots(state.plan.laws, load_slot, sizes)
-    return load_vector, load_bodies, load_angular_velocities, load_history
-
-
-def _build_store_results(state: State) -> Any:
-    """Device function (worker, entry, result of the pair force, shift, per_unit): write it to the columns.
-
-    Writes:  columns of the batch
-    """
-    plan = state.plan
-    batch = state.batch
-    forces, torques, torques_partner = _result_columns(batch)
-    to_grid = build_to_grid(state.backend.real)
-    slots = [(slot, build_slot_vector(plan.laws, slot)) for slot in plan.history]
-
-    @ti.func
-    def store_results(worker, entry, found, shift, per_unit):
-        store_vector(forces, worker, entry, to_grid(found.force, shift[UNIT_FORCE]))
-        store_vector(torques, worker, entry, to_grid(found.torque, shift[UNIT_TORQUE]))
-        store_vector(torques_partner, worker, entry, to_grid(found.torque_partner, shift[UNIT_TORQUE]))
-        for slot, vector_of in ti.static(slots):
-            store_vector(batch.history[slot], worker, entry, vector_of(member(found.history, slot)))
-        if ti.static(plan.features.energy_budget):
-            store_vector(batch.losses, worker, entry, per_unit[UNIT_ENERGY] * found.losses)
-
-    return store_results
-
-
-# Scatter
-
-
-def _build_scatter(state: State) -> Any:
-    """Device function (worker, chunk, entry_count, first, end, pose, dt): add forces, write histories back.
-
-    Forces are added to both partners, if the second is in this chunk.
-
-    Reads:   columns of the batch
-    Writes:  force, torque or sums of the batch; history, in_contact, losses, boundary_work, collisions
-    """
-    plan = state.plan
-    neighbors = state.neighbors
-    control = state.control
-    batch = state.batch
-    forces, torques, torques_partner = _result_columns(batch)
-    features = plan.features
-    history = neighbors.history
-    slots = list(neighbors.history)
-    list_shares = build_list_shares(state)
-    add_boundary_work = build_boundary_work(state)
-    add_to_sums = build_add_to_sums(state)
-    loss_count = len(LOSSES)
-    pair_kinematics = build_pair_kinematics(state, False)
-    effective = build_effective(state, False)
-    count_collision = build_count_collision(state, False)
-
-    @ti.func
-    def vector_of(columns: ti.template(), worker, entry):
-        return ti.Vector([columns[0][worker, entry], columns[1][worker, entry], columns[2][worker, entry]])
-
-    @ti.func
-    def store_history(worker, entry, list_index):
-        if ti.static(len(history) > 0):
-            neighbors.in_contact[list_index] = IN_CONTACT
-        for slot in ti.static(slots):
-            for k in ti.static(range(len(batch.history[slot]))):
-                history[slot][list_index][k] = batch.history[slot][k][worker, entry]
-
-    @ti.func
-    def add_losses(worker, chunk, j, entry):
-        shares = list_shares(chunk, j)
-        for k, loss in ti.static(enumerate(PAIR_LOSSES)):
-            add_energy(control.losses, chunk, loss, loss_count, shares, batch.losses[k][worker, entry])
-
-    @ti.func
-    def scatter(worker, chunk, entry_count, first, end, pose, dt):
-        for entry in range(entry_count):
-            i = batch.owner[worker, entry]
-            j = batch.partner[worker, entry]
-            force = ti.cast(vector_of(forces, worker, entry), ti.f64)
-            add_to_sums(worker, i, first, 0, force)
-            if ti.static(features.rotation):
-                torque = vector_of(torques, worker, entry)
-                add_to_sums(worker, i, first, 3, ti.cast(torque, ti.f64))
-            if j >= first and j < end:
-                add_to_sums(worker, j, first, 0, -force)
-                if ti.static(features.rotation):
-                    torque_partner = vector_of(torques_partner, worker, entry)
-                    add_to_sums(worker, j, first, 3, ti.cast(torque_partner, ti.f64))
-            if ti.static(features.collision_energies):
-                rate = pair_kinematics(i, j, pose, dt).overlap_rate_half
-                count_collision(chunk, batch.list_index[worker, entry], j, effective(i, j), rate)
-            store_history(worker, entry, batch.list_index[worker, entry])
-            if ti.static(features.energy_budget):
-                add_losses(worker, chunk, j, entry)
-                if ti.static(features.lees_edwards):
-                    add_boundary_work(chunk, i, j, vector_of(forces, worker, entry), pose, dt)
-
-    return scatter
-
-
-# Columns of the batch, and sums over the contacts of a particle
+@ti.func
+def vector_of(columns: ti.template(), worker, entry):
+    """Vector of three components from their columns [worker, entry]."""
+    return ti.Vector([columns[0][worker, entry], columns[1][worker, entry], columns[2][worker, entry]])
 
 
 @ti.func
@@ -579,84 +435,61 @@ def store_vector(columns: ti.template(), worker, entry, vector):
         columns[k][worker, entry] = vector[k]
 
 
-def build_store_sums(state: State) -> Any:
-    """Device function (worker, i, first, force_sum, torque_sum): set the sums of particle i.
-
-    first:  first particle of the chunk
+class ContactSums:
+    """Sums of force [N] and torque [N m] over the contacts of particle i of a chunk.
 
     In f64, the fields of forces and torques hold the exact sums, see `holds_sums`; in other precisions an
-    array of the worker does.
+    array of the worker does. `first` is the first particle of the chunk.
 
-    Writes:  force, torque; or the sums of the batch
+    Reads:   force, torque; or the sums of the batch
+    Writes:  as it reads
     """
-    batch = state.batch
-    particles = state.particles
-    exact = holds_sums(state)
-    rotation = state.plan.features.rotation
+
+    def __init__(self, state: State) -> None:
+        self.batch = state.batch
+        self.particles = state.particles
+        self.exact = holds_sums(state)
+        self.rotation = state.plan.features.rotation
 
     @ti.func
-    def store_sums(worker, i, first, force_sum, torque_sum):
-        if ti.static(exact):
-            particles.force[i] = force_sum
-            if ti.static(rotation):
-                particles.torque[i] = torque_sum
+    def store(self, worker, i, first, force_sum, torque_sum):
+        """Set the sums."""
+        if ti.static(self.exact):
+            self.particles.force[i] = force_sum
+            if ti.static(self.rotation):
+                self.particles.torque[i] = torque_sum
         else:
             for axis in ti.static(range(3)):
-                batch.sums[worker, i - first][axis] = force_sum[axis]
-                if ti.static(rotation):
-                    batch.sums[worker, i - first][3 + axis] = torque_sum[axis]
-
-    return store_sums
-
-
-def build_load_sums(state: State) -> Any:
-    """Device function (worker, i, first) -> (force, torque): the sums of particle i.
-
-    Reads:  as `build_store_sums` writes
-    """
-    batch = state.batch
-    particles = state.particles
-    exact = holds_sums(state)
-    rotation = state.plan.features.rotation
+                self.batch.sums[worker, i - first][axis] = force_sum[axis]
+                if ti.static(self.rotation):
+                    self.batch.sums[worker, i - first][3 + axis] = torque_sum[axis]
 
     @ti.func
-    def load_sums(worker, i, first):
+    def load(self, worker, i, first):
+        """Both sums."""
         force_sum = ti.Vector.zero(ti.f64, 3)
         torque_sum = ti.Vector.zero(ti.f64, 3)
-        if ti.static(exact):
-            force_sum = particles.force[i]
-            if ti.static(rotation):
-                torque_sum = particles.torque[i]
+        if ti.static(self.exact):
+            force_sum = self.particles.force[i]
+            if ti.static(self.rotation):
+                torque_sum = self.particles.torque[i]
         else:
-            sums = batch.sums[worker, i - first]
+            sums = self.batch.sums[worker, i - first]
             force_sum = ti.Vector([sums[0], sums[1], sums[2]])
-            if ti.static(rotation):
+            if ti.static(self.rotation):
                 torque_sum = ti.Vector([sums[3], sums[4], sums[5]])
         return force_sum, torque_sum
 
-    return load_sums
-
-
-def build_add_to_sums(state: State) -> Any:
-    """Device function (worker, i, first, component, terms): add three terms to the sums of particle i.
-
-    `first`: first particle of the chunk; `component`: of the first term, 0 for a force and 3 for a torque.
-
-    Writes:  as `build_store_sums`
-    """
-    batch = state.batch
-    particles = state.particles
-    exact = holds_sums(state)
-
     @ti.func
-    def add_to_sums(worker, i, first, component: ti.template(), terms):
-        if ti.static(not exact):
+    def add(self, worker, i, first, component: ti.template(), terms):
+        """Add three terms; `component`: of the first term, 0 for a force and 3 for a torque."""
+        if ti.static(not self.exact):
             for k in ti.static(range(3)):
                 number = ti.static(component + k)
-                batch.sums[worker, i - first][number] = batch.sums[worker, i - first][number] + terms[k]
+                self.batch.sums[worker, i - first][number] = (
+                    self.batch.sums[worker, i - first][number] + terms[k]
+                )
         elif ti.static(component == 0):
-            particles.force[i] = particles.force[i] + terms
+            self.particles.force[i] = self.particles.force[i] + terms
         else:
-            particles.torque[i] = particles.torque[i] + terms
-
-    return add_to_sums
+            self.particles.torque[i] = self.particles.torque[i] + terms

@@ -1,6 +1,6 @@
 """One contact of a particle with another particle or a wall, evaluated on its own.
 
-`build_contact` gathers what `pair.py` needs, evaluates the force, writes the contact history and adds the
+`Contact.evaluate` gathers what `pair.py` needs, evaluates the force, writes the contact history and adds the
 losses of the contact to the accounting. All wall contacts take this path, and all particle contacts if each
 particle is a chunk: on a GPU, and on a CPU with up to 64 particles or a normal model that is not branch-free
 (`chunk_size` of the plan). Otherwise `batch.py` evaluates the particle contacts, many at a time, and shares
@@ -13,7 +13,6 @@ import numpy as np
 
 from granflow.engine.box import DeviceBox
 from granflow.engine.codes import ABORT_OVERLAP
-from granflow.engine.contact_structs import build_slot_vector
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.flows import Flows
 from granflow.engine.history import (
@@ -24,18 +23,8 @@ from granflow.engine.history import (
     cohesive_contact,
     transfers_history,
 )
-from granflow.engine.liquid import build_form_bridge, build_return_liquid
-from granflow.engine.pair import (
-    PAIR_LOSSES,
-    build_effective,
-    build_in_range,
-    build_pair_constants,
-    build_pair_force,
-    build_pair_kinematics,
-    no_losses,
-    normal_contact,
-    normal_time_step,
-)
+from granflow.engine.liquid import LiquidFilms
+from granflow.engine.pair import PAIR_LOSSES, Pair, PairForce, no_losses, normal_contact, normal_time_step
 from granflow.engine.state import State
 from granflow.engine.sums import SHARES, add_energy, build_list_shares, build_to_grid, carried, exact_totals
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
@@ -49,368 +38,299 @@ from granflow.plan.sum_units import (
 )
 
 
-def build_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, pose, dt) -> (force [N], torque [N m]) on i of one
-    contact.
+class Contact:
+    """One contact in a step.
 
     with_wall:  True for walls (j < 0), False for particles
 
-    Three cases: the pair overlaps; a cohesion model acts between the separated surfaces; or there is no
-    contact, and a contact that has existed so far ends. Its history is then cleared, unless another face of
-    the walls has the contact now, and its plastic work is added to the losses.
-
-    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
-    Writes:  history, in_contact, losses, boundary_work, impulses, collisions, wall_force, liquid_film, abort,
-             abort_particle
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, fixed, material,
+             history, in_contact, neighbor lists, walls, mesh, pair_constants, law_parameters,
+             liquid_film_before, collision_edges, and the properties that flows read
+    Writes:  history, in_contact, losses, wall_work_ahead, boundary_work, impulses, collisions, wall_force,
+             liquid_film, sums of flows, abort, abort_particle
     """
-    transfers = with_wall and transfers_history(state)
-    pair_kinematics = build_pair_kinematics(state, with_wall)
-    effective = build_effective(state, with_wall)
-    angular_velocities_of = _build_angular_velocities(state, with_wall)
-    check_overlap = _build_check_overlap(state, with_wall)
-    pair_constants = build_pair_constants(state)
-    in_range = build_in_range(state)
-    acts_at_distance = state.plan.laws.acts_at_distance
-    distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
-    transfer = state.built(HistoryTransfer)
-    histories = state.built(ContactHistory)
-    pair_force = build_pair_force(state.plan, False)
-    add_to_accounting = build_add_to_accounting(state, with_wall)
-    longest_time_step = state.parameter("longest_time_step")
-    count_collision = build_count_collision(state, with_wall)
-    liquid = state.plan.features.liquid_transfer
-    form_bridge = build_form_bridge(state) if liquid else None
-    return_liquid = build_return_liquid(state) if liquid else None
-    has_flows = len(state.plan.laws.flows) > 0
-    flows = state.built(Flows) if has_flows else None
+
+    def __init__(self, state: State, with_wall: bool) -> None:
+        plan = state.plan
+        self.particles = state.particles
+        self.neighbors = state.neighbors
+        self.control = state.control
+        self.laws = plan.laws
+        self.with_wall = with_wall
+        self.pair = state.built(Pair, with_wall)
+        self.pair_force = PairForce(plan.laws, plan.features.rotation, False)
+        self.histories = state.built(ContactHistory)
+        self.transfers = with_wall and transfers_history(state)
+        self.transfer = state.built(HistoryTransfer)
+        self.accounting = state.built(Accounting)
+        self.liquid = plan.features.liquid_transfer
+        self.films = state.built(LiquidFilms) if self.liquid else None
+        self.has_flows = len(plan.laws.flows) > 0
+        self.flows = state.built(Flows) if self.has_flows else None
+        self.max_overlap = state.parameter("max_overlap")
+        self.longest_time_step = state.parameter("longest_time_step")
+        self.keeps_bond = "cohesion" in state.neighbors.history
+        self.slots_of_surface = [slot for slot in state.neighbors.history if slot != "cohesion"]
 
     @ti.func
-    def contact(chunk, i, list_index, j, pose, dt):
-        force = 0.0 * state.particles.velocity[i]
-        torque = 0.0 * state.particles.velocity[i]
-        kinematics = pair_kinematics(i, j, pose, dt)
-        bodies = effective(i, j)
-        constants = pair_constants(i, j)
+    def evaluate(self, chunk, i, list_index, j, pose, dt):
+        """Force [N] and torque [N m] on i.
+
+        Three cases: the pair overlaps; a cohesion model acts between the separated surfaces; or there is no
+        contact, and a contact that has existed so far ends. Its history is then cleared, unless another face
+        of the walls has the contact now, and its plastic work is added to the losses.
+        """
+        force = 0.0 * self.particles.velocity[i]
+        torque = 0.0 * self.particles.velocity[i]
+        kinematics = self.pair.kinematics(i, j, pose, dt)
+        bodies = self.pair.bodies(i, j)
+        constants = self.pair.constants(i, j)
         if kinematics.overlap > 0.0:
-            check_overlap(i, j, kinematics.overlap)
-            if ti.static(transfers):
-                transfer.acquire(i, list_index, j, pose)
-            angular_velocities = angular_velocities_of(i, j, pose)
-            history = histories.read(list_index)
-            if ti.static(liquid):
-                history.cohesion = form_bridge(
+            self._check_overlap(i, j, kinematics.overlap)
+            if ti.static(self.transfers):
+                self.transfer.acquire(i, list_index, j, pose)
+            angular_velocities = self.pair.angular_velocities(i, j, pose)
+            history = self.histories.read(list_index)
+            if ti.static(self.liquid):
+                history.cohesion = self.films.form_bridge(
                     chunk, i, j, constants, bodies, kinematics.overlap, history.cohesion
                 )
-            found = pair_force(
-                constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step()
+            longest = self.longest_time_step()
+            found = self.pair_force.evaluate(
+                constants, bodies, kinematics, angular_velocities, history, dt, longest
             )
             force = found.force
             torque = found.torque
-            count_collision(chunk, list_index, j, bodies, kinematics.overlap_rate_half)
-            histories.write(list_index, found.history)
-            add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
-            if ti.static(has_flows):
-                touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step()))
-                flows.add(chunk, i, j, constants, touching, with_wall)
-        elif in_range(i, j, kinematics.overlap):
-            if ti.static(acts_at_distance):
-                force = distant_contact(chunk, i, list_index, j, pose, kinematics, dt)
+            self.accounting.count_collision(
+                chunk, list_index, j, bodies, kinematics.overlap_rate_half, self.with_wall
+            )
+            self.histories.write(list_index, found.history)
+            self._account(chunk, i, j, pose, kinematics.normal, found, dt)
+            if ti.static(self.has_flows):
+                touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest))
+                self.flows.add(chunk, i, j, constants, touching, self.with_wall)
+        elif self.pair.in_range(i, j, kinematics.overlap):
+            if ti.static(self.laws.acts_at_distance):
+                if ti.static(self.transfers):
+                    self.transfer.acquire(i, list_index, j, pose)
+                attraction = self.distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
+                force = -attraction * kinematics.normal
+                found = ti.Struct(force=force, torque=0.0 * force, losses=no_losses(0.0 * attraction))
+                self._account(chunk, i, j, pose, kinematics.normal, found, dt)
         else:
             energy_lost = 0.0 * dt
             released = 0
-            if ti.static(transfers):
-                released = transfer.release(i, list_index, j, pose)
+            if ti.static(self.transfers):
+                released = self.transfer.release(i, list_index, j, pose)
             if released == 0:
-                if ti.static(liquid):
-                    return_liquid(chunk, i, j, list_index)
-                energy_lost = histories.end(list_index, constants, bodies, dt)
-            histories.add_plastic_loss(chunk, j, energy_lost)
+                if ti.static(self.liquid):
+                    self.films.return_liquid(chunk, i, j, list_index)
+                energy_lost = self.histories.end(list_index, constants, bodies, dt)
+            self.histories.add_plastic_loss(chunk, j, energy_lost)
         return force, torque
 
-    return contact
-
-
-def _build_angular_velocities(state: State, with_wall: bool) -> Any:
-    """Device function (i, j, pose) -> struct of the angular velocities [rad/s] of i and of its partner.
-
-    Reads:  angular_velocity of particles and walls
-    """
-    particles = state.particles
-    features = state.plan.features
-    real = state.backend.real
-    wall_of = state.built(Faces).wall_of
+    @ti.func
+    def _check_overlap(self, i, j, overlap):
+        """Request an abort if the overlap exceeds the limit."""
+        radius_min = self.particles.radius[i]
+        if ti.static(not self.with_wall):
+            radius_min = ti.min(radius_min, self.particles.radius[j])
+        if overlap > self.max_overlap() * radius_min:
+            ti.atomic_max(self.control.abort[0], ABORT_OVERLAP)
+            ti.atomic_min(self.control.abort_particle[0], self.particles.id[i])
 
     @ti.func
-    def angular_velocities_of(i, j, pose):
-        first = 0.0 * particles.velocity[i]
-        partner = 0.0 * particles.velocity[i]
-        if ti.static(features.rotation):
-            first = particles.angular_velocity[i]
-        if ti.static(features.rotation and not with_wall):
-            partner = particles.angular_velocity[j]
-        elif ti.static(features.rotation and features.moving_walls):
-            partner = ti.cast(state.walls.angular_velocity[pose, wall_of(j)], real)
-        return ti.Struct(first=first, partner=partner)
-
-    return angular_velocities_of
-
-
-def _build_check_overlap(state: State, with_wall: bool) -> Any:
-    """Device function (i, j, overlap): request an abort if the overlap exceeds the limit.
-
-    Reads:   radius
-    Writes:  abort, abort_particle
-    """
-    particles = state.particles
-    control = state.control
-    max_overlap = state.parameter("max_overlap")
+    def _account(self, chunk, i, j, pose, normal, found, dt):
+        if ti.static(self.with_wall):
+            self.accounting.add_wall_contact(chunk, i, j, pose, normal, found, dt)
+        else:
+            self.accounting.add_particle_contact(chunk, i, j, pose, found, dt)
 
     @ti.func
-    def check_overlap(i, j, overlap):
-        radius_min = particles.radius[i]
-        if ti.static(not with_wall):
-            radius_min = ti.min(radius_min, particles.radius[j])
-        if overlap > max_overlap() * radius_min:
-            ti.atomic_max(control.abort[0], ABORT_OVERLAP)
-            ti.atomic_min(control.abort_particle[0], particles.id[i])
+    def distant_force(self, chunk, i, list_index, j, overlap, dt):
+        """Attraction [N] of a pair without overlap, for cohesion models that act at a distance.
 
-    return check_overlap
+        overlap:  minus the distance of the surfaces [m], above minus the range
 
-
-# Attraction of pairs without overlap, for cohesion models that act at a distance
-#
-# Such a pair has no normal, tangential or rolling force. The contact history of the cohesion model is kept
-# until the model ends it or the distance exceeds its range; the histories of the other models end with the
-# overlap.
-
-
-def _build_distant_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, pose, kinematics, dt): force [N] on i of a separated
-    pair.
-
-    Reads:   as `build_contact`
-    Writes:  as `build_contact`
-    """
-    distant_force = build_distant_force(state, with_wall)
-    transfers = with_wall and transfers_history(state)
-    transfer = state.built(HistoryTransfer)
-    add_to_accounting = build_add_to_accounting(state, with_wall)
-
-    @ti.func
-    def distant_contact(chunk, i, list_index, j, pose, kinematics, dt):
-        if ti.static(transfers):
-            transfer.acquire(i, list_index, j, pose)
-        attraction = distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
-        force = -attraction * kinematics.normal
-        found = ti.Struct(force=force, torque=0.0 * force, losses=no_losses(0.0 * attraction))
-        add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
-        return force
-
-    return distant_contact
-
-
-def build_distant_force(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, overlap, dt) -> attraction [N] of a pair without
-    overlap.
-
-    with_wall:  True for walls (j < 0), False for particles
-    overlap:    minus the distance of the surfaces [m], above minus the range
-
-    Reads:   radius, mass, history, pair_constants, law_parameters
-    Writes:  history, in_contact, losses, liquid_film
-    """
-    laws = state.plan.laws
-    neighbors = state.neighbors
-    keeps_history = "cohesion" in neighbors.history
-    vector_of = build_slot_vector(laws, "cohesion") if keeps_history else None
-    histories = state.built(ContactHistory)
-    effective = build_effective(state, with_wall)
-    pair_constants = build_pair_constants(state)
-    end_surface_contact = _build_end_surface_contact(state)
-    liquid = state.plan.features.liquid_transfer
-    return_liquid = build_return_liquid(state) if liquid else None
-
-    @ti.func
-    def distant_force(chunk, i, list_index, j, overlap, dt):
-        constants = pair_constants(i, j)
-        bodies = effective(i, j)
-        history = histories.read(list_index)
+        Such a pair has no normal, tangential or rolling force. The contact history of the cohesion model is
+        kept until the model ends it or the distance exceeds its range; the histories of the other models end
+        with the overlap.
+        """
+        constants = self.pair.constants(i, j)
+        bodies = self.pair.bodies(i, j)
+        history = self.histories.read(list_index)
         contact = cohesive_contact(bodies, overlap, dt)
-        attraction, history_new = laws.cohesion.force(constants.cohesion, contact, history.cohesion)
+        attraction, history_new = self.laws.cohesion.force(constants.cohesion, contact, history.cohesion)
         energy_lost = 0.0 * dt
         is_kept = False
-        if ti.static(keeps_history):
-            components = vector_of(history_new)
+        if ti.static(self.keeps_bond):
+            components = self.pair.structs.vector("cohesion", history_new)
             is_kept = components[0] > 0.0
-            if ti.static(liquid):
+            if ti.static(self.liquid):
                 if not is_kept:
-                    return_liquid(chunk, i, j, list_index)
-            neighbors.history["cohesion"][list_index] = components
+                    self.films.return_liquid(chunk, i, j, list_index)
+            self.neighbors.history["cohesion"][list_index] = components
             if is_kept:
-                neighbors.in_contact[list_index] = IN_CONTACT
-                energy_lost = end_surface_contact(list_index, constants, bodies, dt)
+                self.neighbors.in_contact[list_index] = IN_CONTACT
+                energy_lost = self._end_surface_contact(list_index, constants, bodies, dt)
         if not is_kept:
-            energy_lost = histories.end(list_index, constants, bodies, dt)
-        histories.add_plastic_loss(chunk, j, energy_lost)
+            energy_lost = self.histories.end(list_index, constants, bodies, dt)
+        self.histories.add_plastic_loss(chunk, j, energy_lost)
         return attraction
 
-    return distant_force
-
-
-def _build_end_surface_contact(state: State) -> Any:
-    """Device function (list index, constants, bodies, dt): end the contact of all models but cohesion.
-
-    Returns the plastic work [J] of a contact whose overlap has ended in this step; 0 without the energy
-    budget.
-
-    Writes:  history
-    """
-    neighbors = state.neighbors
-    energy_budget = state.plan.features.energy_budget
-    histories = state.built(ContactHistory)
-    names = [name for name in neighbors.history if name != "cohesion"]
-
     @ti.func
-    def end_surface_contact(list_index, constants, bodies, dt):
+    def _end_surface_contact(self, list_index, constants, bodies, dt):
+        """End the contact of all models but cohesion.
+
+        Returns the plastic work [J] of a contact whose overlap has ended in this step; 0 without the energy
+        budget.
+        """
         energy_lost = 0.0 * dt
-        if ti.static(energy_budget):
-            energy_lost = histories.normal_loss(list_index, constants, bodies, dt)
-        for name in ti.static(names):
-            neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
+        if ti.static(self.histories.energy_budget):
+            energy_lost = self.histories.normal_loss(list_index, constants, bodies, dt)
+        for slot in ti.static(self.slots_of_surface):
+            self.neighbors.history[slot][list_index] = 0.0 * self.neighbors.history[slot][list_index]
         return energy_lost
 
-    return end_surface_contact
 
+class Accounting:
+    """Losses, work, wall forces and number of contacts, added to the sums of a chunk.
 
-# Losses, work and wall forces of one contact
-#
-# The work of a moving wall in a step has the mean of the forces at both ends of the step, with the velocity
-# V of the wall at its middle:
-#
-#     W = sum of dt/2 [F(t) . V(t - dt/2) + F(t) . V(t + dt/2)]
-#
-# The second term belongs to the next step: `wall_work_ahead` holds it, and the total without it is the work
-# until t.
+    The work of a moving wall in a step has the mean of the forces at both ends of the step, with the velocity
+    V of the wall at its middle:
 
+        W = sum of dt/2 [F(t) . V(t - dt/2) + F(t) . V(t + dt/2)]
 
-def build_add_to_accounting(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, j, pose, normal, result of the pair force, dt): losses, work and wall
-    forces.
+    The second term belongs to the next step: `wall_work_ahead` holds it, and the total without it is the work
+    until t.
 
-    Writes:  losses, wall_work_ahead, boundary_work, impulses, wall_force
+    Reads:   position, walls, image_speed, in_contact, collision_edges
+    Writes:  losses, wall_work_ahead, boundary_work, external_work, impulses, wall_force, collisions
     """
-    features = state.plan.features
-    wall_of = state.built(Faces).wall_of
-    wall_power = _build_wall_power(state)
-    control = state.control
-    list_shares = build_list_shares(state)
-    add_boundary_work = build_boundary_work(state)
-    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
-    longest_time_step = state.parameter("longest_time_step")
-    moving = with_wall and features.moving_walls
-    measured = with_wall and features.wall_forces
-    loss_count = len(LOSSES)
-    force_controlled = with_wall and features.force_controlled_walls
-    impulses = state.built(WallImpulses)
-    controlled_walls = state.built(ForceControlledWalls)
+
+    def __init__(self, state: State) -> None:
+        self.features = state.plan.features
+        self.particles = state.particles
+        self.neighbors = state.neighbors
+        self.walls = state.walls
+        self.control = state.control
+        self.real = state.backend.real
+        self.geometry = state.built(WallGeometry)
+        self.wall_of = state.built(Faces).wall_of
+        self.box = state.built(DeviceBox)
+        self.impulses = state.built(WallImpulses)
+        self.controlled_walls = state.built(ForceControlledWalls)
+        self.list_shares = build_list_shares(state)
+        self.to_grid = build_to_grid(state.backend.real)
+        self.shift = state.parameter("shift", UNIT_FORCE)
+        self.high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
+        self.longest_time_step = state.parameter("longest_time_step")
+        self.loss_count = len(LOSSES)
+        self.has_work_ahead = state.control.wall_work_ahead is not None
+        self.collision_rows = state.capacities.wall_rows
+        self.energy_classes = state.capacities.energy_classes
 
     @ti.func
-    def add_losses(chunk, shares, found):
-        scale = high_words_per_joule()
+    def add_particle_contact(self, chunk, i, j, pose, found, dt):
+        """Add the losses of a contact; `found`: result of the pair force."""
+        if ti.static(self.features.energy_budget):
+            self._add_losses(chunk, j, found)
+            if ti.static(self.features.lees_edwards):
+                self.add_boundary_work(chunk, i, j, found.force, pose, dt)
+
+    @ti.func
+    def add_wall_contact(self, chunk, i, j, pose, normal, found, dt):
+        """As `add_particle_contact`, with the work of the wall and the force on it."""
+        if ti.static(self.features.energy_budget):
+            self._add_losses(chunk, j, found)
+            if ti.static(self.features.moving_walls):
+                self._add_wall_work(chunk, i, j, pose, normal, found, dt)
+        if ti.static(self.features.force_controlled_walls):
+            self.controlled_walls.add(chunk, self.wall_of(j), found.force)
+        if ti.static(self.features.wall_forces):
+            self.impulses.add(chunk, self.wall_of(j), i, normal, found.force, found.torque, dt)
+
+    @ti.func
+    def _add_losses(self, chunk, j, found):
+        shares = self.list_shares(chunk, j)
+        scale = self.high_words_per_joule()
         for k, loss in ti.static(enumerate(PAIR_LOSSES)):
-            add_energy(control.losses, chunk, loss, loss_count, shares, scale * found.losses[k])
+            add_energy(self.control.losses, chunk, loss, self.loss_count, shares, scale * found.losses[k])
 
     @ti.func
-    def add_wall_work(chunk, i, j, pose, normal, found, dt):
-        half = 0.5 * high_words_per_joule() * dt
-        half_ahead = 0.5 * high_words_per_joule() * normal_time_step(dt, longest_time_step())
-        shares = list_shares(chunk, j)
-        work_ahead = half_ahead * wall_power(i, j, pose, pose + 1, normal, found)
-        work = half * wall_power(i, j, pose, pose, normal, found)
-        add_energy(control.losses, chunk, LOSS_WALL_WORK, loss_count, shares, work)
-        add_energy(control.losses, chunk, LOSS_WALL_WORK, loss_count, shares, work_ahead)
-        add_energy(control.wall_work_ahead, chunk, 0, 1, shares, work_ahead)
+    def _add_wall_work(self, chunk, i, j, pose, normal, found, dt):
+        half = 0.5 * self.high_words_per_joule() * dt
+        half_ahead = 0.5 * self.high_words_per_joule() * normal_time_step(dt, self.longest_time_step())
+        shares = self.list_shares(chunk, j)
+        work_ahead = half_ahead * self._wall_power(i, j, pose, pose + 1, normal, found)
+        work = half * self._wall_power(i, j, pose, pose, normal, found)
+        add_energy(self.control.losses, chunk, LOSS_WALL_WORK, self.loss_count, shares, work)
+        add_energy(self.control.losses, chunk, LOSS_WALL_WORK, self.loss_count, shares, work_ahead)
+        add_energy(self.control.wall_work_ahead, chunk, 0, 1, shares, work_ahead)
 
     @ti.func
-    def add_to_accounting(chunk, i, j, pose, normal, found, dt):
-        if ti.static(features.energy_budget):
-            add_losses(chunk, list_shares(chunk, j), found)
-            if ti.static(moving):
-                add_wall_work(chunk, i, j, pose, normal, found, dt)
-            if ti.static(features.lees_edwards and not with_wall):
-                add_boundary_work(chunk, i, j, found.force, pose, dt)
-        if ti.static(force_controlled):
-            controlled_walls.add(chunk, wall_of(j), found.force)
-        if ti.static(measured):
-            impulses.add(chunk, wall_of(j), i, normal, found.force, found.torque, dt)
+    def _wall_power(self, i, j, pose, step, normal, found):
+        """Power [W] of prescribed wall motion and surface velocity on particle i.
 
-    return add_to_accounting
-
-
-def _build_wall_power(state: State) -> Any:
-    """Device function: power of prescribed wall motion and surface velocity on particle i [W].
-
-    Arguments: i, j, pose, index of the step at whose middle the velocity is, normal, result of the pair
-    force.
-
-    Reads:  position, velocities of walls
-    """
-    geometry = state.built(WallGeometry)
-    wall_of = state.built(Faces).wall_of
-    real = state.backend.real
-
-    @ti.func
-    def wall_power(i, j, pose, step, normal, found):
-        velocity = geometry.prescribed_velocity(-1 - j, pose, step, state.particles.position[i])
-        angular_velocity = state.walls.angular_velocity[step, wall_of(j)]
-        power = found.force.dot(ti.cast(velocity, real)) + found.torque.dot(ti.cast(angular_velocity, real))
-        if ti.static(state.plan.features.surface_velocity):
-            power += found.force.dot(geometry.surface_velocity(-1 - j, step, normal))
+        step:  index of the step at whose middle the velocity is
+        """
+        velocity = self.geometry.prescribed_velocity(-1 - j, pose, step, self.particles.position[i])
+        angular_velocity = self.walls.angular_velocity[step, self.wall_of(j)]
+        power = found.force.dot(ti.cast(velocity, self.real))
+        power += found.torque.dot(ti.cast(angular_velocity, self.real))
+        if ti.static(self.features.surface_velocity):
+            power += found.force.dot(self.geometry.surface_velocity(-1 - j, step, normal))
         return power
 
-    return wall_power
+    @ti.func
+    def add_boundary_work(self, chunk, i, j, force, pose, dt):
+        """Add the work of the moving image of j on a pair [J].
 
+            W = F_ij . (velocity of the image relative to its original) dt, once per pair
 
-def build_boundary_work(state: State) -> Any:
-    """Device function (chunk, i, j, force on i, pose, dt): add the work of the moving image of j on a
-    pair [J].
-
-        W = F_ij . (velocity of the image relative to its original) dt, once per pair
-
-    with the force rounded as in the sum of forces: its last bits depend on the instructions that computed it.
-
-    Writes:  boundary_work
-    """
-    list_shares = build_list_shares(state)
-    box = state.built(DeviceBox)
-    control = state.control
-    high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
-    shift = state.parameter("shift", UNIT_FORCE)
-    to_grid = build_to_grid(state.backend.real)
+        with the force on i rounded as in the sum of forces: its last bits depend on the instructions that
+        computed it.
+        """
+        rounded = self.to_grid(force, self.shift())
+        work = self.high_words_per_joule() * dt * rounded.dot(self.box.image_velocity(i, j, pose))
+        add_energy(self.control.boundary_work, chunk, 0, 1, self.list_shares(chunk, j), work)
 
     @ti.func
-    def add_boundary_work(chunk, i, j, force, pose, dt):
-        rounded = to_grid(force, shift())
-        work = high_words_per_joule() * dt * rounded.dot(box.image_velocity(i, j, pose))
-        add_energy(control.boundary_work, chunk, 0, 1, list_shares(chunk, j), work)
-
-    return add_boundary_work
-
-
-def build_clear_wall_work_ahead(state: State) -> Any:
-    """Device function (chunk): the work of the next step, before the forces at its end are added.
-
-    Writes:  wall_work_ahead
-    """
-    ahead = state.control.wall_work_ahead
-    exists = state.control.wall_work_ahead is not None
+    def clear_work_ahead(self, chunk):
+        """Clear the work of the next step, before the forces at its end are added."""
+        if ti.static(self.has_work_ahead):
+            self.control.wall_work_ahead[chunk] = ti.Vector.zero(ti.i64, 2)
 
     @ti.func
-    def clear_wall_work_ahead(chunk):
-        if ti.static(exists):
-            ahead[chunk] = ti.Vector.zero(ti.i64, 2)
+    def carry(self, chunk):
+        """Move the carries of the energies, once per step and chunk."""
+        if ti.static(self.features.energy_budget):
+            self.control.losses[chunk] = carried(self.control.losses[chunk], self.loss_count)
+            if ti.static(self.features.periodic != "none"):
+                self.control.boundary_work[chunk] = carried(self.control.boundary_work[chunk], 1)
+            if ti.static(self.features.external_forces):
+                self.control.external_work[chunk] = carried(self.control.external_work[chunk], 1)
 
-    return clear_wall_work_ahead
+    @ti.func
+    def count_collision(self, chunk, list_index, j, bodies, overlap_rate, with_wall: ti.template()):
+        """Count a contact that begins, by its impact energy; without collision energies nothing.
+
+            E = m_eff v_n^2 / 2,     v_n: approach velocity half a step before the first force
+
+        It precedes `ContactHistory.write`, which marks the contact. The counts are integers, so that they do
+        not depend on threads and ranks.
+        """
+        if ti.static(self.features.collision_energies):
+            if self.neighbors.in_contact[list_index] == NO_CONTACT:
+                velocity = ti.cast(ti.max(overlap_rate, 0.0), ti.f64)
+                number = 0
+                if ti.static(with_wall):
+                    number = self.energy_classes
+                energy = 0.5 * ti.cast(bodies.mass_eff, ti.f64) * (velocity * velocity)
+                for edge in range(self.energy_classes - 1):
+                    number += ti.cast(energy >= self.control.collision_edges[edge], ti.i32)
+                shares = ti.cast(self.list_shares(chunk, j), ti.i64)
+                ti.atomic_add(self.control.collisions[chunk % self.collision_rows, number][0], shares)
 
 
 def build_end_wall_work(state: State) -> Any:
@@ -442,67 +362,6 @@ def build_end_wall_work(state: State) -> Any:
             end_each(thread, chunks, withdraws)
 
     return end_wall_work
-
-
-def build_carry_sums(state: State) -> Any:
-    """Device function (chunk): move the carries of the energies, once per step and chunk.
-
-    Writes:  losses, boundary_work, external_work
-    """
-    control = state.control
-    features = state.plan.features
-    loss_count = len(LOSSES)
-
-    @ti.func
-    def carry_sums(chunk):
-        if ti.static(features.energy_budget):
-            control.losses[chunk] = carried(control.losses[chunk], loss_count)
-            if ti.static(features.periodic != "none"):
-                control.boundary_work[chunk] = carried(control.boundary_work[chunk], 1)
-            if ti.static(features.external_forces):
-                control.external_work[chunk] = carried(control.external_work[chunk], 1)
-
-    return carry_sums
-
-
-# Numbers of collisions by impact energy: each contact counts once, in the step in which it begins
-#
-#     E = m_eff v_n^2 / 2,     v_n: approach velocity half a step before the first force
-#
-# The counts are integers, so that they do not depend on threads and ranks.
-
-
-def build_count_collision(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, list index, j, bodies, overlap rate at the half step): count a contact that
-    begins.
-
-    Without collision energies it does nothing. It precedes `ContactHistory.write`, which marks the contact.
-
-    Reads:   in_contact, collision_edges
-    Writes:  collisions
-    """
-    control = state.control
-    neighbors = state.neighbors
-    list_shares = build_list_shares(state)
-    wanted = state.plan.features.collision_energies
-    rows = state.capacities.wall_rows
-    classes = state.capacities.energy_classes
-    first = classes if with_wall else 0
-
-    @ti.func
-    def count_collision(chunk, list_index, j, bodies, overlap_rate):
-        if ti.static(wanted):
-            if neighbors.in_contact[list_index] == NO_CONTACT:
-                velocity = ti.cast(ti.max(overlap_rate, 0.0), ti.f64)
-                number = first
-                energy = 0.5 * ti.cast(bodies.mass_eff, ti.f64) * (velocity * velocity)
-                for edge in range(classes - 1):
-                    number += ti.cast(energy >= control.collision_edges[edge], ti.i32)
-                ti.atomic_add(
-                    control.collisions[chunk % rows, number][0], ti.cast(list_shares(chunk, j), ti.i64)
-                )
-
-    return count_collision
 
 
 def collision_counts(state: State) -> dict[str, np.ndarray]:

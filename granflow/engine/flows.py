@@ -8,7 +8,7 @@ are exact and do not depend on the order of the contacts.
 from typing import Any
 
 from granflow.engine.codes import ABORT_FLOW
-from granflow.engine.contact_structs import member
+from granflow.engine.pair import member
 from granflow.engine.state import State
 from granflow.engine.sums import build_to_grid
 from granflow.kernel_language import ti

@@ -1,7 +1,7 @@
 """Contact history: what the contact models remember of a contact from one step to the next.
 
 It is stored per neighbor-list entry, by slot (normal, tangential, rolling, twisting, cohesion) as a vector of
-components; the models get it as structs (`contact_structs.py`). `in_contact` is the state of the entry. A
+components; the models get it as structs (`pair.ModelStructs`). `in_contact` is the state of the entry. A
 step reads the history, writes the new one, and ends the contact if the pair has separated.
 
 A history outlives its entry in two cases: a contact that slides from one face of the walls to another takes
@@ -9,9 +9,8 @@ it along, and a neighbor-list rebuild saves the histories before it sorts the pa
 the new lists.
 """
 
-from granflow.engine.contact_structs import build_read_slots, build_slot_vector, member
 from granflow.engine.neighbor.phases import is_count
-from granflow.engine.pair import build_pair_constants
+from granflow.engine.pair import ModelStructs, Pair, member
 from granflow.engine.state import State
 from granflow.engine.sums import add_energy, build_list_shares
 from granflow.engine.walls import WallGeometry
@@ -42,8 +41,7 @@ class ContactHistory:
         self.neighbors = state.neighbors
         self.stored = state.neighbors.history
         self.names = list(self.stored)
-        self.read_slots = build_read_slots(self.laws, self._vector, self.stored)
-        self.slot_vectors = [(slot, build_slot_vector(self.laws, slot)) for slot in self.stored]
+        self.structs = ModelStructs(self.laws)
         self.losses = state.control.losses
         self.list_shares = build_list_shares(state)
         self.high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
@@ -51,7 +49,7 @@ class ContactHistory:
     @ti.func
     def read(self, list_index):
         """The history of an entry."""
-        return self.read_slots(list_index, 0)
+        return self.structs.histories(self._vector, list_index, 0)
 
     @ti.func
     def _vector(self, slot: ti.template(), list_index, _):
@@ -60,10 +58,10 @@ class ContactHistory:
     @ti.func
     def write(self, list_index, history):
         """Write the history; set IN_CONTACT."""
-        if ti.static(len(self.slot_vectors) > 0):
+        if ti.static(len(self.names) > 0):
             self.neighbors.in_contact[list_index] = IN_CONTACT
-        for slot, vector_of in ti.static(self.slot_vectors):
-            self.stored[slot][list_index] = vector_of(member(history, slot))
+        for slot in ti.static(self.names):
+            self.stored[slot][list_index] = self.structs.vector(slot, member(history, slot))
 
     @ti.func
     def end(self, list_index, constants, bodies, dt):
@@ -170,7 +168,7 @@ class HistoryTransfer:
         self.names = list(self.stored)
         self.geometry = state.built(WallGeometry)
         self.acts_at_distance = state.plan.laws.acts_at_distance
-        self.pair_constants = build_pair_constants(state)
+        self.pair = state.built(Pair, True)
 
     @ti.func
     def release(self, i, list_index, j, pose):
@@ -183,7 +181,7 @@ class HistoryTransfer:
         if self.neighbors.in_contact[list_index] == IN_CONTACT:
             largest_distance = self.particles.radius[i]
             if ti.static(self.acts_at_distance):
-                largest_distance += self.pair_constants(i, j).cohesion.range
+                largest_distance += self.pair.constants(i, j).cohesion.range
             if self.geometry.from_nearest(-1 - j, pose, self.particles.position[i]).norm() < largest_distance:
                 self.neighbors.in_contact[list_index] = RELEASED
                 released = 1

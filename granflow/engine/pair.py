@@ -1,134 +1,276 @@
 """One pair of partners in contact: its kinematics, its constants and its force.
 
 A pair is a particle i and a partner j, which is another particle, or a wall or triangle if j < 0 (see
-`walls.Faces.wall_of`). The state gives
+`walls.Faces.wall_of`). `Pair` reads in the state
 
-    kinematics   overlap, normal, relative velocity and lever arms (`build_pair_kinematics`)
-    bodies       effective radius, mass and inertia (`build_effective`)
-    constants    numbers of the contact models for the two materials (`build_pair_constants`)
+    kinematics   overlap, normal, relative velocity and lever arms
+    bodies       effective radius, mass and inertia
+    constants    numbers of the contact models for the two materials
 
-and `build_pair_force` turns these and the history of the contact into forces, torques, the new history and
-the losses: it calls the normal and the cohesion model of the scene, then those that act on the surfaces in
-the order of `contact.law.SLOTS`.
+and `PairForce` turns these and the history of the contact into forces, torques, the new history and the
+losses: it calls the normal and the cohesion model of the scene, then those that act on the surfaces in the
+order of `contact.law.SLOTS`.
 
-`build_sphere_kinematics` and `build_pair_force` are functions of values, which read and write no field, so
-that the scalar contact loop (`contact.py`) and the batched one (`batch.py`) share them. If the partners are
-exchanged, each of their results is bit-identical or has exactly the opposite sign.
+`sphere_kinematics` and `PairForce` are functions of values, which read and write no field, so that the
+scalar contact loop (`contact.py`) and the batched one (`batch.py`) share them. If the partners are exchanged,
+each of their results is bit-identical or has exactly the opposite sign.
+
+Contact models read constants and histories by name, fields store rows of numbers: `ModelStructs` converts
+them.
 """
 
 from typing import Any
 
 from granflow.contact.law import SLOTS, in_contact_plane
 from granflow.contact.registry import ContactLaws
+from granflow.device_functions import at_compile_time
 from granflow.engine.box import DeviceBox
-from granflow.engine.contact_structs import build_constants, member, set_member
 from granflow.engine.state import State
 from granflow.engine.walls import Faces, JoinedWalls, WallGeometry
 from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
-from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_DAMPING, LOSSES
 
-# Kinematics
+# Kinematics, bodies and constants
 
 
-def build_pair_kinematics(state: State, with_wall: bool) -> Any:
-    """Device function (i, j, pose, dt) -> kinematics of a candidate pair, read from the state.
+class Pair:
+    """Particle i and partner j in the state.
 
-    with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds
-                of partner
+    with_wall:  True for walls, False for particles; there are two objects, so that the loops contain no
+                branch between the two kinds of partner
 
-    Returns the struct of `build_sphere_kinematics`; without contact, the overlap is not above 0, and only
-    models that act at a distance get its value and the normal.
-
-    Reads:  position, velocity, velocity_synchronized, radius, walls, image_offset, image_speed
+    Reads:  position, velocity, velocity_synchronized, angular_velocity, radius, mass, fixed, clump_mass,
+            material of particles and walls, walls, image_offset, image_speed, pair_constants,
+            law_parameters
     """
-    return _build_wall_kinematics(state) if with_wall else _build_particle_kinematics(state)
 
-
-def _build_particle_kinematics(state: State) -> Any:
-    """`build_pair_kinematics` for two particles."""
-    particles = state.particles
-    features = state.plan.features
-    real = state.backend.real
-    sphere_kinematics = build_sphere_kinematics(state.plan)
-    overlaps = build_overlaps(real)
-    box = state.built(DeviceBox)
-    acts_at_distance = state.plan.laws.acts_at_distance
+    def __init__(self, state: State, with_wall: bool) -> None:
+        plan = state.plan
+        self.particles = state.particles
+        self.walls = state.walls
+        self.control = state.control
+        self.features = plan.features
+        self.with_wall = with_wall
+        self.has_walls = plan.features.walls
+        self.acts_at_distance = plan.laws.acts_at_distance
+        self.real = state.backend.real
+        self.kinematics = self._wall_kinematics if with_wall else self._particle_kinematics
+        self.overlap_ratio = 1.0 - ROUNDING[state.backend.real]
+        self.box = state.built(DeviceBox)
+        self.geometry = state.built(WallGeometry)
+        self.joined_walls = state.built(JoinedWalls)
+        self.wall_of = state.built(Faces).wall_of
+        self.mass = state.particles.clump_mass if plan.features.clumps else state.particles.mass
+        self.structs = ModelStructs(plan.laws)
+        self.material_count = state.parameter("material_count")
 
     @ti.func
-    def particle_kinematics(i, j, pose, dt):
-        radius = particles.radius[i]
-        radius_partner = particles.radius[j]
-        found = no_contact(-radius, particles.velocity[i])
-        branch = ti.cast(box.minimum_image(particles.position[i], particles.position[j], pose), real)
-        if overlaps(branch.dot(branch), radius + radius_partner):
-            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - box.image_velocity(i, j, pose)
-            velocity_rel = velocity_rel_half
-            if ti.static(features.rate_dependent):
-                velocity_rel = (
-                    particles.velocity_synchronized[i]
-                    - particles.velocity_synchronized[j]
-                    - box.image_velocity(i, j, pose)
-                )
-            found = sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, dt)
-        elif ti.static(acts_at_distance):
+    def _particle_kinematics(self, i, j, pose, dt):
+        """`kinematics` of a candidate pair, as of `sphere_kinematics`.
+
+        Without contact, the overlap is not above 0, and only models that act at a distance get its value and
+        the normal.
+        """
+        radius = self.particles.radius[i]
+        radius_partner = self.particles.radius[j]
+        found = no_contact(-radius, self.particles.velocity[i])
+        branch = self.branch(self.particles.position[i], j, pose)
+        if self.overlaps(branch.dot(branch), radius + radius_partner):
+            found = self.spheres(i, j, branch, pose, dt)
+        elif ti.static(self.acts_at_distance):
             distance = ti.sqrt(branch.dot(branch))
             found.overlap = ti.min(radius + radius_partner - distance, 0.0)
             found.normal = 1.0 / distance * branch
         return found
 
-    return particle_kinematics
-
-
-def _build_wall_kinematics(state: State) -> Any:
-    """`build_pair_kinematics` for a particle and a wall: the contact point halves the overlap; no lever arm
-    of j.
-
-    Velocities are those of the half step; normal_half and the velocity of the wall at the contact point are
-    as well.
-    """
-    particles = state.particles
-    features = state.plan.features
-    real = state.backend.real
-    geometry = state.built(WallGeometry)
-    acts_at_distance = state.plan.laws.acts_at_distance
-    joined_walls = state.built(JoinedWalls)
+    @ti.func
+    def spheres(self, i, j, branch, pose, dt):
+        """`sphere_kinematics` of two particles with this branch vector [m]."""
+        velocity_rel_half, velocity_rel = self.relative_velocities(i, j, pose)
+        return sphere_kinematics(
+            self.particles.radius[i],
+            self.particles.radius[j],
+            branch,
+            velocity_rel_half,
+            velocity_rel,
+            dt,
+            self.features.rate_dependent,
+        )
 
     @ti.func
-    def wall_kinematics(i, j, pose, dt):
-        radius = particles.radius[i]
+    def branch(self, position, j, pose):
+        """Branch vector [m] from the nearest image of particle j to the position of a particle."""
+        return ti.cast(self.box.minimum_image(position, self.particles.position[j], pose), self.real)
+
+    @ti.func
+    def relative_velocities(self, i, j, pose):
+        """Velocity [m/s] of i relative to the nearest image of particle j, at the half step and now."""
+        image_velocity = self.box.image_velocity(i, j, pose)
+        half = self.particles.velocity[i] - self.particles.velocity[j] - image_velocity
+        now = half
+        if ti.static(self.features.rate_dependent):
+            now = (
+                self.particles.velocity_synchronized[i]
+                - self.particles.velocity_synchronized[j]
+                - image_velocity
+            )
+        return half, now
+
+    @ti.func
+    def overlaps(self, distance_squared, contact_distance):
+        """Whether the overlap is above rounding; from the squared distance [m2] and the sum of the radii [m].
+
+        The field `in_contact` is another thing: the state of a neighbor-list entry, see `history.py`.
+        """
+        return distance_squared < self.overlap_ratio * (contact_distance * contact_distance)
+
+    @ti.func
+    def _wall_kinematics(self, i, j, pose, dt):
+        """As `_particle_kinematics`, for a wall: the contact point halves the overlap; no lever arm of j.
+
+        Velocities are those of the half step; normal_half and the velocity of the wall at the contact point
+        are as well.
+        """
+        radius = self.particles.radius[i]
         face = -1 - j
-        gap, direction = joined_walls.contact(i, j, pose)
-        found = no_contact(ti.cast(radius - gap, real), particles.velocity[i])
+        gap, direction = self.joined_walls.contact(i, j, pose)
+        found = no_contact(ti.cast(radius - gap, self.real), self.particles.velocity[i])
         found.arm = radius - 0.5 * found.overlap
-        if ti.static(acts_at_distance):
-            found.normal = ti.cast(direction, real)
+        if ti.static(self.acts_at_distance):
+            found.normal = ti.cast(direction, self.real)
         if found.overlap > 0.0:
-            position = particles.position[i]
-            velocity = particles.velocity[i]
-            normal_half = geometry.normal_half(face, pose, position, velocity, direction, dt)
-            found.normal = ti.cast(direction, real)
-            found.normal_half = ti.cast(normal_half, real)
-            wall_velocity = geometry.velocity_half(
+            position = self.particles.position[i]
+            velocity = self.particles.velocity[i]
+            normal_half = self.geometry.normal_half(face, pose, position, velocity, direction, dt)
+            found.normal = ti.cast(direction, self.real)
+            found.normal_half = ti.cast(normal_half, self.real)
+            wall_velocity = self.geometry.velocity_half(
                 face, pose, position - found.arm * normal_half, velocity, dt
             )
-            found.velocity_rel_half = velocity - ti.cast(wall_velocity, real)
+            found.velocity_rel_half = velocity - ti.cast(wall_velocity, self.real)
             found.overlap_rate_half = -found.velocity_rel_half.dot(found.normal_half)
             found.overlap_rate = -found.velocity_rel_half.dot(found.normal)
-            if ti.static(features.rate_dependent):
+            if ti.static(self.features.rate_dependent):
                 wall_velocity_now = ti.cast(
-                    geometry.velocity(face, pose, position - found.arm * direction), real
+                    self.geometry.velocity(face, pose, position - found.arm * direction), self.real
                 )
-                found.overlap_rate = -(particles.velocity_synchronized[i] - wall_velocity_now).dot(
+                found.overlap_rate = -(self.particles.velocity_synchronized[i] - wall_velocity_now).dot(
                     found.normal
                 )
             found.arm_half = found.arm + 0.25 * dt * found.overlap_rate_half
-            if ti.static(features.surface_velocity):  # it does not turn the normal
-                found.velocity_rel_half -= geometry.surface_velocity(face, pose, found.normal_half)
+            if ti.static(self.features.surface_velocity):  # it does not turn the normal
+                found.velocity_rel_half -= self.geometry.surface_velocity(face, pose, found.normal_half)
         return found
 
-    return wall_kinematics
+    @ti.func
+    def angular_velocities(self, i, j, pose):
+        """Struct of the angular velocities [rad/s] of i, `first`, and of its partner."""
+        first = 0.0 * self.particles.velocity[i]
+        partner = 0.0 * self.particles.velocity[i]
+        if ti.static(self.features.rotation):
+            first = self.particles.angular_velocity[i]
+        if ti.static(self.features.rotation and not self.with_wall):
+            partner = self.particles.angular_velocity[j]
+        elif ti.static(self.features.rotation and self.features.moving_walls):
+            partner = ti.cast(self.walls.angular_velocity[pose, self.wall_of(j)], self.real)
+        return ti.Struct(first=first, partner=partner)
+
+    @ti.func
+    def bodies(self, i, j):
+        """Struct of the effective radius [m], mass [kg] and inertia [kg m2].
+
+        a b / (a + b) for two particles, the value of the particle for a wall.
+        """
+        radius = self.particles.radius[i]
+        mass = self.contact_mass(i)
+        found = ti.Struct(radius_eff=radius, mass_eff=mass, inertia_eff=sphere_inertia(mass, radius))
+        if ti.static(not self.with_wall):
+            found = sphere_bodies(radius, mass, self.particles.radius[j], self.contact_mass(j))
+        return found
+
+    @ti.func
+    def contact_mass(self, i):
+        """Mass [kg] of a particle in its contacts, FIXED_MASS_FACTOR times as large if it is fixed.
+
+        A sphere of a clump has the mass of the clump, as in LIGGGHTS and MercuryDPM.
+        """
+        mass = self.mass[i]
+        if ti.static(self.features.fixed_particles):
+            factor = ti.cast(FIXED_MASS_FACTOR, self.real)
+            mass *= ti.select(self.particles.fixed[i] == 1, factor, ti.cast(1.0, self.real))
+        return mass
+
+    @ti.func
+    def constants(self, i, j):
+        """Struct of the constants of the contact models, for particles and walls alike."""
+        return self.structs.constants(
+            self.control.pair_constants[self.row(i, j)], self.control.law_parameters[0]
+        )
+
+    @ti.func
+    def row(self, i, j):
+        """Row of the pair constants: material of i * material count + material of j."""
+        number = 0
+        if ti.static(not self.features.one_material):
+            number = self.particles.material[i] * self.material_count()
+            if j >= 0:
+                number += self.particles.material[j]
+        if ti.static(self.has_walls):
+            if j < 0:
+                number += self.walls.material[self.wall_of(j)]
+        return number
+
+    @ti.func
+    def in_range(self, i, j, overlap):
+        """Whether the cohesion model acts at this overlap [m], which may be negative."""
+        found = overlap > 0.0
+        if ti.static(self.acts_at_distance):
+            found = overlap > -self.constants(i, j).cohesion.range
+        return found
+
+
+@ti.func
+def sphere_kinematics(
+    radius, radius_partner, branch, velocity_rel_half, velocity_rel, dt, rate_dependent: ti.template()
+):
+    """Kinematics of two spheres in contact, relative to the first.
+
+    Arguments: radii [m], `branch` vector b from the second to the first [m], relative velocity v at the half
+    step and now [m/s], dt [s], and whether a model has a dashpot. Returns a struct of overlap [m]; normal n;
+    normal_half p, see `contact/law.py`; relative velocity at the half step [m/s]; overlap rate at the half
+    step and now [m/s] (positive if approaching); and the lever arms of both, now and at the half step [m]:
+    the contact point halves the overlap.
+
+        b(t - dt/2) = b - v dt/2    =>    p = n - dt/(2 |b|) (v - (v . n) n),    overlap rate  -v . p
+
+    Without a dashpot the overlap rate of the normal models is -v . n, of which no model accumulates an error.
+    """
+    distance = ti.sqrt(branch.dot(branch))
+    inverse = 1.0 / distance
+    contact_distance = radius + radius_partner
+    overlap = contact_distance - distance
+    normal = inverse * branch
+    approach = -velocity_rel_half.dot(normal)
+    rate = approach
+    if ti.static(rate_dependent):
+        rate = -velocity_rel.dot(normal)
+    normal_half = normal - (0.5 * dt * inverse) * (velocity_rel_half + approach * normal)
+    arm = radius - 0.5 * overlap
+    arm_partner = radius_partner - 0.5 * overlap
+    growth = 0.25 * dt * approach  # half of the overlap grew by this in half a step
+    return ti.Struct(
+        overlap=overlap,
+        normal=normal,
+        normal_half=normal_half,
+        velocity_rel_half=velocity_rel_half,
+        overlap_rate_half=-velocity_rel_half.dot(normal_half),
+        overlap_rate=rate,
+        arm=arm,
+        arm_partner=arm_partner,
+        arm_half=arm + growth,
+        arm_partner_half=arm_partner + growth,
+    )
 
 
 @ti.func
@@ -148,100 +290,6 @@ def no_contact(overlap, vector):
         arm_half=nothing,
         arm_partner_half=nothing,
     )
-
-
-ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
-"""Eight units in the last place of 1: pairs with a relative overlap below this are not in contact; no overlap
-is 0."""
-
-
-def build_overlaps(real: Any) -> Any:
-    """Device function (squared distance [m2], sum of radii [m]): true if the overlap is above rounding.
-
-    The field `in_contact` is another thing: the state of a neighbor-list entry, see `history.py`.
-
-    real:  Taichi type of the arguments
-    """
-    ratio = 1.0 - ROUNDING[real]
-
-    @ti.func
-    def overlaps(distance_squared, contact_distance):
-        return distance_squared < ratio * (contact_distance * contact_distance)
-
-    return overlaps
-
-
-def build_sphere_kinematics(plan: Plan) -> Any:
-    """Device function: kinematics of two spheres in contact, relative to the first.
-
-    Arguments: radii [m], `branch` vector b from the second to the first [m], relative velocity v at the half
-    step and now [m/s], dt [s]. Returns a struct of overlap [m]; normal n; normal_half p, see
-    `contact/law.py`; relative velocity at the half step [m/s]; overlap rate at the half step and now
-    [m/s] (positive if approaching); and the lever arms of both, now and at the half step [m]: the contact
-    point halves the overlap.
-
-        b(t - dt/2) = b - v dt/2    =>    p = n - dt/(2 |b|) (v - (v . n) n),    overlap rate  -v . p
-
-    Without a dashpot the overlap rate of the normal models is -v . n, of which no model accumulates an error.
-    """
-    rate_dependent = plan.features.rate_dependent
-
-    @ti.func
-    def sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, dt):
-        distance = ti.sqrt(branch.dot(branch))
-        inverse = 1.0 / distance
-        contact_distance = radius + radius_partner
-        overlap = contact_distance - distance
-        normal = inverse * branch
-        approach = -velocity_rel_half.dot(normal)
-        rate = approach
-        if ti.static(rate_dependent):
-            rate = -velocity_rel.dot(normal)
-        normal_half = normal - (0.5 * dt * inverse) * (velocity_rel_half + approach * normal)
-        arm = radius - 0.5 * overlap
-        arm_partner = radius_partner - 0.5 * overlap
-        growth = 0.25 * dt * approach  # half of the overlap grew by this in half a step
-        return ti.Struct(
-            overlap=overlap,
-            normal=normal,
-            normal_half=normal_half,
-            velocity_rel_half=velocity_rel_half,
-            overlap_rate_half=-velocity_rel_half.dot(normal_half),
-            overlap_rate=rate,
-            arm=arm,
-            arm_partner=arm_partner,
-            arm_half=arm + growth,
-            arm_partner_half=arm_partner + growth,
-        )
-
-    return sphere_kinematics
-
-
-# Bodies and constants
-
-
-def build_effective(state: State, with_wall: bool) -> Any:
-    """Device function (i, j) -> struct `bodies`: effective radius [m], mass [kg] and inertia [kg m2] of a
-    pair.
-
-    a b / (a + b) for two particles, the value of the particle for a wall; a fixed particle has a very large
-    mass.
-
-    Reads:  radius, mass, fixed
-    """
-    particles = state.particles
-    contact_mass = build_contact_mass(state)
-
-    @ti.func
-    def effective(i, j):
-        radius = particles.radius[i]
-        mass = contact_mass(i)
-        bodies = ti.Struct(radius_eff=radius, mass_eff=mass, inertia_eff=sphere_inertia(mass, radius))
-        if ti.static(not with_wall):
-            bodies = sphere_bodies(radius, mass, particles.radius[j], contact_mass(j))
-        return bodies
-
-    return effective
 
 
 @ti.func
@@ -265,134 +313,49 @@ def effective_value(one, other):
 FIXED_MASS_FACTOR = 2.0**60
 """Mass factor of a fixed particle in contacts, as of an infinite mass: the term of its partner's mass is
 below rounding, also in f64."""
-
-
-def build_contact_mass(state: State) -> Any:
-    """Device function (i): mass [kg] of a particle in its contacts, FIXED_MASS_FACTOR times as large if it
-    is fixed.
-
-    A sphere of a clump has the mass of the clump, as in LIGGGHTS and MercuryDPM.
-
-    Reads:  mass, fixed, clump_mass
-    """
-    particles = state.particles
-    real = state.backend.real
-    mass_field = particles.clump_mass if state.plan.features.clumps else particles.mass
-
-    @ti.func
-    def contact_mass(i):
-        mass = mass_field[i]
-        if ti.static(state.plan.features.fixed_particles):
-            mass *= ti.select(particles.fixed[i] == 1, ti.cast(FIXED_MASS_FACTOR, real), ti.cast(1.0, real))
-        return mass
-
-    return contact_mass
-
-
-def build_pair_constants(state: State) -> Any:
-    """Device function (i, j) -> struct of the constants of the contact laws for particle i and partner j.
-
-    Reads:  pair_constants, law_parameters, material of particles and walls
-    """
-    control = state.control
-    constants_of = build_constants(state.plan.laws)
-    pair_number = build_pair_number(state)
-
-    @ti.func
-    def pair_constants(i, j):
-        return constants_of(control.pair_constants[pair_number(i, j)], control.law_parameters[0])
-
-    return pair_constants
-
-
-def build_pair_number(state: State) -> Any:
-    """Device function (i, j): row of the pair constants for particle i and partner j.
-
-        material of i * material count + material of j
-
-    Reads:  material of particles and walls
-    """
-    plan = state.plan
-    particles = state.particles
-    walls = state.walls
-    features = plan.features
-    wall_of = state.built(Faces).wall_of
-    material_count = state.parameter("material_count")
-
-    @ti.func
-    def pair_number(i, j):
-        number = 0
-        if ti.static(not features.one_material):
-            number = particles.material[i] * material_count()
-            if j >= 0:
-                number += particles.material[j]
-        if ti.static(plan.features.walls):
-            if j < 0:
-                number += walls.material[wall_of(j)]
-        return number
-
-    return pair_number
-
-
-def build_in_range(state: State) -> Any:
-    """Device function (i, j, overlap): true if the cohesion model acts at this overlap, which may be
-    negative.
-
-    Reads:  law_parameters
-    """
-    acts_at_distance = state.plan.laws.acts_at_distance
-    pair_constants = build_pair_constants(state)
-
-    @ti.func
-    def in_range(i, j, overlap):
-        found = overlap > 0.0
-        if ti.static(acts_at_distance):
-            found = overlap > -pair_constants(i, j).cohesion.range
-        return found
-
-    return in_range
+ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
+"""Eight units in the last place of 1: pairs with a relative overlap below this are not in contact; no overlap
+is 0."""
 
 
 # Force
 
-PAIR_LOSSES = (
-    *dict.fromkeys(LOSSES.index(slot.loss) for slot in SLOTS.values() if slot.on_surface),
-    LOSS_DAMPING,
-)
-"""Terms of the energy budget that a pair force adds to, in the order of its vector `losses`."""
 
+class PairForce:
+    """Force and torques of one contact in a step, from values.
 
-def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
-    """Device function: force and torques of one contact in a step.
-
+    rotation:     whether particles rotate
     is_prepared:  True if `NormalLaw.prepare` has been evaluated before
 
-    Arguments: pair constants; bodies, a struct of the effective radius [m], mass [kg] and inertia [kg m2];
-    kinematics of `build_sphere_kinematics`; angular_velocities, a struct of those of the first and the
-    partner [rad/s]; history; dt, and the longest time step of the run [s].
-
-    Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses: a
-    vector of the energies [J] dissipated in this step, in the order of PAIR_LOSSES.
+    In methods, constants and history are structs of slots, bodies and kinematics those of `Pair`, `contact`
+    that of `normal_contact`; longest_time_step is that of the run [s].
     """
-    rotation = plan.features.rotation
-    normal_force_of = build_normal_force(plan.laws, is_prepared)
-    surface_contact = build_surface_contact(plan)
-    damping = PAIR_LOSSES.index(LOSS_DAMPING)
-    surface_laws = [
-        (slot, law, PAIR_LOSSES.index(LOSSES.index(SLOTS[slot].loss))) for slot, law in plan.laws.on_surface
-    ]
+
+    def __init__(self, laws: ContactLaws, rotation: bool, is_prepared: bool) -> None:
+        self.laws = laws
+        self.rotation = rotation
+        self.damping = PAIR_LOSSES.index(LOSS_DAMPING)
+        self.prepares = laws.normal.prepares and not is_prepared
+        self.surface_laws = [
+            (slot, law, PAIR_LOSSES.index(LOSSES.index(SLOTS[slot].loss))) for slot, law in laws.on_surface
+        ]
 
     @ti.func
-    def pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step):
+    def evaluate(self, constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step):
+        """Force and torques; angular_velocities: a struct of those of the first and the partner [rad/s].
+
+        Returns a struct of the force on the first [N], the torques on both [N m], the history, and the
+        losses: a vector of the energies [J] dissipated in this step, in the order of PAIR_LOSSES.
+        """
         contact = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step))
-        normal_force, load, viscous, history_new = normal_force_of(constants, contact, history)
+        normal_force, load, viscous, history_new = self.normal_force(constants, contact, history)
         force = normal_force * kinematics.normal
         torque = 0.0 * force
         torque_partner = 0.0 * force
         losses = no_losses(0.0 * load)
-        losses[damping] = viscous * kinematics.overlap_rate * dt
-        if ti.static(rotation):
-            surface = surface_contact(
+        losses[self.damping] = viscous * kinematics.overlap_rate * dt
+        if ti.static(self.rotation):
+            surface = self._surface_contact(
                 constants,
                 contact,
                 load,
@@ -403,7 +366,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
                 dt,
                 longest_time_step,
             )
-            for slot, law, loss in ti.static(surface_laws):
+            for slot, law, loss in ti.static(self.surface_laws):
                 found = law.act(member(constants, slot), surface, kinematics, member(history, slot))
                 if ti.static("force" in found.keys):
                     force += found.force
@@ -419,7 +382,68 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
             losses=losses,
         )
 
-    return pair_force
+    @ti.func
+    def normal_force(self, constants, contact, history):
+        """Normal force [N] with cohesion, load [N] that presses the surfaces together, viscous force [N], and
+        history."""
+        history_new = history
+        if ti.static(self.prepares):
+            history_new.normal = self.laws.normal.prepare(constants.normal, contact, history.normal)
+        force, viscous, normal_history = self.laws.normal.force(constants.normal, contact, history_new.normal)
+        history_new.normal = normal_history
+        attraction = 0.0 * force
+        if ti.static(self.laws.has_cohesion):
+            attraction, cohesion_history = self.laws.cohesion.force(
+                constants.cohesion, contact, history.cohesion
+            )
+            history_new.cohesion = cohesion_history
+            force -= attraction
+        if ti.static(self.laws.normal.attracts):
+            attraction += self.laws.normal.attraction(constants.normal, contact, normal_history)
+        load = force
+        if ti.static(self.laws.attracts):
+            load += attraction
+        return force, load, viscous, history_new
+
+    @ti.func
+    def _surface_contact(
+        self, constants, contact, load, history, bodies, kinematics, angular_velocities, dt, longest_time_step
+    ):
+        """Struct `contact` of the surface models, see `contact/law.py`.
+
+        The time step is 0 in a force evaluation without motion, so that displacements do not change.
+        """
+        ratio = 0.0 * contact.overlap + 1.0  # of the previous to the present stiffness
+        if ti.static(self.laws.normal.tangential_stiffness_grows):
+            overlap_before = contact.overlap - dt * kinematics.overlap_rate_half
+            ratio = ti.sqrt(ti.max(overlap_before, 0.0) / contact.overlap)
+        normal_damping = 0.0 * contact.overlap
+        if ti.static(len(self.laws.damped_slots) > 0):
+            normal_damping = self.laws.normal.damping(constants.normal, contact, history.normal)
+        rotation = (
+            kinematics.arm_half * angular_velocities.first
+            + kinematics.arm_partner_half * angular_velocities.partner
+        )
+        surface_velocity = kinematics.velocity_rel_half - rotation.cross(kinematics.normal_half)
+        slip_rate = in_contact_plane(surface_velocity, kinematics.normal, kinematics.normal_half)
+        return ti.Struct(
+            radius_eff=contact.radius_eff,
+            mass_eff=contact.mass_eff,
+            inertia_eff=bodies.inertia_eff,
+            time_step=dt,
+            longest_time_step=longest_time_step,
+            overlap=contact.overlap,
+            overlap_rate=contact.overlap_rate,
+            normal=kinematics.normal,
+            normal_half=kinematics.normal_half,
+            normal_load=load,
+            stiffness=self.laws.normal.tangential_stiffness(constants.normal, contact, history.normal),
+            stiffness_ratio=ratio,
+            normal_damping=normal_damping,
+            slip=dt * slip_rate,
+            slip_rate=slip_rate,
+            rolling_rate=angular_velocities.first - angular_velocities.partner,
+        )
 
 
 @ti.func
@@ -447,81 +471,120 @@ def normal_time_step(dt, longest_time_step):
     return ti.select(dt > 0.0, dt, longest_time_step)
 
 
-def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
-    """Device function (constants, contact, history): normal force of one contact, cohesion included.
+PAIR_LOSSES = (
+    *dict.fromkeys(LOSSES.index(slot.loss) for slot in SLOTS.values() if slot.on_surface),
+    LOSS_DAMPING,
+)
+"""Terms of the energy budget that a pair force adds to, in the order of its vector `losses`."""
 
-    is_prepared:  True if `NormalLaw.prepare` has been evaluated before
-    Returns:      normal force [N], load [N] that presses the surfaces together, viscous force [N], history
+
+# Structs of the contact models from rows of numbers, and back
+
+
+class ModelStructs:
+    """Structs with a member for each slot (`contact.law.SLOTS`) from vectors of numbers, and back.
+
+    A field has a row of numbers for a pair of materials, for the law parameters of the scene, and for the
+    history of a contact in one slot. All names and indices are known when a kernel is compiled.
     """
-    normal = laws.normal
-    cohesion = laws.cohesion
+
+    def __init__(self, laws: ContactLaws) -> None:
+        self.slots = list(laws.by_slot)
+        constants: dict[str, list[tuple[str, Any, int]]] = {slot: [] for slot in self.slots}
+        for part, names_by_slot in ((_of_pair, laws.constant_names), (_of_law, laws.parameters)):
+            names = [(slot, name) for slot, own in names_by_slot.items() for name in own]
+            for k, (slot, name) in enumerate(names):
+                constants[slot].append((name, part, k))
+        self.constant_parts = list(constants.items())
+        self.parts: dict[str, list[tuple[str, Any, int]]] = {slot: [] for slot in self.slots}
+        self.components: dict[str, list[tuple[str, Any, int]]] = {slot: [] for slot in self.slots}
+        for slot in self.slots:
+            for each in laws.history[slot]:
+                part, component = (number_at, _number_of) if each.size == 1 else (vector_at, _component_of)
+                self.parts[slot].append((each.name, part, len(self.components[slot])))
+                self.components[slot] += [(each.name, component, k) for k in range(each.size)]
 
     @ti.func
-    def normal_force_of(constants, contact, history):
-        history_new = history
-        if ti.static(normal.prepares and not is_prepared):
-            history_new.normal = normal.prepare(constants.normal, contact, history.normal)
-        force, viscous, normal_history = normal.force(constants.normal, contact, history_new.normal)
-        history_new.normal = normal_history
-        attraction = 0.0 * force
-        if ti.static(laws.has_cohesion):
-            attraction, cohesion_history = cohesion.force(constants.cohesion, contact, history.cohesion)
-            history_new.cohesion = cohesion_history
-            force -= attraction
-        if ti.static(normal.attracts):
-            attraction += normal.attraction(constants.normal, contact, normal_history)
-        load = force
-        if ti.static(laws.attracts):
-            load += attraction
-        return force, load, viscous, history_new
+    def constants(self, pair, parameters):
+        """Struct of slots, each of the pair constants and the parameters of its law by name.
 
-    return normal_force_of
-
-
-def build_surface_contact(plan: Plan) -> Any:
-    """Device function: struct `contact` of the surface models, see `contact/law.py`.
-
-    Arguments: pair constants, struct `contact`, load [N], history, structs and times as for
-    `build_pair_force`. The time step is 0 in a force evaluation without motion, so that displacements do not
-    change.
-    """
-    laws = plan.laws
-    law = laws.normal
-
-    @ti.func
-    def surface_contact(
-        constants, contact, load, history, bodies, kinematics, angular_velocities, dt, longest_time_step
-    ):
-        ratio = 0.0 * contact.overlap + 1.0  # of the previous to the present stiffness
-        if ti.static(law.tangential_stiffness_grows):
-            overlap_before = contact.overlap - dt * kinematics.overlap_rate_half
-            ratio = ti.sqrt(ti.max(overlap_before, 0.0) / contact.overlap)
-        normal_damping = 0.0 * contact.overlap
-        if ti.static(len(laws.damped_slots) > 0):
-            normal_damping = law.damping(constants.normal, contact, history.normal)
-        rotation = (
-            kinematics.arm_half * angular_velocities.first
-            + kinematics.arm_partner_half * angular_velocities.partner
-        )
-        surface_velocity = kinematics.velocity_rel_half - rotation.cross(kinematics.normal_half)
-        slip_rate = in_contact_plane(surface_velocity, kinematics.normal, kinematics.normal_half)
+        pair, parameters:  rows of both
+        """
         return ti.Struct(
-            radius_eff=contact.radius_eff,
-            mass_eff=contact.mass_eff,
-            inertia_eff=bodies.inertia_eff,
-            time_step=dt,
-            longest_time_step=longest_time_step,
-            overlap=contact.overlap,
-            overlap_rate=contact.overlap_rate,
-            normal=kinematics.normal,
-            normal_half=kinematics.normal_half,
-            normal_load=load,
-            stiffness=law.tangential_stiffness(constants.normal, contact, history.normal),
-            stiffness_ratio=ratio,
-            normal_damping=normal_damping,
-            slip=dt * slip_rate,
-            slip_rate=slip_rate,
-            rolling_rate=angular_velocities.first - angular_velocities.partner,
+            {
+                slot: ti.Struct({name: part(pair, parameters, k) for name, part, k in ti.static(own)})
+                for slot, own in ti.static(self.constant_parts)
+            }
         )
 
-    return surface_contact
+    @ti.func
+    def histories(self, vector_at_slot: ti.template(), first, second):
+        """Struct of slots, each of the history fields of its model; empty for a slot without history.
+
+        vector_at_slot:  device function (slot, first, second) -> vector of components of a slot with history
+        """
+        return ti.Struct(
+            {slot: self._read(vector_at_slot, slot, first, second) for slot in ti.static(self.slots)}
+        )
+
+    @ti.func
+    def _read(self, vector_at_slot: ti.template(), slot: ti.template(), first, second):
+        if ti.static(len(self.parts[slot]) > 0):
+            return self.history(slot, vector_at_slot(slot, first, second))
+        return self.history(slot, 0)
+
+    @ti.func
+    def history(self, slot: ti.template(), vector):
+        """Struct of the history fields of a slot from its vector of components."""
+        return ti.Struct({name: part(vector, k) for name, part, k in ti.static(self.parts[slot])})
+
+    @ti.func
+    def vector(self, slot: ti.template(), history):
+        """Vector of components of a slot with history from the struct of its fields."""
+        return ti.Vector(
+            [component(history, name, k) for name, component, k in ti.static(self.components[slot])]
+        )
+
+
+@ti.func
+def _of_pair(pair, parameters, k: ti.template()):
+    return pair[k]
+
+
+@ti.func
+def _of_law(pair, parameters, k: ti.template()):
+    return parameters[k]
+
+
+@ti.func
+def number_at(vector, k: ti.template()):
+    """Entry k of a vector or field."""
+    return vector[k]
+
+
+@ti.func
+def vector_at(vector, k: ti.template()):
+    """Entries k to k + 2 of a vector or field, as a vector."""
+    return ti.Vector([vector[k], vector[k + 1], vector[k + 2]])
+
+
+@ti.func
+def _number_of(history, name: ti.template(), k: ti.template()):
+    return member(history, name)
+
+
+@ti.func
+def _component_of(history, name: ti.template(), k: ti.template()):
+    return member(history, name)[k]
+
+
+@at_compile_time
+def set_member(struct: Any, name: str, value: Any) -> None:
+    """Assign to a member of a struct by a name that is known when the kernel is compiled."""
+    getattr(struct, name)._assign(value)
+
+
+@at_compile_time
+def member(struct: Any, name: str) -> Any:
+    """Member of a struct by a name that is known when the kernel is compiled."""
+    return getattr(struct, name)

@@ -12,8 +12,8 @@ from typing import Any
 
 from granflow.device_functions import at_compile_time
 from granflow.engine.backend import Backend
-from granflow.engine.contact_structs import number_at, vector_at
 from granflow.engine.fields import FieldBlock
+from granflow.engine.pair import number_at, vector_at
 from granflow.engine.state import State
 from granflow.engine.sums import add_energy
 from granflow.geometry.sphere import sphere_inertia
@@ -207,6 +207,7 @@ class Damping:
         self.control = state.control
         self.features = state.plan.features
         self.real = state.backend.real
+        self.loss_count = len(LOSSES)
         self.high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
 
     @ti.func
@@ -251,4 +252,4 @@ class Damping:
         # Added once, this counts as half of the loss of a step (`sums.SHARES` is 2): the other half is added
         # with the force at the other end of the step.
         value = -ti.cast(self.high_words_per_joule(), ti.f64) * ti.cast(dt, ti.f64) * power
-        add_energy(self.control.losses, chunk, LOSS_DAMPING, len(LOSSES), 1, value)
+        add_energy(self.control.losses, chunk, LOSS_DAMPING, self.loss_count, 1, value)

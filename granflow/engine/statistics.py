@@ -14,20 +14,10 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.box import DeviceBox
-from granflow.engine.contact_structs import member
 from granflow.engine.fields import FieldBlock
 from granflow.engine.history import ContactHistory, vector_components
 from granflow.engine.host import FieldTable, consecutive, list_table
-from granflow.engine.pair import (
-    build_effective,
-    build_in_range,
-    build_normal_force,
-    build_pair_constants,
-    build_pair_kinematics,
-    build_sphere_kinematics,
-    no_contact,
-    normal_contact,
-)
+from granflow.engine.pair import Pair, PairForce, member, no_contact, normal_contact
 from granflow.engine.state import State
 from granflow.engine.sums import (
     SHARES,
@@ -179,7 +169,7 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
     real = state.backend.real
     contacts = state.built(AnyContact)
     histories = state.built(ContactHistory)
-    normal_force_of = build_normal_force(state.plan.laws, False)
+    pair_force = PairForce(state.plan.laws, state.plan.features.rotation, False)
     numbers = output.numbers
 
     @ti.kernel
@@ -192,7 +182,7 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
                 if contact.overlap > 0.0:
                     constants = contacts.constants(i, j)
                     history = histories.read(list_index)
-                    normal_force, load, _viscous, _new = normal_force_of(constants, contact, history)
+                    normal_force, load, _viscous, _new = pair_force.normal_force(constants, contact, history)
                     tangential, size, limit = contacts.surface_forces(
                         constants, contact, load, history, particles.velocity[i]
                     )
@@ -264,7 +254,7 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
 
     A row is that of a chunk, or of every k-th one if there are k rows.
 
-    Reads:   radius, liquid_film, neighbor lists; as `AnyContact` and `build_in_range`
+    Reads:   radius, liquid_film, neighbor lists; as `AnyContact`
     Writes:  coordination_number, wall_contact_count, sums, energies, largest
     """
     particles = state.particles
@@ -275,7 +265,6 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
     sum_count = sums.n
     contacts = state.built(AnyContact)
     list_shares = build_list_shares(state)
-    in_range = build_in_range(state)
     stride = state.stride
     high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
     liquid = state.plan.features.liquid_transfer
@@ -309,7 +298,7 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                         if ti.static(liquid):
                             bridge = cohesion_history[list_index][0] / liquid_unit()
                             found[BRIDGES] += shares * to_units(bridge)
-                        if in_range(i, j, contact.overlap):
+                        if contacts.pair.in_range(i, j, contact.overlap):
                             elastic, plastic = contacts.energies(
                                 list_index, contacts.constants(i, j), contact
                             )
@@ -402,7 +391,7 @@ def _build_scan(state: State, squares: Any) -> Any:
 class Impacts:
     """Impact velocities of pairs. Walls are at pose 0; velocities are half a step behind the positions.
 
-    Reads:  position, velocity, radius, image_offset, image_speed; as `AnyContact` and `WallGeometry`
+    Reads:  position, velocity, radius; as `AnyContact` and `WallGeometry`
     """
 
     def __init__(self, state: State) -> None:
@@ -411,8 +400,6 @@ class Impacts:
         self.has_walls = state.plan.features.walls
         self.contacts = state.built(AnyContact)
         self.geometry = state.built(WallGeometry)
-        self.box = state.built(DeviceBox)
-        self.sphere_kinematics = build_sphere_kinematics(state.plan)
 
     @ti.func
     def velocity_squared(self, i, j, dt):
@@ -440,11 +427,8 @@ class Impacts:
         overlap = 0.0 * radius
         rate = 0.0 * radius
         if j >= 0:
-            branch = ti.cast(self.box.minimum_image(position, self.particles.position[j], 0), self.real)
-            velocity_rel_half = velocity - self.particles.velocity[j] - self.box.image_velocity(i, j, 0)
-            kinematics = self.sphere_kinematics(
-                radius, self.particles.radius[j], branch, velocity_rel_half, velocity_rel_half, dt
-            )
+            branch = self.contacts.pair.branch(position, j, 0)
+            kinematics = self.contacts.pair.spheres(i, j, branch, 0, dt)
             overlap = kinematics.overlap
             rate = kinematics.overlap_rate_half
         elif ti.static(self.has_walls):
@@ -482,7 +466,7 @@ class AnyContact:
 
     `pose` is the index of the poses of the walls, `dt` the time step [s]; `constants` are those of all slots.
 
-    Reads:  as `build_pair_kinematics`, `build_effective` and `build_pair_constants`; history
+    Reads:  as `Pair`; history
     """
 
     def __init__(self, state: State) -> None:
@@ -493,18 +477,16 @@ class AnyContact:
         self.histories = state.built(ContactHistory)
         self.geometry = state.built(WallGeometry)
         self.box = state.built(DeviceBox)
-        self.constants = build_pair_constants(state)
-        self.particle_effective = build_effective(state, False)
-        self.wall_effective = build_effective(state, True)
-        self.particle_kinematics = build_pair_kinematics(state, False)
-        self.wall_kinematics = build_pair_kinematics(state, True) if self.has_walls else None
+        self.pair = state.built(Pair, False)
+        self.wall_pair = state.built(Pair, True)
+        self.constants = self.pair.constants
 
     @ti.func
     def bodies(self, i, j):
-        """Effective radius, mass and inertia, as of `build_effective`."""
-        found = self.wall_effective(i, j)
+        """Effective radius, mass and inertia, as of `Pair.bodies`."""
+        found = self.wall_pair.bodies(i, j)
         if j >= 0:
-            found = self.particle_effective(i, j)
+            found = self.pair.bodies(i, j)
         return found
 
     @ti.func
@@ -513,9 +495,9 @@ class AnyContact:
         bodies = self.bodies(i, j)
         found = no_contact(0.0 * bodies.radius_eff, self.particles.velocity[i])
         if j >= 0:
-            found = self.particle_kinematics(i, j, pose, dt)
+            found = self.pair.kinematics(i, j, pose, dt)
         elif ti.static(self.has_walls):
-            found = self.wall_kinematics(i, j, pose, dt)
+            found = self.wall_pair.kinematics(i, j, pose, dt)
         return found.normal, normal_contact(bodies, found, dt)
 
     @ti.func

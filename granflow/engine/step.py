@@ -40,7 +40,7 @@ costs more than the whole contact model and is not needed within a chunk.
 from collections.abc import Callable
 from typing import NamedTuple
 
-from granflow.engine.batch import build_batched_forces, build_load_sums, build_store_sums
+from granflow.engine.batch import BatchedContacts, ContactSums
 from granflow.engine.box import ParticleWrap
 from granflow.engine.clumps import ClumpMotion
 from granflow.engine.codes import (
@@ -50,11 +50,11 @@ from granflow.engine.codes import (
     PHASE_FORCES,
     PHASE_INTEGRATION,
 )
-from granflow.engine.contact import build_carry_sums, build_clear_wall_work_ahead, build_contact
+from granflow.engine.contact import Accounting, Contact
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.flows import Flows
 from granflow.engine.history import CONTACT_ORDER, transfers_history
-from granflow.engine.liquid import build_save_film
+from granflow.engine.liquid import LiquidFilms
 from granflow.engine.particle_forces import Damping, ExternalForces
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.sums import VelocitySum, build_to_grid, holds_sums, shares_rows
@@ -77,13 +77,13 @@ LARGEST_SUM_SQUARED = 2.0 ** (2 * SUM_BITS)
 class TimeStep:
     """The phases of a step: `integrate` for each chunk, `move_walls` once, `forces` for each chunk.
 
-    Reads:   parameters, position, velocity, velocity_synchronized, angular_velocity, force, torque, mass,
-             radius, fixed, clump, position_at_rebuild, reach, neighbor lists, history, walls; as
-             `ClumpMotion`, `ForceControlledWalls`, `Flows`, `build_contact`, `build_batched_forces`
-             and `build_set_forces`
-    Writes:  position, velocity, velocity_synchronized, angular_velocity, force, torque, history,
-             external_work, losses, wall_work_ahead, impulses, wall_force, rebuild_requested, abort,
-             abort_particle; as these, `VelocitySum`, `ParticleWrap` and `build_save_film`
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, force, torque, mass, radius, fixed,
+             clump, external_force, position_at_rebuild, reach, neighbor lists, history, in_contact, walls;
+             as `ClumpMotion`, `ForceControlledWalls`, `ParticleWrap`, `Contact`, `BatchedContacts`,
+             `ExternalForces`, `Damping` and `Flows`
+    Writes:  position, velocity, velocity_synchronized, angular_velocity, force, torque, rebuild_requested,
+             abort, abort_particle; as these, `Accounting`, `WallImpulses`, `LiquidFilms` and
+             `VelocitySum`
     """
 
     def __init__(self, state: State) -> None:
@@ -101,7 +101,7 @@ class TimeStep:
         self.travel_limit_squared = state.parameter("travel_limit_squared")
         self.carries_impulses = state.control.impulses is not None and shares_rows(state)
         self.impulses = state.built(WallImpulses)
-        self.save_film = build_save_film(state) if features.liquid_transfer else None
+        self.films = state.built(LiquidFilms) if features.liquid_transfer else None
         self.has_flows = len(features.flows) > 0
         self.flows = state.built(Flows) if self.has_flows else None
         self.clumps = state.built(ClumpMotion)
@@ -119,16 +119,14 @@ class TimeStep:
         self.sets_forces_last = not self.exact or features.external_forces or features.damping != "none"
         self.has_walls = state.plan.features.walls
         self.transfers = transfers_history(state)
-        self.clear_wall_work_ahead = build_clear_wall_work_ahead(state)
+        self.accounting = state.built(Accounting)
         self.to_grid = build_to_grid(state.backend.real)
-        self.wall_contact = build_contact(state, True) if self.has_walls else None
-        self.particle_contact = None if self.batched else build_contact(state, False)
-        self.batched_forces = build_batched_forces(state) if self.batched else None
-        self.store_sums = build_store_sums(state) if self.batched else None
-        self.load_sums = build_load_sums(state) if self.batched else None
+        self.wall_contact = state.built(Contact, True) if self.has_walls else None
+        self.particle_contact = None if self.batched else state.built(Contact, False)
+        self.batched_contacts = state.built(BatchedContacts) if self.batched else None
+        self.sums = state.built(ContactSums) if self.batched else None
         self.external_forces = state.built(ExternalForces) if features.external_forces else None
         self.damping = state.built(Damping) if features.damping != "none" else None
-        self.carry_sums = build_carry_sums(state)
 
     # Integration
 
@@ -160,7 +158,7 @@ class TimeStep:
     def _kick_and_drift(self, chunk, i, gravity, shift, dt):
         """Kick and drift a sphere that is in no clump; returns its displacement [m]."""
         if ti.static(self.features.liquid_transfer):
-            self.save_film(i)
+            self.films.save(i)
         if ti.static(self.has_flows):
             self.flows.integrate(i, dt)
         mass = self.particles.mass[i]
@@ -257,22 +255,22 @@ class TimeStep:
         gravity = ti.cast(self.gravity(), self.real)
         first = chunk * size
         end = ti.min((chunk + 1) * size, count)
-        self.clear_wall_work_ahead(chunk)
+        self.accounting.clear_work_ahead(chunk)
         if ti.static(self.force_controlled):
             self.controlled_walls.clear(chunk)
         for i in range(first, end):
             force_sum, torque_sum = self._sum_scalar_contacts(chunk, i, gravity, pose, dt)
             if ti.static(self.batched):
-                self.store_sums(worker, i, first, force_sum, torque_sum)
+                self.sums.store(worker, i, first, force_sum, torque_sum)
             else:
                 self._set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
         if ti.static(self.batched):
-            self.batched_forces(worker, chunk, first, end, pose, dt)
+            self.batched_contacts.add(worker, chunk, first, end, pose, dt)
         if ti.static(self.batched and self.sets_forces_last):
             for i in range(first, end):
-                force_sum, torque_sum = self.load_sums(worker, i, first)
+                force_sum, torque_sum = self.sums.load(worker, i, first)
                 self._set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
-        self.carry_sums(chunk)
+        self.accounting.carry(chunk)
 
     @ti.func
     def _sum_scalar_contacts(self, chunk, i, gravity, pose, dt):
@@ -297,13 +295,13 @@ class TimeStep:
             for pass_index in range(ti.static(len(CONTACT_ORDER) if self.transfers else 1)):
                 for list_index in range(self.neighbors.list_begin[i], self.neighbors.list_walls_end[i]):
                     if self._is_in_pass(list_index, pass_index) == 1:
-                        force, torque = self.wall_contact(
+                        force, torque = self.wall_contact.evaluate(
                             chunk, i, list_index, self.neighbors.partner[list_index], pose, dt
                         )
                         force_sum, torque_sum = self._with_contact(force, torque, force_sum, torque_sum)
         if ti.static(not self.batched):
             for list_index in range(self.neighbors.list_walls_end[i], self.neighbors.list_end[i]):
-                force, torque = self.particle_contact(
+                force, torque = self.particle_contact.evaluate(
                     chunk, i, list_index, self.neighbors.partner[list_index], pose, dt
                 )
                 force_sum, torque_sum = self._with_contact(force, torque, force_sum, torque_sum)

@@ -10,7 +10,7 @@ from contact.surface_paths import SurfaceLaws
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.registry import models
-from granflow.engine.contact_structs import build_constants, build_slot_history, build_slot_vector
+from granflow.engine.pair import ModelStructs
 from granflow.kernel_language import ti
 
 RADIUS, MODULUS = 1e-4, 1e7
@@ -62,10 +62,8 @@ def bond_kernel(law):
     """A kernel that evaluates a cohesion model along overlaps."""
     laws = SurfaceLaws(law)
     size = max(law.history_count, 1)
-    constants_of = build_constants(laws)
+    structs = ModelStructs(laws)
     counts = (len(law.constant_names), max(len(law.parameters), 1))
-    history_of = build_slot_history(laws, "surface")
-    vector_of = build_slot_vector(laws, "surface")
     has_history = law.history_count > 0
     row, square, cube = (ti.types.ndarray(ti.f64, dimensions) for dimensions in (1, 2, 3))
 
@@ -79,14 +77,14 @@ def bond_kernel(law):
         for i in range(overlap.shape[0]):
             state = ti.Vector.zero(ti.f64, size)
             state[0] = history[i, 0, 0]
-            constants = constants_of(vector(pair, counts[0]), vector(parameters, counts[1])).surface
+            constants = structs.constants(vector(pair, counts[0]), vector(parameters, counts[1])).surface
             for s in range(overlap.shape[1]):
                 contact = ti.Struct(
                     radius_eff=RADIUS, mass_eff=1.0, time_step=1.0, overlap=overlap[i, s], overlap_rate=0.0
                 )
-                force, history_new = law.force(constants, contact, history_of(state))
+                force, history_new = law.force(constants, contact, structs.history("surface", state))
                 if ti.static(has_history):
-                    state = vector_of(history_new)
+                    state = structs.vector("surface", history_new)
                 attraction[i, s], stored[i, s] = force, law.stored_energy(constants, contact, history_new)
                 lost[i, s] = law.lost_energy(constants, contact, history_new)
                 for k in ti.static(range(size)):

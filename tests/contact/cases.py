@@ -12,8 +12,7 @@ from granflow.contact.cohesion.sjkr import Sjkr
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.registry import ContactLaws, models
-from granflow.engine.contact_structs import build_constants, build_read_slots, build_slot_vector
-from granflow.engine.pair import build_normal_force
+from granflow.engine.pair import ModelStructs, PairForce
 from granflow.kernel_language import ti
 
 
@@ -252,10 +251,9 @@ def law_parameters(laws):
 def single_contact(laws):
     """Device functions for one contact in a test kernel: constants, contact, history, force, energies of the
     laws."""
-    constants_of = build_constants(laws)
-    normal_force_of = build_normal_force(laws, False)
+    structs = ModelStructs(laws)
+    pair_force = PairForce(laws, rotation=False, is_prepared=False)
     size = max(laws.normal.history_count, 1)
-    slot_vector = build_slot_vector(laws, "normal")
     pair_count = sum(map(len, laws.constant_names.values()))
     parameter_count = len(law_parameters(laws))
     counts = {slot: law.history_count for slot, law in laws.by_slot.items() if law.history_count}
@@ -264,19 +262,17 @@ def single_contact(laws):
     def zeros(slot: ti.template(), first, second):
         return ti.Vector.zero(ti.f64, ti.static(counts[slot]))
 
-    read_slots = build_read_slots(laws, zeros, counts)
-
     @ti.func
     def vector_of(numbers: ti.template(), count: ti.template()):
         return ti.Vector([numbers[k] for k in ti.static(range(count))])
 
     @ti.func
     def read_constants(pair: ti.template(), parameters: ti.template()):
-        return constants_of(vector_of(pair, pair_count), vector_of(parameters, parameter_count))
+        return structs.constants(vector_of(pair, pair_count), vector_of(parameters, parameter_count))
 
     @ti.func
     def new_history():
-        return read_slots(0, 0)
+        return structs.histories(zeros, 0, 0)
 
     @ti.func
     def contact_of(radius, mass, dt, overlap, rate):
@@ -295,10 +291,10 @@ def single_contact(laws):
     def history_vector(history):
         vector = ti.Vector.zero(ti.f64, size)
         if ti.static("normal" in counts):
-            vector = slot_vector(history.normal)
+            vector = structs.vector("normal", history.normal)
         return vector
 
-    return read_constants, new_history, contact_of, normal_force_of, energies, history_vector
+    return read_constants, new_history, contact_of, pair_force.normal_force, energies, history_vector
 
 
 @cache

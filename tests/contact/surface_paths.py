@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from granflow.contact.law import TangentialLaw
-from granflow.engine.contact_structs import build_constants, build_slot_history, build_slot_vector
+from granflow.engine.pair import ModelStructs
 from granflow.kernel_language import ti
 
 NUMBERS = (
@@ -75,10 +75,8 @@ def surface_kernel(law):
     """A kernel that evaluates a tangential or rolling model along paths."""
     laws = SurfaceLaws(law)
     size = max(law.history_count, 1)
-    constants_of = build_constants(laws)
+    structs = ModelStructs(laws)
     counts = (len(law.constant_names), max(len(law.parameters), 1))
-    history_of = build_slot_history(laws, "surface")
-    vector_of = build_slot_vector(laws, "surface")
     model_force = law.force if isinstance(law, TangentialLaw) else law.torque
     has_history = law.history_count > 0
     row, square, cube, four = (ti.types.ndarray(ti.f64, dimensions) for dimensions in (1, 2, 3, 4))
@@ -110,12 +108,12 @@ def surface_kernel(law):
                  history: cube):  # fmt: skip
         for i in range(loss.shape[0]):
             state = ti.Vector.zero(ti.f64, size)
-            constants = constants_of(vector(pair, counts[0]), vector(parameters, counts[1])).surface
+            constants = structs.constants(vector(pair, counts[0]), vector(parameters, counts[1])).surface
             for s in range(loss.shape[1]):
                 contact = contact_of(numbers, vectors, i, s)
-                found, history_new, lost = model_force(constants, contact, history_of(state))
+                found, history_new, lost = model_force(constants, contact, structs.history("surface", state))
                 if ti.static(has_history):
-                    state = vector_of(history_new)
+                    state = structs.vector("surface", history_new)
                 loss[i, s], stored[i, s] = lost, law.stored_energy(constants, contact, history_new)
                 for k in ti.static(range(3)):
                     force[i, s, k] = found[k]

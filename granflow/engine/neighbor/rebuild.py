@@ -17,7 +17,7 @@ from granflow.engine.codes import ABORT_FAR
 from granflow.engine.fields import components
 from granflow.engine.history import SavedHistory
 from granflow.engine.host import HistoryTable, HostParticles, copy_to_host, saved_particle_table
-from granflow.engine.liquid import build_prepare_films
+from granflow.engine.liquid import LiquidFilms
 from granflow.engine.neighbor.list import TOO_LONG, fill_phase
 from granflow.engine.neighbor.phases import Phase, RebuildLaunch, build_rebuild, granularity, is_count
 from granflow.engine.neighbor.sort import KEPT_REACH, SortByCell, SortByClass, bounds_phases, find_farthest
@@ -200,7 +200,7 @@ def _chunk_phases(state: State) -> list[Phase]:
 
     If the histories do not fit, this phase is the last one.
 
-    Reads:   as `ParticleWrap`, `build_prepare_films` and `SavedHistory`
+    Reads:   as `ParticleWrap`, `LiquidFilms` and `SavedHistory`
     Writes:  as these; running, list_length_needed
     """
     control = state.control
@@ -211,7 +211,7 @@ def _chunk_phases(state: State) -> list[Phase]:
     chunk_size = state.parameter("chunk_size")
     saved_capacity = state.parameter("saved_capacity")
     liquid = state.plan.features.liquid_transfer
-    prepare_films = build_prepare_films(state) if liquid else None
+    films: Any = state.built(LiquidFilms) if liquid else None
 
     @ti.func
     def chunk_count(rebuild: ti.template()):
@@ -227,7 +227,7 @@ def _chunk_phases(state: State) -> list[Phase]:
                 particle_wrap.wrap(chunk, i, rebuild.pose, rebuild.dt)
         if ti.static(liquid):
             for i in range(first, end):
-                prepare_films(chunk, i)
+                films.prepare(chunk, i)
         if ti.static(saves):
             saved_history.save(chunk, first, end)
 
