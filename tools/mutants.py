@@ -1,0 +1,213 @@
+"""Random mutants of the source: which tests detect which error.
+
+    python tools/mutants.py draw 400 --seed 1 --out mutants.json [FILE or FOLDER ...]
+    python tools/mutants.py run mutants.json results.jsonl [ARGUMENT of pytest ...]
+    python tools/mutants.py cover results.jsonl durations.txt
+
+`draw` chooses statements, operators, numbers and conditions of the core at random, each place with the same
+probability, and one error at each place: the operators of Cosmic Ray (`pip install cosmic-ray`), and the
+removal of a statement. `run` inserts one error at a time into a copy of the clone, runs pytest there, and
+appends the tests that fail; a repetition goes on where the last one ended. With `-x` among the arguments, it
+only finds whether an error is detected. `cover` names the tests that suffice for all detected errors, by
+their time (a file written by `pytest --durations=0 --durations-min=0`), and the rate of detection.
+"""
+
+import argparse
+import ast
+import json
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import parso
+from cosmic_ray.ast import ast_nodes
+from cosmic_ray.mutating import MutationVisitor
+from cosmic_ray.operators.operator import Operator
+from cosmic_ray.plugins import get_operator, operator_names
+
+ROOT = Path(__file__).resolve().parents[1]
+COPIED = ("granflow", "tests", "tools", "scenes", "docs", "pyproject.toml", "README.md", "CHANGELOG.md")
+CORE = tuple(
+    f"granflow/{name}"
+    for name in ("contact", "engine", "geometry", "particles", "plan", "scene", "io", "observers", "runs")
+)
+LEFT_OUT = re.compile(
+    r"RemoveDecorator|ExceptionReplacer|Variable|_(BitXor|BitOr|BitAnd|LShift|RShift|FloorDiv|Mod|Pow|Is|IsNot)$"
+)
+"""Operators of Cosmic Ray whose errors nobody makes, such as a name that does not exist."""
+LONGEST = 1500.0
+"""Time limit [s] of pytest; an error that exceeds it counts as detected."""
+
+
+class RemoveStatement(Operator):
+    """Replaces a call, or an assignment to a name that has another value before, by `pass`."""
+
+    def mutation_positions(self, node: parso.tree.NodeOrLeaf) -> Iterator[tuple]:
+        """See Operator; docstrings are no statements."""
+        function = node.search_ancestor("funcdef")
+        if function is None or node.parent.type != "simple_stmt":
+            return
+        target = node.children[0] if node.type == "expr_stmt" else None
+        if target is not None and target.type == "name" and "=" in node.children:
+            others = re.findall(rf"\b{target.value} *(?:[-+*/]?=(?!=)|,|\))", function.get_code())
+            if len(others) < 2:  # the name would not exist
+                return
+        if node.type in ("expr_stmt", "atom_expr"):
+            yield node.start_pos, node.end_pos
+
+    def mutate(self, node: parso.tree.NodeOrLeaf, index: int) -> parso.tree.Leaf:
+        """See Operator."""
+        return parso.python.tree.Keyword("pass", node.start_pos, prefix=node.get_first_leaf().prefix)
+
+    @classmethod
+    def examples(cls) -> tuple:
+        """See Operator."""
+        return ()
+
+
+def operators() -> dict[str, Operator]:
+    """All operators by name."""
+    found = {name: get_operator(name) for name in operator_names() if not LEFT_OUT.search(name)}
+    return {name: each() for name, each in found.items() if not each.arguments()} | {
+        "RemoveStatement": RemoveStatement()
+    }
+
+
+def annotation_lines(source: str) -> set[tuple[int, int]]:
+    """Positions (line, column) at which annotations of types begin and end."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        for name in ("annotation", "returns"):
+            each = getattr(node, name, None)
+            if each is not None:
+                for line in range(each.lineno, each.end_lineno + 1):
+                    begin = each.col_offset if line == each.lineno else 0
+                    end = each.end_col_offset if line == each.end_lineno else 1000
+                    found |= {(line, column) for column in range(begin, end)}
+    return found
+
+
+def mutants_of(path: Path, known: dict[str, Operator]) -> dict[tuple, list[dict]]:
+    """The possible errors of one file by their position."""
+    source = path.read_text(encoding="utf-8")
+    ignored = annotation_lines(source)
+    found = defaultdict(list)
+    count: dict[str, int] = defaultdict(int)
+    for node in ast_nodes(parso.parse(source)):
+        for name, operator in known.items():
+            for begin, _end in operator.mutation_positions(node):
+                if begin not in ignored:
+                    file = path.relative_to(ROOT).as_posix()
+                    found[begin].append({"file": file, "operator": name, "occurrence": count[name]})
+                count[name] += 1
+    return found
+
+
+def draw(count: int, seed: int, places: Iterable[str]) -> list[dict]:
+    """Errors at `count` different positions; `line` is where each one is."""
+    known = operators()
+    paths = [each for place in places for each in sorted([ROOT / place, *(ROOT / place).rglob("*.py")])]
+    every = [
+        [each | {"line": position[0]} for each in mutants]
+        for path in paths
+        if path.is_file()
+        for position, mutants in sorted(mutants_of(path, known).items())
+    ]
+    chosen = random.Random(seed)
+    return [chosen.choice(mutants) for mutants in chosen.sample(every, min(count, len(every)))]
+
+
+def mutated(source: str, mutant: dict) -> str:
+    """The source of a file with an error."""
+    return MutationVisitor.mutate_code(source, operators()[mutant["operator"]], mutant["occurrence"])
+
+
+def failed_tests(copy: Path, arguments: Iterable[str]) -> list[str]:
+    """Tests of a copy of the clone that fail; "" for a failure outside of the tests or a timeout."""
+    environment = os.environ | {"PYTHONPATH": str(copy), "GRANFLOW_CACHE": str(copy / "kernels")}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments]
+    try:
+        done = subprocess.run(
+            command, cwd=copy, env=environment, capture_output=True, text=True, timeout=LONGEST
+        )
+    except subprocess.TimeoutExpired:
+        return [""]
+    found = re.findall(r"^(?:FAILED|ERROR) (\S+(?: .*?)?)(?: - .*)?$", done.stdout, re.MULTILINE)
+    return found or ([""] if done.returncode else [])
+
+
+def run(mutants: list[dict], results: Path, arguments: list[str]) -> None:
+    """Append the failed tests of each error to the results."""
+    done = results.read_text(encoding="utf-8").splitlines() if results.is_file() else []
+    with tempfile.TemporaryDirectory() as folder:
+        for name in COPIED:
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, Path(folder, name), ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy2(ROOT / name, Path(folder, name))
+        if failed := failed_tests(Path(folder), arguments):
+            raise SystemExit(f"Without an error, these tests fail: {failed}")
+        for mutant in mutants[len(done) :]:
+            path = Path(folder, mutant["file"])
+            source = path.read_text(encoding="utf-8")
+            path.write_text(mutated(source, mutant), encoding="utf-8")
+            failed = failed_tests(Path(folder), arguments)
+            path.write_text(source, encoding="utf-8")
+            with results.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(mutant | {"failed": failed}) + "\n")
+            print("detected" if failed else "SURVIVED", *mutant.values(), flush=True)
+
+
+def cover(results: list[dict], seconds: dict[str, float]) -> list[str]:
+    """Tests that suffice for all detected errors: again and again the one with most of the rest per time."""
+    left = [set(each["failed"]) for each in results if each["failed"]]
+    found = []
+    while left := [each for each in left if not each & set(found)]:
+        gains: dict[str, float] = defaultdict(float)
+        for tests in left:
+            for test in tests:
+                gains[test] += 1.0 / (seconds.get(test, 0.0) + 0.1)
+        found.append(max(sorted(gains), key=gains.__getitem__))
+    return found
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("draw")
+    one.add_argument("count", type=int)
+    one.add_argument("--seed", type=int, default=1)
+    one.add_argument("--out", type=Path, required=True)
+    one.add_argument("places", nargs="*", default=CORE)
+    one = commands.add_parser("run")
+    one.add_argument("mutants", type=Path)
+    one.add_argument("results", type=Path)
+    one = commands.add_parser("cover")
+    one.add_argument("results", type=Path)
+    one.add_argument("durations", type=Path)
+    options, arguments = parser.parse_known_args()
+    if options.command == "draw":
+        options.out.write_text(json.dumps(draw(options.count, options.seed, options.places), indent=0))
+    elif options.command == "run":
+        run(json.loads(options.mutants.read_text()), options.results, arguments)
+    else:
+        results = [json.loads(line) for line in options.results.read_text().splitlines()]
+        times = re.findall(r"^([\d.]+)s (?:call|setup) +(\S.*)$", options.durations.read_text(), re.MULTILINE)
+        seconds: dict[str, float] = defaultdict(float)
+        for time, test in times:
+            seconds[test] += float(time)
+        detected = sum(bool(each["failed"]) for each in results)
+        print(*cover(results, seconds), sep="\n")
+        print(f"{detected} of {len(results)} errors are detected.")
+
+
+if __name__ == "__main__":
+    main()
