@@ -1,8 +1,8 @@
-"""Random mutants of the source: which tests detect which error.
+"""Random mutations of the source: which tests detect which error.
 
-    python tools/mutants.py draw 400 --seed 1 --out mutants.json [FILE or FOLDER ...]
-    python tools/mutants.py run mutants.json results.jsonl [ARGUMENT of pytest ...]
-    python tools/mutants.py cover results.jsonl durations.txt
+    python tools/mutations.py draw 400 --seed 1 --out mutations.json [FILE or FOLDER ...]
+    python tools/mutations.py run mutations.json results.jsonl [ARGUMENT of pytest ...]
+    python tools/mutations.py cover results.jsonl durations.txt
 
 `draw` chooses statements, operators, numbers and conditions of the core at random, each place with the same
 probability, and one error at each place: the operators of Cosmic Ray (`pip install cosmic-ray`), and the
@@ -25,6 +25,7 @@ import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import parso
 from cosmic_ray.ast import ast_nodes
@@ -41,7 +42,7 @@ CORE = tuple(
 LEFT_OUT = re.compile(
     r"RemoveDecorator|ExceptionReplacer|Variable|_(BitXor|BitOr|BitAnd|LShift|RShift|FloorDiv|Mod|Pow|Is|IsNot)$"
 )
-"""Operators of Cosmic Ray whose errors nobody makes, such as a name that does not exist."""
+"""Operators of Cosmic Ray whose errors do not occur in practice, such as a name that does not exist."""
 LONGEST = 1500.0
 """Time limit [s] of pytest; an error that exceeds it counts as detected."""
 
@@ -49,7 +50,7 @@ LONGEST = 1500.0
 class RemoveStatement(Operator):
     """Replaces a call, or an assignment to a name that has another value before, by `pass`."""
 
-    def mutation_positions(self, node: parso.tree.NodeOrLeaf) -> Iterator[tuple]:
+    def mutation_positions(self, node: Any) -> Iterator[tuple]:
         """See Operator; docstrings are no statements."""
         function = node.search_ancestor("funcdef")
         if function is None or node.parent.type != "simple_stmt":
@@ -62,7 +63,7 @@ class RemoveStatement(Operator):
         if node.type in ("expr_stmt", "atom_expr"):
             yield node.start_pos, node.end_pos
 
-    def mutate(self, node: parso.tree.NodeOrLeaf, index: int) -> parso.tree.Leaf:
+    def mutate(self, node: Any, index: int) -> parso.tree.Leaf:
         """See Operator."""
         return parso.python.tree.Keyword("pass", node.start_pos, prefix=node.get_first_leaf().prefix)
 
@@ -94,7 +95,7 @@ def annotation_lines(source: str) -> set[tuple[int, int]]:
     return found
 
 
-def mutants_of(path: Path, known: dict[str, Operator]) -> dict[tuple, list[dict]]:
+def mutations_of(path: Path, known: dict[str, Operator]) -> dict[tuple, list[dict]]:
     """The possible errors of one file by their position."""
     source = path.read_text(encoding="utf-8")
     ignored = annotation_lines(source)
@@ -115,18 +116,18 @@ def draw(count: int, seed: int, places: Iterable[str]) -> list[dict]:
     known = operators()
     paths = [each for place in places for each in sorted([ROOT / place, *(ROOT / place).rglob("*.py")])]
     every = [
-        [each | {"line": position[0]} for each in mutants]
+        [each | {"line": position[0]} for each in mutations]
         for path in paths
         if path.is_file()
-        for position, mutants in sorted(mutants_of(path, known).items())
+        for position, mutations in sorted(mutations_of(path, known).items())
     ]
     chosen = random.Random(seed)
-    return [chosen.choice(mutants) for mutants in chosen.sample(every, min(count, len(every)))]
+    return [chosen.choice(mutations) for mutations in chosen.sample(every, min(count, len(every)))]
 
 
-def mutated(source: str, mutant: dict) -> str:
+def mutated(source: str, mutation: dict) -> str:
     """The source of a file with an error."""
-    return MutationVisitor.mutate_code(source, operators()[mutant["operator"]], mutant["occurrence"])
+    return MutationVisitor.mutate_code(source, operators()[mutation["operator"]], mutation["occurrence"])
 
 
 def failed_tests(copy: Path, arguments: Iterable[str]) -> list[str]:
@@ -143,7 +144,7 @@ def failed_tests(copy: Path, arguments: Iterable[str]) -> list[str]:
     return found or ([""] if done.returncode else [])
 
 
-def run(mutants: list[dict], results: Path, arguments: list[str]) -> None:
+def run(mutations: list[dict], results: Path, arguments: list[str]) -> None:
     """Append the failed tests of each error to the results."""
     done = results.read_text(encoding="utf-8").splitlines() if results.is_file() else []
     with tempfile.TemporaryDirectory() as folder:
@@ -154,21 +155,21 @@ def run(mutants: list[dict], results: Path, arguments: list[str]) -> None:
                 shutil.copy2(ROOT / name, Path(folder, name))
         if failed := failed_tests(Path(folder), arguments):
             raise SystemExit(f"Without an error, these tests fail: {failed}")
-        for mutant in mutants[len(done) :]:
-            path = Path(folder, mutant["file"])
+        for mutation in mutations[len(done) :]:
+            path = Path(folder, mutation["file"])
             source = path.read_text(encoding="utf-8")
-            path.write_text(mutated(source, mutant), encoding="utf-8")
+            path.write_text(mutated(source, mutation), encoding="utf-8")
             failed = failed_tests(Path(folder), arguments)
             path.write_text(source, encoding="utf-8")
             with results.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(mutant | {"failed": failed}) + "\n")
-            print("detected" if failed else "SURVIVED", *mutant.values(), flush=True)
+                file.write(json.dumps(mutation | {"failed": failed}) + "\n")
+            print("detected" if failed else "SURVIVED", *mutation.values(), flush=True)
 
 
 def cover(results: list[dict], seconds: dict[str, float]) -> list[str]:
     """Tests that suffice for all detected errors: again and again the one with most of the rest per time."""
     left = [set(each["failed"]) for each in results if each["failed"]]
-    found = []
+    found: list[str] = []
     while left := [each for each in left if not each & set(found)]:
         gains: dict[str, float] = defaultdict(float)
         for tests in left:
@@ -188,7 +189,7 @@ def main() -> None:
     one.add_argument("--out", type=Path, required=True)
     one.add_argument("places", nargs="*", default=CORE)
     one = commands.add_parser("run")
-    one.add_argument("mutants", type=Path)
+    one.add_argument("mutations", type=Path)
     one.add_argument("results", type=Path)
     one = commands.add_parser("cover")
     one.add_argument("results", type=Path)
@@ -197,7 +198,7 @@ def main() -> None:
     if options.command == "draw":
         options.out.write_text(json.dumps(draw(options.count, options.seed, options.places), indent=0))
     elif options.command == "run":
-        run(json.loads(options.mutants.read_text()), options.results, arguments)
+        run(json.loads(options.mutations.read_text()), options.results, arguments)
     else:
         results = [json.loads(line) for line in options.results.read_text().splitlines()]
         times = re.findall(r"^([\d.]+)s (?:call|setup) +(\S.*)$", options.durations.read_text(), re.MULTILINE)
