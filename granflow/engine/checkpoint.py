@@ -13,25 +13,26 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from granflow.engine.engine import Engine, RankFiles, host_particles
+from granflow.engine.engine import Engine, host_particles
 from granflow.engine.state import NO_CHANGES, OneProcess
 from granflow.errors import GranflowError
+from granflow.io.checkpoint import RankFile
 from granflow.plan.arrays import particle_arrays, saved_arrays, structure_of, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
 from granflow.scene.blocks.motions import TimedMotion
 
 SavedState = dict[str, Any]
 """Numbers, texts and numpy arrays in nested dictionaries."""
-CLOCKS = {
-    "neighbor_list": float,
-    "advance": float,
-    "sampled_forces": float,
-    "sampled_integration": float,
-    "rebuild_count": int,
-    "step_count": int,
-    "particle_steps": int,
-}
-"""Attributes of Timing that a checkpoint contains, with their types."""
+CLOCKS = (
+    "neighbor_list",
+    "advance",
+    "sampled_forces",
+    "sampled_integration",
+    "rebuild_count",
+    "step_count",
+    "particle_steps",
+)
+"""Attributes of Timing that a checkpoint contains."""
 
 
 class RankFileWriter(Protocol):
@@ -88,13 +89,13 @@ def restore_state(
     engine: Engine,
     saved: SavedState,
     motions: Sequence[Sequence[TimedMotion]],
-    files: RankFiles | None = None,
+    files: Sequence[RankFile] = (),
 ) -> None:
     """Restore a state into a new engine.
 
     saved:    result of `saved_state`. Without `clock_at_rebuild`, a rebuild must follow after a change
     motions:  motions of each wall
-    files:    files of MPI ranks with further particles; None if `saved` contains all
+    files:    of MPI ranks, with further particles
     Raises:   GranflowError if the scene needs other arrays than the saved state has, or has other
               force-controlled motions, or a file is invalid
     """

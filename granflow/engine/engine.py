@@ -10,7 +10,7 @@ import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from granflow.engine.host import (
     append_particles,
     copy_to_host,
     new_particle_arrays,
-    saved_particle_table,
     sphere_rows,
     write_particles,
 )
@@ -55,9 +54,11 @@ from granflow.engine.wall_dynamics import wall_impulses
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.sphere import sphere_inertia
+from granflow.io.checkpoint import RankFile
 from granflow.particles.group import ParticleData
 from granflow.plan.arrays import (
     DeviceArray,
+    particle_arrays,
     saved_arrays,
     sum_arrays,
     wall_dynamics_arrays,
@@ -510,14 +511,14 @@ class Engine:
         saved: Mapping[str, Any],
         particles: HostParticles,
         motions: Sequence[Sequence[TimedMotion]],
-        files: "RankFiles | None" = None,
+        files: Sequence[RankFile] = (),
     ) -> None:
         """Continue from a checkpoint.
 
         saved:      as `engine.checkpoint.saved_state`, without the particles and the clocks
         particles:  in the order of their ids
         motions:    motions of each wall
-        files:      None: only MPI ranks read files with further particles
+        files:      with further particles; only MPI ranks read them
         """
         self._restore_lists(saved, particles, motions)
         self.state.clock.load_state_dict(saved["clock"])
@@ -607,7 +608,7 @@ def load_sums(state: State, saved: Mapping[str, np.ndarray]) -> None:
     """
     arrays = _sums(state.plan)
     if saved:
-        refuse_other_names(saved, arrays)
+        refuse_other_arrays(saved, {name: array.full_shape[1:] for name, array in arrays.items()})
     for name, array in arrays.items():
         _load(getattr(state.control, name), array, saved.get(name))
 
@@ -636,13 +637,23 @@ def load_wall_dynamics(state: State, saved: Mapping[str, Any]) -> None:
         _load(getattr(state.wall_dynamics, name), array, saved[name])
 
 
-def refuse_other_names(saved: Mapping[str, Any], names: Mapping[str, Any]) -> None:
-    """Raise GranflowError if an array of a checkpoint is missing or unknown."""
-    if set(saved) != set(names):
-        present, needed = (", ".join(sorted(each)) or "none" for each in (saved, names))
+def refuse_other_arrays(saved: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise GranflowError if an array of a checkpoint is missing or unknown, or has other last axes.
+
+    shapes: ends of the shapes of the arrays
+    """
+    if set(saved) != set(shapes):
+        present, needed = (", ".join(sorted(each)) or "none" for each in (saved, shapes))
         raise GranflowError(
             f"The checkpoint holds the arrays {present}, but this scene needs {needed}. {OTHER_FEATURES}"
         )
+    for name, shape in shapes.items():
+        found = saved[name].shape
+        if found[len(found) - len(shape) :] != shape:
+            raise GranflowError(
+                f"The checkpoint holds the array {name} of shape {found}, but this scene needs "
+                f"{'x'.join(map(str, shape))} numbers in it. {OTHER_FEATURES}"
+            )
 
 
 def _load(field: Any, array: DeviceArray, values: np.ndarray | None) -> None:
@@ -666,22 +677,6 @@ def _dynamics(plan: Plan) -> dict[str, DeviceArray]:
 # Particles of a checkpoint on the host, in the order of their ids.
 
 
-class RankFiles(Protocol):
-    """Files with the particles of MPI ranks, which all ranks read together; each rank has a copy."""
-
-    @property
-    def count(self) -> int:
-        """Number of files."""
-
-    def read(self, number: int, plan: Plan, accounting: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Checked particles and contacts of a file, as in `engine.checkpoint.saved_state`.
-
-        number:      of the file
-        accounting:  state of `Accounting`
-        Raises:      GranflowError for an invalid file
-        """
-
-
 def host_particles(state: State, saved: Mapping[str, Any]) -> HostParticles:
     """The particles of a checkpoint, in the order of their ids.
 
@@ -690,10 +685,12 @@ def host_particles(state: State, saved: Mapping[str, Any]) -> HostParticles:
     """
     history = state.plan.history
     contacts = dict(saved["contacts"])
-    refuse_other_names(saved["particles"], saved_particle_table(state).fields)
+    arrays = saved_arrays(particle_arrays(state.plan))
+    refuse_other_arrays(saved["particles"], {name: array.full_shape[1:] for name, array in arrays.items()})
     count = contacts.pop("count")
     partner = contacts.pop("partner")
-    refuse_other_names(contacts, history if len(partner) or contacts else {})
+    widths = {slot: (components,) for slot, components in history.items()}
+    refuse_other_arrays(contacts, widths if len(partner) or contacts else {})
     contacts = contacts or {slot: np.zeros((0, components)) for slot, components in history.items()}
     particles = HostParticles(saved["particles"], Histories(count, partner, contacts))
     is_sorted = np.all(np.diff(saved["particles"]["id"]) > 0)

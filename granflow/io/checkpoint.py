@@ -9,31 +9,25 @@ not arrays, and the arrays by key path, such as `engine/particles/id`. numpy rea
 requires no further package, it is written in one pass, and it cannot execute code. (h5py is a large
 dependency, and its file is damaged if the process is killed during a write; zarr consists of many files,
 which cannot be renamed together.) The comment of the archive, its last bytes, is the SHA-256 of all preceding
-bytes: a truncated file or a flipped bit is detected before the content is used.
-
-A checkpoint may be crafted, including its checksum. The reader therefore trusts no size, count or name in the
-archive, and `Part` gives each value of the state only after a check of its type and range.
+bytes: a truncated file or a flipped bit is detected before the content is used. `runs/resume.py` checks
+whether the state fits the scene that continues the run.
 """
 
 import hashlib
 import json
-import math
 import re
 import secrets
-import struct
-import tokenize
 import zipfile
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import inf, isfinite, isnan
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.io.files import FormatError, open_regular, replacing
+from granflow.io.files import open_regular, replacing
 from granflow.io.log import version_of
 
 
@@ -99,50 +93,26 @@ def read_checkpoint(path: Path, content: Content = "all") -> Checkpoint:
     version or an unreadable file.
     """
     header, arrays = read_archive(path, with_arrays=content != "header")
-    try:
-        files = listed_files(Path(path).parent, _rank_entries(header))
-        refuse_missing(path, files)
-        if content == "all":
-            arrays = with_rank_files(arrays, files)
-            files = ()
-        return _from_archive(path, header, arrays, files)
-    except FormatError as error:
-        raise damaged(path, str(error)) from None
-
-
-def _rank_entries(header: dict[str, Any]) -> Any:
-    """The entries of the files of ranks in the header; another format or header is refused later."""
-    saved = header.get("saved")
-    return saved.get("rank_files", []) if isinstance(saved, dict) and header.get("format") == FORMAT else []
-
-
-def _from_archive(
-    path: Path, header: dict[str, Any], arrays: dict[str, np.ndarray], rank_files: "tuple[RankFile, ...]"
-) -> Checkpoint:
-    """Return the checkpoint with its arrays. Raises FormatError if the header has unexpected keys or
-    types."""
-    version = header.get("granflow")
     if header.get("format") != FORMAT:
         raise CheckpointError(
-            f"{path} is in format {header.get('format')!r:.40}, written by granflow {version!s:.40}; "
-            f"granflow {version_of('granflow')} reads format {FORMAT}. Resume with the version that wrote it."
+            f"{path} is in format {header.get('format')!r:.40}, written by granflow "
+            f"{header.get('granflow')!s:.40}; granflow {version_of('granflow')} reads format {FORMAT}. "
+            "Resume with the version that wrote it."
         )
-    engine = header.get("engine")
-    scene = header.get("scene")
-    saved = header.get("saved")
-    if not (
-        isinstance(version, str)
-        and isinstance(engine, str)
-        and isinstance(scene, str)
-        and isinstance(saved, dict)
-    ):
-        raise FormatError("lacks the version, the scene or the state of the run")
-    time = header.get("time")
-    if not (isinstance(time, int | float) and isfinite(time)):
-        raise FormatError("lacks the time of the run")
+    saved = header["saved"]
+    files = tuple(
+        RankFile(Path(path).parent / each["file"], each["checksum"], each["count"])
+        for each in saved.get("rank_files", ())
+    )
+    refuse_missing(path, files)
+    if content == "all":
+        arrays = with_rank_files(arrays, files)
+        files = ()
     for name, array in arrays.items():
         insert_array(saved, name, array)
-    return Checkpoint(path, version, scene, time, saved, rank_files, engine)
+    return Checkpoint(
+        path, header["granflow"], header["scene"], header["time"], saved, files, header["engine"]
+    )
 
 
 def checkpoints(directory: Path) -> list[Path]:
@@ -256,7 +226,6 @@ RANK_PATTERN = "rank_*.npz"
 """Names of the files of ranks."""
 RANK_NAME = re.compile(r"rank_(\d{12})_[0-9a-f]{8}_\d{4,}\.npz")
 """The same names exactly: rank_STEP_TOKEN_RANK.npz."""
-CHECKSUM = re.compile("[0-9a-f]{64}")
 ENGINE = "engine/"
 """Start of the key paths of particles and contacts in a checkpoint."""
 
@@ -272,6 +241,13 @@ class RankFile:
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays by key path. Raises DamagedCheckpoint, CheckpointError."""
         return read_archive(self.path, self.checksum)[1]
+
+    def read(self) -> dict[str, Any]:
+        """Particles and contacts, as in `engine.checkpoint.saved_state`; raises as `arrays`."""
+        saved: dict[str, Any] = {"particles": {}, "contacts": {}}
+        for path, array in self.arrays().items():
+            insert_array(saved, path.removeprefix(ENGINE), array)
+        return saved
 
 
 @dataclass(frozen=True)
@@ -313,23 +289,6 @@ class RankFileWriter:
         return f"rank_{self.step:012d}_"
 
 
-def listed_files(directory: Path, entries: Any) -> tuple[RankFile, ...]:
-    """The files of the entries that `RankFileWriter.write` returned. Raises FormatError for other values."""
-    if not isinstance(entries, list):
-        raise FormatError("has no list of the files of ranks")
-    found = []
-    for entry in entries:
-        values = entry if isinstance(entry, dict) else {}
-        name = str(values.get("file"))
-        checksum = str(values.get("checksum"))
-        count = values.get("count")
-        is_named = RANK_NAME.fullmatch(name) and CHECKSUM.fullmatch(checksum)
-        if not (is_named and isinstance(count, int) and 0 <= count < 2**31):
-            raise FormatError(f"has the unexpected file of a rank {str(entry)[:80]}")
-        found.append(RankFile(directory / name, checksum, count))
-    return tuple(found)
-
-
 def refuse_missing(checkpoint: Path, files: Iterable[RankFile]) -> None:
     """Raise DamagedCheckpoint if a file that a checkpoint names is missing or ends with another checksum."""
     for file in files:
@@ -339,27 +298,19 @@ def refuse_missing(checkpoint: Path, files: Iterable[RankFile]) -> None:
             reason = "is another one or truncated"
         except OSError as error:
             reason = f"cannot be read ({error.strerror or error})"
-        raise damaged(checkpoint, f"needs the file {file.path.name} of a rank, which {reason}")
+        raise DamagedCheckpoint(
+            f"{checkpoint} needs the file {file.path.name} of a rank, which {reason}. Remove it to use the "
+            "checkpoint before it."
+        )
 
 
 def with_rank_files(arrays: dict[str, np.ndarray], files: Sequence[RankFile]) -> dict[str, np.ndarray]:
     """The arrays of a checkpoint by key path, with those of the ranks behind those of the root.
 
-    Raises DamagedCheckpoint if the files do not have the same arrays.
+    Raises DamagedCheckpoint.
     """
-    if not files:
-        return arrays
-    names = {name for name in arrays if name.startswith((f"{ENGINE}particles/", f"{ENGINE}contacts/"))}
-    parts = []
-    for file in files:
-        parts.append(file.arrays())
-        for name in names.symmetric_difference(parts[-1]):
-            raise damaged(file.path, f"has other arrays than its checkpoint: {name[:80]}")
-        for name in names:
-            own = arrays[name]
-            other = parts[-1][name]
-            if own.dtype != other.dtype or own.shape[1:] != other.shape[1:]:
-                raise damaged(file.path, f"has an array {other.shape} of {other.dtype} for {name[:80]}")
+    parts = [file.arrays() for file in files]
+    names = parts[0] if parts else ()
     return arrays | {name: np.concatenate([arrays[name], *(part[name] for part in parts)]) for name in names}
 
 
@@ -383,15 +334,6 @@ HEADER = "header.json"
 """Name of the JSON entry."""
 ARRAYS = ".npy"
 """Suffix of the entries of arrays."""
-MOST_ENTRIES = 100_000
-"""Largest number of entries of an archive."""
-LARGEST_HEADER = 2**28
-"""Largest size of the JSON header [bytes]; it contains the history of each flow meter, one entry per CSV
-row."""
-MOST_AXES = 3
-"""Largest number of axes of an array."""
-LARGEST_ITEM = 8
-"""Largest size of one number [bytes]."""
 
 
 def write_archive(path: Path, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
@@ -431,18 +373,14 @@ def read_archive(
                 raise DamagedCheckpoint(
                     f"{path} is damaged: it is truncated, or its bytes have changed.{remedy}"
                 )
-            return _content_of(file, with_arrays)
-    except FormatError as error:
-        raise damaged(path, str(error)) from None
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                names = [name for name in archive.files if name != HEADER and with_arrays]
+                return json.loads(archive[HEADER]), {name: archive[name] for name in names}
     except OSError as error:
         raise CheckpointError(
             f"{path} cannot be read: {error.strerror or error}. Make it readable, then try again."
         ) from error
-
-
-def damaged(path: Path, predicate: str) -> DamagedCheckpoint:
-    """The error for a file of which the predicate is true."""
-    return DamagedCheckpoint(f"{path} {predicate}. Remove it to use the checkpoint before it.")
 
 
 def recorded_checksum(path: Path) -> str:
@@ -462,88 +400,6 @@ def _checksum(file: BinaryIO) -> bytes:
     return digest.hexdigest().encode()
 
 
-def _content_of(file: BinaryIO, with_arrays: bool) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the JSON header and the arrays by name, without the suffix ".npy"; without arrays, none.
-
-    `file`: seekable binary file. Arrays have at most three axes, C order and a native boolean, integer or
-    real type of at most 8 bytes.
-
-    Raises FormatError if the archive differs from what `write_checkpoint` writes, or OSError if the file is
-    unreadable.
-    """
-    try:
-        with zipfile.ZipFile(file) as archive:
-            entries = _entries(archive, file.seek(0, 2))
-            header = json.loads(archive.read(entries.pop(HEADER)))
-            arrays = {name: _array(archive, entry) for name, entry in entries.items() if with_arrays}
-    except OSError:
-        raise
-    except RecursionError:
-        raise FormatError("has a header that is nested too deeply") from None
-    except (zipfile.BadZipFile, struct.error, KeyError, ValueError, ArithmeticError) as error:
-        raise FormatError(f"is not a checkpoint: {error}") from None
-    except (RuntimeError, EOFError, MemoryError, SyntaxError, TypeError, tokenize.TokenError) as error:
-        raise FormatError(f"is not a checkpoint: {error}") from None
-    if not isinstance(header, dict):
-        raise FormatError("has a header that is not a mapping")
-    return header, arrays
-
-
-def _entries(archive: zipfile.ZipFile, file_size: int) -> dict[str, zipfile.ZipInfo]:
-    """Return the entries by name, without ".npy".
-
-    granflow stores the entries without compression, so their total size never exceeds that of the file, here
-    `file_size` [bytes]: the reader refuses others, and thus allocates no more memory than the file has bytes.
-    Raises FormatError for compressed, oversized or duplicate entries.
-    """
-    entries = archive.infolist()
-    if len(entries) > MOST_ENTRIES:
-        raise FormatError(f"has {len(entries)} entries, more than {MOST_ENTRIES}")
-    for entry in entries:
-        if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
-            raise FormatError(
-                f"has the compressed entry {entry.filename[:80]}, but checkpoints are written without "
-                "compression"
-            )
-        if entry.filename == HEADER and entry.file_size > LARGEST_HEADER:
-            raise FormatError(f"has a header of {entry.file_size} bytes, more than {LARGEST_HEADER}")
-    total = sum(entry.file_size for entry in entries)
-    if total > file_size:
-        raise FormatError(f"has entries of {total} bytes, but only {file_size} bytes")
-    found: dict[str, zipfile.ZipInfo] = {}
-    for entry in entries:
-        name = entry.filename if entry.filename == HEADER else entry.filename.removesuffix(ARRAYS)
-        if name in found or (name == entry.filename) != (name == HEADER):
-            raise FormatError(f"has the unexpected entry {entry.filename[:80]}")
-        found[name] = entry
-    return found
-
-
-def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
-    """Return one numeric array; the size of its entry must match its type and shape exactly."""
-    with archive.open(entry) as member:
-        version = np.lib.format.read_magic(member)
-        if version != (1, 0):
-            raise FormatError(f"has the entry {entry.filename[:80]} in npy version {version}, not (1, 0)")
-        shape, by_column, dtype = np.lib.format.read_array_header_1_0(member)
-        is_number = dtype.kind in "bif" and dtype.itemsize <= LARGEST_ITEM and dtype.isnative
-        if (
-            not (is_number and dtype.shape == ())
-            or len(shape) > MOST_AXES
-            or by_column
-            or min(shape, default=0) < 0
-        ):
-            raise FormatError(
-                f"has the entry {entry.filename[:80]} with the unexpected type {dtype} or shape {shape}"
-            )
-        size = math.prod(shape) * dtype.itemsize
-        if size != entry.file_size - member.tell():
-            raise FormatError(
-                f"has the entry {entry.filename[:80]} whose length does not match its shape {shape}"
-            )
-        return np.frombuffer(bytearray(member.read()), dtype).reshape(shape)
-
-
 def split_arrays(saved: Mapping[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the nested dictionaries without arrays, and the arrays by their key paths, such as
     engine/particles/id."""
@@ -561,160 +417,8 @@ def split_arrays(saved: Mapping[str, Any], path: str = "") -> tuple[dict[str, An
 
 
 def insert_array(saved: dict[str, Any], path: str, array: np.ndarray) -> None:
-    """Insert the array at the key path. Raises FormatError for a path that does not exist or is taken."""
+    """Insert the array at the key path."""
     *parents, key = path.split("/")
     for name in parents:
-        saved = saved.get(name)  # type: ignore[assignment]
-        if not isinstance(saved, dict):
-            raise FormatError(f"has the unexpected entry {path[:80]}")
-    if key in saved:
-        raise FormatError(f"has two values for {path[:80]}")
+        saved = saved[name]
     saved[key] = array
-
-
-# The values of a saved state
-
-SHOWN = 60
-"""Largest number of characters of a value in a message."""
-LARGEST_REAL = float(np.finfo(np.float32).max)
-"""Largest magnitude of physical quantities: larger ones overflow in single precision."""
-LARGEST_COUNT = 2**53
-"""Largest number of steps or of collisions: larger ones are not exact in double precision."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """A value in a checkpoint: `file` of the checkpoint, `key` such as engine/particles/id, `value` as
-    read."""
-
-    file: Path
-    key: str
-    value: Any
-
-    @classmethod
-    def of(cls, checkpoint: Checkpoint) -> "Part":
-        """Return the complete state in a checkpoint."""
-        return cls(checkpoint.path, "", checkpoint.saved)
-
-    def __getitem__(self, name: str) -> "Part":
-        """Return the entry `name` of a mapping. Raises CheckpointError if the value is not a mapping or lacks
-        it."""
-        values = self.mapping()
-        if name not in values:
-            raise self.error(f"lacks {name}")
-        return self._within(name, values[name])
-
-    def error(self, predicate: str) -> CheckpointError:
-        """Return the error to raise; `predicate` follows the key in the message."""
-        return CheckpointError(
-            f"{self.file}: {self.key or 'the state'} {predicate}, so the file is damaged or belongs to "
-            "another scene. Remove it to use the checkpoint before it."
-        )
-
-    def mismatch(self, expected: str) -> CheckpointError:
-        """Return the error for a value other than `expected`."""
-        array = isinstance(self.value, np.ndarray)
-        shown = f"an array {self.value.shape} of {self.value.dtype}" if array else repr(self.value)[:SHOWN]
-        return self.error(f"is {shown}, but must be {expected}")
-
-    def mapping(self, names: Collection[str] | None = None) -> dict[str, Any]:
-        """Return the value, a dictionary; if `names` is given, with exactly these keys. Raises
-        CheckpointError."""
-        if not isinstance(self.value, dict):
-            raise self.mismatch("a mapping")
-        if names is not None and set(self.value) != set(names):
-            found = ", ".join(sorted(self.value))[:200] or "none"
-            expected = ", ".join(sorted(names))[:200] or "none"
-            raise self.error(f"has the keys {found}, but must have {expected}")
-        return self.value
-
-    def parts(self, names: Collection[str] | None = None) -> Iterator["Part"]:
-        """Yield the values of a mapping, checked for `names` as in `mapping`. Raises CheckpointError."""
-        yield from (self._within(name, value) for name, value in self.mapping(names).items())
-
-    def items(self, length: int | None = None) -> list["Part"]:
-        """Return the values of a list, of the given length if not None. Raises CheckpointError."""
-        if not isinstance(self.value, list) or length not in (None, len(self.value)):
-            raise self.mismatch("a list" if length is None else f"a list of {length}")
-        return [self._within(str(index), value) for index, value in enumerate(self.value)]
-
-    def number(self, low: float = -inf, high: float = inf) -> float:
-        """Return the value, a number in [low, high], possibly infinite; never NaN. Raises CheckpointError."""
-        value = self.value
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or isnan(value)
-            or not low <= value <= high
-        ):
-            raise self.mismatch(f"a number in [{low:.10g}, {high:.10g}]")
-        return value
-
-    def integer(self, low: int = 0, high: int = LARGEST_COUNT) -> int:
-        """Return the value, a whole number in [low, high]; true and false are not numbers. Raises
-        CheckpointError."""
-        if isinstance(self.value, bool) or not isinstance(self.value, int) or not low <= self.value <= high:
-            raise self.mismatch(f"a whole number in [{low}, {high}]")
-        return self.value
-
-    def amount(self, kind: type, low: float = -LARGEST_REAL) -> float:
-        """Return the value, of `kind` int or float, at least `low` and in single precision. Raises
-        CheckpointError."""
-        return self.integer() if kind is int else self.number(low, LARGEST_REAL)
-
-    def flag(self) -> bool:
-        """Return the value, true or false. Raises CheckpointError."""
-        if not isinstance(self.value, bool):
-            raise self.mismatch("true or false")
-        return self.value
-
-    def text(self, among: Collection[str] | None = None) -> str:
-        """Return the value, a text; if `among` is given, one of these. Raises CheckpointError."""
-        if not isinstance(self.value, str) or not (among is None or self.value in among):
-            raise self.mismatch("a text" if among is None else f"one of {', '.join(among)[:200] or 'none'}")
-        return self.value
-
-    def plain(self) -> None:
-        """Check that the value is a number, possibly NaN, or None. Raises CheckpointError."""
-        if isinstance(self.value, bool) or not (self.value is None or isinstance(self.value, int | float)):
-            raise self.mismatch("a number")
-
-    def floats(self, *shape: int, low: float = -LARGEST_REAL, high: float = LARGEST_REAL) -> np.ndarray:
-        """Return the value, an array of floating-point numbers of the given shape in [low, high], without
-        NaN.
-
-        The default bounds are those of single precision. Raises CheckpointError.
-        """
-        return self._array("f", shape, low, high)
-
-    def integers(self, *shape: int, low: int = 0, high: int = 2**31 - 1) -> np.ndarray:
-        """Return the value, an array of signed integers of the given shape in [low, high].
-
-        The default bounds are those of indices on the device (int32, not negative). Raises CheckpointError.
-        """
-        return self._array("i", shape, low, high)
-
-    def distinct(self, *shape: int, high: int = 2**31 - 1) -> np.ndarray:
-        """Return the value, an array of distinct integers of the given shape in [0, high].
-
-        Raises CheckpointError.
-        """
-        found = self.integers(*shape, low=0, high=high)
-        if len(np.unique(found)) < found.size:
-            raise self.error("holds a number twice")
-        return found
-
-    def _array(self, kind: str, shape: Sequence[int], low: float, high: float) -> np.ndarray:
-        """Return the value, an array of the type kind ("f" or "i") and shape with all entries in [low,
-        high]."""
-        value = self.value
-        noun = "floating-point" if kind == "f" else "whole"
-        if not isinstance(value, np.ndarray) or value.dtype.kind != kind or value.shape != tuple(shape):
-            raise self.mismatch(f"an array {tuple(shape)} of {noun} numbers")
-        outside = ~((value >= low) & (value <= high))
-        if outside.any():
-            raise self.error(f"holds {value[outside][0]:.10g}, but must lie in [{low:.10g}, {high:.10g}]")
-        return value
-
-    def _within(self, name: str, value: Any) -> "Part":
-        return Part(self.file, f"{self.key}/{name[:SHOWN]}".lstrip("/"), value)

@@ -20,12 +20,12 @@ import numpy as np
 from granflow.engine.abort import Diagnosis, diagnose
 from granflow.engine.backend import Backend
 from granflow.engine.codes import ABORT_WALL
-from granflow.engine.engine import Engine, RankFiles, host_particles
+from granflow.engine.engine import Engine, host_particles
 from granflow.engine.host import HostParticles, joined_particles, saved_particle_table
 from granflow.engine.state import NO_CHANGES, State
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
-from granflow.io.checkpoint import CheckpointError
+from granflow.io.checkpoint import CheckpointError, RankFile
 from granflow.load import Scene, identity_of
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.rank_stepper import RankStepper
@@ -161,7 +161,7 @@ class RankEngine(Engine):
         saved: Mapping[str, Any],
         particles: HostParticles | None,
         motions: Sequence[Sequence[TimedMotion]],
-        files: RankFiles | None = None,
+        files: Sequence[RankFile] = (),
     ) -> None:
         """As `Engine`; on the root with particles and the sums of all ranks, on the others without any.
 
@@ -170,9 +170,7 @@ class RankEngine(Engine):
         """
         arguments = (dict(saved) | {"energy_budget": {}}, None, motions, files)
         with self.communicator.commanding("restore", arguments):
-            share, problem = share_of_checkpoint(
-                self.state, self.communicator, particles, files, saved["accounting"]
-            )
+            share, problem = share_of_checkpoint(self.state, self.communicator, particles, files)
             if problem is None:
                 super().restore(saved, share, motions)
         if problem is not None and self.communicator.is_root:
@@ -209,32 +207,22 @@ class RankEngine(Engine):
 
 
 def share_of_checkpoint(
-    state: State,
-    communicator: Communicator,
-    particles: HostParticles | None,
-    files: RankFiles | None,
-    accounting: Mapping[str, Any],
+    state: State, communicator: Communicator, particles: HostParticles | None, files: Sequence[RankFile]
 ) -> tuple[HostParticles, str | None]:
     """The particles that this rank reads, and a sentence on a problem of any rank, or None; all ranks call
     this.
 
     particles:   of the checkpoint itself, on the root
     files:       with the other particles
-    accounting:  state of `Accounting`
     """
     parts = [no_particles(state) if particles is None else particles]
     problem = None
-    try:
-        if files is not None:  # the root, which has particles already, is the last one to read a file
-            for number in range((communicator.rank - 1) % communicator.size, files.count, communicator.size):
-                parts.append(host_particles(state, files.read(number, state.plan, accounting)))
+    try:  # the root, which has particles already, is the last one to read a file
+        for file in files[(communicator.rank - 1) % communicator.size :: communicator.size]:
+            parts.append(host_particles(state, file.read()))
     except GranflowError as error:
         problem = str(error)
-    problem = _first(communicator, problem)
-    found = joined_particles(parts)
-    if files is not None and problem is None:
-        problem = _first(communicator, _contradiction(communicator, found))
-    return found, problem
+    return joined_particles(parts), next(filter(None, communicator.from_each(problem)), None)
 
 
 def no_particles(state: State) -> HostParticles:
@@ -242,45 +230,6 @@ def no_particles(state: State) -> HostParticles:
     none = saved_particle_table(state).take(np.zeros(0, np.int32))
     contacts = {"count": np.zeros(0, np.int64), "partner": np.zeros(0, np.int32)}
     return host_particles(state, {"particles": none, "contacts": contacts})
-
-
-def _first(communicator: Communicator, problem: str | None) -> str | None:
-    """The sentence of the lowest rank that has one."""
-    return next(filter(None, communicator.from_each(problem)), None)
-
-
-def _contradiction(communicator: Communicator, particles: HostParticles) -> str | None:
-    """A sentence if a particle is in two files, or a contact between two particles at one of them only.
-
-    Each rank compares the ids, and the contacts by their lower id, with its number modulo the number of
-    ranks.
-    """
-    ids = particles.arrays["id"]
-    histories = particles.histories
-    size = communicator.size
-    pairs = np.stack([ids[histories.owner], histories.partner], axis=1)[histories.partner >= 0]
-    lower = pairs.min(axis=1, initial=2**31 - 1)
-    sent = [(ids[ids % size == rank], pairs[lower % size == rank]) for rank in range(size)]
-    received = communicator.exchanged(sent)
-    compared = np.concatenate([of_rank for of_rank, _ in received])
-    contacts = np.concatenate([of_rank for _, of_rank in received])
-    if len(np.unique(compared)) < len(compared):
-        return (
-            "The checkpoint has a particle in the files of two ranks. Remove it to use the checkpoint before "
-            "it."
-        )
-    if not np.array_equal(_sorted_rows(contacts), _sorted_rows(contacts[:, ::-1])):
-        return (
-            "The checkpoint has a contact between two particles at one of them only. Remove it to use the "
-            "checkpoint before it."
-        )
-    return None
-
-
-def _sorted_rows(pairs: np.ndarray) -> np.ndarray:
-    """Rows (k, 2) in the order of their last, then their first entry."""
-    found: np.ndarray = pairs[np.lexsort(pairs.T)]
-    return found
 
 
 # The program of each rank

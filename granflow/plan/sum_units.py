@@ -17,8 +17,8 @@ those above 2^-23 F are multiples of half a unit.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
-from math import ceil, frexp, inf, log2
+from dataclasses import dataclass
+from math import ceil, log2
 
 import numpy as np
 
@@ -81,11 +81,6 @@ class SumUnits:
     impulse: float
     angular_impulse: float
     wall_force: float
-
-    @property
-    def are_valid(self) -> bool:
-        """Whether all units are powers of two."""
-        return all(0.0 < unit < inf and frexp(unit)[0] == 0.5 for unit in astuple(self))
 
     @property
     def largest_force(self) -> float:

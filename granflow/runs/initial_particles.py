@@ -87,12 +87,10 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     The contact history is not transferred. Empty without `start_from`.
 
     Raises SceneError if the run does not exist, or if the count or the sizes of its particles exceed those of
-    the group in the scene; CheckpointError if its newest checkpoint has another format or unexpected values.
+    the group in the scene; CheckpointError if its newest checkpoint has another format.
     """
     if scene.start_from is None:
         return {}
-    from granflow.runs.checkpoint_checks import check_particles_alone  # imports the engine
-
     location = f"{scene.locate('start_from')}: start_from is {scene.start_from}, but"
     if not Path(scene.start_from).exists():
         raise SceneError(f"{location} it does not exist; give the directory of a completed run.")
@@ -101,7 +99,6 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
         reason = f": {skipped[0]}" if skipped else "; give the directory of a completed run."
         raise SceneError(f"{location} it contains no usable checkpoint{reason}")
     before = scene_of(checkpoint.scene, str(checkpoint.path))
-    check_particles_alone(checkpoint, before)
     names = list(before.particles)
     shared = {name: group for name, group in groups_of(scene).items() if name in names}
     if not shared:

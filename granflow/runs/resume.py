@@ -7,14 +7,14 @@ written out is no difference. `ALLOWED_CHANGES` lists the keys that may change.
 import hashlib
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.io.checkpoint import LARGEST_REAL, Checkpoint, CheckpointError, Part, engine_digest
+from granflow.io.checkpoint import Checkpoint, CheckpointError, engine_digest
 from granflow.io.log import version_of
 from granflow.load import Scene, copied_scene, scene_of
 from granflow.plan.arrays import particle_arrays, saved_arrays
@@ -23,7 +23,6 @@ from granflow.plan.stages import StageTimes
 from granflow.plan.sum_units import SumUnits
 from granflow.plan.wall_changes import changed_walls, vanishing, wall_named, with_wall
 from granflow.plan.walls import PlannedWall, wall_motions
-from granflow.runs.checkpoint_checks import check_engine, check_run
 from granflow.runs.observer_list import ObserverList
 from granflow.scene.blocks.motions import MOTIONS, TimedMotion, placement_of, poses_at
 from granflow.scene.blocks.scene import SceneInput
@@ -73,6 +72,10 @@ class Change:
         return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
 
 
+SIZE_ROUNDING = 1e-5
+"""Relative tolerance of diameters: rounding in single precision."""
+
+
 def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> Change:
     """Check the checkpoint and return the differences of its scene from that of the plan.
 
@@ -95,10 +98,6 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
         scene_of(text, str(checkpoint.path))
         for text in (checkpoint.scene, copied_scene(plan.scene).to_yaml())
     )
-    try:
-        check_run(checkpoint, before, plan_fingerprint(plan))
-    except CheckpointError as error:
-        raise _without_damage(error, other_engine) from None
     stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
     refused = forbidden(before, now, stages_over)
     if refused and not allow_changes:
@@ -108,14 +107,12 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
         raise GranflowError(
             f"{named} Run the scene from the start, or continue despite the change with --allow-changes."
         )
+    _refuse_other_names(checkpoint, before, now)
+    _refuse_other_particles(checkpoint, before, plan)
     _refuse_other_numbers(checkpoint, plan)
     _refuse_jumps(before, plan, saved, checkpoint.time)
     if before.run.precision != now.run.precision:
         _change_remainders(saved["engine"]["particles"], plan)
-    try:
-        check_engine(checkpoint, plan, before)
-    except CheckpointError as error:
-        raise _without_damage(error, other_engine) from None
     change = Change(differences(before, now))
     _refuse_past_end(checkpoint, now, change)
     return change
@@ -175,11 +172,75 @@ def engine_difference(checkpoint: Checkpoint) -> str:
     )
 
 
-def _without_damage(error: CheckpointError, other_engine: str) -> CheckpointError:
-    """The error of a check, or the difference of the engines if that is its likely cause."""
-    if not other_engine:
-        return error
-    return CheckpointError(f"{other_engine} Its state does not fit this version: resume with that version.")
+def _refuse_other_names(checkpoint: Checkpoint, before: Scene, now: Scene) -> None:
+    """Raise GranflowError for other walls, groups, outlets or past stages, to which the state refers."""
+    past = len(checkpoint.saved["stage_progress"]["stage_times"])
+    for key in ("walls", "particles", "outlets", "materials", "stages"):
+        first, second = (
+            [stage.name for stage in scene.schedule[:past]] if key == "stages" else list(getattr(scene, key))
+            for scene in (before, now)
+        )
+        if second[: len(first)] != first or (key != "materials" and len(second) > len(first)):
+            raise GranflowError(
+                f"{checkpoint.path}: the {key} were {', '.join(first) or 'none'} and are "
+                f"{', '.join(second) or 'none'}; their names and order must stay when a run continues."
+            )
+
+
+def _refuse_other_particles(checkpoint: Checkpoint, before: Scene, plan: Plan) -> None:
+    """Raise GranflowError for sizes, materials and counts of the scene that particles present contradict."""
+    engine = checkpoint.saved["engine"]
+    particles = engine["particles"]
+    radius = particles["radius"]
+    low, high = plan.radius_min * (1.0 - SIZE_ROUNDING), plan.radius_max * (1.0 + SIZE_ROUNDING)
+    if len(radius) and not (low <= radius.min() and radius.max() <= high):
+        raise GranflowError(
+            f"{checkpoint.path} has particles of {2.0 * radius.min():.6g} to {2.0 * radius.max():.6g} m, but "
+            f"those of the scene are of {2.0 * plan.radius_min:.6g} to {2.0 * plan.radius_max:.6g} m; their "
+            "diameters must include those of the checkpoint."
+        )
+    if "material" in particles:
+        index = np.array(
+            [plan.materials.index(each) if each in plan.materials else 0 for each in before.materials]
+        )
+        if np.any(particles["material"] != index[engine["accounting"]["material"][particles["id"]]]):
+            raise GranflowError(
+                f"{checkpoint.path}: the materials of the particle groups must stay when a run continues."
+            )
+    for group in plan.groups:
+        due = checkpoint.saved["insertion"].get(group.name, {}).get("due_count", 0)
+        if due > group.spec.count:
+            raise GranflowError(
+                f"particles.{group.name}.count is {group.spec.count}, but at {checkpoint.path} {due} were "
+                "already inserted or due: give at least this count."
+            )
+
+
+def refuse_other_keys(checkpoint: Checkpoint, key: str, fresh: Any) -> None:
+    """Raise CheckpointError if a part of the state does not fit the scene.
+
+    key:    path in the state, such as observers/Fields 0
+    fresh:  this part at the start of a run; what is empty there grows during a run
+    """
+    saved: Any = checkpoint.saved
+    for name in key.split("/"):
+        saved = saved[name]
+    _compare(checkpoint, key, saved, fresh)
+
+
+def _compare(checkpoint: Checkpoint, key: str, saved: Any, fresh: Any) -> None:
+    is_same = True
+    if isinstance(fresh, dict) and fresh:
+        is_same = isinstance(saved, dict) and set(saved) == set(fresh)
+        for name, each in fresh.items() if is_same else ():
+            _compare(checkpoint, f"{key}/{name}", saved[name], each)
+    elif isinstance(fresh, np.ndarray) and fresh.size:
+        is_same = saved.shape == fresh.shape
+    if not is_same:
+        raise CheckpointError(
+            f"{checkpoint.path}: {key} does not fit the scene; restore this part of the scene, or run it "
+            "from the start."
+        )
 
 
 def _change_remainders(particles: dict[str, Any], plan: Plan) -> None:
@@ -341,19 +402,6 @@ def _shown(value: Any) -> str:
 #
 # Functions cannot be stored: a program that resumes the run must register functions of the same names.
 
-KEYS = (
-    "particle_capacity",
-    "sum_units",
-    "walls",
-    "external_forces",
-    "forces",
-    "functions",
-    "removed_observers",
-)
-"""Keys of the changes in a checkpoint, and of what the plan of another scene would change."""
-MOST_PARTICLES = 2**31 - 2
-"""Largest capacity: indices on the device are 32-bit integers."""
-
 
 def saved_changes(plan: Plan, original: Plan, observers: ObserverList) -> dict[str, Any]:
     """Return the changes for a checkpoint: plain numbers, texts, lists and mappings.
@@ -380,26 +428,19 @@ def saved_changes(plan: Plan, original: Plan, observers: ObserverList) -> dict[s
 def changed_plan(plan: Plan, checkpoint: Checkpoint) -> Plan:
     """Return the plan of the scene with the capacity, units of sums, walls and features of the checkpoint.
 
-    Raises CheckpointError for values that are not valid, GranflowError for walls that are too fast.
+    Raises GranflowError for walls that are too fast.
     """
-    part = Part.of(checkpoint)["changes"]
-    part.mapping(KEYS)
-    # A scene with more particles than that of the checkpoint is refused later, with the keys that differ.
-    capacity = max(part["particle_capacity"].integer(1, MOST_PARTICLES), plan.particle_capacity)
-    features = replace(plan.features, external_forces=part["external_forces"].flag())
-    units = SumUnits(*(each.number() for each in part["sum_units"].items(len(fields(SumUnits)))))
-    if not units.are_valid:
-        raise part["sum_units"].error("holds a number that is not a power of two")
-    plan = replace(plan, particle_capacity=capacity, features=features, saved_sum_units=units)
-    part["walls"].mapping()
-    for each in part["walls"].parts():
-        name = each.key.rsplit("/", 1)[-1]
-        if name not in [wall.name for wall in plan.walls]:
-            raise each.error("is not a wall of the scene")
-        plan = with_wall(plan, _restored_wall(each, wall_named(plan, name)))
-    for key in ("functions", "removed_observers"):
-        for each in part[key].items():
-            each.text()
+    saved = checkpoint.saved["changes"]
+    plan = replace(
+        plan,
+        # A scene with more particles than that of the checkpoint is refused later, with the keys that differ.
+        particle_capacity=max(saved["particle_capacity"], plan.particle_capacity),
+        features=replace(plan.features, external_forces=saved["external_forces"]),
+        saved_sum_units=SumUnits(*saved["sum_units"]),
+    )
+    for name, wall in saved["walls"].items():
+        if name in [each.name for each in plan.walls]:  # other walls are refused later
+            plan = with_wall(plan, _restored_wall(wall, wall_named(plan, name)))
     return plan
 
 
@@ -411,17 +452,17 @@ def refuse_other_functions(
     `forces`, `functions`: forces, and names of the functions of observers, of the program that resumes the
     run. `allow_changes`: continue without some of them. Raises GranflowError.
     """
-    changes = Part.of(checkpoint)["changes"]
+    changes = checkpoint.saved["changes"]
     registered = [force.name for force in forces]
-    added = [name for name in registered if name not in changes["forces"].mapping()]
+    added = [name for name in registered if name not in changes["forces"]]
     if added:
         raise GranflowError(
             f"{checkpoint.path}: the run has no force {', '.join(added)}; add it after the start of the "
             "resumed simulation with simulation.forces.append."
         )
     for what, saved, present in (
-        ("forces", list(changes["forces"].mapping()), registered),
-        ("observers", changes["functions"].value, functions),
+        ("forces", list(changes["forces"]), registered),
+        ("observers", changes["functions"], functions),
     ):
         missing = [name for name in saved if name not in present]
         if missing and not allow_changes:
@@ -437,16 +478,14 @@ def saved_parameters(checkpoint: Checkpoint, force: ExternalForce) -> dict[str, 
 
     Raises CheckpointError for other parameters.
     """
-    part = Part.of(checkpoint)["changes"]["forces"][force.name]
-    part.mapping([name for name, _ in force.layout])
-    return {name: _numbers(part[name], width) for name, width in force.layout}
+    saved = checkpoint.saved["changes"]["forces"][force.name]
+    refuse_other_keys(checkpoint, f"changes/forces/{force.name}", dict(force.values))
+    return {name: _tuples(value) for name, value in saved.items()}
 
 
-def _numbers(part: Part, width: int) -> float | tuple[float, ...]:
-    """A number, or a list of `width` numbers as a tuple."""
-    if width == 1:
-        return part.number(-LARGEST_REAL, LARGEST_REAL)
-    return tuple(each.number(-LARGEST_REAL, LARGEST_REAL) for each in part.items(width))
+def _tuples(values: Any) -> Any:
+    """The values with tuples instead of lists."""
+    return tuple(_tuples(value) for value in values) if isinstance(values, list) else values
 
 
 def _saved_wall(wall: PlannedWall) -> dict[str, Any]:
@@ -470,25 +509,15 @@ def _lists(values: Any) -> Any:
     return [_lists(value) for value in values] if isinstance(values, tuple) else values
 
 
-def _restored_wall(part: Part, wall: PlannedWall) -> PlannedWall:
-    """The wall of the scene with the saved changes. Raises CheckpointError."""
-    part.mapping(("vanishes_at", "motions"))
-    wall = vanishing(wall, part["vanishes_at"].number(0.0))
-    if part["motions"].value is None:
+def _restored_wall(saved: Mapping[str, Any], wall: PlannedWall) -> PlannedWall:
+    """The wall of the scene with the saved changes."""
+    wall = vanishing(wall, saved["vanishes_at"])
+    if saved["motions"] is None:
         return wall
-    return replace(wall, motions=tuple(_restored(each) for each in part["motions"].items()))
+    return replace(wall, motions=tuple(_restored(each) for each in saved["motions"]))
 
 
-def _restored(part: Part) -> TimedMotion:
-    """One motion. Raises CheckpointError."""
-    kind = MOTIONS[part["kind"].text(MOTIONS)]
-    part.mapping(("kind", *kind.saved_numbers))
-    values: dict[str, Any] = {}
-    for name, count in kind.saved_numbers.items():
-        if count == 9:
-            values[name] = tuple(_numbers(row, 3) for row in part[name].items(3))
-        elif name in ("start", "end"):
-            values[name] = part[name].number(0.0)
-        else:
-            values[name] = _numbers(part[name], count)
-    return kind.model_construct(**values)
+def _restored(saved: Mapping[str, Any]) -> TimedMotion:
+    """One motion."""
+    kind = MOTIONS[saved["kind"]]
+    return kind.model_construct(**{name: _tuples(saved[name]) for name in kind.saved_numbers})

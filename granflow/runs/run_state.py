@@ -22,10 +22,9 @@ from granflow.engine.state import Clock
 from granflow.io.checkpoint import Checkpoint
 from granflow.plan.plan import Plan
 from granflow.plan.walls import wall_change_times, wall_motions
-from granflow.runs.checkpoint_checks import check_observers, check_streams, rank_files_of
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList
-from granflow.runs.resume import Change, plan_fingerprint, saved_changes
+from granflow.runs.resume import Change, plan_fingerprint, refuse_other_keys, saved_changes
 from granflow.runs.stages import StageProgress
 from granflow.runs.timings import WallClock
 from granflow.scene.blocks.run import Stage
@@ -165,13 +164,14 @@ class RunState:
         engine = self.engine
         progress = self.progress
         observers = self.observers.checkpointed()
-        check_observers(checkpoint, {name: observer.state_dict() for name, observer in observers.items()})
-        counts = {group.name: group.spec.count for group in engine.plan.groups}
-        check_streams(checkpoint, self.insertion.state_dict(), counts)
+        refuse_other_keys(checkpoint, "insertion", self.insertion.state_dict())
+        for name, observer in observers.items():
+            if name in saved["observers"]:
+                refuse_other_keys(checkpoint, f"observers/{name}", observer.state_dict())
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
         progress.load_state_dict(saved["stage_progress"], engine.plan.stages, reopened, change.keeps_course)
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
-        restore_state(engine, saved["engine"], motions, rank_files_of(checkpoint))
+        restore_state(engine, saved["engine"], motions, checkpoint.rank_files)
         engine.set_stage(progress.stage)
         engine.stability_monitor.load_state_dict(saved["stability"])
         self.insertion.load_state_dict(saved["insertion"], engine)

@@ -156,6 +156,38 @@ def test_changed_precision_adds_and_removes_the_remainders_of_velocities(checkpo
         continued = replace(continued, scene=other.to_yaml())
 
 
+FOUR = [[0.0, 0.0, 0.0065], [0.02, 0.0, 0.0066], [0.0, 0.02, 0.0067], [0.02, 0.02, 0.0068]]
+CONTRADICTIONS = {
+    "an outlet": (
+        {"outlets": {"out": {"box": {"min": [-1.0] * 3, "max": [-0.9] * 3}}}},
+        "the outlets were none and are out",
+    ),
+    "another group": (
+        {"particles": {"beads": particle_group(FOUR)}},
+        "the particles were balls and are beads",
+    ),
+    "other sizes": (
+        {"particles": {"balls": particle_group(FOUR, 0.004)}},
+        "has particles of 0.01 to 0.01 m, but those of the scene are of 0.004 to 0.004 m",
+    ),
+    "other stages": (
+        {"stages": [{"name": "settle", "duration": 0.04}]},
+        "the stages were hold and are settle",
+    ),
+    "an energy budget": (
+        {"output": {"interval": 1.0, "energy_budget": True}},
+        "energy_budget was False and would be True",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_allowed_changes_that_the_state_contradicts_are_rejected(checkpoint, name):
+    parts, message = CONTRADICTIONS[name]
+    with pytest.raises(GranflowError, match=message):
+        Simulation(falling_particles(**parts), resume=checkpoint, allow_changes=True)
+
+
 def test_changed_time_step_is_rejected_despite_allow_changes(checkpoint):
     with pytest.raises(GranflowError, match="time_step was 1e-05 and would be 5e-06 with this scene"):
         scene = falling_particles(run={"time_step": 5e-6, "velocity_max": 1.0})
