@@ -6,6 +6,7 @@ texts and numbers. The second part makes plots of a time series: columns of one 
 the curves of one plot.
 """
 
+import json
 from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,6 +41,19 @@ def library() -> str:
     return deflated(get_plotlyjs().encode())
 
 
+def express_library() -> str:
+    """As `library`, for pages whose plots are made by plotly.express, which needs pandas; sets its colors."""
+    try:
+        import pandas  # noqa: F401
+        import plotly.express as px
+    except ImportError:
+        return ""
+    px.defaults.template = "none"
+    px.defaults.color_discrete_sequence = list(COLORS)
+    px.defaults.color_continuous_scale = COLOR_SCALE
+    return library()
+
+
 def deflated(data: bytes) -> str:
     """Base64 text of the data in zlib format, `deflate` of DecompressionStream in a browser."""
     return b64encode(compress(data, 9)).decode("ascii")
@@ -71,39 +85,6 @@ def layout(height: int, **more: Any) -> dict[str, Any]:
     }
 
 
-def axis(title: str, **more: Any) -> dict[str, Any]:
-    """An axis with a title."""
-    return {
-        **AXIS,
-        "title": {"text": title, "standoff": STANDOFF},
-        "exponentformat": "power",
-        "automargin": True,
-        **more,
-    }
-
-
-GAP = 0.28
-"""Width of the gap between two plots in a row, relative to that of a plot."""
-
-
-def row_of_axes(titles: Sequence[str], y_title: str) -> dict[str, Any]:
-    """Axes of plots side by side: xaxis, yaxis, xaxis2, yaxis2, and so on.
-
-    The first one has the title `y_title`.
-    """
-    count = len(titles)
-    width = 1.0 / (count + (count - 1) * GAP)
-    axes: dict[str, Any] = {}
-    for k, title in enumerate(titles):
-        start = k * (1.0 + GAP) * width
-        number = str(k + 1) if k else ""
-        axes[f"xaxis{number}"] = axis(title, domain=[start, min(start + width, 1.0)], anchor=f"y{number}")
-        axes[f"yaxis{number}"] = axis(
-            "" if k else y_title, anchor=f"x{number}", **({"matches": "y"} if k else {})
-        )
-    return axes
-
-
 HEIGHT = 340
 """Height of a plot without its legend [pixels]."""
 
@@ -125,6 +106,14 @@ def curve_layout(x_title: str, y_title: str, has_legend: bool) -> dict[str, Any]
         },
         "yaxis": {**AXIS, "title": {"text": y_title}},
     }
+
+
+def plot_of_figure(caption: str, figure: Any, height: int = HEIGHT, **more: Any) -> Plot:
+    """A figure of plotly as a plot in the style of all pages; `more`: of its layout."""
+    figure.update_xaxes(AXIS | {"exponentformat": "power", "automargin": True, "title_standoff": STANDOFF})
+    figure.update_yaxes(AXIS | {"exponentformat": "power", "automargin": True, "title_standoff": STANDOFF})
+    figure.update_layout(layout(height) | more)
+    return Plot(caption, json.loads(figure.to_json()))
 
 
 # Texts and numbers in plots

@@ -1,10 +1,8 @@
-"""The page of a sweep: tables, interactive plots, and Sobol indices by SALib.
+"""The page of a sweep: tables, interactive plots by plotly.express, and Sobol indices by SALib.
 
 `write_sweep_page` puts the parts together; the functions below return them in the order of the page.
 """
 
-import re
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import floor, inf, log10
@@ -14,39 +12,36 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from granflow.io.files import write_text
-from granflow.io.tables import SeriesColumn, TimeSeriesTable, read_series
+from granflow.io.tables import read_series
 from granflow.studies.figures import COLORS, PageTable, without_empty_ends
 from granflow.studies.interactive_plots import (
-    COLOR_SCALE,
-    DASHES,
-    STANDOFF,
     Plot,
-    axis,
     escaped,
-    layout,
+    express_library,
     level_text,
-    library,
-    plain_number,
-    row_of_axes,
+    plot_of_figure,
     shown_unit,
     thinned,
 )
 from granflow.studies.page import page_text
 from granflow.studies.sweep_design import Grid, SobolSampling, SweepInput
-from granflow.studies.sweep_table import PointRow, ShownTable, SweepTable, shown
+from granflow.studies.sweep_table import ShownTable, SweepTable, shown
 
 PAGE = "sweep.html"
-NO_LIBRARY = "Plots require plotly, which is not installed: pip install plotly, then repeat the command."
+NO_LIBRARY = (
+    "Plots require plotly and pandas, which are not installed: pip install plotly pandas, then repeat the "
+    "command."
+)
 
 
 def write_sweep_page(out: Path, sweep: SweepInput, table: SweepTable) -> None:
     """Write `sweep.html` to the directory of the sweep; without plotly, it has tables only."""
-    script = library()
+    script = express_library()
     found = shown(sweep, table)
     drawn = replace(found, in_plots=True)
-    has_plots = bool(script and usable_rows(found))
+    points = frame_of(drawn) if script else None
+    has_plots = points is not None and len(points) > 0
     indices, why_none = sobol_indices(sweep, table)
-    gridded = isinstance(sweep.sampling, Grid)
     text = page_text(
         "sweep.html",
         plotly=script,
@@ -54,13 +49,12 @@ def write_sweep_page(out: Path, sweep: SweepInput, table: SweepTable) -> None:
         lead=sweep.description or f"{len(table.rows)} points of {sweep.scene}.",
         statuses=_statuses(table),
         no_library="" if script else NO_LIBRARY,
-        effects=[main_effects(drawn, each) for each in found.quantities] if has_plots else [],
-        heat_maps=heat_maps(drawn) if has_plots and gridded else [],
-        parallel=parallel_coordinates(drawn) if has_plots else None,
-        matrix=scatter_matrix(drawn) if has_plots else None,
+        effects=[main_effects(drawn, points, each) for each in drawn.quantities] if has_plots else [],
+        heat_maps=heat_maps(drawn, points) if has_plots and isinstance(sweep.sampling, Grid) else [],
+        all_columns=all_columns(drawn, points) if has_plots else [],
         sobol=[sobol_plot(drawn, each) for each in indices] if script else [],
         why_no_sobol=why_none,
-        overlay=series_overlay(_named_runs(drawn), table.quantities, _named_by(found)) if script else None,
+        series=series_plots(drawn) if script else [],
         points=_points(found),
     )
     write_text(out / PAGE, text)
@@ -74,332 +68,117 @@ def _statuses(table: SweepTable) -> PageTable:
     )
 
 
-def usable_rows(table: ShownTable) -> list[PointRow]:
-    """The rows with at least one number."""
-    return [row for row in table.rows if any(np.isfinite(table.mean(row, name)) for name in table.quantities)]
+def frame_of(table: ShownTable) -> Any:
+    """The points with at least one number as a pandas DataFrame: parameters, quantities, run directories."""
+    import pandas
 
+    rows = [row for row in table.rows if any(np.isfinite(table.mean(row, name)) for name in table.quantities)]
+    columns: dict[str, Any] = {
+        table.parameter_label(name): [table.value(row, name) for row in rows] for name in table.parameters
+    }
+    columns |= {table.label(name): [table.mean(row, name) for row in rows] for name in table.quantities}
+    return pandas.DataFrame({**columns, "runs": [" ".join(row.directories) for row in rows]})
 
-HEIGHT = 340
-"""Height of a plot [pixels]."""
-
-
-def hover(row: PointRow, table: ShownTable) -> str:
-    """Text at the pointer: parameters, quantities and run directories."""
-    lines = [
-        f"{table.parameter_label(name)} = {level_text(table.value(row, name), 4)}"
-        for name in table.parameters
-    ]
-    lines += [f"{table.label(name)} = {plain_number(table.mean(row, name), 4)}" for name in table.quantities]
-    return "<br>".join([*lines, *(f"runs/{name}" for name in row.directories)])
-
-
-# Main effects
 
 MOST_LEVELS = 12
 """Largest number of values of a parameter with a mean of their own; more are combined in BINS intervals."""
 BINS = 8
-EDGE_ROUNDING = 1e-4
-"""A value on the common edge of two intervals is in the upper one, also if rounding puts it below by this
-share."""
 
 
-def main_effects(table: ShownTable, quantity: str) -> Plot:
+def main_effects(table: ShownTable, points: Any, quantity: str) -> Plot:
     """Points, and mean over all points with the same value of a parameter, one plot for each parameter."""
-    rows = [row for row in table.rows if np.isfinite(table.mean(row, quantity))]
-    data: list[dict[str, Any]] = []
-    binned = False
-    for k, name in enumerate(table.parameters):
-        axes = {"xaxis": f"x{k + 1}" if k else "x", "yaxis": f"y{k + 1}" if k else "y"}
-        values = [plain_number(table.value(row, name)) for row in rows]
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "x": values,
-                "y": [plain_number(table.mean(row, quantity)) for row in rows],
-                "marker": {"color": COLORS[5], "size": 5, "opacity": 0.6},
-                "hoverinfo": "text",
-                "hovertext": [hover(row, table) for row in rows],
-                **axes,
-            }
+    import plotly.express as px
+    from plotly.subplots import make_subplots
+
+    label = table.label(quantity)
+    figure = make_subplots(1, len(table.parameters), shared_yaxes=True)
+    for k, name in enumerate(table.parameters, 1):
+        each = table.parameter_label(name)
+        means = mean_over(points, each, label, name in table.logarithmic)
+        dots = px.scatter(
+            points, x=each, y=label, opacity=0.6, hover_data=list(points), color_discrete_sequence=[COLORS[5]]
         )
-        groups = _groups(values, name in table.logarithmic)
-        data.append({**_mean_line(table, groups, values, rows, quantity), **axes})
-        binned = binned or len(groups) < len(set(values))
-    has_errors = any(any(each["error_y"]["array"]) for each in data if "error_y" in each)
+        line = px.line(means, x=each, y=label, markers=True, color_discrete_sequence=[COLORS[0]])
+        figure.add_traces([*dots.data, *line.data], 1, k)
+        figure.update_xaxes(title_text=each, type="log" if name in table.logarithmic else "-", col=k)
+    figure.update_yaxes(title_text=label, col=1)
     caption = (
-        f"{table.label(quantity)}: mean over all points with the same value of a parameter"
-        f"{', or in equal intervals of it' if binned else ''} "
-        f"(line){', with its standard error' if has_errors else ''}, and all points (light)"
+        f"{label}: all points (light), and mean over all points with the same value of a parameter, or in "
+        f"one of {BINS} equal intervals of it if it has more than {MOST_LEVELS} values (line)"
     )
-    row = row_of_axes([table.parameter_label(name) for name in table.parameters], table.label(quantity))
-    for k, name in enumerate(table.parameters):
-        row[f"xaxis{k + 1 if k else ''}"] |= _scale(table, name)
-    return Plot(caption, {"data": data, "layout": layout(HEIGHT, **row)})
+    return plot_of_figure(caption, figure)
 
 
-def _scale(table: ShownTable, name: str) -> dict[str, Any]:
-    """Type of the axis of a parameter or quantity, if it is not linear."""
-    return {"type": "log", "exponentformat": "none"} if name in table.logarithmic else {}
+def mean_over(points: Any, parameter: str, quantity: str, logarithmic: bool) -> Any:
+    """Mean of a quantity at each value of a parameter, or in each interval of it, as a DataFrame.
 
-
-def _groups(values: Sequence[Any], logarithmic: bool) -> list[tuple[Any, list[int]]]:
-    """Indices of the points with each value, or in each of BINS intervals with their mean value, in order.
-
-    logarithmic:  whether the intervals have equal ratios, and the means are geometric
+    logarithmic:  whether the intervals have equal ratios
     """
-    distinct = (
-        sorted(set(values)) if all(isinstance(v, float) for v in values) else list(dict.fromkeys(values))
-    )
-    if len(distinct) <= MOST_LEVELS or not all(isinstance(v, float) for v in distinct):
-        return [(value, [k for k, each in enumerate(values) if each == value]) for value in distinct]
-    scaled = np.log(values) if logarithmic else np.array(values)
-    fraction = (scaled - scaled.min()) / (scaled.max() - scaled.min())
-    number = np.minimum(fraction * BINS + EDGE_ROUNDING, BINS - 1).astype(int)
-    members = [np.flatnonzero(number == k).tolist() for k in range(BINS)]
-    means = [float(scaled[each].mean()) for each in members if each]
-    positions = np.exp(means) if logarithmic else means
-    return list(zip((plain_number(float(each)) for each in positions), filter(None, members), strict=True))
+    import pandas
 
+    values = points[parameter]
+    is_number = pandas.api.types.is_numeric_dtype(values)
+    if not is_number or values.nunique() <= MOST_LEVELS:
+        return points.groupby(parameter, sort=is_number)[quantity].mean().reset_index()
+    intervals = pandas.cut(np.log(values) if logarithmic else values, BINS)
+    return points[[parameter, quantity]].groupby(intervals, observed=True).mean()
 
-def _mean_line(
-    table: ShownTable,
-    groups: Sequence[tuple[Any, list[int]]],
-    values: Sequence[Any],
-    rows: Sequence[PointRow],
-    quantity: str,
-) -> dict[str, Any]:
-    """Means with standard errors over the values of one parameter, for each of the `groups`.
-
-    The error of a mean follows from the scatter over the seeds; within an interval, from the scatter of its
-    points.
-    """
-    means = []
-    errors = []
-    positions = []
-    for position, members in groups:
-        numbers = np.array([table.mean(rows[k], quantity) for k in members])
-        seeds = np.array([table.standard_error(rows[k], quantity) for k in members])
-        binned = len({values[k] for k in members}) > 1
-        scatter = numbers.std(ddof=1) / np.sqrt(len(numbers)) if len(numbers) > 1 and binned else np.nan
-        from_seeds = float(np.sqrt((seeds**2).sum())) / len(seeds)
-        positions.append(position)
-        means.append(plain_number(float(numbers.mean())))
-        errors.append(plain_number(float(scatter if binned else from_seeds)) or 0.0)
-    return {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "x": positions,
-        "y": means,
-        "hoverinfo": "x+y",
-        "error_y": {"type": "data", "array": errors, "color": COLORS[0]},
-        "line": {"color": COLORS[0], "width": 2},
-        "marker": {"size": 7},
-    }
-
-
-# Heat maps
 
 MOST_HEAT_MAPS = 6
 """Largest number of pairs of parameters with a heat map for each quantity."""
 
 
-def heat_maps(table: ShownTable) -> list[Plot]:
+def heat_maps(table: ShownTable, points: Any) -> list[Plot]:
     """Each quantity over each two parameters of a grid, averaged over the other parameters."""
-    levels = {
-        name: list(dict.fromkeys(plain_number(table.value(row, name)) for row in table.rows))
-        for name in table.parameters
-    }
-    pairs = list(combinations(table.parameters, 2))[:MOST_HEAT_MAPS]
-    small = [pair for pair in pairs if len(levels[pair[0]]) * len(levels[pair[1]]) <= len(table.rows)]
-    return [_heat_map(table, quantity, *pair, levels) for quantity in table.quantities for pair in small]
+    import plotly.express as px
 
+    labels = [table.parameter_label(name) for name in table.parameters]
+    shown = points.assign(**{each: points[each].map(level_text) for each in labels})
+    found = []
+    for quantity in map(table.label, table.quantities):
+        for first, second in list(combinations(labels, 2))[:MOST_HEAT_MAPS]:
+            if shown[first].nunique() * shown[second].nunique() > len(shown):
+                continue  # parameters that vary together
+            orders = {each: list(dict.fromkeys(shown[each])) for each in (first, second)}
+            figure = px.density_heatmap(
+                shown, x=first, y=second, z=quantity, histfunc="avg", category_orders=orders
+            )
+            figure.update_xaxes(type="category")
+            figure.update_yaxes(type="category")
+            figure.update_coloraxes(colorbar_title={"text": quantity, "side": "right"})
+            found.append(plot_of_figure(f"{quantity} over {first} and {second}", figure))
+    return found
 
-def _heat_map(
-    table: ShownTable, quantity: str, first: str, second: str, levels: dict[str, list[Any]]
-) -> Plot:
-    """One quantity over two parameters."""
-    cells: dict[tuple[Any, Any], list[PointRow]] = {}
-    for row in table.rows:
-        cells.setdefault(
-            (plain_number(table.value(row, first)), plain_number(table.value(row, second))), []
-        ).append(row)
-
-    def mean(x: Any, y: Any) -> float | None:
-        values = [value for row in cells.get((x, y), ()) if np.isfinite(value := table.mean(row, quantity))]
-        return plain_number(float(np.mean(values))) if values else None
-
-    def text(x: Any, y: Any) -> str:
-        members = cells.get((x, y), [])
-        return hover(members[0], table) if len(members) == 1 else f"mean of {len(members)} points"
-
-    means = [[mean(x, y) for x in levels[first]] for y in levels[second]]
-    names = [[level_text(each) for each in levels[name]] for name in (first, second)]
-    data = {
-        "type": "heatmap",
-        "x": names[0],
-        "y": names[1],
-        "colorscale": COLOR_SCALE,
-        "hoverinfo": "text+z",
-        "z": means,
-        "text": [[text(x, y) for x in levels[first]] for y in levels[second]],
-        "colorbar": _color_bar(
-            table.label(quantity), [value for line in means for value in line if value is not None]
-        ),
-    }
-    axes = {
-        "xaxis": axis(table.parameter_label(first), type="category"),
-        "yaxis": axis(table.parameter_label(second), type="category"),
-    }
-    caption = f"{table.label(quantity)} over {first} and {second}"
-    return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
-
-
-def _color_bar(title: str, values: Sequence[float]) -> dict[str, Any]:
-    """A narrow color bar; equal values have one label, where plotly would show a range of 1 about 0."""
-    bar: dict[str, Any] = {"title": {"text": title, "side": "right"}, "thickness": 14}
-    if len(set(values)) == 1:
-        bar |= {"tickvals": [values[0]], "ticktext": [level_text(values[0], 4)]}
-    return bar
-
-
-# Parallel coordinates
-
-MOST_LINES = 500
-"""Largest number of runs in the parallel coordinates."""
-
-
-def parallel_coordinates(table: ShownTable) -> Plot:
-    """One line per point over all parameters and quantities, each scaled to its range.
-
-    The color shows the first quantity.
-    """
-    rows = usable_rows(table)
-    shown = rows[:: -(-len(rows) // MOST_LINES)]
-    columns = {
-        table.parameter_label(name): [table.value(row, name) for row in rows] for name in table.parameters
-    }
-    columns |= {table.label(name): [table.mean(row, name) for row in rows] for name in table.quantities}
-    logarithmic = {table.parameter_label(name) for name in table.logarithmic}
-    shares = {
-        name: dict(
-            zip(map(id, rows), _shares(np.log(values) if name in logarithmic else values), strict=True)
-        )
-        for name, values in columns.items()
-    }
-    names = list(columns)
-    color = table.label(table.quantities[0])
-    data = [
-        {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "x": names,
-            "y": [shares[name][id(row)] for name in names],
-            "line": {"color": _color(shares[color][id(row)]), "width": 1.5},
-            "marker": {"size": 5},
-            "hovertext": hover(row, table),
-            "hoverinfo": "text",
-        }
-        for row in shown
-    ]
-    ends = [
-        f"{name.replace('.', '.<br>')}<br>{_end(values, min)} to {_end(values, max)}"
-        for name, values in columns.items()
-    ]
-    x_axis = axis("", tickvals=names, ticktext=ends)
-    y_axis = axis("share of the range")
-    caption = (
-        f"Each line is a point; {len(shown)} of {len(rows)} points, colored from low (blue) to high (orange) "
-        f"{color}"
-    )
-    return Plot(caption, {"data": data, "layout": layout(HEIGHT + 60, xaxis=x_axis, yaxis=y_axis)})
-
-
-def _shares(values: Sequence[Any] | np.ndarray) -> list[float | None]:
-    """Positions of the values in their range, 0 to 1; of text in the order of its first appearance."""
-    if not all(isinstance(each, int | float) for each in values):
-        names = list(dict.fromkeys(map(str, values)))
-        return [names.index(str(each)) / max(len(names) - 1, 1) for each in values]
-    numbers = np.array(values, dtype=float)
-    if not np.isfinite(numbers).any():
-        return [None] * len(values)
-    low, high = np.nanmin(numbers), np.nanmax(numbers)
-    return [plain_number(float(each)) for each in (numbers - low) / (high - low if high > low else 1.0)]
-
-
-def _end(values: Sequence[Any], end: Any) -> str:
-    """Smallest or largest of the values that are numbers; of text the first or last in the alphabet."""
-    numbers = [each for each in values if isinstance(each, int | float) and each == each]
-    return level_text(end(numbers), 3) if numbers else end(map(str, values), default="")
-
-
-def _color(share: float | None) -> str:
-    """Color from blue to orange at a share of a range; gray without a number."""
-    if share is None:
-        return "#999999"
-    low, high = ([int(color[k : k + 2], 16) for k in (1, 3, 5)] for color in (COLORS[0], COLORS[4]))
-    return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in zip(low, high, strict=True))
-
-
-# Scatter matrix
 
 MATRIX_CELL = 150
 """Height of a row of the scatter matrix [pixels]."""
 
 
-def scatter_matrix(table: ShownTable) -> Plot | None:
-    """Each parameter and quantity against each other; None for two, which the plots of effects show."""
-    rows = usable_rows(table)
-    if len(table.parameters) + len(table.quantities) <= 2:
-        return None
-    dimensions = [
-        {
-            "label": in_lines(table.parameter_label(name)),
-            "values": [plain_number(table.value(row, name)) for row in rows],
-        }
-        for name in table.parameters
-    ] + [
-        {
-            "label": in_lines(table.label(name)),
-            "values": [plain_number(table.mean(row, name)) for row in rows],
-        }
-        for name in table.quantities
-    ]
-    data = {
-        "type": "splom",
-        "dimensions": dimensions,
-        "text": [hover(row, table) for row in rows],
-        "hoverinfo": "text",
-        "marker": {"color": COLORS[0], "size": 4, "opacity": 0.7},
-        "diagonal": {"visible": False},
-        "showupperhalf": False,
-    }
-    look = layout(MATRIX_CELL * len(dimensions) + 110)
-    look |= {"margin": look["margin"] | {"b": 100}, "font": look["font"] | {"size": 10}}
-    for k, (name, dimension) in enumerate(
-        zip((*table.parameters, *table.quantities), dimensions, strict=True)
-    ):
-        title = {
-            "text": dimension["label"],
-            "standoff": STANDOFF,
-        }  # with a standoff, all lines are outside the ticks
-        for along in "xy":
-            look[f"{along}axis{k + 1 if k else ''}"] = {
-                "automargin": True,
-                "title": title,
-                **_scale(table, name),
-            }
-    return Plot("All parameters and quantities against each other", {"data": [data], "layout": look})
+def all_columns(table: ShownTable, points: Any) -> list[Plot]:
+    """Parallel coordinates of the columns with numbers, and each column against each other if there are more
+    than two."""
+    import plotly.express as px
 
-
-def in_lines(text: str, width: int = 14) -> str:
-    """A label in lines of up to `width` characters, which end at a dot, an underline or before a unit."""
-    lines = [""]
-    for part in re.split(r"(?<=[._])|(?= \[)", text):
-        if len(lines[-1] + part) > width and lines[-1]:
-            lines.append("")
-        lines[-1] += part
-    return "<br>".join(line.strip() for line in lines)
+    columns = list(points)[:-1]
+    color = table.label(table.quantities[0])
+    numbers = [each for each in columns if points[each].dtype.kind == "f" or points[each].dtype.kind == "i"]
+    known = points.dropna(subset=[color])
+    found = []
+    if len(numbers) > 1 and len(known):
+        lines = px.parallel_coordinates(known, dimensions=numbers, color=color)
+        caption = f"Each line is a point, colored by {color}; drag along an axis to select lines"
+        found.append(plot_of_figure(caption, lines, margin={"l": 90, "r": 20, "t": 60, "b": 30}))
+    if len(columns) > 2:
+        matrix = px.scatter_matrix(points, dimensions=columns, opacity=0.7, hover_data=list(points))
+        matrix.update_traces(diagonal_visible=False, showupperhalf=False, marker_size=4)
+        logarithmic = {table.parameter_label(name) for name in table.logarithmic}
+        for k, each in enumerate(columns, 1):
+            look = {"automargin": True, "type": "log" if each in logarithmic else "-"}
+            matrix.update_layout({f"xaxis{k}": look, f"yaxis{k}": look})
+        caption = "All parameters and quantities against each other"
+        height = MATRIX_CELL * len(columns) + 110
+        found.append(plot_of_figure(caption, matrix, height, font_size=10))
+    return found
 
 
 # Sobol indices of a sweep with Saltelli's design, by SALib
@@ -459,140 +238,85 @@ def sobol_indices(sweep: SweepInput, table: SweepTable) -> tuple[list[SobolIndic
 
 def sobol_plot(table: ShownTable, indices: SobolIndices) -> Plot:
     """First-order and total indices of one quantity, with their 95 % confidence intervals."""
+    import pandas
+    import plotly.express as px
+
     names = [table.short_name(name) for name in table.parameters]
-    bars = (
-        ("first order", indices.first, indices.first_interval),
-        ("total", indices.total, indices.total_interval),
-    )
-    data = [
-        {
-            "type": "bar",
-            "name": name,
-            "x": names,
-            "y": [plain_number(float(v)) for v in values],
-            "error_y": {"type": "data", "array": [plain_number(float(v)) for v in interval]},
-            "marker": {"color": COLORS[k]},
-        }
-        for k, (name, values, interval) in enumerate(bars)
-    ]
+    bars = {
+        "parameter": 2 * names,
+        "share of the variance": [*indices.first, *indices.total],
+        "interval": [*indices.first_interval, *indices.total_interval],
+        "index": len(names) * ["first order"] + len(names) * ["total"],
+    }
+    figure = px.bar(
+        pandas.DataFrame(bars), x="parameter", y="share of the variance", error_y="interval", color="index",
+        barmode="group",
+    )  # fmt: skip
     caption = f"Sobol indices of {table.label(indices.quantity)} with 95 % confidence intervals"
-    axes = {"xaxis": axis(""), "yaxis": axis("share of the variance")}
-    return Plot(
-        caption, {"data": data, "layout": layout(HEIGHT, barmode="group", **axes) | {"showlegend": True}}
-    )
+    return plot_of_figure(caption, figure, showlegend=True)
 
 
-# Time series of several runs in one plot; a menu selects the quantity, the legend the runs
+# Time series of several runs
 
 MOST_RUNS = 60
-"""Largest number of runs in the plot."""
-MOST_COLUMNS = 12
-"""Largest number of quantities in the menu."""
+"""Largest number of runs in a plot."""
+MOST_SERIES = 6
+"""Largest number of quantities with a plot."""
 MOST_POINTS = 160
 """Largest number of points of a curve."""
 SERIES_HEIGHT = 460
-"""Height of the plot [pixels]."""
+"""Height of a plot [pixels]."""
 
 
-class NamedRun(NamedTuple):
-    """A run in the plot: its name in the legend, its text at the pointer, and its directory."""
+def series_plots(table: ShownTable) -> list[Plot]:
+    """Time series of the runs, one plot for each common column, first those that the sweep reads.
 
-    name: str
-    hover: str
-    directory: Path
-
-
-def series_overlay(runs: Sequence[NamedRun], first: Sequence[str], named_by: str) -> Plot | None:
-    """Time series of the runs; None if none of them has rows.
-
-    `first`: quantities that are shown first; the others follow in the order of the files; `named_by`: what
-    the names of the runs contain. A click on a name in the legend hides a run, a double click shows only this
-    run.
+    A click on a name in the legend hides a run, a double click shows only this run.
     """
+    import pandas
+    import plotly.express as px
+
+    runs = _named_runs(table)
     shown = runs[:: -(-len(runs) // MOST_RUNS)] if runs else ()
-    found = {run: series for run in shown if (series := read_series(run.directory / "timeseries.csv"))}
+    found = {
+        name: series for name, directory in shown if (series := read_series(directory / "timeseries.csv"))
+    }
     if not found:
-        return None
-    columns = _columns(list(found.values()), first)
-    curves = {column.name: [_curve(series, column.name) for series in found.values()] for column in columns}
-    data = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": run.name,
-            "x": x,
-            "y": y,
-            "line": {"color": COLORS[k % len(COLORS)], "dash": DASHES[k // len(COLORS) % len(DASHES)]},
-            "hovertext": run.hover,
-            "hovertemplate": "%{y:.4~g}<br>%{hovertext}<extra></extra>",
-        }
-        for k, (run, (x, y)) in enumerate(zip(found, curves[columns[0].name], strict=True))
-    ]
-    menu = {
-        "buttons": [_button(column, curves[column.name]) for column in columns],
-        "x": 0,
-        "xanchor": "left",
-        "y": 1.16,
-    }
-    axes = {"xaxis": axis("time (s)"), "yaxis": axis(_title(columns[0]))}
-    caption = (
-        f"Time series of {len(found)} of {len(runs)} runs, named by {named_by}. The menu selects the "
-        "quantity; a click in the legend hides a run, a double click shows only this run."
+        return []
+    common = set.intersection(*({column.name for column in series.columns} for series in found.values()))
+    columns = [column for column in next(iter(found.values())).columns if column.name in common]
+    places = {name: place for place, name in enumerate(table.quantities)}
+    columns.sort(key=lambda column: places.get(column.name, len(places)))
+    named_by = ", ".join(
+        [*map(table.parameter_label, table.parameters), *["seed"][: table.table.seed_count - 1]]
     )
-    look = layout(SERIES_HEIGHT, updatemenus=[menu], **axes) | {"showlegend": True}
-    return Plot(caption, {"data": data, "layout": look | {"margin": {"l": 70, "r": 20, "t": 70, "b": 55}}})
+    plots = []
+    for column in columns[:MOST_SERIES]:
+        factor, unit = shown_unit(column.unit)
+        label = escaped(column.text) + (f" ({unit})" if unit else "")
+        parts = []
+        for name, series in found.items():
+            values = next(each.values for each in series.columns if each.name == column.name)
+            time, thin = thinned(series.time, factor * values, MOST_POINTS)
+            parts.append(pandas.DataFrame({"time (s)": time, label: thin, "run": name}))
+        figure = px.line(pandas.concat(parts), x="time (s)", y=label, color="run", render_mode="svg")
+        caption = (
+            f"{label} of {len(found)} of {len(runs)} runs, named by {named_by}; a click in the legend hides "
+            "a run, a double click shows only this run"
+        )
+        plots.append(plot_of_figure(caption, figure, SERIES_HEIGHT, showlegend=True))
+    return plots
 
 
-def _columns(found: Sequence[TimeSeriesTable], first: Sequence[str]) -> list[SeriesColumn]:
-    """The columns that all runs have, those in `first` first and in its order; at most MOST_COLUMNS."""
-    common = set.intersection(*({column.name for column in series.columns} for series in found))
-    columns = [column for column in found[0].columns if column.name in common]
-    places = {name: place for place, name in enumerate(first)}
-    return sorted(columns, key=lambda column: places.get(column.name, len(places)))[:MOST_COLUMNS]
-
-
-def _curve(series: TimeSeriesTable, name: str) -> tuple[list[Any], list[Any]]:
-    """Times [s] and values of one column in the unit of plots, thinned."""
-    column = next(each for each in series.columns if each.name == name)
-    time, values = thinned(series.time, shown_unit(column.unit)[0] * column.values, MOST_POINTS)
-    return [plain_number(each) for each in time.tolist()], [plain_number(each) for each in values.tolist()]
-
-
-def _button(column: SeriesColumn, curves: Sequence[tuple[list[Any], list[Any]]]) -> dict[str, Any]:
-    """Entry of the menu: shows the curves of one column."""
-    data = {"x": [x for x, _ in curves], "y": [y for _, y in curves]}
-    return {
-        "method": "update",
-        "label": escaped(column.text),
-        "args": [data, {"yaxis.title.text": _title(column)}],
-    }
-
-
-def _title(column: SeriesColumn) -> str:
-    text = escaped(column.text)
-    return f"{text} ({shown_unit(column.unit)[1]})" if column.unit else text
-
-
-def _named_runs(table: ShownTable) -> list[NamedRun]:
-    """The runs that have begun, named by their parameters and their seed."""
+def _named_runs(table: ShownTable) -> list[tuple[str, Path]]:
+    """The runs that have begun: their name, made of parameters and seed, and directory."""
     found = []
     for row in table.rows:
         values = [level_text(table.value(row, name), 4) for name in table.parameters]
-        texts = [
-            f"{table.parameter_label(name)} = {value}"
-            for name, value in zip(table.parameters, values, strict=True)
-        ]
-        for each in row.runs:
-            if each.run is not None and each.run.directory.is_dir():
-                seed = [str(each.run.seed)] if table.table.seed_count > 1 else []
-                hover = [*texts, *(f"seed = {number}" for number in seed), f"runs/{each.run.directory.name}"]
-                found.append(NamedRun(", ".join(values + seed), "<br>".join(hover), each.run.directory))
+        for run in (each.run for each in row.runs if each.run is not None and each.run.directory.is_dir()):
+            seed = [str(run.seed)] if table.table.seed_count > 1 else []
+            found.append((", ".join(values + seed), run.directory))
     return found
-
-
-def _named_by(table: ShownTable) -> str:
-    """What the names of the runs contain."""
-    return ", ".join([*map(table.parameter_label, table.parameters), *["seed"][: table.table.seed_count - 1]])
 
 
 # The table of all points

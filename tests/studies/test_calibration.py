@@ -303,21 +303,6 @@ def test_a_refined_point_that_was_stopped_early_is_not_tried_again(tmp_path):
     assert min(np.hypot(x, y) for x, y in tried) < 1e-6
 
 
-def test_trial_that_was_stopped_early_keeps_the_residuals_that_it_has(tmp_path):
-    """Two targets; the second one is missing after the first scene."""
-    search = runner(tmp_path).search
-    for known in ({"angle": [1.0], "flow": [2.0, 3.0]}, {"angle": [4.0]}):
-        trial = search.next_trial()
-        trial.set_user_attr("residuals", known)
-        trial.set_user_attr("errors", {name: [0.5] * len(values) for name, values in known.items()})
-        state = search.optuna.trial.TrialState.PRUNED
-        search.study.tell(trial, 14.0) if "flow" in known else search.study.tell(trial, state=state)
-    trials = [*search.completed(), *search.stopped_early()]
-    _, found = search.scaled(trials)
-    np.testing.assert_array_equal(found, [[1.0, 2.0, 3.0], [4.0, np.nan, np.nan]])
-    np.testing.assert_array_equal(search.standard_errors(trials), [[0.5] * 3, [0.5, np.nan, np.nan]])
-
-
 def test_parameter_sets_its_keys_in_each_scene(tmp_path):
     text = CALIBRATION.replace(
         "keys: pairs.steel-steel.friction", "keys_in: {pair: [pairs.steel-steel.friction]}"

@@ -19,10 +19,9 @@ from granflow.io.files import replacing, write_text
 from granflow.io.tables import write_table
 from granflow.load import copied_scene
 from granflow.scene.blocks.output import unit_of
-from granflow.studies.calibration.response import Effects, fewest_trials, identification
+from granflow.studies.calibration.response import fewest_trials, fit_response, is_identified
 from granflow.studies.calibration.schema import (
     CalibrationInput,
-    Parameter,
     deviation_in_units,
     from_unit,
     settings_of,
@@ -30,15 +29,13 @@ from granflow.studies.calibration.schema import (
 from granflow.studies.calibration.search import Search
 from granflow.studies.calibration.trials import Measured, deviation, given_text
 from granflow.studies.checked_run import overrides_of
-from granflow.studies.figures import COLORS, PageTable, without_empty_ends
+from granflow.studies.figures import PageTable, without_empty_ends
 from granflow.studies.interactive_plots import (
+    COLOR_SCALE,
     Plot,
-    axis,
     escaped,
-    layout,
-    library,
-    plain_number,
-    row_of_axes,
+    express_library,
+    plot_of_figure,
     short_names,
 )
 from granflow.studies.page import page_text
@@ -49,13 +46,12 @@ from granflow.units import in_unit
 
 @dataclass(frozen=True)
 class BestValue:
-    """Value of a parameter in the best trial, optimum of the fit to all trials, and standard deviation of the
-    latter.
+    """Value of a parameter in the best trial, optimum of the fit near it, standard deviation of the latter.
 
     `optimum`: nan without a fit and for a parameter that the targets do not identify; `deviation`: nan
-    without a fit; `importance`: share of the parameter in the response of the targets, 0 to 1, nan without a
-    fit; `not_identified`: a sentence if the targets do not identify the parameter, otherwise empty; `shown`:
-    texts of value, optimum and standard deviation in the unit of the bounds.
+    without a fit; `importance`: share of the parameter in the response of the targets, 0 to 1, nan
+    without a fit; `not_identified`: a sentence if the targets do not identify the parameter, otherwise empty;
+    `shown`: texts of value, optimum and standard deviation in the unit of the bounds.
     """
 
     name: str
@@ -135,7 +131,7 @@ def result_of(search: Search, targets: Mapping[str, Measured]) -> CalibrationRes
     best = int(np.argmin([trial.value for trial in completed]))
     found = [_best_target(name, each, completed[best]) for name, each in targets.items()]
     trials = tuple(search.study.get_trials(deepcopy=False))
-    parameters = tuple(_best_values(search, targets, completed, best))
+    parameters = tuple(_best_values(search, completed, best))
     return CalibrationResult(
         completed[best].value,
         parameters,
@@ -146,59 +142,37 @@ def result_of(search: Search, targets: Mapping[str, Measured]) -> CalibrationRes
     )
 
 
-def _best_values(
-    search: Search, targets: Mapping[str, Measured], completed: Sequence[Any], best: int
-) -> list[BestValue]:
+def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[BestValue]:
     """Best values of all parameters, with their uncertainties."""
     parameters = search.calibration.parameters
     values = completed[best].params
-    trials = [*completed, *search.stopped_early()]
-    u, residuals = search.scaled(trials)
-    known = identification(u, residuals, search.standard_errors(trials), best)
-    if known is None:
-        few = (
-            f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are "
-            "needed"
-        )
-        return [
-            _best_value(
-                name,
-                each,
-                values[name],
-                (nan, nan, nan),
-                f"{name} cannot be identified from the targets: {few}.",
-            )
-            for name, each in parameters.items()
-        ]
+    u, residuals = search.scaled(completed)
+    response = fit_response(u, residuals, best)
+    line = fit_response(u, residuals, best, search.standard_errors(completed), highest=1)
+    deviations = optima = shares = np.full(len(parameters), nan)
+    if response is not None and line is not None:
+        optima = response.optimum(u[best])
+        deviations = line.deviation(u[best])
+        squares = (line.significant_gradient(u[best]) ** 2).sum(axis=0)
+        shares = squares / (squares.sum() or 1.0)
     found = []
     for k, (name, each) in enumerate(parameters.items()):
-        error = deviation_in_units(each, values[name], float(known.deviation[k]))
-        optimum = from_unit(each, float(known.optimum[k])) if known.is_identified(k) else nan
-        sentence = known.statement(list(parameters), k, _strongest_change(targets, known.effects, k))
-        found.append(
-            _best_value(name, each, values[name], (optimum, error, float(known.importance[k])), sentence)
-        )
+        sentence = ""
+        if response is None:
+            sentence = (
+                f"{name} cannot be identified from the targets: {len(completed)} completed trials are too "
+                f"few, at least {fewest_trials(len(parameters))} are needed."
+            )
+        elif not is_identified(deviations[k]):
+            sentence = (
+                f"{name} cannot be identified from the targets: near the best values, they respond to it "
+                "alone by too little, compared with their tolerances and the scatter between runs."
+            )
+        optimum = nan if sentence else from_unit(each, float(optima[k]))
+        error = deviation_in_units(each, values[name], float(deviations[k]))
+        shown = each.text(values[name], 5), each.text(optimum, 5), each.text(error, 2)
+        found.append(BestValue(name, values[name], optimum, error, float(shares[k]), sentence, shown))
     return found
-
-
-def _best_value(
-    name: str, parameter: Parameter, value: float, fitted: tuple[float, float, float], not_identified: str
-) -> BestValue:
-    """The best value of a parameter with its texts; `fitted`: optimum, standard deviation, importance."""
-    optimum, error, importance = fitted
-    shown = parameter.text(value, 5), parameter.text(optimum, 5), parameter.text(error, 2)
-    return BestValue(name, value, optimum, error, importance, not_identified, shown)
-
-
-def _strongest_change(targets: Mapping[str, Measured], effects: Effects, index: int) -> str:
-    """Text of the most significant effect of a parameter over its bounds, such as
-    `angle changes by 2 ± 1 deg`."""
-    names = [name for name, each in targets.items() for _ in each.value]
-    strongest = effects.strongest(index)
-    measured = targets[names[strongest]]
-    change, error = (each[strongest, index] / measured.scale for each in (effects.change, effects.error))
-    text = given_text(measured, change, measured.target.quantity, 2)
-    return f"{names[strongest]} changes by {text} \N{PLUS-MINUS SIGN} {error / measured.factor:.2g}"
 
 
 def _best_target(name: str, measured: Measured, trial: Any) -> BestTarget:
@@ -333,13 +307,11 @@ def _copy_inputs(scene: Scene, copied: Scene, out: Path) -> None:
 # The page
 
 PAGE = "calibration.html"
-HEIGHT = 340
-"""Height of a plot [pixels]."""
 
 
 def write_calibration_page(out: Path, calibration: CalibrationInput, result: CalibrationResult) -> None:
     """Write `calibration.html` to the directory of the calibration; without plotly, it has tables only."""
-    script = library()
+    script = express_library()
     text = page_text(
         "calibration.html",
         plotly=script,
@@ -350,9 +322,7 @@ def write_calibration_page(out: Path, calibration: CalibrationInput, result: Cal
         targets=_targets(result),
         remarks=result.remarks,
         has_plots=bool(script),
-        convergence=_convergence(result, calibration),
-        losses=_losses(result, calibration),
-        importance=_importance(result, calibration),
+        plots_of_trials=_plots(result, calibration) if script else [],
         trials=_trials(result, calibration),
     )
     write_text(out / PAGE, text)
@@ -372,77 +342,53 @@ def _targets(result: CalibrationResult) -> PageTable:
     return PageTable(("target", "quantity", "measured", "simulated", "deviation / tolerance"), rows)
 
 
-def _convergence(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
-    """Loss of each completed trial, and the smallest loss so far."""
-    trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
-    numbers = [trial.number for trial in trials]
-    losses = [trial.value for trial in trials]
-    data = [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "trial",
-            "x": numbers,
-            "y": [plain_number(each) for each in losses],
-            "hovertext": [_hover(trial, calibration) for trial in trials],
-            "hoverinfo": "text",
-            "marker": {"color": COLORS[5]},
-        },
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": "smallest so far",
-            "x": numbers,
-            "line": {"shape": "hv"},
-            "y": [plain_number(float(each)) for each in np.minimum.accumulate(losses)],
-            "marker": {"color": COLORS[0]},
-        },
-    ]
-    axes = {"xaxis": axis("trial"), "yaxis": axis("loss", type="log")}
-    return Plot(
-        "Convergence: loss of each trial and smallest loss so far",
-        {
-            "data": data,
-            "layout": layout(HEIGHT, **axes) | {"showlegend": True},
-        },
-    )
+def _plots(result: CalibrationResult, calibration: CalibrationInput) -> list[Plot]:
+    """Loss of each completed trial with the smallest one so far, loss over each parameter, importances."""
+    import pandas
+    import plotly.express as px
+    from plotly.subplots import make_subplots
 
-
-def _losses(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
-    """Loss over each parameter."""
     trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
-    data = [
+    labels = dict(zip(calibration.parameters, map(escaped, _labels(calibration)), strict=True))
+    frame = pandas.DataFrame(
         {
-            "type": "scatter",
-            "mode": "markers",
-            "x": [plain_number(each.in_unit(trial.params[name])) for trial in trials],
-            "y": [plain_number(trial.value) for trial in trials],
-            "hovertext": [_hover(trial, calibration) for trial in trials],
-            "hoverinfo": "text",
-            "xaxis": f"x{k + 1}" if k else "x",
-            "yaxis": f"y{k + 1}" if k else "y",
-            "marker": {
-                "color": [trial.number for trial in trials],
-                "colorscale": "Viridis",
-                "size": 7,
-                "line": {"width": 1, "color": "#999999"},
+            "trial": [trial.number for trial in trials],
+            "loss": [trial.value for trial in trials],
+            **{
+                labels[name]: [each.in_unit(trial.params[name]) for trial in trials]
+                for name, each in calibration.parameters.items()
             },
+            "runs": [" ".join(runs_of(trial).values()) for trial in trials],
         }
-        for k, (name, each) in enumerate(calibration.parameters.items())
-    ]
-    axes = row_of_axes(list(map(escaped, _labels(calibration))), "loss")
-    for key, each in axes.items():
-        is_log = (
-            key.startswith("y") or list(calibration.parameters.values())[int(key[5:] or 1) - 1].scale == "log"
-        )
-        each["type"] = "log" if is_log else "linear"
-    return Plot(
-        "Loss over each parameter, colored by the number of the trial",
-        {
-            "data": data,
-            "layout": layout(HEIGHT, **axes),
-        },
     )
+    convergence = px.scatter(
+        frame, x="trial", y="loss", log_y=True, hover_data=[*labels.values(), "runs"], opacity=0.6
+    )
+    convergence.add_scatter(
+        x=frame["trial"], y=frame["loss"].cummin(), name="smallest so far", mode="lines", line_shape="hv"
+    )
+    losses = make_subplots(1, len(labels), shared_yaxes=True)
+    for k, (name, label) in enumerate(labels.items(), 1):
+        points = px.scatter(frame, x=label, y="loss", color="trial", hover_data=["runs"])
+        losses.add_trace(points.data[0], 1, k)
+        is_logarithmic = calibration.parameters[name].scale == "log"
+        losses.update_xaxes(title_text=label, type="log" if is_logarithmic else "linear", col=k)
+    losses.update_yaxes(type="log")
+    losses.update_yaxes(title_text="loss", col=1)
+    found = [
+        plot_of_figure("Convergence: loss of each trial and smallest loss so far", convergence),
+        plot_of_figure(
+            "Loss over each parameter, colored by the number of the trial",
+            losses,
+            coloraxis={"colorscale": COLOR_SCALE, "colorbar": {"title": {"text": "trial"}}},
+        ),
+    ]
+    shares = {escaped(each.name): each.importance for each in result.parameters}
+    if len(shares) > 1 and not any(share != share for share in shares.values()):
+        bars = px.bar(x=list(shares), y=list(shares.values()), labels={"x": "", "y": "share"})
+        caption = "Importance: share of each parameter in the response of the targets near the best trial"
+        found.append(plot_of_figure(caption, bars))
+    return found
 
 
 def _labels(calibration: CalibrationInput) -> list[str]:
@@ -452,39 +398,6 @@ def _labels(calibration: CalibrationInput) -> list[str]:
         f"{short[name]} [{each.unit}]" if each.unit else short[name]
         for name, each in calibration.parameters.items()
     ]
-
-
-def _hover(trial: Any, calibration: CalibrationInput) -> str:
-    """Text at the pointer: number, loss, parameters and run directories of a trial."""
-    short = short_names(list(calibration.parameters))
-    values = [
-        f"{escaped(short[name])} = {each.text(trial.params[name])}"
-        for name, each in calibration.parameters.items()
-    ]
-    runs = [f"runs/{name}" for name in runs_of(trial).values()]
-    return "<br>".join([f"trial {trial.number}: loss {trial.value:.4g}", *values, *runs])
-
-
-def _importance(result: CalibrationResult, calibration: CalibrationInput) -> Plot | None:
-    """Share of each parameter in the squared gradients of the residuals at the best values.
-
-    There is no plot without a fit.
-    """
-    shares = [each.importance for each in result.parameters]
-    if any(share != share for share in shares) or len(shares) < 2:
-        return None
-    data = {
-        "type": "bar",
-        "marker": {"color": COLORS[0]},
-        "y": [plain_number(share) for share in shares],
-        "x": list(map(escaped, short_names(list(calibration.parameters)).values())),
-    }
-    axes = {"xaxis": axis("", type="category"), "yaxis": axis("share")}
-    caption = (
-        "Importance: share of each parameter, scaled to its bounds, in the response of the targets near the "
-        "best trial"
-    )
-    return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
 
 
 def _trials(result: CalibrationResult, calibration: CalibrationInput) -> PageTable:

@@ -176,17 +176,9 @@ class Search:
         states = self.optuna.trial.TrialState
         return list(self.study.get_trials(deepcopy=False, states=(states.COMPLETE,)))
 
-    def stopped_early(self) -> list[Any]:
-        """Trials that were stopped early, but have the residuals of some targets."""
-        found = self.study.get_trials(deepcopy=False, states=(self.optuna.trial.TrialState.PRUNED,))
-        return [trial for trial in found if trial.user_attrs.get("residuals")]
-
     def scaled(self, trials: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (trials, d) scaled to [0, 1], and weighted residuals (trials, residuals), nan where
-        missing.
-
-        The first trial has been completed.
-        """
+        """Parameters (trials, d) scaled to [0, 1], and weighted residuals (trials, residuals) of
+        completed trials."""
         return self._unit_parameters(trials), _by_target(trials, "residuals")
 
     def standard_errors(self, trials: Sequence[Any]) -> np.ndarray:
@@ -226,18 +218,11 @@ class Search:
 
 
 def _by_target(trials: Sequence[Any], attribute: str) -> np.ndarray:
-    """Numbers of all targets (trials, residuals) in an attribute of trials.
-
-    They are nan for a target that a trial lacks.
-    """
-    counts = {name: len(values) for name, values in trials[0].user_attrs["residuals"].items()}
-    found = [
-        np.concatenate(
-            [trial.user_attrs[attribute].get(name, [np.nan] * count) for name, count in counts.items()]
-        )
-        for trial in trials
-    ]
-    return np.array(found)
+    """Numbers of all targets (trials, residuals) in an attribute of completed trials."""
+    names = list(trials[0].user_attrs["residuals"])
+    return np.array(
+        [np.concatenate([trial.user_attrs[attribute][name] for name in names]) for trial in trials]
+    )
 
 
 # The journal
