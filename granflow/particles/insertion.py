@@ -145,9 +145,12 @@ class Inserter:
         return {name: getattr(self, name) for name in SAVED_FIELDS}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state saved by `state_dict`."""
+        """Restore the state saved by `state_dict`; a flow that was complete goes on if there are more
+        particles now, because the run lasts longer."""
         for name in SAVED_FIELDS:
             setattr(self, name, saved[name])
+        if math.isinf(self.next_time):
+            self.next_time = self.time_after(self.next_time)
 
     @property
     def remaining(self) -> int:

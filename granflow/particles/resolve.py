@@ -1,7 +1,7 @@
 """Resolved scenes: defaults that depend on several parts or on files become plain numbers after reading.
 
-Resolves counts from masses and end times, summaries of particle files, motions of walls from CSV files, and
-`scale`. Resolving is idempotent. The resolved scene is used for the run and saved with it.
+Resolves counts from masses, end times and the duration, summaries of particle files, motions of walls from
+CSV files, and `scale`. Resolving is idempotent. The resolved scene is used for the run and saved with it.
 """
 
 from collections.abc import Iterator
@@ -139,9 +139,9 @@ def _power(field: FieldInfo) -> int:
 
 
 def _with_count(group: SceneGroup) -> Group:
-    """A group with a count, a mass or an end time: its count is the smallest of the resulting counts.
+    """A group with its count, the smallest of those that result from a count, a mass and an end time.
 
-    Raises SceneError if the count exceeds LARGEST_COUNT.
+    A flow without any of them ends with the run. Raises SceneError if the count exceeds LARGEST_COUNT.
     """
     counts = dict(_counts(group))
     key = min(counts, key=lambda key: counts[key])
@@ -151,13 +151,16 @@ def _with_count(group: SceneGroup) -> Group:
             f"{group.locate(*key.split('.'))}: {path} results in {float(counts[key]):.3g} particles, but the "
             f"limit is {LARGEST_COUNT}."
         )
+    if group.spec.flows_to_end:
+        return group.spec.with_flow_of(counts[key])
     return group.spec.model_copy(update={"count_given": counts[key], "mass": None})
 
 
 def _counts(group: SceneGroup) -> Iterator[tuple[str, int]]:
-    """Number of particles that follows from each of the keys count, mass and insert.end, if given.
+    """Number of particles that follows from each of the keys count, mass and insert.end, if given; without
+    them, from the longest duration of the run as the end of the flow.
 
-    insert.end: rate * (end - start), or the number with the mass mass_flow * (end - start)
+    end of a flow: rate * (end - start), or the number with the mass mass_flow * (end - start)
     """
     spec = group.spec
     insertion = group.spec.insert
@@ -165,12 +168,14 @@ def _counts(group: SceneGroup) -> Iterator[tuple[str, int]]:
         yield "count", spec.count_given
     if spec.mass is not None:
         yield "mass", _count_of_mass(group, spec.mass)
-    if isinstance(insertion, TimedInsertion) and insertion.end is not None:
-        duration = insertion.end - insertion.start
+    if isinstance(insertion, TimedInsertion) and (insertion.end is not None or spec.flows_to_end):
+        key = f"insert.{insertion.flow_key}" if insertion.end is None else "insert.end"
+        end = group.scene.longest_duration if insertion.end is None else insertion.end
+        duration = max(end - insertion.start, 0.0)
         if insertion.rate is not None:
-            yield "insert.end", max(int(np.ceil(min(insertion.rate * duration - ROUNDING_SHARE, 1e18))), 1)
+            yield key, max(int(np.ceil(min(insertion.rate * duration - ROUNDING_SHARE, 1e18))), 1)
         elif insertion.mass_flow is not None:
-            yield "insert.end", _count_of_mass(group, insertion.mass_flow * duration)
+            yield key, _count_of_mass(group, insertion.mass_flow * duration)
 
 
 def _count_of_mass(group: SceneGroup, mass: float) -> int:

@@ -139,7 +139,9 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the numbers and sizes of the particles, the materials, and the skin."""
     groups = ", ".join(
-        f"{group.name} {count(group.spec.count)}{group.spec.shape.title}" for group in plan.groups
+        f"{group.name} {count(group.spec.count)}{group.spec.shape.title}"
+        f"{' until the run ends' if group.spec.flows_to_end else ''}"
+        for group in plan.groups
     )
     yield ExplainRow("particles", count(plan.particle_capacity), groups)
     same = plan.radius_min == plan.radius_max

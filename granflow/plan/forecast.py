@@ -409,33 +409,21 @@ DENSEST_FLOW = 0.45
 Random sequential packings reach 0.38. Free fall from a disc of 10 diameters has 0.40, from one of 1.5
 diameters 0.25.
 """
-COUNT_TOLERANCE = 0.01
-"""Fraction of the count that may be missing without a warning: the mean mass of particles is a sample."""
 ALONG_FACE = 1e-3
 """Component along the normal over the magnitude below which a vector is parallel to a face: decimals are
 rounded."""
 
 
 def insertion_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
-    """A sentence for each rain or inlet whose rate cannot insert all particles before the end of the run.
-
-    The run takes its longest duration. Space is not considered: a full region delays particles further.
-    """
+    """A sentence for each rain or inlet that begins when the run has ended; a run that ends earlier than the
+    flow is normal."""
     end = max(end for _, end in times.values())
     for name, group in plan.scene.particles.items():
-        insertion = group.insert
-        if not isinstance(insertion, TimedInsertion):
-            continue
-        interval = _insertion_interval(plan, group, insertion)
-        inserted = 0.0
-        if insertion.start <= end:
-            inserted = (end - insertion.start) / interval + 1.0
-        if inserted < (1.0 - COUNT_TOLERANCE) * group.count:
-            key = f"particles.{name}.insert ({plan.scene.where('particles', name, 'insert')})"
+        if isinstance(group.insert, TimedInsertion) and group.insert.start >= end:
             yield (
-                f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s "
-                f"from {insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about "
-                f"{inserted:.3g} of them. Raise {insertion.flow_key} or the duration."
+                f"particles.{name}.insert ({plan.scene.where('particles', name, 'insert')}): the insertion "
+                f"starts at {group.insert.start:.3g} s, but the run ends at {end:.3g} s: no particle is "
+                "inserted. Start earlier, or extend the run."
             )
 
 

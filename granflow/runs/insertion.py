@@ -71,7 +71,7 @@ class ParticleInsertion:
         }
 
     def log_end(self) -> None:
-        """Log the size classes, and warn about particles that were not inserted."""
+        """Log the size classes, and warn about queued particles."""
         log = logging.getLogger("granflow")
         for sentence in self.class_shares():
             log.info("%s", sentence)
@@ -79,20 +79,13 @@ class ParticleInsertion:
             log.warning("%s", sentence)
 
     def shortfalls(self) -> Iterator[str]:
-        """Yield a sentence for each group with particles that are queued or were not due before the end."""
+        """Yield a sentence for each group with queued particles; a flow that the end of the run cuts off is
+        normal."""
         for inserter in self._inserters:
-            if inserter.remaining:
-                queued = len(inserter.queued)
-                not_due = inserter.remaining - queued
-                reasons = []
-                if queued:
-                    reasons.append(f"{queued} are queued for lack of space")
-                if not_due:
-                    reasons.append(f"{not_due} were not due")
-                requested = len(inserter.radius)
+            if queued := len(inserter.queued):
                 yield (
-                    f"{inserter.remaining} of {requested} {inserter.group_name} were not inserted: "
-                    f"{' and '.join(reasons)}."
+                    f"{queued} of {inserter.due_count} {inserter.group_name} that were due were not inserted "
+                    "for lack of space."
                 )
 
     def class_shares(self) -> Iterator[str]:

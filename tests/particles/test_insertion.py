@@ -8,6 +8,7 @@ import pytest
 from particles.scenes import UNIFORM, clearance, scene_with, smallest_gap
 
 from granflow.errors import SceneError
+from granflow.load import scene_of
 from granflow.particles.group import groups_of
 from granflow.particles.insertion import Inserter, inserters
 
@@ -180,9 +181,9 @@ def test_mass_flow_is_exact_within_one_particle():
 def test_size_classes_keep_their_fractions_during_insertion():
     """Masses 1 : 1 : 2 in diameters of 2, 3 and 4 mm, so the numbers are 1/8 : 1/27 : 2/64.
 
-    Particle j of the n particles of a class is inserted at the fraction (j + 1/2) / n of the N insertions.
-    Each of the three classes deviates by at most 1/2 particle at a given fraction, the fraction deviates by
-    at most 3/2 insertions, and the count of a class by at most 1/2 + 3/2 n/N.
+    Particle j of a class with the share s is at the place (j + 1/2) / s of the sequence. Each of the three
+    classes deviates by at most 1/2 particle at a given place, the place deviates by at most 3/2 insertions,
+    and the count of a class by at most 1/2 + 3/2 s.
     """
     number = np.arange(1, 1001)
     parts = {0.002: 1 / 8, 0.003: 1 / 27, 0.004: 2 / 64}
@@ -191,8 +192,33 @@ def test_size_classes_keep_their_fractions_during_insertion():
     inserter = inserter_with({"kind": "rain", "region": REGION, "rate": 1000.0}, diameter=sizes, count=1000)
     for diameter, part in parts.items():
         inserted = np.cumsum(np.isclose(2 * inserter.radius, diameter))
-        assert abs(inserted[-1] - 1000 * part / sum(parts.values())) < 1
-        assert np.abs(inserted - inserted[-1] * number / 1000).max() <= 0.5 + 1.5 * inserted[-1] / 1000
+        share = part / sum(parts.values())
+        assert abs(inserted[-1] - 1000 * share) < 1
+        assert np.abs(inserted - share * number).max() <= 0.5 + 1.5 * share
+
+
+@pytest.mark.parametrize("flow", [{"rate": 40.0, "start": 0.5}, {"mass_flow": 2e-3}])
+def test_flow_without_count_lasts_as_long_as_the_run(flow):
+    """The run of `scene_with` lasts 1 s. If it is extended to 3 s, the first particles are the same."""
+    sizes = {
+        "distribution": "classes",
+        "by": "number",
+        "classes": [{"diameter": d, "fraction": d} for d in (0.003, 0.004)],
+    }
+    group = {"diameter": sizes, "insert": {"kind": "rain", "region": REGION} | flow}
+    scene = scene_with({"rain": group})
+    (short,) = inserters(scene)
+    insert_all(short)
+    expected = 20 if "rate" in flow else pytest.approx(2e-3 / short.mass.mean(), abs=1.0)
+    assert short.is_inserted.sum() == expected and short.remaining == 0
+    (longer,) = inserters(scene_of(scene.to_yaml(), "resumed", ["run.duration=3 s"]))
+    before = len(short.radius)
+    for name in ("radius", "due_at"):
+        np.testing.assert_array_equal(getattr(longer, name)[:before], getattr(short, name))
+    longer.load_state_dict(short.state_dict())
+    assert short.due_at[-1] < longer.next_time < short.due_at[-1] + 2 * longer.batch * longer.interval
+    insert_all(longer)
+    assert longer.remaining == 0 and 2.9 < longer.due_at[-1] < 3.0
 
 
 @pytest.mark.parametrize(

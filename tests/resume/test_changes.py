@@ -252,6 +252,22 @@ def test_complete_run_is_extended_as_the_message_states(taichi_f64, tmp_path, ca
     assert newest_checkpoint(tmp_path)[0].time == pytest.approx(3e-3, abs=simulation.time_step)
 
 
+def test_extended_run_continues_a_flow_without_count(taichi_f64, tmp_path):
+    """At 100 particles per second three enter in 30 ms, and three more in the next 30 ms."""
+    region = {"box": {"min": [-0.2, -0.2, -0.2], "max": [0.2, 0.2, 0.2]}}
+    feed = {
+        "material": "glass",
+        "diameter": 0.01,
+        "insert": {"kind": "rain", "region": region, "rate": 100.0},
+    }
+    scene = build_scene({"feed": feed}, run={"duration": 0.03, "time_step": 7e-5})
+    with Simulation(scene, out=tmp_path) as simulation:
+        simulation.run()
+        assert len(simulation.snapshot().particles["id"]) == 3
+    assert main(["resume", str(tmp_path), "--set", "run.duration=0.06 s"]) == 0
+    assert len(newest_checkpoint(tmp_path)[0].saved["engine"]["particles"]["id"]) == 6
+
+
 def test_complete_run_whose_last_stage_has_a_condition_needs_another_stage(taichi_f64, tmp_path, capsys):
     stages = [{"name": "rest", "kinetic_energy_below": 1.0, "max_duration": 1e-3}]
     _, files = complete_run(tmp_path, run={}, stages=stages)

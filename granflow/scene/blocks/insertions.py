@@ -420,9 +420,9 @@ class PythonInsertion(InsertionKind):
 class TimedInsertion(InsertionKind):
     """Insertion during the run at a constant number or mass per second.
 
-    It ends when the count or mass of the group is inserted, or at `end`. Sizes are in a fixed order, so that
-    each size class has its fraction at any time. A kind is required to have `region_for`; the inserter
-    (`particles.insertion`) calls `interval` and `delays`.
+    It ends when the count or mass of the group is inserted, or at `end`, otherwise with the run. Sizes are in
+    a fixed order, so that each size class has its fraction at any time. A kind is required to have
+    `region_for`; the inserter (`particles.insertion`) calls `interval` and `delays`.
 
     one_way:  whether particles leave the region along the normal of a face only
     """
@@ -436,7 +436,7 @@ class TimedInsertion(InsertionKind):
     )
     start: q.Time = Field(0.0, description="time of the first particle [s]", examples=[0])
     end: q.PositiveTime | None = optional(
-        "end of the insertion [s]", "when all particles are inserted", examples=["1 s"]
+        "end of the insertion [s]", "when all particles are inserted, or with the run", examples=["1 s"]
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -470,7 +470,8 @@ class TimedInsertion(InsertionKind):
 
 
 class RainInsertion(TimedInsertion):
-    """Insertion at random free positions in a region, until the count, the mass or the end time is reached.
+    """Insertion at random free positions in a region, until the count, the mass, the end time or the end of
+    the run is reached.
 
     Particles without a free position are queued and inserted first in the next batch. Walls are not
     considered.

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, Tag, model_validator
+from pydantic import Field, PrivateAttr, Tag, model_validator
 
 from granflow.contact import registry
 from granflow.scene.blocks.insertions import Insertion, InsertionKind, TimedInsertion, kinds
@@ -119,8 +119,9 @@ class ThermalMotion(Model):
 class Group(Model, populate_by_name=False, serialize_by_alias=True):
     """Particles of one material with one kind of insertion.
 
-    Positions and files define the count by their rows; other groups give a count or a mass, and inserted
-    groups may give an end time instead. Of several limits, the smallest number of particles applies.
+    Positions and files define the count by their rows; other groups give a count or a mass. Rain and inlets
+    need neither: they run to their end time, or to the end of the run. Of several limits, the smallest number
+    of particles applies.
 
     >>> insertion = gf.PositionsInsertion(positions=[[0, 0, 0], [0, 0, 0.1]])
     >>> gf.Group(material="glass", diameter="4 mm", insert=insertion).count
@@ -177,13 +178,30 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     )
     fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
     insert: Insertion = Field(description=f"insertion, {{kind: {', '.join(kinds(lambda kind: True))}, ...}}")
+    _count_of_flow: int | None = PrivateAttr(None)
 
     @property
     def count(self) -> int:
         """Number of particles, or of clumps. Raises ValueError if it is not resolved yet."""
-        if self.count_given is None:
+        count = self._count_of_flow if self.count_given is None else self.count_given
+        if count is None:
             raise ValueError("The number of particles is not resolved; see granflow.particles.resolve.")
-        return self.count_given
+        return count
+
+    @property
+    def flows_to_end(self) -> bool:
+        """Whether particles enter until the run ends, so that their number follows from its duration."""
+        limits = (self.count_given, self.mass, getattr(self.insert, "end", None))
+        return isinstance(self.insert, TimedInsertion) and not any(limits)
+
+    def with_flow_of(self, count: int) -> "Group":
+        """This group with the number of particles that enter until the run ends.
+
+        It is not a key: a resumed run with another duration has another number.
+        """
+        group = self.model_copy()
+        group._count_of_flow = count
+        return group
 
     @property
     def sphere_count(self) -> int:
@@ -309,7 +327,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             )
         elif self.mass is not None and count is not None:
             yield redundant("mass", "count")
-        elif not (self.mass or count or insertion.has_rows or getattr(insertion, "end", None)):
+        elif not (self.mass or count or insertion.has_rows or isinstance(insertion, TimedInsertion)):
             yield missing(("count",), "number of particles; or give mass")
 
     def _list_faults(self) -> Iterator[Fault]:

@@ -253,11 +253,13 @@ class ClassSizes(SizeDistribution, Model):
     def ordered(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Diameters (count,) [m] in the order of insertion: classes alternate, with constant fractions.
 
-        Particle j of the n particles of a class is at the fraction (j + 1/2) / n of the sequence.
+        Particle j of a class with the share s by number is at the place (j + 1/2) / s of the sequence, which
+        does not depend on the count: a flow that lasts longer begins with the same particles.
         """
-        counts = self.counts(count)
-        rank = np.concatenate([(np.arange(n) + 0.5) / n for n in counts if n])
-        return np.repeat(self.diameters, counts)[np.argsort(rank, kind="stable")]
+        shares = self.number_shares
+        counts = np.ceil((count + len(shares)) * shares).astype(int)
+        places = [(np.arange(n) + 0.5) / share for n, share in zip(counts, shares, strict=True)]
+        return np.repeat(self.diameters, counts)[np.argsort(np.concatenate(places), kind="stable")][:count]
 
     def count_for_volume(self, cubes: float, random: Callable[[], np.random.Generator]) -> int:
         """See `SizeDistribution`; from the mean cube, weighted by number [m3]."""
