@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from granflow import Plan, Scene, load_scene, plan_for
+from granflow import Scene, load_scene, plan_for
 from granflow.errors import FileError, SceneError
 from granflow.fields import (
     FLOW_METER_QUANTITIES,
@@ -47,14 +47,10 @@ class RunSettings:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """A run that can start.
-
-    `seed`: that of its scene; `kernels`: text that is equal for runs with equal compiled kernels.
-    """
+    """A run that can start; `seed`: that of its scene."""
 
     request: RunRequest
     seed: int
-    kernels: str
 
     @property
     def directory(self) -> Path:
@@ -88,7 +84,7 @@ def checked_run(
     problems += scene.problems_without_program()
     if problems:
         raise FileError(problems)
-    plan = plan_for(scene)
+    plan_for(scene)
     inputs = RunInputs.of(scene)
     directory = (common.runs / run_identity(scene, common.arch)).resolve()
     request = RunRequest(
@@ -100,7 +96,7 @@ def checked_run(
         str(common.stop_file.resolve()),
         inputs=inputs,
     )
-    return CheckedRun(request, scene.seed, _kernel_set(plan, common.arch))
+    return CheckedRun(request, scene.seed)
 
 
 HASH_DIGITS = 16
@@ -116,12 +112,6 @@ def run_identity(scene: Scene, arch: str) -> str:
     source = "" if scene.start_from is None else source_digest(Path(scene.start_from))
     text = f"{arch}\n{identity_of(scene)}\n{source}"
     return hashlib.sha256(text.encode()).hexdigest()[:HASH_DIGITS]
-
-
-def _kernel_set(plan: Plan, arch: str) -> str:
-    """Text that is equal for scenes whose compiled kernels are equal: contact models, features and
-    precision."""
-    return repr((arch, plan.scene.run.precision, plan.scene.contact, plan.features))
 
 
 # Values of keys

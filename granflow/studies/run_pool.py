@@ -1,18 +1,18 @@
 """Many runs at the same time: `Driver` carries out the runs of a sweep through an executor.
 
-The first run of each set of kernels compiles them before the others start, and lost runs are repeated. The
-executor is that of the standard library, whose threads each use a worker process, or one of Dask, whose
-workers may be jobs of a batch system. All state that outlives this process is in the directories of the runs.
+Lost runs are repeated. The executor is that of the standard library, whose threads each wait for the process
+of a run, or one of Dask, whose workers may be jobs of a batch system. All state that outlives this process is
+in the directories of the runs.
 """
 
 import shutil
 import socket
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from heapq import heappop, heappush
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
 from typing import Annotated, Any
@@ -30,8 +30,6 @@ from granflow.studies.run_process import (
     CRASHED,
     NOT_RUN,
     Outcome,
-    RunRequest,
-    close_workers,
     execute,
     final_outcome,
 )
@@ -80,29 +78,14 @@ POLL = 0.5
 """Interval [s] at which a request to stop is checked."""
 REPORT_INTERVAL = 60.0
 """Longest time [s] without a report."""
-COMPILE_ONLY = "1e-12 s"
-"""Simulated time of a run that only compiles kernels: one step."""
 
 
-@dataclass(order=True)
+@dataclass(frozen=True)
 class _Job:
-    """One run by its position in the study, or the compilation of its kernels, which comes before."""
+    """One attempt to carry out a run."""
 
-    index: int
-    run: CheckedRun = field(compare=False)
-    compiles_only: bool = field(default=False, compare=False)
-    attempt: int = field(default=1, compare=False)
-
-    @property
-    def request(self) -> RunRequest:
-        """The request to carry out."""
-        request = self.run.request
-        if not self.compiles_only:
-            return request
-        directory = Path(request.directory)
-        return replace(
-            request, directory=str(directory.with_name(f".compile_{directory.name}")), until=COMPILE_ONLY
-        )
+    run: CheckedRun
+    attempt: int = 1
 
 
 class Driver:
@@ -127,8 +110,7 @@ class Driver:
         self._stop = stop
         self._report = report
         self._texts = texts
-        self._ready: list[_Job] = []
-        self._held: dict[str, list[_Job]] = {}
+        self._ready: deque[_Job] = deque()
         self._running: dict[Future[Outcome], _Job] = {}
         self._total = self._started_with = 0
         self._began = self._told = 0.0
@@ -140,13 +122,23 @@ class Driver:
         KeyboardInterrupt stops the runs, and is raised again when all have written their checkpoints.
         """
         interrupt: KeyboardInterrupt | None = None
-        self._schedule({run.request.directory: run for run in runs})
+        distinct = {run.request.directory: run for run in runs}
+        self._total = len(distinct)
+        for directory, run in distinct.items():
+            known = final_outcome(Path(directory))
+            if known is None:
+                self._ready.append(_Job(run))
+            else:
+                self.outcomes[directory] = known
+        self._started_with = len(self.outcomes)
         self._began = time.monotonic()
         self._tell("")
         self._tell_holders()
         while self._running or (self._ready and not self._stop.is_set()):
             try:
-                self._submit()
+                while self._ready and len(self._running) < self._slots() and not self._stop.is_set():
+                    job = self._ready.popleft()
+                    self._running[self._executor.submit(execute, job.run.request)] = job
                 for future in wait(self._running, POLL, FIRST_COMPLETED).done:
                     self._finish(self._running.pop(future), future)
                 if time.monotonic() - self._told > REPORT_INTERVAL:
@@ -156,19 +148,16 @@ class Driver:
                     raise
                 interrupt = error
                 self._stop.set()
-            if self._stop.is_set():
-                self._request_stop()
+            if self._stop.is_set():  # the workers check the stop file
+                for job in self._running.values():
+                    Path(job.run.request.stop_file).touch()
         if interrupt is not None:
             raise interrupt
         return self.outcomes
 
     def _tell_holders(self) -> None:
         """Report the runs that other processes carry out, such as workers whose command was killed."""
-        jobs = [*self._ready, *(job for held in self._held.values() for job in held)]
-        waiting = {
-            directory for job in jobs for directory in (job.run.directory, Path(job.request.directory))
-        }
-        for directory in sorted(waiting):
+        for directory in sorted(job.run.directory for job in self._ready):
             if holder := holder_of(directory):
                 name = f"{directory.parent.name}/{directory.name}"
                 self._tell(
@@ -176,68 +165,26 @@ class Driver:
                     "process"
                 )
 
-    def _schedule(self, runs: Mapping[str, CheckedRun]) -> None:
-        """Sort the runs into those that have ended, those that can start, and those that wait for their
-        kernels."""
-        compiled: set[str] = set()
-        self._total = len(runs)
-        for index, (directory, run) in enumerate(runs.items()):
-            known = final_outcome(Path(directory))
-            if known is not None:
-                self.outcomes[directory] = known
-                compiled.add(run.kernels)
-            else:
-                self._held.setdefault(run.kernels, []).append(_Job(index, run))
-        self._started_with = len(self.outcomes)
-        for kernels, jobs in list(self._held.items()):
-            if kernels in compiled or len(jobs) == 1:
-                self._release(kernels)
-            else:
-                heappush(self._ready, replace(jobs[0], compiles_only=True))
-
-    def _release(self, kernels: str) -> None:
-        """Let the runs of a set of kernels start."""
-        for job in self._held.pop(kernels, ()):
-            heappush(self._ready, job)
-
-    def _submit(self) -> None:
-        """Submit runs to free slots."""
-        while self._ready and len(self._running) < self._slots() and not self._stop.is_set():
-            job = heappop(self._ready)
-            self._running[self._executor.submit(execute, job.request)] = job
-
-    def _request_stop(self) -> None:
-        """Create the stop file, which the workers check."""
-        for job in self._running.values():
-            Path(job.request.stop_file).touch()
-
     def _finish(self, job: _Job, future: "Future[Outcome]") -> None:
-        """Record the outcome of a run, or retry it; release the runs that waited for its kernels."""
+        """Record the outcome of a run, or retry it."""
         outcome = _outcome_of(future)
-        if job.compiles_only:
-            shutil.rmtree(job.request.directory, ignore_errors=True)
-            self._release(job.run.kernels)
-            return
         if outcome.is_lost and job.attempt < MAX_ATTEMPTS and not self._stop.is_set():
-            heappush(self._ready, replace(job, attempt=job.attempt + 1))
+            self._ready.appendleft(replace(job, attempt=job.attempt + 1))
             return
         if outcome.is_lost and job.attempt > 1:
             outcome = replace(outcome, reason=f"{outcome.reason} Attempts: {job.attempt}.")
-        self.outcomes[job.run.request.directory] = outcome
-        self._tell(f"{self._texts.get(job.request.directory, job.run.directory.name)} {outcome.status}")
+        directory = job.run.request.directory
+        self.outcomes[directory] = outcome
+        self._tell(f"{self._texts.get(directory, job.run.directory.name)} {outcome.status}")
 
     def _tell(self, event: str) -> None:
         """Report the progress; `event`: text and status of the run that has ended, or an empty text."""
         self._told = time.monotonic()
-        self._report(self._progress(self._told - self._began), event)
-
-    def _progress(self, elapsed: float) -> Progress:
-        """The state of all runs after `elapsed` [s]."""
         ended = [outcome for outcome in self.outcomes.values() if outcome.status != NOT_RUN]
         here = len(ended) - self._started_with
-        remaining = elapsed / here * (self._total - len(ended)) if here else None
+        remaining = (self._told - self._began) / here * (self._total - len(ended)) if here else None
         done = sum(outcome.has_numbers for outcome in ended)
-        return Progress(done, len(self._running), len(ended) - done, self._total, remaining)
+        self._report(Progress(done, len(self._running), len(ended) - done, self._total, remaining), event)
 
 
 def _outcome_of(future: "Future[Outcome]") -> Outcome:
@@ -284,11 +231,8 @@ def executor_for(workers: Workers) -> Iterator[tuple[Executor, Slots]]:
             yield found
         return
     jobs = local_jobs(workers.jobs, workers.threads, worker_count(None)[0])
-    try:
-        with ThreadPoolExecutor(jobs) as executor:
-            yield executor, lambda: jobs
-    finally:
-        close_workers()
+    with ThreadPoolExecutor(jobs) as executor:
+        yield executor, lambda: jobs
 
 
 def local_jobs(jobs: int | None, threads: int, cores: int) -> int:

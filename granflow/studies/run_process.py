@@ -1,10 +1,8 @@
 """One run of a study: the request, the process that carries it out, and the outcome.
 
-`execute` carries out a `RunRequest` in a worker process and returns the `Outcome`. The directory of the run
-is the only memory: a run whose files say that it has ended is not repeated, one with a checkpoint is resumed.
-A worker process carries out one command of granflow after the other, so that its second run with equal
-kernels starts at once: Python is loaded, and the kernels are in memory. A run that crashes ends its worker
-only; the next run has a new one.
+`execute` carries out a `RunRequest` in a process of its own and returns the `Outcome`. The directory of the
+run is the only memory: a run whose files say that it has ended is not repeated, one with a checkpoint is
+resumed.
 """
 
 import hashlib
@@ -16,14 +14,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from math import nan
 from pathlib import Path
-from queue import Empty, Queue
-from threading import Lock, Thread
-from time import monotonic
 from typing import Any
 
 from granflow import OutputError, Scene, read_run
@@ -107,9 +102,9 @@ def _source_digest(directory: Path, _states: tuple[tuple[str, int, int, int], ..
 class RunRequest:
     """A run to be carried out; plain data, so that it can be sent to a worker on another machine.
 
-    `scene`, `directory`: absolute paths, which all workers must be able to read and write; `until`: simulated
-    time at which the run ends early, as in `granflow run --until`, or ""; `stop_file`: the run is stopped as
-    soon as this file exists; `inputs`: files that the run reads, with their contents when it was checked.
+    `scene`, `directory`: absolute paths, which all workers must be able to read and write; `stop_file`: the
+    run is stopped as soon as this file exists; `inputs`: files that it reads, with their contents when it was
+    checked.
     """
 
     scene: str
@@ -118,15 +113,13 @@ class RunRequest:
     threads: int
     arch: str
     stop_file: str
-    until: str = ""
     inputs: RunInputs | None = None
 
     @property
     def new(self) -> list[str]:
         """Arguments of granflow that start the run and replace files of an earlier attempt."""
         values = [f"--set={override}" for override in self.overrides]
-        until = ["--until", self.until] if self.until else []
-        return ["run", self.scene, *values, "--out", self.directory, "--overwrite", *until, *self._machine]
+        return ["run", self.scene, *values, "--out", self.directory, "--overwrite", *self._machine]
 
     @property
     def resumed(self) -> list[str]:
@@ -288,8 +281,8 @@ POLL = 0.2
 """Interval [s] at which a request to stop is checked."""
 STOP_TIMEOUT = 120.0
 """Time [s] for a stopped run to write its checkpoint; after it the process is killed."""
-AS_RUN = "scene_as_run.yaml"
-"""File that a run writes to its directory when it has read its inputs."""
+PROGRAM = (sys.executable, "-m", "granflow")
+"""Command that carries out a run with the arguments of granflow."""
 MESSAGES = "stderr.txt"
 """File in the directory of a run with the messages of its last attempt."""
 REFUSAL = GranflowError.exit_code
@@ -318,67 +311,18 @@ def execute(request: RunRequest, should_stop: Callable[[], bool] = lambda: False
     began = time.monotonic()
     is_damaged = (directory / RESULT).exists()  # it has no final outcome: its result is cut off
     has_checkpoint = not is_damaged and any(directory.glob("checkpoint_*.npz"))
-    starting = _Start(request)
     code: int | None = REFUSAL
     if has_checkpoint:  # a resumed run reads the copies of the inputs in its directory
         code = _watch(request.resumed, directory, stopping)
-    if code == REFUSAL and not starting.has_changed():
-        code = _watch(request.new, directory, lambda: stopping() or starting.has_changed())
-        starting.complete()
-    if starting.change:
-        shutil.rmtree(directory, ignore_errors=True)
-        return Outcome(NOT_RUN, starting.change)
+    if code == REFUSAL:
+        if request.inputs is not None and (change := request.inputs.change()):
+            shutil.rmtree(directory, ignore_errors=True)
+            return Outcome(NOT_RUN, change)
+        code = _watch(request.new, directory, stopping)
     outcome = _outcome(directory, code, time.monotonic() - began)
     if outcome.status != NOT_RUN:
         write_outcome(directory, outcome)
     return outcome
-
-
-class _Start:
-    """Compares the inputs of a run with their contents when it was checked: before it starts, and once it has
-    begun.
-
-    A run has read its inputs when it has written its scene. Later changes of the files do not concern it.
-    `change`:
-    sentence on an input that has changed.
-    """
-
-    def __init__(self, request: RunRequest) -> None:
-        self._inputs = request.inputs
-        self._record = Path(request.directory) / AS_RUN
-        self._before: int | None = None
-        self._is_known = self._has_started = False
-        self.change = ""
-
-    def has_changed(self) -> bool:
-        """Whether an input has changed.
-
-        The inputs are compared at the first call, and at the first one after the start of the run.
-        """
-        if not self._is_known:
-            self._before = self._written()
-            self._is_known = True
-            self._compare()
-        elif not self._has_started and self._written() != self._before:
-            self._has_started = True
-            self._compare()
-        return bool(self.change)
-
-    def complete(self) -> None:
-        """Compare the inputs of a run that has ended before its start was seen."""
-        if not self._has_started:
-            self._compare()
-
-    def _compare(self) -> None:
-        if self._inputs is not None and not self.change:
-            self.change = self._inputs.change()
-
-    def _written(self) -> int | None:
-        """When the scene was written to the directory of the run [ns]; None if it is not."""
-        try:
-            return self._record.stat().st_mtime_ns
-        except OSError:
-            return None
 
 
 def _wait_until_free(directory: Path, stopping: Callable[[], bool]) -> bool:
@@ -396,28 +340,32 @@ def _wait_until_free(directory: Path, stopping: Callable[[], bool]) -> bool:
 
 
 def _watch(arguments: Sequence[str], directory: Path, stopping: Callable[[], bool]) -> int | None:
-    """Carry out a command of granflow in a worker and return its exit code, negative for a signal.
+    """Carry out a command of granflow and return its exit code: negative for a signal, None if stopped.
 
-    Returns None if the run was stopped.
+    The process has a session of its own: Ctrl-C in the terminal reaches this one only.
     """
-    with worker() as taken:
-        taken.start([str(directory / MESSAGES), *arguments])
-        while True:
-            try:
-                return taken.exit_code(POLL)
-            except TimeoutError:
-                if stopping():
-                    return _stop(taken)
-
-
-def _stop(taken: "RunWorker") -> int | None:
-    """Stop a worker with a checkpoint of its run; the exit code if the run had just ended, else None."""
-    taken.terminate()
+    with open(directory / MESSAGES, "wb") as messages:
+        process = subprocess.Popen(
+            [*PROGRAM, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=messages,
+            start_new_session=True,
+        )
+    while True:
+        try:
+            return process.wait(POLL)
+        except subprocess.TimeoutExpired:
+            if stopping():
+                break
+    process.terminate()
     try:
-        code = taken.exit_code(STOP_TIMEOUT)
-    except TimeoutError:
+        code = process.wait(STOP_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
         return None
-    return code if code in (0, 1, REFUSAL, ABORT) else None
+    return code if code in (0, 1, REFUSAL, ABORT) else None  # the run may have just ended
 
 
 def _outcome(directory: Path, code: int | None, seconds: float) -> Outcome:
@@ -462,116 +410,3 @@ def _reason(directory: Path) -> str:
         line.removeprefix("granflow: ") for line in problems if not line.startswith("granflow: warning:")
     ]
     return " ".join(words).replace(str(directory), f"{directory.parent.name}/{directory.name}")
-
-
-# Worker processes
-
-PROGRAM = (sys.executable, "-m", "granflow.cli.run_worker")
-"""Command that starts a worker; its protocol is in granflow/cli/run_worker.py."""
-IDLE_SECONDS = 60.0
-"""Time [s] after which an idle worker is not used again. Workers end by themselves after twice this time."""
-
-
-class RunWorker:
-    """A worker process. It has a session of its own: Ctrl-C in the terminal reaches the driver only."""
-
-    def __init__(self) -> None:
-        self._process = subprocess.Popen(
-            [*PROGRAM, str(2.0 * IDLE_SECONDS)],
-            bufsize=0,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        self._codes: Queue[int] = Queue()
-        self._idle_since: float | None = monotonic()
-        self._is_ending = False
-        Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        """Receive the exit codes of commands; that of the process is the last one."""
-        assert self._process.stdout is not None
-        with self._process.stdout as answers:
-            for line in answers:
-                self._codes.put(int(line))
-        self._codes.put(self._process.wait())
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether the process waits for a command, and will do so for some time."""
-        is_idle = self._idle_since is not None and monotonic() - self._idle_since < IDLE_SECONDS
-        return is_idle and not self._is_ending and self._process.poll() is None
-
-    def start(self, command: Sequence[str]) -> None:
-        """Begin a command: file for its messages, arguments of granflow."""
-        assert self._process.stdin is not None
-        self._idle_since = None
-        with suppress(OSError):  # the process has ended; `exit_code` returns its code
-            self._process.stdin.write(json.dumps(command).encode() + b"\n")
-
-    def exit_code(self, timeout: float) -> int:
-        """The exit code of the command, negative for a signal; waits for it.
-
-        Raises TimeoutError if the command has not ended after `timeout` [s].
-        """
-        try:
-            code = self._codes.get(timeout=timeout)
-        except Empty:
-            raise TimeoutError from None
-        self._idle_since = monotonic()
-        return code
-
-    def terminate(self) -> None:
-        """Request that the process ends, with a checkpoint of its run."""
-        self._is_ending = True
-        self._process.terminate()
-
-    def close(self) -> None:
-        """End the process; during a command it is killed."""
-        assert self._process.stdin is not None
-        if self._idle_since is None:
-            self._process.kill()
-        self._process.stdin.close()
-        self._process.wait()
-
-
-_kept: list[RunWorker] = []
-_lock = Lock()
-
-
-@contextmanager
-def worker() -> Iterator[RunWorker]:
-    """A worker for one command: one that is ready, or a new one.
-
-    It is kept after the block, if it is ready again.
-    """
-    taken = _ready_worker() or RunWorker()
-    try:
-        yield taken
-    finally:
-        if taken.is_ready:
-            with _lock:
-                _kept.append(taken)
-        else:
-            taken.close()
-
-
-def _ready_worker() -> RunWorker | None:
-    """A kept worker that is ready, which is no longer kept; the others are ended."""
-    while True:
-        with _lock:
-            if not _kept:
-                return None
-            found = _kept.pop()
-        if found.is_ready:
-            return found
-        found.close()
-
-
-def close_workers() -> None:
-    """End all kept workers."""
-    with _lock:
-        ended, _kept[:] = list(_kept), []
-    for each in ended:
-        each.close()

@@ -1,4 +1,4 @@
-"""Replaces the workers, `granflow run` and `granflow resume` in tests: known results after a short time.
+"""Replaces `granflow run` and `granflow resume` in tests: known results after a short time.
 
 The kinetic energy is restitution + friction, the elastic energy is their product. A friction of 0.4 is
 aborted. While there is a file `wait` in the directory of the sweep, and as many runs have results as it
@@ -19,18 +19,6 @@ def settings(arguments):
     """Values of the overrides by the last key."""
     given = [text.partition("=")[2].partition("=") for text in arguments if text.startswith("--set=")]
     return {key.rpartition(".")[2]: json.loads(value) for key, _, value in given}
-
-
-def main():
-    """As granflow/cli/run_worker.py."""
-    for line in sys.stdin:
-        messages, *arguments = json.loads(line)
-        with open(messages, "w") as sys.stderr:
-            code = run(arguments)
-        if code > 2:
-            return code
-        print(code, flush=True)
-    return 0
 
 
 def run(arguments):
@@ -74,4 +62,4 @@ def has_to_wait(runs):
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(sys.argv[1:]))

@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +11,6 @@ import pytest
 from studies.sweep_files import SCENE
 
 from granflow.errors import FileError, GranflowError, OutputError
-from granflow.studies import run_process as run_worker
 from granflow.studies.calibration.calibrate import read_calibration, run_calibration
 from granflow.studies.calibration.response import fit_response
 from granflow.studies.calibration.results import _best_target, result_of
@@ -216,11 +214,8 @@ def test_a_journal_with_a_damaged_line_is_read_without_it(tmp_path, damage):
     assert [trial.value for trial in runner(tmp_path).search.completed()] == [4.0, 3.0]
 
 
-def test_a_full_disk_ends_a_calibration_with_one_sentence(tmp_path, monkeypatch):
+def test_a_full_disk_ends_a_calibration_with_one_sentence(tmp_path, stand_in, monkeypatch):
     pytest.importorskip("optuna")
-    monkeypatch.setattr(
-        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
-    )
     study = read_calibration(written(tmp_path))
     monkeypatch.setattr("granflow.studies.calibration.search.os.fsync", full_disk)
     with pytest.raises(
@@ -228,17 +223,11 @@ def test_a_full_disk_ends_a_calibration_with_one_sentence(tmp_path, monkeypatch)
     ):
         run_calibration(study, tmp_path / "out", jobs=1)
     monkeypatch.undo()
-    monkeypatch.setattr(
-        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
-    )
     assert run_calibration(study, tmp_path / "out", jobs=1) is not None
 
 
-def test_calibration_ends_when_its_scene_changes(tmp_path, monkeypatch):
+def test_calibration_ends_when_its_scene_changes(tmp_path, stand_in):
     pytest.importorskip("optuna")
-    monkeypatch.setattr(
-        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
-    )
     study = read_calibration(written(tmp_path))
     scene = tmp_path / "spheres.yaml"
     lines = []
@@ -322,13 +311,10 @@ def test_scaled_parameters_include_both_bounds():
     assert deviation_in_units(parameter, 0.1, 0.1) == pytest.approx(0.1 * np.log(100.0) * 0.1)
 
 
-def test_two_workers_find_planted_values_and_continue(tmp_path, monkeypatch):
+def test_two_workers_find_planted_values_and_continue(tmp_path, stand_in):
     """Runs are replaced by e + mu and e mu with e = 0.62 and mu = 0.27; the solution e = 0.27 is out of
     bounds."""
     pytest.importorskip("optuna")
-    monkeypatch.setattr(
-        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
-    )
     text = CALIBRATION.replace("from: 0.3", "from: 0.45").replace(
         "value: 1 mJ, tolerance: 10 uJ", "value: 0.89, tolerance: 0.01"
     )
@@ -352,12 +338,9 @@ def test_two_workers_find_planted_values_and_continue(tmp_path, monkeypatch):
     assert len(lines) == 30 and again.parameters == result.parameters
 
 
-def test_conflicting_targets_are_reported(tmp_path, monkeypatch):
+def test_conflicting_targets_are_reported(tmp_path, stand_in):
     """The sum cannot be 0.6 and 0.9 at the same time."""
     pytest.importorskip("optuna")
-    monkeypatch.setattr(
-        run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py")))
-    )
     text = CALIBRATION.replace("value: 1 mJ, tolerance: 10 uJ", "value: 0.6, tolerance: 0.1")
     text = text.replace(
         "search:", "  other: {scene: pair, quantity: kinetic_energy, value: 0.9, tolerance: 0.1}\nsearch:"

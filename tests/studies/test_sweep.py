@@ -253,7 +253,7 @@ def test_points_are_checked_and_hashed_by_their_resolved_scene(tmp_path):
     assert len(runs) == 12 and len(refused) == 4
     assert refused[0].startswith(f"{tmp_path}/sweep.yaml:3:3: pairs.steel-steel.restitution is 1.2")
     valid = [run for run in runs if isinstance(run, CheckedRun)]
-    assert len({run.directory for run in valid}) == 8 and len({run.kernels for run in valid}) == 1
+    assert len({run.directory for run in valid}) == 8
 
 
 def test_seeds_follow_that_of_the_scene(tmp_path):
@@ -279,12 +279,10 @@ class Instant:
         return future
 
 
-def run(folder, name, kernels="k"):
+def run(folder, name):
     directory = folder / name
     directory.mkdir(exist_ok=True)
-    return CheckedRun(
-        RunRequest("scene.yaml", (), str(directory), 1, "cpu", str(folder / ".stop")), 1, kernels
-    )
+    return CheckedRun(RunRequest("scene.yaml", (), str(directory), 1, "cpu", str(folder / ".stop")), 1)
 
 
 def drive(executor, runs, slots=1):
@@ -303,25 +301,12 @@ def test_lost_runs_are_retried_twice_and_aborted_runs_never(tmp_path):
         "a": [lost, lost, Outcome(DONE)], "b": [lost] * 5, "c": [Outcome(ABORTED, "overlap")],
         "d": [RuntimeError("connection closed"), Outcome(MISSED)], "e": [Outcome(CRASHED, "a defect")],
     })  # fmt: skip
-    found = drive(executor, [run(tmp_path, name, name) for name in "abcde"])
+    found = drive(executor, [run(tmp_path, name) for name in "abcde"])
     assert {name: each.status for name, each in found.items()} == {
         "a": DONE, "b": CRASHED, "c": ABORTED, "d": MISSED, "e": CRASHED
     }  # fmt: skip
     assert found["b"].reason == "The process was ended by SIGKILL. Attempts: 3."
     assert [names(executor).count(name) for name in "abcde"] == [3, 3, 1, 2, 1]
-
-
-def test_kernels_of_each_set_are_compiled_before_their_runs(tmp_path):
-    executor = Instant({})
-    drive(
-        executor,
-        [run(tmp_path, name, kernels) for name, kernels in zip("abcde", "xxyyz", strict=True)],
-        slots=1,
-    )
-    order = names(executor)
-    assert order.count(".compile_a") == order.count(".compile_c") == 1 and ".compile_e" not in order
-    assert order.index(".compile_a") < order.index("a") and order.index(".compile_c") < order.index("c")
-    assert len(order) == 7
 
 
 def test_ended_runs_are_not_repeated(tmp_path):

@@ -31,7 +31,7 @@ from granflow.studies.calibration.trials import Measured, TrialRunner, read_targ
 from granflow.studies.checked_run import RunSettings
 from granflow.studies.figures import require_pandas
 from granflow.studies.run_pool import local_jobs
-from granflow.studies.run_process import close_workers, naming_write_errors
+from granflow.studies.run_process import naming_write_errors
 
 
 def calibrate(
@@ -172,10 +172,7 @@ def _run(
     runner.check()
     with locked(search.lock):
         search.release_lost()
-        try:
-            _Workers(runner, count, stop, report).run()
-        finally:
-            close_workers()
+        _Workers(runner, count, stop, report).run()
     result = result_of(search, file.targets)
     if result is not None:
         write_result(out, result)
