@@ -1,10 +1,8 @@
-r"""Text for terminals, logs and pages: invisible characters become escapes, numbers and lists readable.
+"""Text for terminals, logs and pages: control characters become escapes, numbers and lists readable.
 
-Titles, headers and file names are untrusted input: unescaped, ESC would control the terminal, and a
-right-to-left override would display another text than the file contains. `visible` replaces each such
-character by \x1b or \u202e; newlines and tabs remain. In messages, which are one line each, `visible_line`
-replaces newlines as well: a file name may contain one. The other functions write numbers, counts, lists of
-names and tables.
+ESC in a title or file name would control the terminal: `visible` replaces control characters by escapes as
+in Python; newlines and tabs remain. In messages, which are one line each, `visible_line` replaces newlines as
+well. The other functions write numbers, counts, lists of names and tables.
 """
 
 import html
@@ -13,33 +11,18 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 
-HIDDEN = re.compile(
-    "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u070f\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"
-    "\ufff9-\ufffb\ud800-\udfff\U000e0000-\U000e007f]"
-)
-"""Characters that are replaced: control, soft-hyphen, zero-width, bidirectional, surrogate and tag
-characters."""
+CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
+"""Characters that are replaced: control characters, and surrogates, which UTF-8 cannot encode."""
 
 
 def visible(text: object) -> str:
-    """Return the text with each invisible or control character replaced by an escape.
-
-    text:     any object; `str` converts it
-    Returns:  text that can be encoded in UTF-8, because surrogates are replaced as well
-    """
-    return HIDDEN.sub(lambda found: _escape(ord(found[0])), str(text))
+    """Return `str(text)` with each control character replaced by an escape."""
+    return CONTROL.sub(lambda found: ascii(found[0])[1:-1], str(text))
 
 
 def visible_line(text: object) -> str:
     """Return the text as one visible line: newlines are replaced as well."""
     return visible(text).replace("\n", "\\n")
-
-
-def _escape(code: int) -> str:
-    """Escape of a code point, with the fewest digits that Python accepts."""
-    if code < 0x100:
-        return f"\\x{code:02x}"
-    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
 class VisibleFormatter(logging.Formatter):

@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from granflow.io.files import FormatError, read_regular
+from granflow.io.files import FormatError, read_file
 from granflow.io.vtu import VtuMesh, read_vtu, reason_of
 
 if TYPE_CHECKING:
     from meshio import Mesh
 
-LARGEST_FILE = 256 * 2**20
-"""Maximum size of a mesh file in bytes; reading a file of this size takes seconds."""
 MAX_TRIANGLES = 1_000_000
 """Maximum number of triangles of a mesh."""
 FORMATS = ("stl", "obj", "ply", "vtk", "vtu")
@@ -60,13 +58,13 @@ class RawTriangles:
 def read_triangles(path: Path) -> RawTriangles:
     """Read the triangles in a file, in the unit of the file. The suffix of the name determines the format.
 
-    path:     STL, OBJ, PLY, VTK or VTU file of at most LARGEST_FILE bytes
+    path:     STL, OBJ, PLY, VTK or VTU file
     Returns:  1 to MAX_TRIANGLES triangles with finite coordinates; they may be degenerate or duplicate
     Raises:   FormatError if the file is missing, damaged, too large or of another format, or contains cells
               other than triangles, quadrilaterals, lines and vertices
     """
     try:
-        raw = read_regular(path, LARGEST_FILE)
+        raw = read_file(path)
     except FileNotFoundError:
         raise FormatError("is missing: there is no such file") from None
     except OSError as error:
@@ -83,7 +81,7 @@ def read_triangles(path: Path) -> RawTriangles:
     else:
         if kind == "stl" and not raw.rstrip().rpartition(b"\n")[2].strip().lower().startswith(b"endsolid"):
             raise FormatError("does not end with endsolid: it is truncated")
-        mesh = read_vtu(path, LARGEST_FILE) if kind == "vtu" else _by_meshio(path, kind)
+        mesh = read_vtu(path) if kind == "vtu" else _by_meshio(path, kind)
         found = _raw_triangles(mesh)
         if kind == "ply":
             _check_ply(raw, [len(row) for block in mesh.cells for row in block.data])

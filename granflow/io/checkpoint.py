@@ -27,7 +27,7 @@ from typing import Any, BinaryIO, Literal
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.io.files import open_regular, replacing
+from granflow.io.files import replacing
 from granflow.io.log import version_of
 
 
@@ -366,7 +366,7 @@ def read_archive(
     file, and CheckpointError for an unreadable one.
     """
     try:
-        with open_regular(path) as file:
+        with open(path, "rb") as file:
             found = _checksum(file)
             if found != file.read(len(CHECKSUM_PLACEHOLDER) + 1) or expected not in (None, found.decode()):
                 remedy = " Remove it to use the checkpoint before it." if expected else ""
@@ -385,7 +385,7 @@ def read_archive(
 
 def recorded_checksum(path: Path) -> str:
     """The checksum at the end of a file, which is not verified here. Raises OSError."""
-    with open_regular(path) as file:
+    with open(path, "rb") as file:
         file.seek(max(file.seek(0, 2) - len(CHECKSUM_PLACEHOLDER), 0))
         return file.read(len(CHECKSUM_PLACEHOLDER)).decode(errors="replace")
 

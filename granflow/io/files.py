@@ -1,15 +1,13 @@
 """Files of a run: how they are written and read.
 
 A file is written under a temporary name in its directory, then renamed (`replacing`), so that a reader never
-finds half of it. `BackgroundWriter` writes frames in a thread while the simulation continues. Input files are
-opened only if they are regular files: a pipe or a device could block or never end.
+finds half of it. `BackgroundWriter` writes frames in a thread while the simulation continues.
 """
 
 import errno
 import hashlib
 import os
 import shutil
-import stat
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +16,6 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import Condition, Thread
-from typing import BinaryIO
 
 # Atomic writes
 
@@ -247,57 +244,24 @@ class FormatError(Exception):
     """Content that cannot be used; the message is a predicate that follows the name of the file."""
 
 
-def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading; never blocks.
-
-    Returns:  binary file, which the caller closes
-    Raises:   OSError with the reason if the file does not exist, cannot be read or is not a regular file
-    """
-    try:
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    except ValueError as error:  # a NUL in the name
-        raise OSError(errno.EINVAL, str(error), str(path)) from None
-    mode = os.fstat(descriptor).st_mode
-    if stat.S_ISDIR(mode):
-        os.close(descriptor)
-        raise OSError(errno.EISDIR, "it is a directory", str(path))
-    if not stat.S_ISREG(mode):
-        os.close(descriptor)
-        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
-    return os.fdopen(descriptor, "rb")
-
-
 CHUNK_SIZE = 2**20
 """Bytes read at a time."""
 LARGEST_FILE = 2**30
-"""Largest size of a file that is read into memory [bytes]."""
+"""Largest size of an input file [bytes]: a larger one is another file than the one that was meant."""
 
 
-def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """Return all bytes of the file.
-
-    largest:  maximum size [bytes]
-    Raises:   OSError as `open_regular` does, and for a larger file
-    """
-    raw = bytearray()
-    with open_regular(path) as file:
-        too_large = os.fstat(file.fileno()).st_size > largest
-        # In pieces: read(largest) would allocate that much for any file.
-        while not too_large and (piece := file.read(CHUNK_SIZE)):
-            raw += piece
-            too_large = len(raw) > largest
-    if too_large:
-        raise OSError(errno.EFBIG, f"it is larger than {largest / 2**20:.3g} MiB", str(path))
-    return bytes(raw)
+def read_file(path: Path) -> bytes:
+    """Return all bytes of a file. Raises OSError, also for a file that is larger than LARGEST_FILE."""
+    with open(path, "rb") as file:
+        if os.fstat(file.fileno()).st_size > LARGEST_FILE:
+            raise OSError(errno.EFBIG, f"it is larger than {LARGEST_FILE / 2**20:.3g} MiB", str(path))
+        return file.read()
 
 
-def read_regular_text(path: Path, largest: int = LARGEST_FILE) -> str:
-    """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced.
-
-    largest:  maximum size [bytes]
-    Raises:   OSError as `read_regular` does
-    """
-    return read_regular(path, largest).decode("utf-8-sig", errors="replace")
+def read_text(path: Path) -> str:
+    """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced; raises as
+    `read_file`."""
+    return read_file(path).decode("utf-8-sig", errors="replace")
 
 
 def file_digest(path: Path) -> str:
@@ -314,7 +278,7 @@ def file_digest(path: Path) -> str:
 def _digest(path: Path, _state: tuple[int, ...]) -> str:
     """SHA-256 of the content of a file; `_state`: what changes with its content."""
     digest = hashlib.sha256()
-    with open_regular(path) as file:
+    with path.open("rb") as file:
         while piece := file.read(CHUNK_SIZE):
             digest.update(piece)
     return digest.hexdigest()
@@ -326,8 +290,6 @@ def resolved(path: Path) -> Path:
         return Path(path).resolve()
     except RuntimeError:
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path)) from None
-    except ValueError as error:  # a NUL in the name
-        raise OSError(errno.EINVAL, str(error), str(path)) from None
 
 
 # The shipped scenes, sweeps and calibrations

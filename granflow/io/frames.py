@@ -6,14 +6,13 @@ A run writes the series `particles`, `contacts`, `walls` and one for each coarse
 the pieces of the frame. The studies and `granflow.read_run` read all of them.
 """
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import FileIO
 from pathlib import Path
-from xml.parsers.expat import ExpatError
+from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -23,13 +22,11 @@ from granflow.io.files import (
     BackgroundWriter,
     FormatError,
     named_errors,
-    open_regular,
-    read_regular,
     replacing,
     sync_all,
     write_text,
 )
-from granflow.io.vtu import MAX_PIECES, Compression, VtuMesh, read_vtu, write_vtu, xml_of
+from granflow.io.vtu import Compression, VtuMesh, read_vtu, write_vtu
 
 # Writing a series
 
@@ -207,11 +204,6 @@ def _write_at(file: FileIO, offset: int, data: bytes) -> None:
 
 SUFFIX = ".pvtu"
 """Suffix of the file that lists the pieces of a frame."""
-PIECE = re.compile(r"[\w-]+\.\d{4,}\.vtu")
-"""Names of the files of a frame, such as particles_0003.0001.vtu; they are in the directory of the PVTU
-file."""
-LARGEST_LISTING = 2**20
-"""Largest size of a PVTU file [bytes]."""
 TYPE_NAMES = {"f": "Float", "i": "Int", "u": "UInt"}
 """Beginning of the VTK type by the kind of the numpy type; the number of bits follows."""
 ID = "id"
@@ -276,35 +268,30 @@ def _attributes(name: str, kind: str, components: int) -> str:
 def pieces_in(path: Path) -> list[Path]:
     """Files of the pieces. Raises FormatError for an invalid file, OSError if it cannot be read."""
     try:
-        root = xml_of(read_regular(path, LARGEST_LISTING))
-    except ExpatError as error:
+        root = ElementTree.parse(path)
+    except ElementTree.ParseError as error:
         raise FormatError(f"is not XML: {error}") from None
-    names = [str(piece.attrib.get("Source")) for piece in root.findall("./PUnstructuredGrid/Piece")]
-    if root.attrib.get("type") != "PUnstructuredGrid" or not 1 <= len(names) <= MAX_PIECES:
+    pieces = [path.parent / str(piece.get("Source")) for piece in root.iter("Piece")]
+    if not pieces:
         raise FormatError("is not a PVTU file with pieces")
-    for name in names:
-        if not PIECE.fullmatch(name):
-            raise FormatError(f"has the unexpected piece {name[:80]}")
-    return [path.parent / name for name in names]
+    return pieces
 
 
-def read_pvtu(path: Path, largest: int) -> VtuMesh:
+def read_pvtu(path: Path) -> VtuMesh:
     """Points of all pieces, ordered by id, with the arrays that all pieces have.
 
-    largest:  maximum size [bytes] of all decoded arrays
-    Raises:   FormatError for an invalid or missing piece, OSError if the file cannot be read
+    Raises FormatError for an invalid or missing piece, OSError if the file cannot be read.
     """
     meshes = []
     for piece in pieces_in(path):
         try:
-            meshes.append(read_vtu(piece, largest))
+            meshes.append(read_vtu(piece))
         except OSError as error:
             raise FormatError(
                 f"needs {piece.name}, which cannot be read: {error.strerror or error}"
             ) from None
         except FormatError as error:
             raise FormatError(f"needs {piece.name}, which {error}") from None
-        largest -= sum(values.nbytes for values in (meshes[-1].points, *meshes[-1].point_data.values()))
     names = [name for name in meshes[0].point_data if all(name in mesh.point_data for mesh in meshes)]
     points = np.concatenate([mesh.points for mesh in meshes])
     arrays = {name: np.concatenate([mesh.point_data[name] for mesh in meshes]) for name in names}
@@ -321,8 +308,6 @@ SAME_TIME = 1e-9
 EMPTY = b'NumberOfPoints="0"'
 """Text within the first HEADER_SIZE bytes of an empty VTU file."""
 HEADER_SIZE = 1000
-LARGEST_FRAME = 2**32
-"""Maximum size of all arrays of one frame [bytes]."""
 
 
 def require_directory(directory: Path) -> None:
@@ -336,29 +321,21 @@ def require_directory(directory: Path) -> None:
 def listed_frames(directory: Path, stem: str) -> list[tuple[float, Path]]:
     """Times [s] and existing files of a PVD file; empty if it does not exist.
 
-    Raises GranflowError if it is damaged, or lists files other than the frames of its series in its
-    directory.
+    Raises GranflowError if it is damaged.
     """
     listing = directory / f"{stem}.pvd"
     if not listing.exists():
         return []
     try:
-        rows = xml_of(read_regular(listing)).iter("DataSet")
-        found = [(float(row.attrib["timestep"]), row.attrib["file"]) for row in rows]
+        rows = ElementTree.parse(listing).iter("DataSet")
+        found = [(float(row.attrib["timestep"]), directory / row.attrib["file"]) for row in rows]
     except KeyError as error:
         raise _damaged_listing(listing, f"it has an entry without {error}") from None
     except OSError as error:
         raise _damaged_listing(listing, str(error.strerror or error)) from None
-    except (FormatError, ExpatError, ValueError) as error:
+    except (ElementTree.ParseError, ValueError) as error:
         raise _damaged_listing(listing, str(error)) from None
-    for time, name in found:
-        if not re.fullmatch(rf"{re.escape(stem)}_\d{{4,9}}\.p?vtu", name):
-            raise _damaged_listing(
-                listing, f"it lists {name[:80]!r}, but a frame is named like {stem}_0000.vtu"
-            )
-        if not math.isfinite(time):
-            raise _damaged_listing(listing, f"the time of {name} is {time}")
-    return [(time, directory / name) for time, name in found if (directory / name).exists()]
+    return [(time, path) for time, path in found if path.exists()]
 
 
 def _damaged_listing(listing: Path, reason: str) -> GranflowError:
@@ -396,7 +373,7 @@ def file_at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
 def is_empty(path: Path) -> bool:
     """Whether a VTU file is empty, or all pieces of a PVTU file. Raises GranflowError if that is damaged."""
     if path.suffix != SUFFIX:
-        with open_regular(path) as file:
+        with path.open("rb") as file:
             return EMPTY in file.read(HEADER_SIZE)
     try:
         pieces = pieces_in(path)
@@ -408,8 +385,7 @@ def is_empty(path: Path) -> bool:
 def read_mesh(path: Path) -> VtuMesh:
     """Mesh of a VTU or PVTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
     try:
-        read = read_pvtu if path.suffix == SUFFIX else read_vtu
-        return read(path, LARGEST_FRAME)
+        return read_pvtu(path) if path.suffix == SUFFIX else read_vtu(path)
     except (FormatError, OSError) as error:
         raise _unreadable(path, error) from None
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from granflow.errors import GranflowError
-from granflow.io.files import read_regular_text, separate_from_links, write_text
+from granflow.io.files import read_text, separate_from_links, write_text
 from granflow.kernel_language import KERNELS
 from granflow.visible_text import VisibleFormatter
 
@@ -246,7 +246,7 @@ def read_record(path: Path) -> list[RecordEntry]:
 def _text_of(path: Path) -> str:
     """Content of a text file, empty if it does not exist. Raises GranflowError if it cannot be read."""
     try:
-        return read_regular_text(path)
+        return read_text(path)
     except FileNotFoundError:
         return ""
     except OSError as error:

@@ -21,7 +21,7 @@ from granflow.io.files import (
     LostFiles,
     identity_of,
     named_errors,
-    read_regular_text,
+    read_text,
     replacing,
     separate_from_links,
 )
@@ -88,7 +88,7 @@ def read_table(path: Path) -> Table | None:
 
     Raises OSError if the file cannot be read, and FileError for a row that is not CSV.
     """
-    return table_in(read_regular_text(path), path)
+    return table_in(read_text(path), path)
 
 
 def table_in(

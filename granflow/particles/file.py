@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from granflow.errors import FileError, SceneError
-from granflow.io.files import FormatError, read_regular_text, resolved
+from granflow.io.files import FormatError, read_text, resolved
 from granflow.io.tables import Table, is_number, table_in
 from granflow.io.vtu import read_vtu
 from granflow.particles.group import ParticleData, SceneGroup, particles_of
@@ -21,8 +21,6 @@ from granflow.units import UnitError, to_si
 
 # Tables of particles: text with named columns in common formats, or a VTU frame.
 
-LARGEST_FILE = 2**30
-"""Largest file size [B]: about ten million particles."""
 MOST_SHOWN = 20
 """Largest number of problems shown per file; the message gives the number of the others."""
 RowProblem = tuple[int, str]
@@ -100,12 +98,6 @@ def read_particles(path: Path) -> ParticleTable:
     """
     try:
         status = path.stat()
-        if not path.is_file():
-            raise SceneError(f"{path}: this is not a regular file; give a table of particles.")
-        if status.st_size > LARGEST_FILE:
-            raise SceneError(
-                f"{path}: this file is larger than {LARGEST_FILE // 2**30} GiB, too large for a table."
-            )
         return _read(path, status.st_mtime_ns, status.st_size)
     except FileError as error:
         raise SceneError(error.problems) from None
@@ -160,7 +152,7 @@ def _frame(path: Path) -> ParticleTable:
     `radius` has priority. Raises SceneError for a missing array or one with another number of components.
     """
     try:
-        mesh = read_vtu(path, LARGEST_FILE)
+        mesh = read_vtu(path)
     except FormatError as error:
         raise SceneError(f"{path}: this file {error}.") from None
     data = mesh.point_data
@@ -203,7 +195,7 @@ def _frame(path: Path) -> ParticleTable:
 def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
     """Particles of a text file, and the problems of its rows, sorted by line. Raises SceneError for the
     header."""
-    table = table_in(read_regular_text(path, LARGEST_FILE), path, SEPARATORS, _is_header)
+    table = table_in(read_text(path), path, SEPARATORS, _is_header)
     if table is None:
         raise SceneError(f"{path}: the file contains no particles.")
     columns = _columns_by_quantity(table.names)

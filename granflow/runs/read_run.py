@@ -13,7 +13,7 @@ from granflow.arguments import path_of
 from granflow.errors import GranflowError, RunError
 from granflow.fields import CONTACT_QUANTITIES
 from granflow.geometry.sphere import sphere_mass
-from granflow.io.files import read_regular_text, resolved
+from granflow.io.files import read_text, resolved
 from granflow.io.frames import frame_near, is_empty, listed_frames, read_mesh, require_directory
 from granflow.io.lock import locked
 from granflow.io.log import LOG, RECORD, LogEntry, RecordEntry, read_log, read_record
@@ -246,7 +246,7 @@ class Run:
     def scene_text(self) -> str:
         """The resolved scene as YAML; empty if its file is missing."""
         path = self.directory / SCENE
-        return read_regular_text(path) if path.exists() else ""
+        return read_text(path) if path.exists() else ""
 
     @property
     def title(self) -> str:

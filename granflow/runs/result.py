@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from granflow.errors import GranflowError
-from granflow.io.files import read_regular_text, write_text
+from granflow.io.files import read_text, write_text
 from granflow.scene.blocks.output import unit_of
 from granflow.visible_text import html_table, in_degrees, readable
 
@@ -170,7 +170,7 @@ def read_sections(path: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        found = json.loads(read_regular_text(path))
+        found = json.loads(read_text(path))
     except (ValueError, RecursionError, OSError) as error:
         raise GranflowError(f"{path} cannot be read ({error}); remove it, or run again.") from None
     return found if isinstance(found, dict) else {}

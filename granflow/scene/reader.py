@@ -169,19 +169,16 @@ def document_in(path: Path, kind: str = "scene") -> Document:
 def _file_text(path: Path, kind: str) -> str:
     """The text of a file.
 
-    Raises SceneError for a directory, a file that is missing, special, too large or unreadable.
+    Raises SceneError for a directory, a file that is missing, too large or unreadable.
     """
     try:
         if path.is_dir():
             raise SceneError(f"{path}: this is a directory; give the {kind} file in it.")
-        if path.exists() and not path.is_file():
-            raise SceneError(f"{path}: this is not a regular file; give a {kind} file.")
-        with path.open("rb") as file:
-            raw = file.read(_MAX_FILE_SIZE + 1)  # files of the kernel (/proc) report no size
-        if len(raw) > _MAX_FILE_SIZE:
+        if path.stat().st_size > _MAX_FILE_SIZE:
             raise SceneError(
                 f"{path}: this file is larger than {_MAX_FILE_SIZE // 2**20} MiB, too large for a {kind}."
             )
+        raw = path.read_bytes()
     except FileNotFoundError:
         raise SceneError(f"{path}: there is no such file.{_similar(path)}") from None
     except (OSError, ValueError) as error:

@@ -4,7 +4,6 @@
 name. `yaml_text` writes plain data as YAML that loads to equal data.
 """
 
-import itertools
 import json
 import math
 import re
@@ -80,7 +79,7 @@ _LONGEST_SHOWN = 60  # characters of a value shown in a message
 class Node:
     """A value: a scalar with its source text, a list of nodes, or a mapping of entries.
 
-    `scalar`: converted value; `text`: as written; `size`: number of values in this node, itself included.
+    `scalar`: converted value; `text`: as written.
     """
 
     position: SourcePosition
@@ -88,7 +87,6 @@ class Node:
     text: str = ""
     items: "list[Node] | None" = None
     entries: "dict[str, MappingEntry] | None" = None
-    size: int = 1
 
     def data(self) -> Any:
         """The value as plain Python: dict, list, str, int, float, bool, None."""
@@ -196,18 +194,12 @@ class Document:
 # YAML 1.2 text to a tree
 #
 # The core schema is supported: mappings, lists, text, numbers, true, false and null; anchors and aliases; no
-# tags, no merge keys. Duplicate keys, aliases that contain themselves and aliases that add too many values
-# are errors.
+# tags, no merge keys. Duplicate keys and aliases that contain themselves are errors.
 #
 # The scanner and the parser are those of ruamel.yaml; the tree is built from their events. The round-trip
 # loader of ruamel.yaml is not used: it reads `1_000`, `0b11` and dates as in YAML 1.1, reports only the
-# first duplicate key, drops the source text of values, and takes 1.4 times as long. Its composer has no
-# limits of size and resolves tags first.
+# first duplicate key, drops the source text of values, and takes 1.4 times as long.
 
-MAX_DEPTH = 40  # a scene is at most 9 deep
-_MAX_ALIASED = 100_000  # largest number of nodes added by aliases
-_MAX_VALUES = 250_000  # 60 000 positions; the same number of errors takes 0.7 GB
-_MAX_KEYS = 5000  # in one mapping
 _YAML_TAGS = "tag:yaml.org,2002:"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -218,8 +210,8 @@ def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
     `source`: name of the file for positions. Duplicate keys are in `Document.problems`; the first one
     applies.
 
-    Raises DocumentError for errors that prevent reading: syntax errors, tags, recursive aliases, several
-    documents, and more values, keys or levels than a scene can have.
+    Raises DocumentError for errors that prevent reading: syntax errors, tags, recursive aliases, and
+    several documents.
     """
     return _Composer(source, with_positions).compose(text)
 
@@ -227,23 +219,17 @@ def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
 class _Composer:
     """Builds the tree from the parser's events.
 
-    anchors:         nodes by anchor, None while the node is incomplete
-    aliased, count:  numbers of values, for the limits
+    anchors:  nodes by anchor, None while the node is incomplete
     """
 
     def __init__(self, source: str, with_positions: bool) -> None:
         self.source = source
         self.with_positions = with_positions
         self.anchors: dict[str, Node | None] = {}
-        self.aliased = 0
-        self.count = 0
         self.problems: list[Problem] = []
 
     def compose(self, text: str) -> Document:
-        """The document with positions, aliases resolved. Raises DocumentError.
-
-        Aliased nodes are shared, not copied; their number is limited.
-        """
+        """The document with positions, aliases resolved to shared nodes. Raises DocumentError."""
         root: Node | None = None
         self._printable(text)
         try:
@@ -252,7 +238,7 @@ class _Composer:
                 if isinstance(event, DocumentStartEvent):
                     if root is not None:
                         raise self._error(event, "a second document begins here, but a scene is one document")
-                    root = self._node(next(events), events, depth=0)
+                    root = self._node(next(events), events)
         except MarkedYAMLError as error:
             raise DocumentError(self._syntax(error, text)) from None
         except (YAMLError, ValueError, RecursionError) as error:
@@ -292,85 +278,48 @@ class _Composer:
         line = text.splitlines()[mark.line : mark.line + 1] if mark else []
         return Problem(position, _syntax_sentence(error, "".join(line).strip()))
 
-    def _node(self, event: Any, events: Iterator[Event], depth: int) -> Node:
-        """The node that begins with an event; consumes its events.
-
-        Raises DocumentError above the limits, or for a tag.
-        """
+    def _node(self, event: Any, events: Iterator[Event]) -> Node:
+        """The node that begins with an event; consumes its events. Raises DocumentError for a tag."""
         if isinstance(event, AliasEvent):
             return self._alias(event)
-        if depth > MAX_DEPTH:
-            raise self._error(
-                event,
-                f"this is nested more than {MAX_DEPTH} levels deep; at most {MAX_DEPTH} levels are supported",
-            )
         if getattr(event, "tag", None):
             tag = event.tag.replace(_YAML_TAGS, "!!")
             raise self._error(event, f"the tag {tag} is not supported in scenes; remove it")
-        self.count += 1
-        if self.count > _MAX_VALUES:
-            raise self._error(
-                event, f"the file has more than {_MAX_VALUES} values up to here, too many for a scene"
-            )
         if event.anchor:
             self.anchors[event.anchor] = None
         if isinstance(event, ScalarEvent):
-            value = resolve(event.value) if event.style is None else self._quoted(event)
+            value = resolve(event.value) if event.style is None else event.value
             node = Node(self._at(event), scalar=value, text=event.value)
         elif isinstance(event, SequenceStartEvent):
-            node = self._list(event, events, depth)
+            node = self._list(event, events)
         else:
-            node = self._mapping(event, events, depth)
+            node = self._mapping(event, events)
         if event.anchor:
             self.anchors[event.anchor] = node
         return node
 
-    def _quoted(self, event: ScalarEvent) -> str:
-        """Quoted text; pairs of escaped surrogates (as in JSON) are joined to one character.
-
-        Raises DocumentError for a surrogate without its pair.
-        """
-        try:
-            return event.value.encode("utf-16", "surrogatepass").decode("utf-16")
-        except UnicodeDecodeError:
-            raise self._error(
-                event, "this text has an escaped surrogate without its pair; write the character itself"
-            ) from None
-
     def _alias(self, event: AliasEvent) -> Node:
-        """The node of an anchor.
-
-        Raises DocumentError for an unknown anchor, a recursive alias, or too many aliased values.
-        """
+        """The node of an anchor. Raises DocumentError for an unknown anchor or a recursive alias."""
         if event.anchor not in self.anchors:
             raise self._error(event, f"the alias *{event.anchor} has no anchor &{event.anchor} above it")
         node = self.anchors[event.anchor]
         if node is None:
             raise self._error(event, f"the alias *{event.anchor} contains itself")
-        self.aliased += node.size
-        if self.aliased > _MAX_ALIASED:
-            raise self._error(
-                event, f"aliases add more than {_MAX_ALIASED} values up to here; use fewer aliases"
-            )
         return node
 
-    def _list(self, start: SequenceStartEvent, events: Iterator[Event], depth: int) -> Node:
+    def _list(self, start: SequenceStartEvent, events: Iterator[Event]) -> Node:
         """The node of a list."""
         items: list[Node] = []
         while not isinstance(event := next(events), SequenceEndEvent):
-            items.append(self._node(event, events, depth + 1))
-        return Node(self._at(start), items=items, size=1 + sum(item.size for item in items))
+            items.append(self._node(event, events))
+        return Node(self._at(start), items=items)
 
-    def _mapping(self, start: MappingStartEvent, events: Iterator[Event], depth: int) -> Node:
-        """The node of a mapping; a duplicate key is a problem. Raises DocumentError for too many keys."""
+    def _mapping(self, start: MappingStartEvent, events: Iterator[Event]) -> Node:
+        """The node of a mapping; a duplicate key is a problem."""
         entries: dict[str, MappingEntry] = {}
-        for count in itertools.count():
-            if isinstance(event := next(events), MappingEndEvent):
-                break
-            if count == _MAX_KEYS:
-                raise self._error(event, f"this mapping has more than {_MAX_KEYS} keys, too many for a scene")
+        while not isinstance(event := next(events), MappingEndEvent):
             key = self._key(event)
-            entry = MappingEntry(self._at(event), self._node(next(events), events, depth + 1))
+            entry = MappingEntry(self._at(event), self._node(next(events), events))
             if entry.node.is_empty:
                 entry.node.position = entry.key_position  # the parser reports the position of the next token
             if key in entries:
@@ -382,8 +331,7 @@ class _Composer:
                 )
             else:
                 entries[key] = entry
-        size = 1 + sum(entry.node.size for entry in entries.values())
-        return Node(self._at(start), entries=entries, size=size)
+        return Node(self._at(start), entries=entries)
 
     def _key(self, event: Any) -> str:
         """The text of a key. Raises DocumentError for other values, and for the merge key <<."""

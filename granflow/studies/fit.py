@@ -16,7 +16,7 @@ import numpy as np
 
 from granflow.contact.material import VelocityRestitution, limit_velocity
 from granflow.errors import FileError, GranflowError
-from granflow.io.files import read_regular
+from granflow.io.files import read_file
 from granflow.io.tables import table_in
 from granflow.scene.blocks.materials import PRESETS, Material
 from granflow.schema.messages import suggestion_or_list
@@ -34,8 +34,6 @@ HEADINGS = {
 """Accepted names of each column; the first one is preferred."""
 DIMENSION = {"velocity": "velocity", "restitution": "number", "deviation": "number", "weight": "number"}
 """Dimension of each column, in which units of values are converted to SI."""
-LARGEST_FILE = 2**26
-"""Maximum size of a file in bytes; sufficient for more than a million measurements."""
 SEPARATORS = (";", "\t", ",")
 """Separators of cells, in the order of precedence."""
 
@@ -97,7 +95,7 @@ def _spread(table: Mapping[str, np.ndarray]) -> np.ndarray:
 def _text(path: Path) -> str:
     """Text of a UTF-8 file, without a byte order mark. Raises GranflowError for another encoding."""
     try:
-        return read_regular(path, LARGEST_FILE).decode("utf-8-sig")
+        return read_file(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise GranflowError(f"{path} is not UTF-8 text; save it as CSV in UTF-8.") from None
 

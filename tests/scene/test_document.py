@@ -68,15 +68,3 @@ def test_all_duplicate_keys_are_reported():
     document = parse("a: 1\na: 2\nb: 3\nb: 4\n", "file")
     assert document.root.data() == {"a": 1, "b": 3}
     assert [str(problem.position) for problem in document.problems] == ["file:2:1", "file:4:1"]
-
-
-def test_exponential_aliases_are_rejected():
-    lines = ["a0: &a0 [1]"] + [f"a{i}: &a{i} [" + ", ".join([f"*a{i - 1}"] * 10) + "]" for i in range(1, 30)]
-    with pytest.raises(DocumentError, match="aliases add more than"):
-        parse("\n".join(lines), "file")
-
-
-def test_escaped_surrogates_are_accepted_only_in_pairs():
-    assert parse(r'"\ud83d\ude00"', "file").root.data() == "\U0001f600"
-    with pytest.raises(DocumentError, match="escaped surrogate"):
-        parse(r'"\ud83d"', "file")

@@ -3,7 +3,6 @@ memory."""
 
 import contextlib
 import io
-import os
 import random
 import re
 import resource
@@ -148,149 +147,23 @@ def test_blocks_generated_from_the_json_schema_are_accepted_or_rejected_with_pos
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_many_blocks_generated_from_the_json_schema_are_accepted_or_rejected_with_positions(tmp_path):
-    accepted_count(in_subprocess(check_generated_files, str(tmp_path), 1000, seconds=3500), 1000)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("first", range(1000, 13_000, 3000))
 def test_many_mutated_scenes_are_accepted_or_rejected_with_positions(tmp_path, first):
     accepted_count(in_subprocess(check_mutated_files, str(tmp_path), first, 3000, seconds=3500), 3000)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_many_random_files_are_accepted_or_rejected_with_positions(tmp_path):
-    accepted_count(in_subprocess(check_hypothesis_files, str(tmp_path), 8000, seconds=3500), 8000)
-
-
-REPEAT_COUNT = 3000
-ALIAS_BOMB = "a0: &a0 [x, x]\n" + "".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(60))
-MALICIOUS = {
-    "aliases that double": ALIAS_BOMB,
-    "recursive anchor": "title: &a [*a]",
-    "nested recursive anchor": "title: &a {b: {c: [1, *a]}}",
-    "merge key": "a: &a {b: 1}\nc: {<<: *a}",
-    "python tag": "title: !!python/object/apply:os.system ['touch pwned']",
-    "pickle": "title: !!binary gASVBQAAAAAAAACMAWGULg==",
-    "empty file": "",
-    "only comments": "# a\n" * REPEAT_COUNT,
-    "only a tab": "\t",
-    "tabs": "title: x\nrun:\n\tduration: 1\n",
-    "NUL": "title: a\0b",
-    "deep lists": "[" * 100_000,
-    "deep mappings": "{a: " * 100_000,
-    "deep blocks": "".join(" " * n + f"k{n}:\n" for n in range(REPEAT_COUNT)),
-    "deep dashes": "- " * 100_000,
-    "question marks": "? " * 100_000,
-    "a long integer": "seed: " + "9" * 1_000_000,
-    "a long hexadecimal": "seed: 0x" + "f" * 1_000_000,
-    "a long key": "k" * 1_000_000 + ": 1",
-    "a long word": "title: " + "x" * 1_000_000,
-    "a key that begins with a space": '" title": x',
-    "the same key": "title: x\n" * REPEAT_COUNT,
-    "many keys": "".join(f"k{n}: 1\n" for n in range(6000)),
-    "many documents": "---\n" * REPEAT_COUNT,
-    "many anchors": "title: [" + ", ".join(f"&a{n} x" for n in range(REPEAT_COUNT)) + "]",
-    "many tags": "%TAG ! tag:x,2000:\n" * REPEAT_COUNT + "---\na: 1",
-    "single surrogate": 'title: "\\ud800"',
-    "infinities": "gravity: [.inf, -.inf, .nan]",
-    "numbers beyond float64": "gravity: [1e308, 1e400, -1e999]",
-    "many materials": "materials:\n" + "".join(f"  m{n}: {{density: 1}}\n" for n in range(REPEAT_COUNT)),
-    "many particle groups": "particles:\n"
-    + "".join(f"  m{n}: {{material: x{n}}}\n" for n in range(REPEAT_COUNT)),
-}
-
-
-def check_malicious_files(folder, kind):
-    return check_files(
-        folder, (text.encode() for text in (MALICIOUS if kind == "small" else large_files()).values())
-    )
-
-
-def test_malicious_files_are_rejected(tmp_path):
-    """Alias bombs, recursion, tags, deep nesting and long scalars."""
-    assert accepted_count(in_subprocess(check_malicious_files, str(tmp_path), "small"), len(MALICIOUS)) == 0
-    assert not list(tmp_path.glob("pwned"))
-
-
-def large_files():
-    """Files of 10 MB, and of slightly less than the limit of 4 MiB."""
-    return {
-        f"{name}, {size}": text for size in (10**7, 2**22 - 200) for name, text in files_of_size(size).items()
-    }
-
-
-def files_of_size(size):
-    """Files of `size` bytes that repeat one construct of YAML or of scenes."""
-    parts = {
-        "scalars": ("title: [", "0,", "0]"), "lists": ("title: [", "[],", "0]"), "dashes": ("title:\n", "- a\n", ""),
-        "text": ("title: '", "a", "'"), "words": ("title: ", "a ", "a"), "block": ("title: |\n", " b\n", ""),
-        "lines": ("", "\n", ""), "comments": ("", "#\n", ""), "quote": ("a: '", "\n", ""),
-        "digits": ("seed: ", "9", ""), "colons": ("", ":", ""), "anchors": ("title: [", "&a 1,", "0]"),
-        "keys": ("", "k: 1\n", ""),
-        "positions": ("title: x\nparticles: {a: {insert: {kind: positions, positions: [", "[0,0,0],", "]}}}"),
-        "bad items": ("particles: {a: {insert: {kind: positions, positions: [", "0," + 15 * " ", "0]}}}"),
-        "bad walls": ("walls:\n", "  w: {" + ", ".join(f"k{k}: 1" for k in range(48)) + "}\n", ""),
-    }  # fmt: skip
-    found = {name: head + body * (size // len(body)) + tail for name, (head, body, tail) in parts.items()}
-    return found | {"bad walls": renumbered(found["bad walls"])}
-
-
-def renumbered(text):
-    """The text with a different name for each wall."""
-    return "".join(line.replace("  w:", f"  w{n}:", 1) for n, line in enumerate(text.splitlines(True)))
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_large_files_are_rejected(tmp_path):
-    result = in_subprocess(check_malicious_files, str(tmp_path), "large", seconds=3500)
-    assert accepted_count(result, len(large_files())) == 0
-
-
-def unreadable_paths(folder):
-    """Paths that are no readable scene files, and a fragment of the message about each."""
-    folder = Path(folder)
-    os.mkfifo(folder / "fifo.yaml")
-    (folder / "loop.yaml").symlink_to("loop.yaml")
-    (folder / "nowhere.yaml").symlink_to("missing.yaml")
-    (folder / "zero.yaml").symlink_to("/dev/zero")
-    (folder / "up.yaml").symlink_to(folder)
-    (folder / "sparse.yaml").write_bytes(b"")
-    os.truncate(folder / "sparse.yaml", 2**40)
-    return {
-        str(folder): "this is a directory",
-        "/dev/zero": "this is not a regular file",
-        "/proc/self/pagemap": "this file is larger than 4 MiB",
-        str(folder / "fifo.yaml"): "this is not a regular file",
-        str(folder / "loop.yaml"): "the file cannot be read",
-        str(folder / "nowhere.yaml"): "there is no such file",
-        str(folder / "zero.yaml"): "this is not a regular file",
-        str(folder / "up.yaml"): "this is a directory",
-        str(folder / "sparse.yaml"): "this file is larger than 4 MiB",
-        str(folder / ("n" * 300)): "the file cannot be read",
-        "scene\0.yaml": "the file cannot be read",
-        "": "this is a directory",
-    }
-
-
-def check_unreadable_paths(folder):
-    paths = unreadable_paths(folder)
-    results = []
-    set_limits()
-    for name, words in paths.items():
-        code, message = check(name)
-        results.append([name, code, words in message, message])
-    return results
-
-
-def test_unreadable_paths_are_reported(tmp_path):
-    for name, code, reported, message in in_subprocess(check_unreadable_paths, str(tmp_path)):
-        assert code == 2, name
-        assert reported, f"{name}: {message}"
-        assert message.endswith("1 problem found.\n")
+def test_unreadable_paths_are_reported(tmp_path, capsys):
+    (tmp_path / "loop.yaml").symlink_to("loop.yaml")
+    (tmp_path / "nowhere.yaml").symlink_to("missing.yaml")
+    (tmp_path / "large.yaml").write_bytes(bytes(5 * 2**20))
+    for name, words in {
+        ".": "this is a directory",
+        "loop.yaml": "the file cannot be read",
+        "nowhere.yaml": "there is no such file",
+        "large.yaml": "this file is larger than 4 MiB",
+    }.items():
+        assert main(["check", str(tmp_path / name)]) == 2
+        assert words in capsys.readouterr().err
 
 
 def test_symbolic_link_to_a_scene_is_followed(tmp_path):
@@ -300,12 +173,6 @@ def test_symbolic_link_to_a_scene_is_followed(tmp_path):
 
 
 LIMITS_EXCEEDED = {
-    "walls:\n" + "".join(f"  w{n}: 1\n" for n in range(5001)): (
-        ":5002:3: this mapping has more than 5000 keys, too many for a scene.",
-    ),
-    "seed: [" + "0, " * 250_000 + "0]": (
-        ":1:750002: the file has more than 250000 values up to here, too many for a scene.",
-    ),
     "materials:\n" + "".join(f"  m{n}: {{}}\n" for n in range(51)): (
         ":1:1: materials has 51 entries, but the limit is 50.",
     ),
@@ -316,7 +183,7 @@ LIMITS_EXCEEDED = {
 }
 
 
-@pytest.mark.parametrize("text", LIMITS_EXCEEDED, ids=["keys", "values", "entries", "problems"])
+@pytest.mark.parametrize("text", LIMITS_EXCEEDED, ids=["entries", "problems"])
 def test_messages_state_the_exceeded_limit(tmp_path, text):
     path = tmp_path / "scene.yaml"
     path.write_text(text)
