@@ -43,7 +43,6 @@ class Mesh(Surface):
     """
 
     kind: ClassVar[str] = "mesh"
-    has_openings: ClassVar[bool] = True
 
     points: np.ndarray
     corners: np.ndarray

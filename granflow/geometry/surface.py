@@ -29,13 +29,11 @@ class Surface:
     that another one owns. A `distance` has no regard to shared edges. On the device both are functions of one
     point, on the host `contacts` and `distances` are those of many.
 
-    `kind`: name of the kind. `is_curved`: its face has different normals. `has_openings`: it may have
-    openings within its edges, as a tube has.
+    `kind`: name of the kind. `is_curved`: its face has different normals.
     """
 
     kind: ClassVar[str]
     is_curved: ClassVar[bool] = False
-    has_openings: ClassVar[bool] = False
 
     @property
     def plane(self) -> tuple[Vector, Vector] | None:

@@ -24,13 +24,14 @@ from granflow.contact.material import Solid
 from granflow.contact.registry import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.close_pairs import near_pairs
+from granflow.geometry.region import RegionSampler
 from granflow.geometry.sphere import sphere_volume
 from granflow.load import Scene
 from granflow.particles.group import ParticleData, SceneGroup
-from granflow.plan.falls import region_of
 from granflow.plan.pair_case import PairCase
-from granflow.plan.plan import Forecast, Plan
+from granflow.plan.plan import Cause, Forecast, Plan
 from granflow.plan.stages import StageTimes, nominal_times
+from granflow.plan.time_step import ImpactVelocity
 from granflow.plan.wall_control import section
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
@@ -332,6 +333,10 @@ class BedPressure:
         mean = pi * diameter**2 * self.pressure / (SOLID_FRACTION * COORDINATION)
         return max(log(2.0 * self.contact_count) / FORCE_DECAY, 1.0) * mean
 
+    def force_on(self, pair: PairCase) -> float:
+        """Largest contact force [N] of a pair: the pressure acts on its smaller particle."""
+        return self.largest_force(2.0 * pair.overlap_radius)
+
 
 def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
     """The pressures of a scene: the weight of its particles, and each wall that presses on them."""
@@ -513,154 +518,115 @@ LIMIT_MARGIN = 1.05
 """Recommended over forecast overlap limit."""
 
 
-@dataclass(frozen=True)
-class _Largest:
-    """The pair with the largest overlap of one cause, and the instruction that all pairs of this cause
-    require."""
+def _forecast(
+    plan: Plan,
+    name: str,
+    cause: Cause,
+    pairs: Iterable[PairCase],
+    overlap: Overlap,
+    words: tuple[str, str],
+    ends: tuple[str, str] = ("", "."),
+    force: Callable[[PairCase], float] = lambda pair: 0.0,
+) -> Forecast | None:
+    """The pair with the largest overlap for one cause, with a warning and its remedy if the run would stop;
+    None without pairs.
 
-    pair: PairCase
-    overlap: float
-    instruction: str
-
-
-def impact_forecast(plan: Plan, pairs: Iterable[PairCase], velocity: float, source: str) -> Forecast | None:
-    """The largest overlap of an impact at the maximum velocity [m/s]; `source`: origin of the velocity."""
-    limit = plan.scene.numerics.max_overlap
-    largest = _largest(plan, pairs, lambda pair: impact_overlap(plan.laws, pair, velocity, limit))
-    if largest is None:
-        return None
-    remark = f"{largest.pair.name} at {velocity:.3g} m/s, {source}"
-    warning = None
-    if largest.overlap > limit:
-        warning = (
-            f"{largest.pair.name}: an impact at {velocity:.3g} m/s, {source}, overlaps by "
-            f"{_share_text(largest.overlap)}, {_above_limit(plan)} {_remedy(largest)}, or set "
-            "run.velocity_max lower if all impacts are slower."
-        )
-    return Forecast(
-        "overlap of impacts", _share_text(largest.overlap), remark, warning, "impact", largest.overlap
-    )
-
-
-def static_forecasts(
-    plan: Plan, pairs: Iterable[PairCase], pressures: Iterable[BedPressure]
-) -> Iterator[Forecast]:
-    """The largest overlap at rest without load (only with cohesion), and under each load.
-
-    A warning of a load is omitted if cohesion alone exceeds the limit.
+    words:  remark on the pair, and the verb of the warning up to the overlap
+    ends:   what the warning proposes before and after the moduli that reduce the overlaps of all pairs to the
+            limit
+    force:  largest static contact force [N] of a pair
     """
-    touching = list(pairs)
-    cohesive = None if plan.laws.cohesion is None else cohesion_forecast(plan, touching)
-    if cohesive is not None:
-        yield cohesive
-    for load in pressures:
-        largest = _largest(plan, touching, partial(loaded_overlap, plan.laws, load))
-        if largest is None:
-            continue
-        warning = None
-        if largest.overlap > plan.scene.numerics.max_overlap and (
-            cohesive is None or cohesive.warning is None
-        ):
-            warning = (
-                f"{largest.pair.name}: under {load.cause} contacts overlap by {_up_to(largest.overlap)}, "
-                f"{_above_limit(plan)} {_remedy(largest)}."
-            )
-        name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
-        remark = f"{largest.pair.name} under {load.cause}"
-        force = load.largest_force(2.0 * largest.pair.overlap_radius)
-        yield Forecast(name, _up_to(largest.overlap), remark, warning, load.kind, largest.overlap, force)
-
-
-def supported_forecast(plan: Plan, pairs: Iterable[tuple[PairCase, float]]) -> Forecast | None:
-    """The largest overlap under the weight [N] of a large particle on one of the small ones that carry it."""
-    supported = list(pairs)
-    weights = {pair.name: weight for pair, weight in supported}  # also of pairs with another modulus
-    largest = _largest(
-        plan,
-        (pair for pair, _weight in supported),
-        lambda pair: static_overlap(plan.laws, pair, weights[pair.name]),
-    )
-    if largest is None:
-        return None
-    warning = None
-    if largest.overlap > plan.scene.numerics.max_overlap:
-        warning = (
-            f"{largest.pair.name}: under the weight of one particle the contacts below it overlap by "
-            f"{_up_to(largest.overlap)}, {_above_limit(plan)} {_remedy(largest)}."
-        )
-    remark = f"{largest.pair.name}, at rest"
-    force = weights[largest.pair.name]
-    return Forecast(
-        "overlap under a particle", _up_to(largest.overlap), remark, warning, "weight", largest.overlap, force
-    )
-
-
-def cohesion_forecast(plan: Plan, pairs: Iterable[PairCase]) -> Forecast | None:
-    """The overlap at which repulsion and attraction balance: particles that touch are drawn together up to
-    it."""
-    largest = _largest(plan, pairs, lambda pair: static_overlap(plan.laws, pair, 0.0))
-    if largest is None:
-        return None
-    warning = None
-    if largest.overlap > plan.scene.numerics.max_overlap:
-        assert plan.laws.cohesion is not None
-        keys = " or ".join(plan.laws.cohesion.constant_names)
-        warning = (
-            f"{largest.pair.name}: the cohesion alone draws particles together by "
-            f"{_share_text(largest.overlap)}, {_above_limit(plan)} Lower {keys}, or "
-            f"{_remedy(largest, capital=False)}."
-        )
-    remark = f"{largest.pair.name}, without load"
-    return Forecast(
-        "overlap by cohesion", _share_text(largest.overlap), remark, warning, "cohesion", largest.overlap
-    )
-
-
-def loaded_overlap(laws: ContactLaws, load: BedPressure, pair: PairCase) -> float:
-    """Largest relative overlap of a pair under a load; the pressure acts on its smaller particle."""
-    return static_overlap(laws, pair, load.largest_force(2.0 * pair.overlap_radius))
-
-
-def _largest(plan: Plan, pairs: Iterable[PairCase], overlap: Overlap) -> _Largest | None:
-    """The pair with the largest overlap, and the instruction that reduces all to the limit; None without
-    pairs."""
     found = [(overlap(pair), pair) for pair in pairs]
     if not found:
         return None
+    scene = plan.scene
+    limit = scene.numerics.max_overlap
+    largest, pair = max(found, key=lambda each: each[0])
+    amount = f"{largest:.3g} of the radius" if largest < 1.0 else "more than the radius"
+    if cause in ("weight", "wall") and largest < 1.0:
+        amount = f"up to {amount}"
+    warning = None
+    if largest > limit:
+        needed = float(f"{LIMIT_MARGIN * largest + 0.005:.2f}")
+        accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
+        remedy = (
+            f"{ends[0]}{_stiffer(plan, found, overlap, pair)}{accept if needed <= LARGEST_OVERLAP else ''}"
+        )
+        is_given = scene.is_given("numerics", "max_overlap")
+        place = f" ({scene.where('numerics', 'max_overlap')})" if is_given else ""
+        warning = (
+            f"{pair.name}: {words[1]} {amount}, and the run stops above numerics.max_overlap "
+            f"{limit:g}{place}. {remedy[0].upper()}{remedy[1:]}{ends[1]}"
+        )
+    return Forecast(name, amount, f"{pair.name}{words[0]}", warning, cause, largest, force(pair))
+
+
+def _stiffer(plan: Plan, found: Iterable[tuple[float, PairCase]], overlap: Overlap, worst: PairCase) -> str:
+    """The instruction that reduces the overlaps of all pairs to the limit."""
     limit = plan.scene.numerics.max_overlap
-    worst = max(found, key=lambda each: each[0])
     moduli: dict[str, float] = {}
     for size, pair in found:
         if size > limit:
             factor = modulus_factor(pair, overlap, limit)
             if factor is None:
-                return _Largest(worst[1], worst[0], without_modulus(pair, overlap))
+                return without_modulus(worst, overlap)
             for name, value in required_moduli(plan.scene.materials, pair.materials, factor).items():
                 moduli[name] = max(moduli.get(name, 0.0), value)
-    return _Largest(worst[1], worst[0], modulus_text(moduli))
+    return modulus_text(moduli)
 
 
-def _above_limit(plan: Plan) -> str:
-    """End of a sentence on an overlap above the limit."""
-    is_given = plan.scene.is_given("numerics", "max_overlap")
-    place = f" ({plan.scene.where('numerics', 'max_overlap')})" if is_given else ""
-    return f"and the run stops above numerics.max_overlap {plan.scene.numerics.max_overlap:g}{place}."
+def overlap_forecasts(plan: Plan, velocity: ImpactVelocity) -> Iterator[Forecast]:
+    """The largest overlap for each cause that occurs: impacts at a velocity, cohesion alone, each load on the
+    bed, and large particles on small ones.
+
+    A warning of a load is omitted if cohesion alone exceeds the limit.
+    """
+    laws = plan.laws
+    pairs = list(touching_pairs(plan))
+    supported = list(supported_pairs(plan))
+    weights = {pair.name: weight for pair, weight in supported}  # also of pairs with another modulus
+    on_small = [pair for pair, _weight in supported]
+
+    def impact(pair: PairCase) -> float:
+        return impact_overlap(laws, pair, velocity.value, plan.scene.numerics.max_overlap)
+
+    def unloaded(pair: PairCase) -> float:
+        return static_overlap(laws, pair, 0.0)
+
+    at = f"at {velocity.value:.3g} m/s, {velocity.source}"
+    slower = ", or set run.velocity_max lower if all impacts are slower."
+    words = (f" {at}", f"an impact {at}, overlaps by")
+    found = [
+        _forecast(plan, "overlap of impacts", "impact", [*pairs, *on_small], impact, words, ("", slower))
+    ]
+    is_drawn = False
+    if laws.cohesion is not None:
+        lower = f"lower {' or '.join(laws.cohesion.constant_names)}, or "
+        words = (", without load", "the cohesion alone draws particles together by")
+        cohesive = _forecast(plan, "overlap by cohesion", "cohesion", pairs, unloaded, words, (lower, "."))
+        is_drawn = cohesive is not None and cohesive.warning is not None
+        found.append(cohesive)
+    for load in bed_pressures(plan):
+        name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
+        words = (f" under {load.cause}", f"under {load.cause} contacts overlap by")
+        loaded = partial(_loaded_overlap, laws, load.force_on)
+        each = _forecast(plan, name, load.kind, pairs, loaded, words, force=load.force_on)
+        found.append(replace(each, warning=None) if each is not None and is_drawn else each)
+    words = (", at rest", "under the weight of one particle the contacts below it overlap by")
+
+    def weight(pair: PairCase) -> float:
+        return weights[pair.name]
+
+    carried = partial(_loaded_overlap, laws, weight)
+    found.append(
+        _forecast(plan, "overlap under a particle", "weight", on_small, carried, words, force=weight)
+    )
+    yield from (each for each in found if each is not None)
 
 
-def _remedy(largest: _Largest, capital: bool = True) -> str:
-    """The remedies: moduli, or a higher limit if it is allowed."""
-    needed = float(f"{LIMIT_MARGIN * largest.overlap + 0.005:.2f}")
-    accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
-    text = largest.instruction + (accept if needed <= LARGEST_OVERLAP else "")
-    return text[0].upper() + text[1:] if capital else text
-
-
-def _up_to(overlap: float) -> str:
-    return f"up to {_share_text(overlap)}" if overlap < 1.0 else _share_text(overlap)
-
-
-def _share_text(overlap: float) -> str:
-    return f"{overlap:.3g} of the radius" if overlap < 1.0 else "more than the radius"
+def _loaded_overlap(laws: ContactLaws, force: Callable[[PairCase], float], pair: PairCase) -> float:
+    """Largest relative overlap of a pair under a static force [N], which depends on the pair."""
+    return static_overlap(laws, pair, force(pair))
 
 
 # Initial particles that overlap each other by more than the limit, with which a run would stop at its start.
@@ -677,46 +643,57 @@ def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
     """
     if not any(each.insert.has_rows for each in scene.particles.values()):
         return
-    spheres, radii, owners = spheres_of(scene, particles)
+    spheres, radii, owners = _spheres_of(scene, particles)
     position, radius, sphere = scene.domain.periodic_box().images(spheres, radii)
     owner = owners[sphere]
-    first, second = _mobile_pairs(scene, particles, len(radii), owner, near_pairs(position, radius, 0.0))
-    smaller = np.minimum(radius[first], radius[second])
+    fixed = np.array([group.fixed for group in scene.particles.values()])[particles.group][owner]
+    first, second = near_pairs(position, radius, 0.0)
     depth = radius[first] + radius[second] - np.linalg.norm(position[first] - position[second], axis=1)
     limit = scene.numerics.max_overlap
-    above = np.flatnonzero(depth > limit * smaller)
+    above = np.flatnonzero(
+        (depth > limit * np.minimum(radius[first], radius[second]))
+        & (np.minimum(first, second) < len(radii))  # pairs of two images are pairs of spheres too
+        & (owner[first] != owner[second])
+        & ~(fixed[first] & fixed[second])
+    )
     if not len(above):
         return
-    worst = above[(depth[above] / smaller[above]).argmax()]
+    overlap = depth[above] / np.minimum(radius[first[above]], radius[second[above]])
+    worst = above[overlap.argmax()]
     pair = sorted((int(first[worst]), int(second[worst])))
     names = [_name(scene, particles, int(owner[k]), position[k] - spheres[sphere[k]]) for k in pair]
     group = list(scene.particles)[particles.group[owner[pair[0]]]]
     count = len(np.unique(np.sort([owner[first[above]], owner[second[above]]], axis=0), axis=1).T)
     pairs = f"{count} pairs overlap" if count > 1 else "1 pair overlaps"
     raise SceneError(
-        f"{scene.locate('particles', group)}: {' and '.join(names)} overlap by "
-        f"{depth[worst] / smaller[worst]:.3g} of the smaller radius at the start, and the run stops above "
-        f"numerics.max_overlap {limit:g} ({pairs} by more). Move them {depth[worst]:.3g} m apart, or let "
-        "granflow place them: kind pack."
+        f"{scene.locate('particles', group)}: {' and '.join(names)} overlap by {overlap.max():.3g} of the "
+        f"smaller radius at the start, and the run stops above numerics.max_overlap {limit:g} ({pairs} by "
+        f"more). Move them {depth[worst]:.3g} m apart, or let granflow place them: kind pack."
     )
 
 
-def _mobile_pairs(
-    scene: Scene, particles: ParticleData, count: int, owner: np.ndarray, pairs: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs (p,), (p,) of spheres of two particles that are not both fixed.
+def _spheres_of(scene: Scene, particles: ParticleData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centers (m, 3) [m] and radii (m,) [m] of the spheres of all particles, and the index (m,) of their
+    particle."""
+    centers = [np.empty((0, 3))]
+    radii = [np.empty(0)]
+    owners: list[np.ndarray] = [np.empty(0, dtype=np.int64)]
+    for own, center, radius in _placed_groups(scene, particles):
+        centers.append(center.reshape(-1, 3))
+        radii.append(radius.reshape(-1))
+        owners.append(np.repeat(own, radius.shape[1]))
+    return np.concatenate(centers), np.concatenate(radii), np.concatenate(owners)
 
-    `owner` (m,): index of the particle of each sphere, first of the `count` spheres, then of their images.
-    Pairs of two images are left out: they are pairs of spheres too.
-    """
-    first, second = pairs
-    fixed = np.array([group.fixed for group in scene.particles.values()])[particles.group][owner]
-    counts = (
-        (np.minimum(first, second) < count)
-        & (owner[first] != owner[second])
-        & ~(fixed[first] & fixed[second])
-    )
-    return first[counts], second[counts]
+
+def _placed_groups(
+    scene: Scene, particles: ParticleData
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """For each group: indices (n,) of its particles, centers (n, k, 3) [m] and radii (n, k) [m] of their
+    spheres."""
+    for number, group in enumerate(scene.particles.values()):
+        own = np.flatnonzero(particles.group == number)
+        turns = None if particles.orientation is None else particles.orientation[own]
+        yield own, *group.shape.placed_spheres(particles.position[own], particles.radius[own], turns)
 
 
 def _name(scene: Scene, particles: ParticleData, index: int, shift: np.ndarray) -> str:
@@ -734,53 +711,54 @@ SAMPLES = 2000
 """Number of random positions at which a region is compared with the walls."""
 
 
-def region_warnings(plan: Plan, times: StageTimes) -> Iterator[str]:
-    """A sentence for each region and wall where particles would be inserted with overlaps above the limit."""
+def region_of(group: Group) -> RegionSampler | None:
+    """The region in which particles of a group are inserted at random or on a lattice; None for given
+    positions."""
+    return group.insert.region_for(0.5 * group.outer_diameters[1], np.array(group.velocity, float))
+
+
+def region_findings(plan: Plan, times: StageTimes) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Key and rest of the sentence for each region and wall where particles would be inserted with overlaps
+    above the limit."""
     for name, group in plan.scene.particles.items():
         region = region_of(group)
-        if region is None or group.fixed:
-            continue
         radius = 0.5 * group.outer_diameters[0]
-        if radius > region.radius_max:
-            continue  # the particles do not fit: reported when they are generated
+        # Particles that do not fit into the region are reported when they are generated.
+        if region is None or group.fixed or radius > region.radius_max:
+            continue
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
         bodies = group.shape.placed_spheres(points, np.full(SAMPLES, radius), None)
-        start = getattr(group.insert, "start", 0.0)
-        for wall, overlap in _overlaps(plan.walls, bodies, start, times):
+        for wall, overlap in _overlaps(plan.walls, bodies, getattr(group.insert, "start", 0.0), times):
             share = float(np.mean(overlap > plan.scene.numerics.max_overlap))
             if share > 0.0:
                 yield (
-                    f"particles.{name}.insert ({plan.scene.where('particles', name, 'insert')}): "
-                    f"{100 * share:.3g} % of the positions in the region are inside or behind "
+                    ("particles", name, "insert"),
+                    f": {100 * share:.3g} % of the positions in the region are inside or behind "
                     f"walls.{wall.name}, and particles there stop the run. Choose a region that does not "
-                    "intersect the wall."
+                    "intersect the wall.",
                 )
 
 
 def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
     """A sentence for each group and wall whose initial particles overlap the wall by more than the limit.
 
-    Groups in regions are compared with walls by `region_warnings`.
+    Groups in regions are compared with walls by `region_findings`.
     """
+    scene = plan.scene
     times = nominal_times(plan.stages)
-    for number, (name, group) in enumerate(plan.scene.particles.items()):
-        own = np.flatnonzero(particles.group == number)
+    placed = _placed_groups(scene, particles)
+    for (name, group), (own, *bodies) in zip(scene.particles.items(), placed, strict=True):
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
-        points = particles.position[own]
-        turns = particles.orientation
-        bodies = group.shape.placed_spheres(
-            points, particles.radius[own], None if turns is None else turns[own]
-        )
-        for wall, overlap in _overlaps(plan.walls, bodies, 0.0, times):
-            count = int((overlap > plan.scene.numerics.max_overlap).sum())
+        for wall, overlap in _overlaps(plan.walls, (bodies[0], bodies[1]), 0.0, times):
+            count = int((overlap > scene.numerics.max_overlap).sum())
             if count:
                 worst = int(overlap.argmax())
-                x, y, z = points[worst]
+                x, y, z = particles.position[own[worst]]
                 yield (
-                    f"particles.{name} ({plan.scene.where('particles', name)}): {count} of {len(own)} "
-                    f"particles are inside walls.{wall.name} at the start, by up to {overlap[worst]:.3g} of "
-                    f"the radius, at [{x:.4g}, {y:.4g}, {z:.4g}] m. Move them out, or move the wall."
+                    f"particles.{name} ({scene.where('particles', name)}): {count} of {len(own)} particles "
+                    f"are inside walls.{wall.name} at the start, by up to {overlap[worst]:.3g} of the "
+                    f"radius, at [{x:.4g}, {y:.4g}, {z:.4g}] m. Move them out, or move the wall."
                 )
 
 
@@ -794,40 +772,11 @@ def _overlaps(
     """
     points = bodies[0].reshape(-1, 3)
     radius = bodies[1].reshape(-1)
+    begun = {name: span for name, span in times.items() if span[0] <= time}
+    stage = next((name for name, (_, end) in begun.items() if time < end), None)
     for wall in walls:
-        if not is_present(wall, time, times):
-            continue
-        at = poses_at([each.at(_started(times, time)) for each in wall.motions], np.array([time]))
-        local = (points - at.pivot - at.offset[0]) @ at.rotation[0] + at.pivot
-        overlap = 1.0 - wall.surface.distances(local, float(radius.max())) / radius
-        yield wall, overlap.reshape(bodies[1].shape).max(axis=1)
-
-
-def is_present(wall: PlannedWall, time: float, times: StageTimes) -> bool:
-    """Whether a wall is present at `time` [s]."""
-    stage = next((name for name, (start, end) in times.items() if start <= time < end), None)
-    return stage is not None and wall.spec.is_present(stage, time)
-
-
-def _started(times: StageTimes, time: float) -> Mapping[str, tuple[float, float]]:
-    """The stages that have begun at `time` [s]."""
-    return {name: span for name, span in times.items() if span[0] <= time}
-
-
-# The spheres of particles.
-
-
-def spheres_of(scene: Scene, particles: ParticleData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centers (m, 3) [m] and radii (m,) [m] of the spheres of all particles, and the index (m,) of their
-    particle."""
-    centers = [np.empty((0, 3))]
-    radii = [np.empty(0)]
-    owners: list[np.ndarray] = [np.empty(0, dtype=np.int64)]
-    for number, group in enumerate(scene.particles.values()):
-        own = np.flatnonzero(particles.group == number)
-        turns = None if particles.orientation is None else particles.orientation[own]
-        center, radius = group.shape.placed_spheres(particles.position[own], particles.radius[own], turns)
-        centers.append(center.reshape(-1, 3))
-        radii.append(radius.reshape(-1))
-        owners.append(np.repeat(own, radius.shape[1]))
-    return np.concatenate(centers), np.concatenate(radii), np.concatenate(owners)
+        if stage is not None and wall.spec.is_present(stage, time):
+            at = poses_at([each.at(begun) for each in wall.motions], np.array([time]))
+            local = (points - at.pivot - at.offset[0]) @ at.rotation[0] + at.pivot
+            overlap = 1.0 - wall.surface.distances(local, float(radius.max())) / radius
+            yield wall, overlap.reshape(bodies[1].shape).max(axis=1)

@@ -8,7 +8,6 @@ from granflow.plan.build import plan_for
 
 GRAVITY = 9.81
 HARD = {"glass": SOFT | {"young_modulus": 1e10}}
-"""Overlaps below the limit: paths over walls (test_drop_paths.py) are computed for those above."""
 FLOOR = {"floor": plane([0, 0, 0.1], [0, 0, 1])}
 RECTANGLE = {
     "shape": "rectangle",

@@ -174,7 +174,6 @@ class Revolved(AnalyticSurface):
 
     kind: ClassVar[str] = "revolved"
     is_curved: ClassVar[bool] = True
-    has_openings: ClassVar[bool] = True
 
     origin: Vector
     axis: Vector
