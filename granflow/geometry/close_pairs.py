@@ -1,4 +1,4 @@
-"""Close pairs of spheres, by the k-d tree of scipy. Packings, insertions and checks of given positions use it."""
+"""Close pairs of spheres by the k-d tree of scipy, for packings, insertions and checks of positions."""
 
 from collections.abc import Iterator
 

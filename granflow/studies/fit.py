@@ -6,6 +6,7 @@
 the parameters with their standard errors; `write_fit` writes `fit.csv` and `fit.png`.
 """
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -180,7 +181,7 @@ def _number(name: str, text: str) -> float:
 
 NAMES = ("sigma", "psi", "limit_velocity")
 """Parameters of Eq. 12, in the order of parameter vectors."""
-TOLERANCE = 1e-15
+TOLERANCE = 1e-14
 """Convergence tolerance of the minimization (relative)."""
 START_MARGINS = (0.02, 0.2, 1.0, 5.0, 50.0)
 """Initial limit velocities: relative distance above the largest measured velocity."""
@@ -224,10 +225,16 @@ def fit(data: Measurements, limit: float | None = None) -> Fit:
     contradicts the limit velocity.
     """
     _check_determined(data, limit)
-    starts = _starts(data, limit)
-    found = min((_minimize(data, start, limit) for start in starts), key=lambda each: each[1])
-    curve = VelocityRestitution(*found[0].tolist())
-    errors = _standard_errors(data, found[0], limit)
+    fitted = [each for start in _starts(data, limit) if (each := _minimize(data, start, limit))]
+    parameters, errors, _ = min(
+        fitted, key=lambda each: each[2], default=(np.ones(3), np.full(3, np.inf), 0.0)
+    )
+    if not errors[2] < parameters[2]:
+        raise GranflowError(
+            "The data do not determine the limit velocity: all velocities are far below it. "
+            "Give it with --limit-velocity, or use --material (Zhou 2011, Eq. 11)."
+        )
+    curve = VelocityRestitution(*parameters.tolist())
     predicted = curve(data.velocity)
     weights = 1.0 / data.uncertainty**2
     residual = data.restitution - predicted
@@ -281,13 +288,15 @@ def _starts(data: Measurements, limit: float | None) -> list[np.ndarray]:
     return found
 
 
-def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
-    """Parameters (3,) and sum of squares, by least squares in the logarithms of the parameters.
+def _minimize(
+    data: Measurements, start: np.ndarray, limit: float | None
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Parameters (3,), their standard errors (3,) and the sum of squares; None if it does not converge.
 
-    The logarithms keep sigma and psi above 0. The limit velocity is represented by its difference from the
-    largest velocity with a rebound.
+    The logarithms of the parameters are fitted, which keeps sigma and psi above 0. The limit velocity is
+    represented by its difference from the largest velocity with a rebound.
     """
-    from scipy.optimize import least_squares
+    from scipy.optimize import OptimizeWarning, curve_fit
 
     free = 2 if limit else 3
     floor = np.array([0.0, 0.0, 0.0 if limit else data.velocity[data.restitution > 0.0].max()])
@@ -295,58 +304,27 @@ def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tup
     def parameters(logarithms: np.ndarray) -> np.ndarray:
         return np.append(floor[:free] + np.exp(logarithms), start[free:])
 
-    def residual(logarithms: np.ndarray) -> np.ndarray:
-        return _linearized(data, parameters(logarithms))[0]
+    def curve(velocity: np.ndarray, *logarithms: float) -> np.ndarray:
+        return VelocityRestitution(*parameters(np.array(logarithms)))(velocity)
 
-    def jacobian(logarithms: np.ndarray) -> np.ndarray:
-        point = parameters(logarithms)
-        return -(_linearized(data, point)[1] * (point - floor))[:, :free]
-
-    tolerances = dict.fromkeys(("xtol", "ftol", "gtol"), TOLERANCE)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        found = least_squares(residual, np.log((start - floor)[:free]), jacobian, method="lm", **tolerances)
-    return parameters(found.x), 2.0 * float(found.cost)
-
-
-def _linearized(data: Measurements, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Measured minus fitted restitution (n,) and the derivatives (n, 3) of the fit, both divided by the
-    uncertainty.
-
-    With u = v/(vlim - v) and e = exp(-sigma u^psi):  de/dsigma = -u^psi e,  de/dpsi = -sigma u^psi ln(u) e,
-    de/dvlim = sigma psi u^psi e / (vlim - v); all 0 from the limit velocity on.
-    """
-    sigma, psi, limit = parameters
-    e = VelocityRestitution(sigma, psi, limit)(data.velocity)
-    below = np.where(data.velocity < limit, data.velocity, 0.5 * limit)
-    ratio = below / (limit - below)
-    power_e = ratio**psi * e
-    slopes = np.stack(
-        [-power_e, -sigma * power_e * np.log(ratio), sigma * psi * power_e / (limit - below)], axis=1
-    )
-    return (data.restitution - e) / data.uncertainty, slopes / data.uncertainty[:, None]
-
-
-def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | None) -> np.ndarray:
-    """Standard errors (3,): square roots of the diagonal of (J^T J)^-1, from the singular values of J.
-
-    Multiplied by the residual scatter unless standard deviations are given. Raises GranflowError if the error
-    of the limit velocity exceeds its value.
-    """
-    free = 2 if limit else 3
-    residual, slopes = _linearized(data, parameters)
-    jacobian = slopes[:, :free] * parameters[:free]
-    errors = np.zeros(3)
-    _, stretch, directions = np.linalg.svd(jacobian, full_matrices=False)
-    with np.errstate(divide="ignore"):
-        errors[:free] = np.linalg.norm(directions / stretch[:, None], axis=0) * parameters[:free]
-    if not data.absolute:
-        errors *= np.sqrt(residual @ residual / (len(data) - free))
-    if not errors[2] < parameters[2]:
-        raise GranflowError(
-            "The data do not determine the limit velocity: all velocities are far below it. "
-            "Give it with --limit-velocity, or use --material (Zhou 2011, Eq. 11)."
-        )
-    return errors
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", OptimizeWarning)  # the errors are infinite then
+        try:
+            best, covariance, info, *_ = curve_fit(
+                curve,
+                data.velocity,
+                data.restitution,
+                np.log((start - floor)[:free]),
+                data.uncertainty,
+                data.absolute,
+                full_output=True,
+                **dict.fromkeys(("xtol", "ftol"), TOLERANCE),
+            )
+        except RuntimeError:
+            return None
+    found = parameters(best)
+    errors = np.append(np.sqrt(np.diag(covariance)) * (found - floor)[:free], np.zeros(3 - free))
+    return found, errors, float(info["fvec"] @ info["fvec"])
 
 
 def _correlation(measured: np.ndarray, predicted: np.ndarray, weights: np.ndarray) -> float:
