@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import print_error, say
-from granflow.cli.process import exit_code_of, refuse_low_memory_limit, standard_streams, stop_signals
+from granflow.cli.process import exit_code_of, standard_streams, stop_signals
 from granflow.cli.run import (
     add_cache,
     add_check,
@@ -66,7 +66,6 @@ def _run_verb(options: argparse.Namespace) -> int:
     propagate.
     """
     try:
-        refuse_low_memory_limit()
         with stop_signals():
             return options.verb(options)
     except GranflowError as error:

@@ -342,15 +342,3 @@ def test_collide_prints_a_table(capsys):
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["restitution", "0.71", "0.7"] in rows
     assert ["time", "step", "1e-06", "s"] in rows
-
-
-@pytest.mark.parametrize(("limit", "code"), [(512 * 2**20 - 1, 2), (512 * 2**20, 0)])
-def test_low_memory_limit_is_refused(monkeypatch, capsys, limit, code):
-    resource = pytest.importorskip("resource", reason="limits of POSIX")
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (limit, limit))
-    assert main(["examples"]) == code
-    message = (
-        "the memory limit of the process (ulimit -v) is 511 MiB, but granflow needs at least 512 MiB to "
-    )
-    message += "start, and a run at least 2 GB: raise or remove the limit."
-    assert (message in capsys.readouterr().err) == (code == 2)

@@ -76,13 +76,3 @@ def test_full_disk_is_reported_in_one_sentence():
             [sys.executable, "-c", MAIN, "schema"], stdout=full, stderr=subprocess.PIPE, text=True
         )
     assert (process.returncode, process.stderr) == (2, "granflow: <stdout>: No space left on device.\n")
-
-
-def test_streams_are_restored():
-    program = (
-        "import sys, granflow.cli.process as s\nbefore = sys.stdout, sys.stderr\nwith s.standard_streams(): "
-        "assert sys.stdout is sys.__stdout__ and sys.stdout is not before[0]; print('in')\nassert "
-        "(sys.stdout, sys.stderr) == before == (sys.__stdout__, sys.__stderr__)\nprint('after')"
-    )
-    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert (process.stdout, process.stderr) == ("in\nafter\n", "")
