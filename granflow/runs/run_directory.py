@@ -26,7 +26,6 @@ from granflow.io.checkpoint import (
 from granflow.io.files import BackgroundWriter, LostFiles, remove_parts, replacing, resolved
 from granflow.io.lock import DirectoryLock, refuse_second_run, writing
 from granflow.io.log import LOG, RECORD, collected_warnings, run_log, write_scene_as_run
-from granflow.io.tables import COLLISION_FILE
 from granflow.load import Scene, copied_scene
 from granflow.observers.observer import Checkpointable, Schedule
 from granflow.runs.result import Result, write_result
@@ -35,8 +34,6 @@ from granflow.scene.blocks.output import Checkpoints
 POSITION = re.compile(r" \((?:[^()]*:\d+(?::\d+)?|--set [^()]*)\)|^\S+:\d+:\d+: ")
 """Position of a value in a warning: `(scene.yaml:31)`, `(--set KEY=VALUE)`, or `scene.yaml:31:5: ` at its
 begin."""
-CONTINUED = ("timeseries.csv", COLLISION_FILE, LOG, RECORD)
-"""Files to which a resumed run appends."""
 SavedBy = Callable[[RankFileWriter], dict[str, Any]]
 """Returns the state for a checkpoint, after the writer has written the files of the other MPI ranks."""
 
@@ -54,8 +51,7 @@ class RunDirectory:
     move or a replacement, the run must not write into the files of another one.
 
     Raises GranflowError if a new run would delete an input file of its scene, or, without `overwrite`, an
-    earlier run, if a resumed one would append to something other than a regular file, or if another run of
-    this process writes into the directory.
+    earlier run, or if another run of this process writes into the directory.
     """
 
     def __init__(
@@ -87,8 +83,6 @@ class RunDirectory:
         self._warnings: list[str] = []
         self._recorded: list[str] = []
         self._log_exists = resumed is not None
-        if path is not None and resumed is not None:
-            _refuse_special_files(path)
         if path is not None and resumed is None:
             refuse_inputs_inside(scene, path, only_results=True)
             self._refuse_results(path)
@@ -365,19 +359,6 @@ class RunDirectory:
         """Raise LostFiles before a checkpoint, except for the one in another directory."""
         if not self._rescued:
             self.check()
-
-
-def _refuse_special_files(path: Path) -> None:
-    """Raise GranflowError if a resumed run would append to a directory, a pipe or a device.
-
-    A pipe would block forever.
-    """
-    for file in (path / name for name in CONTINUED):
-        if file.exists() and not file.is_file():
-            raise GranflowError(
-                f"{file} is not a regular file, and the run cannot append to it: restore the file, or move "
-                "this away and continue with --allow-changes."
-            )
 
 
 # Schedule of the checkpoints of a run.

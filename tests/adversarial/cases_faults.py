@@ -4,7 +4,6 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from adversarial.runs import (
     reference,
     write_scene,
 )
-from adversarial.sandbox import FinishedProcess, Sandbox, Skip, as_unprivileged_user, limited
+from adversarial.sandbox import FinishedProcess, Sandbox, Skip, limited
 
 RESTARTS = 3
 """Number of times a run is killed before it is resumed to its end."""
@@ -223,27 +222,6 @@ def read_only_out(sandbox: Sandbox) -> FinishedProcess:
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def unreadable(sandbox: Sandbox) -> FinishedProcess:
-    """Checks a scene without read permission."""
-    sandbox.path("beads.yaml").chmod(0)
-    probe = [sys.executable, "-c", "import granflow"]
-    try:
-        subprocess.run(probe, preexec_fn=as_unprivileged_user, cwd="/", capture_output=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        raise Skip("an unprivileged user cannot start granflow here") from None
-    return sandbox.run("check beads.yaml", preexec_fn=as_unprivileged_user)
-
-
-def with_env(command: str, **env: str | None):
-    """A command with environment variables; None removes one."""
-    return lambda sandbox: sandbox.run(command, env=env.items())
-
-
-def with_limits(command: str, **limits: int):
-    """A command under resource limits."""
-    return lambda sandbox: sandbox.run(command, preexec_fn=limited(**limits))
-
-
 def damaged_cache(sandbox: Sandbox) -> FinishedProcess:
     """Runs with a cache of truncated kernel files, which are compiled again."""
     env = {"GRANFLOW_CACHE": str(sandbox.path("cache"))}
@@ -288,15 +266,6 @@ def signals() -> list[Case]:
             signalled(signal.SIGTERM),
             143,
             ("resume out",),
-            **whole,
-        ),
-        case(
-            group,
-            "signal_hup",
-            "SIGHUP (the terminal closes)",
-            signalled(signal.SIGHUP),
-            (-1, 129, 143),
-            killed=True,
             **whole,
         ),
         case(
@@ -346,25 +315,11 @@ def signals() -> list[Case]:
         ),
         case(
             group,
-            "pipe_explain",
-            "`granflow explain ... | head -1`",
-            piped("explain beads.yaml", ["head", "-1"]),
-            (0, 141, -13),
-        ),
-        case(group, "pipe_schema", "`granflow schema | true`", piped("schema", ["true"]), (0, 141, -13)),
-        case(
-            group,
             "stdout_full",
             "output to /dev/full",
             lambda s: s.run("explain beads.yaml", stdout=open("/dev/full", "wb")),
             (1, 2, 4),
             ("No space left",),
-        ),
-        case(
-            group,
-            "stdin_closed",
-            "standard input closed",
-            lambda s: s.run("check beads.yaml", stdin=None, preexec_fn=lambda: os.close(0)),
         ),
     ]
 
@@ -412,23 +367,6 @@ def machine() -> list[Case]:
         ),
         case(
             group,
-            "no_home",
-            "no HOME and no cache variables",
-            with_env("run beads.yaml --out out", HOME=None, GRANFLOW_CACHE=None, XDG_CACHE_HOME=None),
-            0,
-            prepare=beads(("50 ms", "1 ms")),
-        ),
-        case(
-            group,
-            "cache_file",
-            "GRANFLOW_CACHE names a file",
-            with_env("run beads.yaml --out out", GRANFLOW_CACHE="beads.yaml"),
-            0,
-            ("cannot be written",),
-            prepare=beads(("50 ms", "1 ms")),
-        ),
-        case(
-            group,
             "cache_damaged",
             "a cache whose files are cut in half",
             damaged_cache,
@@ -464,30 +402,6 @@ def machine() -> list[Case]:
         ),
         case(
             group,
-            "memory_200",
-            "`ulimit -v` of 200 MB",
-            with_limits("check beads.yaml", AS=200 * 2**20),
-            (1, 2, 4, 134, -6),
-            ("memory|allocate",),
-        ),
-        case(
-            group,
-            "memory_1000",
-            "`ulimit -v` of 1000 MB",
-            with_limits("run beads.yaml --out out", AS=1000 * 2**20),
-            (0, 1, 2, 4),
-            prepare=beads(),
-        ),
-        case(
-            group,
-            "descriptors",
-            "a limit of 32 open files",
-            with_limits("run beads.yaml --out out", NOFILE=32),
-            0,
-            prepare=beads(),
-        ),
-        case(
-            group,
             "clock",
             "the clock jumps by hours and to before 1980",
             jumping_clock,
@@ -503,18 +417,6 @@ def machine() -> list[Case]:
             4,
             ("No such file or directory", "resume"),
             killed=True,
-        ),
-        case(group, "unreadable", "a scene without read permission", unreadable, 2, ("Permission denied",)),
-        case(
-            group,
-            "cwd_deleted",
-            "the working directory is deleted",
-            lambda s: s.run(
-                "check beads.yaml",
-                preexec_fn=lambda: (os.mkdir("gone"), os.chdir("gone"), os.rmdir("../gone")),
-            ),
-            2,
-            ("no such file|directory",),
         ),
     ]
 

@@ -1,5 +1,6 @@
 """Extreme geometry, motion and velocities: runs with checks of the particles."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,14 @@ from scene_builders import build_scene, particle_group
 from adversarial.beads import beads, solid
 from adversarial.case import Case
 
-from adversarial.cases_input import as_stl  # isort: skip
+
+def as_stl(points, corners) -> bytes:
+    """Binary STL of triangles."""
+    triangles = np.asarray(points, np.float32)[np.asarray(corners)]
+    records = np.zeros(len(triangles), [("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")])
+    records["c"] = triangles
+    return b"\0" * 80 + struct.pack("<I", len(triangles)) + records.tobytes()
+
 
 LATTICE = "{kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}"
 

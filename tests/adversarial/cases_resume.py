@@ -3,15 +3,13 @@ them."""
 
 import json
 import shutil
-import subprocess
-import sys
 import tempfile
 import zipfile
 from pathlib import Path
 
 from adversarial.case import Case
 from adversarial.runs import IDENTICAL, assert_undisturbed, case, killed_run, reference, write_scene
-from adversarial.sandbox import FinishedProcess, Sandbox, Skip
+from adversarial.sandbox import FinishedProcess, Sandbox
 
 
 def resumed(command: str = "resume out", change=None):
@@ -78,13 +76,6 @@ def rewritten(**header):
     return content
 
 
-def as_directory(out: Path) -> None:
-    """Replaces the checkpoints by links to a file that cannot be read (I/O error)."""
-    for path in out.glob("checkpoint_*.npz"):
-        path.unlink()
-        path.symlink_to("/proc/self/mem")
-
-
 def removed(pattern: str):
     def change(out: Path) -> None:
         for path in out.glob(pattern):
@@ -95,23 +86,6 @@ def removed(pattern: str):
 
 def replaced(name: str, content: bytes):
     return lambda out: (out / name).write_bytes(content)
-
-
-def other_python(sandbox: Sandbox) -> FinishedProcess:
-    """Resumes with another Python version."""
-    here = sys.version_info[:2]
-    for minor in (10, 11, 12, 13):
-        found = shutil.which(f"python3.{minor}")
-        if found and (3, minor) != here:
-            probe = subprocess.run(
-                [found, "-c", "import granflow, taichi"], capture_output=True, cwd=sandbox.home
-            )
-            if not probe.returncode:
-                killed_run(sandbox)
-                return sandbox.finish(
-                    sandbox.start_program([found, "-m", "granflow", "resume", "out"]), "resume out"
-                )
-    raise Skip("no other Python version with granflow is installed")
 
 
 def overwrite(*arguments: str, prepare=write_scene):
@@ -164,7 +138,6 @@ def resumptions() -> list[Case]:
             "materials.glass.density",
         ),
         rejected("resume_count", "more particles", "resume out --set particles.beads.count=50", "count"),
-        rejected("resume_gravity", "another gravity", "resume out --set 'gravity=[0, 0, -1]'", "gravity"),
         rejected(
             "resume_step",
             "another time step with --allow-changes",
@@ -180,26 +153,8 @@ def resumptions() -> list[Case]:
             0,
             killed=True,
         ),
-        rejected("resume_arch", "an accelerator that is absent", "resume out --arch cuda", "cuda"),
-        rejected(
-            "resume_unknown", "an unknown key", "resume out --set output.intervall=1", "Did you mean interval"
-        ),
         rejected(
             "resume_format", "checkpoints of another format version", "resume out", "format", change=format_99
-        ),
-        rejected(
-            "resume_io",
-            "checkpoints that cannot be read (I/O error)",
-            "resume out",
-            "cannot be read",
-            change=as_directory,
-        ),
-        rejected(
-            "resume_no_rows",
-            "a time series without its rows",
-            "resume out",
-            "lacks rows",
-            change=replaced("timeseries.csv", b""),
         ),
         rejected(
             "resume_no_time_series",
@@ -259,41 +214,11 @@ def resumptions() -> list[Case]:
         ),
         case(
             group,
-            "resume_python",
-            "another Python version",
-            other_python,
-            0,
-            verify=assert_undisturbed,
-            verified=IDENTICAL,
-        ),
-        case(
-            group,
-            "overwrite_arch",
-            "`run --overwrite` on an accelerator that is absent",
-            overwrite("--arch cuda"),
-            2,
-            ("cuda",),
-            verified="the earlier run is intact",
-        ),
-        case(
-            group,
             "overwrite_step",
             "`run --overwrite` with a time step that is too large",
             overwrite("--set run.time_step=1s"),
             2,
             ("above the stability limit",),
-            verified="the earlier run is intact",
-        ),
-        case(
-            group,
-            "overwrite_too_many",
-            "`run --overwrite` with more particles than fit",
-            overwrite(
-                "--set 'particles.beads.insert={kind: lattice, region: {box: {min: [0, 0, 0], max: [5mm, "
-                "5mm, 5mm]}}}'"
-            ),
-            2,
-            ("only",),
             verified="the earlier run is intact",
         ),
         case(
@@ -314,14 +239,6 @@ def resumptions() -> list[Case]:
             ("contains an earlier run",),
             verify=assert_undisturbed,
             verified="the earlier run is intact",
-        ),
-        case(
-            group,
-            "start_nowhere",
-            "`start_from` names a directory without a run",
-            lambda s: s.run("check beads.yaml --set start_from=nowhere"),
-            2,
-            ("start_from",),
         ),
         case(
             group,

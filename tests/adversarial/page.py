@@ -3,29 +3,17 @@ compares it."""
 
 from collections.abc import Mapping
 
-from adversarial import (
-    cases_commands,
-    cases_faults,
-    cases_input,
-    cases_long,
-    cases_physics,
-    cases_resume,
-    cases_scene,
-    cases_values,
-)
+from adversarial import cases_faults, cases_physics, cases_resume, cases_scene
 from adversarial.case import Case, Outcome, plain
 from adversarial.sandbox import ROOT
 
 PAGE = ROOT / "docs" / "pages" / "reference" / "invalid_inputs.md"
-MODULES = (
-    *(cases_scene, cases_commands, cases_input, cases_values),
-    *(cases_physics, cases_faults, cases_resume, cases_long),
-)
+MODULES = (cases_scene, cases_physics, cases_faults, cases_resume)
 CASES: list[Case] = [case for module in MODULES for case in module.CASES]
 INTRODUCTION = """\
 # Invalid inputs and faults
 
-Behavior of granflow with invalid files, values and command lines, and with faults of the machine. `python
+Behavior of granflow with invalid scene files and with faults of the machine. `python
 tools/adversarial.py` runs each case in separate processes and writes this table; `python3 tools/dev.py slow
 tests/adversarial` compares it. In each case, the terminal shows neither a traceback nor control characters, the process
 ends within its time limit and uses at most 1.5 GB of memory, and the files of a run are complete: no temporary file, no

@@ -131,10 +131,3 @@ def limited(**limits: int):
             resource.setrlimit(getattr(resource, f"RLIMIT_{name}"), (value, value))
 
     return limit
-
-
-def as_unprivileged_user() -> None:
-    """A `preexec_fn` that drops root privileges, since root ignores file permissions."""
-    if os.geteuid() == 0:
-        os.setgid(65534)
-        os.setuid(65534)

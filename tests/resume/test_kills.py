@@ -76,21 +76,6 @@ def test_run_killed_at_random_times_resumes_bit_identically(home, reference):
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-def test_run_killed_fifty_times_resumes_bit_identically(home, reference):
-    whole, _, seconds = reference
-    killed = 0
-    for round_number in range(10):
-        out = home / f"fifty{round_number}"
-        killed += kill_repeatedly(home, out, 5, 0.15 * seconds, seed=round_number + 2)
-        resumed(home, out)
-        assert_complete(out, whole)
-        shutil.rmtree(out)
-    print(f"killed {killed} times")
-    assert killed >= 40
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(7200)
 def test_run_killed_at_a_write_resumes_bit_identically(home, reference):
     """About 40 writes of a run, including each of the first 20; one killed and resumed run for each."""
     whole, writes, _ = reference

@@ -103,16 +103,6 @@ def delete_lock(out):
     (out / ".lock").unlink()
 
 
-def make_pipe(path):
-    if not hasattr(os, "mkfifo"):
-        pytest.skip("this system has no named pipes")
-    os.mkfifo(path)
-
-
-def link_to_device(path):
-    path.symlink_to(os.devnull)
-
-
 MOVED = {
     rename: "old",
     rename_and_run_another: "old",
@@ -168,22 +158,6 @@ def test_loss_in_the_first_checkpoint_interval_leaves_the_state_at_the_start(tai
         simulation.step(1000)
     simulation.free()
     assert main(["resume", str(out), "--threads", "2", "--allow-changes"]) == 0
-
-
-@pytest.mark.parametrize("name", ["timeseries.csv", "collision_energies.csv", "run.log", "run.jsonl"])
-@pytest.mark.parametrize("make", [make_pipe, os.mkdir, link_to_device], ids=["pipe", "directory", "device"])
-def test_resume_refuses_to_append_to_what_is_not_a_regular_file(
-    taichi_f64, tmp_path, whole, capsys, name, make
-):
-    """The opening of a pipe without a reader would block."""
-    out = tmp_path / "out"
-    shutil.copytree(whole, out)
-    (out / name).unlink(missing_ok=True)
-    make(out / name)
-    before = sorted(path.name for path in out.iterdir())
-    assert main(["resume", str(out), "--threads", "2", "--allow-changes"]) == 2
-    assert f"{out / name} is not a regular file" in capsys.readouterr().err
-    assert sorted(path.name for path in out.iterdir()) == before
 
 
 def test_frames_that_no_longer_exist_at_the_end_cause_one_warning(taichi_f64, tmp_path, whole):

@@ -5,14 +5,13 @@ import itertools
 import os
 import subprocess
 import sys
-import types
 from pathlib import Path
 
 import pytest
 from scene_builders import build_scene, particle_group
 
 from granflow.cli.main import main
-from granflow.errors import GranflowError, OutputError, RunError
+from granflow.errors import GranflowError, OutputError
 from granflow.io import checkpoint as format_of
 from granflow.io import frames
 from granflow.io.checkpoint import write_checkpoint
@@ -78,12 +77,6 @@ def test_started_run_replaces_the_previous_run(out, error):
                 raise error
     except OSError:
         pass
-    assert contents(out) == as_bytes(NEW) | OTHER_FILES
-
-
-def test_run_without_frames_replaces_the_previous_run(out):
-    with replaced_run(out):
-        write(out, NEW)
     assert contents(out) == as_bytes(NEW) | OTHER_FILES
 
 
@@ -164,15 +157,6 @@ def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
     assert b"old" not in contents(out).values() and (out / "notes.txt").exists()
 
 
-def test_abort_at_the_start_keeps_the_previous_run_and_says_so(out):
-    with Simulation(
-        build_scene({"balls": particle_group([[0.0] * 3] * 2)}), out=out, overwrite=True
-    ) as simulation:
-        with pytest.raises(RunError, match=f"Nothing is written; {out} keeps the earlier run.$"):
-            simulation.run()
-    assert contents(out) == as_bytes(OLD) | OTHER_FILES
-
-
 def test_start_from_in_the_output_directory_is_rejected(tmp_path):
     scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, start_from=str(tmp_path))
     write(tmp_path, OLD)
@@ -234,24 +218,6 @@ def test_restart_over_results_requires_from_start(stopped, capsys):
     message = resume_error(stopped, capsys)
     assert "is damaged" in message and "contains no usable checkpoint, but 3 result files" in message
     assert f"granflow resume {stopped} --from-start.\n" in message
-
-
-def test_from_start_ignores_checkpoints(stopped, monkeypatch):
-    requested = []
-
-    class NotCreated(Exception):
-        pass
-
-    def simulation(scene, resume, **options):
-        requested.append(resume)
-        raise NotCreated
-
-    monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=simulation))
-    monkeypatch.setattr("granflow.cli.run.scene_to_resume", lambda options, checkpoint: checkpoint)
-    for flags in ([], ["--from-start"]):
-        with pytest.raises(NotCreated):
-            main(["resume", str(stopped), *flags])
-    assert [checkpoint and checkpoint.saved for checkpoint in requested] == [{"step": 7}, None]
 
 
 def test_resume_restores_the_run_of_a_killed_replacement(out, capsys):
