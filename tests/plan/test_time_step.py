@@ -124,14 +124,6 @@ def test_stable_step_of_a_damped_spring_is_the_leapfrog_stability_limit(contacts
     assert growth(1.001 * allowed) > 1.0 + 1e-6
 
 
-def test_default_step_is_stable_with_strong_damping(tmp_path):
-    """At e = 0.001 the dashpot, not the spring, limits the step."""
-    text = TEXT.replace("restitution: 0.7", "restitution: 0.001").replace("normal: zhou", "normal: hertz")
-    step = plan_for(scene_of(tmp_path, text=text)).step
-    assert step.value == step.stable_below
-    assert step.limited_by == "the largest stable step, beads-beads at 1 m/s"
-
-
 def test_rayleigh_fraction_limits_the_step(tmp_path):
     step = plan_for(scene_of(tmp_path, "numerics.rayleigh_fraction=0.001")).step
     shear = YOUNG / (2 * (1 + POISSON))
@@ -218,15 +210,6 @@ def test_restitution_0_requires_neither_a_warning_nor_a_shorter_step(tmp_path):
     assert steps[0].value == pytest.approx(steps[1].value, rel=1e-6)
 
 
-def test_restitution_warning_names_the_contact_with_the_largest_deviation(tmp_path):
-    """At the same velocity, a smaller particle has a shorter contact, which a given step resolves less."""
-    text = groups_like_the_beads(3).replace("diameter: 4 mm", "diameter: 3 mm").replace("3 mm", "4 mm", 1)
-    (warning,) = plan_for(
-        scene_of(tmp_path, *UNRESOLVED, "particles.group_2.diameter=2 mm", text=text)
-    ).step.warnings
-    assert "(group_2-group_2)" in warning
-
-
 @pytest.mark.parametrize(
     ("overrides", "pairs"),
     [
@@ -269,20 +252,6 @@ def test_max_impact_velocity_has_a_value_and_a_source(tmp_path, overrides, value
     impact_velocity = max_impact_velocity(scene_of(tmp_path, *overrides))
     assert impact_velocity.value == pytest.approx(value)
     assert impact_velocity.source.startswith(source)
-
-
-@pytest.mark.parametrize(
-    ("overrides", "range_over_radius"),
-    [
-        ((), (0.05, 0.3)),
-        (("numerics.skin=0.5 mm",), (0.25, 0.25)),
-        (("run.velocity_max=0.01",), (0.05, 0.05)),
-    ],
-)
-def test_skin_over_the_smallest_radius_is_in_its_range(tmp_path, overrides, range_over_radius):
-    plan = plan_for(scene_of(tmp_path, *overrides))
-    low, high = range_over_radius
-    assert low * (1 - 1e-9) <= plan.skin / plan.radius_min <= high * (1 + 1e-9)
 
 
 TANGENTIAL = "contact.tangential={law: linear_history, stiffness: %s}"
