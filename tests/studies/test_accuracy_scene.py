@@ -135,27 +135,6 @@ def test_errors_are_separated_from_noise():
     assert study.cheapest == [noisy]
 
 
-def test_costs_that_overlap_give_no_recommendation():
-    """Three runs in f64 take 0.9 or 1.1, 1.2 and 1.3 s; in f32 all take 1 s."""
-    heights = (1.00, 1.02, 0.98)
-
-    def study(fastest):
-        times = (fastest, 1.2, 1.3)
-        double = [outcome(1e-5, h, seconds) for h, seconds in zip(heights, times, strict=True)]
-        runs = [
-            _Runs("fixed", "f64", 0.1, 1e-5, 0.001, double),
-            _Runs("fixed", "f32", 0.1, 1e-5, 0.001, [outcome(1e-5, h, 1.0) for h in heights]),
-        ]
-        return _study(runs, 0.1, "made up", (0.1, 1e-5), 12, 3, 0.01)
-
-    assert "use dt = 1e-05 s (time_step_fraction 0.1), precision f32: it costs 2 s" in scene_recommendation(
-        study(1.1)
-    )
-    sentence = scene_recommendation(study(0.9))
-    assert " use " not in sentence and "not distinguished by their costs" in sentence
-    assert "precision f32, 2 s (2 to 2); " in sentence and "precision f64, 2.4 s (1.8 to 2.6). " in sentence
-
-
 def test_runs_of_a_study_that_was_stopped_are_kept(drop, tmp_path, monkeypatch):
     """The study is interrupted in its sixth run; the next one repeats neither the first five runs nor damaged
     ones."""
@@ -226,18 +205,6 @@ def test_files_without_matplotlib(tmp_path, monkeypatch):
     assert [float(row["share"]) for row in rows] == [0.9, 0.4, 0.2, 0.1, 0.05]
     assert rows[0]["stopped"] == "not stable"
     assert scene_recommendation(study) in (tmp_path / "accuracy.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-def test_study_of_a_small_scene_writes_all_files(drop, tmp_path):
-    study = measure_scene(SceneTask(drop, (), None), 0.01, shares=(0.3, 0.1), precisions=("f64",))
-    reference, coarse, fine, *adaptive = study.points
-    assert [(point.family, point.share) for point in adaptive] == [("adaptive", 0.3), ("adaptive", 0.1)]
-    assert coarse.restitution_error > fine.restitution_error > reference.restitution_error
-    assert study.cheapest and len(coarse.seconds) == 3
-    pytest.importorskip("matplotlib")
-    write_scene(tmp_path / "out", study)
-    assert (tmp_path / "out" / "accuracy.png").stat().st_size > 10_000
 
 
 @pytest.mark.slow

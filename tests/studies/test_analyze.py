@@ -75,16 +75,6 @@ def test_analyzed_fields_equal_those_of_the_run(out, tmp_path):
             )
 
 
-def test_other_metrics_can_be_requested(out, tmp_path, capsys):
-    requested = ["--set", "output.metrics={pile: {kind: coordination}}", "--set", "output.fields={}"]
-    assert main(["analyze", str(out), "--out", str(tmp_path), *requested]) == 0
-    assert set(rows_of(tmp_path / "metrics.csv")[0]) == {
-        "time [s]", "stage", "coordination_number.pile", "mechanical_coordination_number.pile",
-        "wall_coordination_number.pile", "rattler_share.pile",
-    }  # fmt: skip
-    assert "rattler_share.pile" in capsys.readouterr().out
-
-
 def test_missing_input_is_reported(out, tmp_path, capsys):
     nothing = ["--set", "output.metrics={}", "--set", "output.fields={}"]
     assert main(["analyze", str(out), *nothing]) == 2

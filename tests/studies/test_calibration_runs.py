@@ -2,18 +2,13 @@
 
 import csv
 import json
-import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import pytest
-from scene_runner import REDUCED_HEAP
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(7200)]
 
-REPOSE = Path(__file__).parents[2] / "scenes" / "angle_of_repose.yaml"
 
 SPHERES = """\
 title: A sliding and a rolling sphere
@@ -111,39 +106,3 @@ def test_planted_friction_and_rolling_friction_are_found_within_5_percent(tmp_pa
         assert float(best[name]["value"]) == pytest.approx(value, rel=0.05)
         assert best[name]["identified"] == "True"
     assert granflow(tmp_path, "check", "out/calibration/best.yaml").returncode == 0
-
-
-def test_killed_calibration_continues(tmp_path):
-    """Completed trials are kept, and those of the killed process are repeated."""
-    pytest.importorskip("optuna")
-    planted(tmp_path, 6)
-    command = [sys.executable, "-m", "granflow", "calibrate", "calibration.yaml", "--jobs", "1"]
-    driver = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    runs = tmp_path / "out" / "calibration" / "runs"
-    while len(list(runs.glob("*/result.json"))) < 2:
-        assert driver.poll() is None
-        time.sleep(0.1)
-    before = {path.parent.name: path.stat().st_mtime_ns for path in runs.glob("*/result.json")}
-    driver.send_signal(signal.SIGKILL)
-    driver.wait()
-    granflow(tmp_path, "calibrate", "calibration.yaml", "--jobs", "1")
-    trials = rows(tmp_path / "out" / "calibration" / "trials.csv")
-    assert sum(row["state"] == "completed" for row in trials) == 6
-    assert all(
-        (runs / name / "result.json").stat().st_mtime_ns == time_ns for name, time_ns in before.items()
-    )
-
-
-def test_restitution_cannot_be_identified_from_an_angle_of_repose(tmp_path):
-    pytest.importorskip("optuna")
-    reduced = "\n".join(
-        f"      {key}: {value}" for key, value in (each.split("=", 1) for each in REDUCED_HEAP)
-    )
-    reduced = reduced.replace(
-        "min: [-40 mm", "min: [-60 mm"
-    )  # six points on the shorter slope are too few for a fit
-    (tmp_path / "calibration.yaml").write_text(ANGLE.format(scene=REPOSE, reduced=reduced))
-    done = granflow(tmp_path, "calibrate", "calibration.yaml", "--jobs", "2")
-    assert "restitution cannot be identified from the targets" in done.stdout
-    (row,) = rows(tmp_path / "out" / "calibration" / "best.csv")
-    assert row["identified"] == "False"

@@ -10,15 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scene_builders import SOFT, build_scene, particle_group, plane
-from studies.legibility import smallest_letters
 
-from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.studies.compare import report as reporting
 from granflow.studies.compare import runs
-from granflow.studies.compare.collisions import soft_spring_note, subject_of
-from granflow.studies.compare.report import compare, heads, notes_on, write_script
-from granflow.studies.compare.runs import densest_stage, law_names, variants_of
+from granflow.studies.compare.report import compare, notes_on
+from granflow.studies.compare.runs import law_names, variants_of
 
 DIAMETER, SPEED = 0.01, 1.0
 REFERENCE = 0.1 * SPEED
@@ -132,15 +129,6 @@ def test_the_springs_are_assessed_in_the_scene(found):
     assert spring_per_contact.holds is None and "too few contacts" in spring_per_contact.why
 
 
-def test_ratios_are_named_by_both_contact_models(found):
-    """The first model is the linear spring per contact; the names in the terminal are short."""
-    runs = found[0].runs
-    one_spring = "linear\nof 0.1 m/s"
-    ratios = [f"{title}\nover linear\nper contact" for title in (one_spring, "hertz")]
-    assert heads(runs)[3:] == [one_spring, ratios[0], "hertz", ratios[1]]
-    assert heads(runs, is_short=True)[4::2] == ["over\nlinear\nper contact"] * 2
-
-
 def test_a_spring_below_the_impact_velocity_is_reported(found):
     """The particles collide at ten times the reference velocity: a spring 10^0.4 times as stiff is
     required."""
@@ -156,22 +144,6 @@ def test_a_spring_below_the_impact_velocity_is_reported(found):
     )
     assert "--reference-velocity" in sentence and "run.velocity_max" in sentence
     assert sentence.partition(":")[0] in (found[1] / "compare.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(("over_reference", "is_soft"), [(1.0, False), (1.4, False), (1.6, True)])
-def test_softness_follows_from_the_largest_overlap(over_reference, is_soft):
-    subject = subject_of(head_on(), SPEED)
-    overlap = overlap_max(over_reference * SPEED) / (0.5 * DIAMETER)
-    runs = [SimpleNamespace(variant=SimpleNamespace(key=key, title=key), stopped="",
-                            columns={"overlap_largest": np.array([np.nan, overlap])})
-            for key in ("hertz", "linear_reference")]  # fmt: skip
-    assert bool(soft_spring_note(runs, subject)) == is_soft
-    assert not soft_spring_note(runs[:1], subject) and not soft_spring_note(runs, None)
-
-
-def test_energy_is_conserved(table):
-    assert table["energy error, end", "hertz"][0] < 5e-3
-    assert table["kinetic energy, end", "hertz"][0] == pytest.approx(0.5 * MASS_EFF * SPEED**2, rel=1e-4)
 
 
 def test_page_without_figures_is_self_contained_and_gives_the_reason(found):
@@ -198,18 +170,6 @@ def test_paraview_script_names_every_run(found):
     assert all(repr(run.variant.key) in text for run in comparison.runs)
 
 
-def test_paraview_script_accepts_any_title(tmp_path):
-    run = SimpleNamespace(variant=SimpleNamespace(key="zhou", title="zhou"), stopped="")
-    scene = head_on().model_copy(update={"title": 'A "quoted" \\user """'})
-    write_script(tmp_path, scene, [run], 1.0)
-    text = (tmp_path / "side_by_side.py").read_text(encoding="utf-8")
-    assert (
-        compile(text, "side_by_side.py", "exec")
-        .co_consts[0]
-        .startswith("A 'quoted' \\user ''': zhou, from left")
-    )
-
-
 def test_matplotlib_figures_are_written(found, tmp_path):
     pytest.importorskip("matplotlib")
     from granflow.studies.compare.report import drawings
@@ -217,28 +177,6 @@ def test_matplotlib_figures_are_written(found, tmp_path):
 
     assert not write_figures(tmp_path, drawings(found[0].runs, None, {}))
     assert {path.name for path in tmp_path.iterdir()} == {"course.png", "energies.png", "contacts.png"}
-
-
-def test_figures_are_legible_on_a_narrow_screen(found):
-    pytest.importorskip("matplotlib")
-    from granflow.studies.compare.report import drawings
-
-    for drawing in drawings(found[0].runs, None, {}).values():
-        size, columns = smallest_letters(drawing)
-        assert size > 9.0 and columns == 1
-
-
-def test_page_has_no_empty_distribution_of_forces(found):
-    """The two particles never have the contacts that a distribution requires."""
-    pytest.importorskip("matplotlib")
-    from matplotlib.figure import Figure
-
-    from granflow.studies.compare.report import draw_contacts
-
-    figure = Figure()
-    draw_contacts(figure, found[0].runs)
-    assert [axes.get_xlabel() for axes in figure.axes] == ["contact duration (µs)"]
-    assert "No distribution of forces: no frame of the stage" in (found[1] / "compare.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -253,20 +191,6 @@ def test_page_has_no_empty_distribution_of_forces(found):
 def test_invalid_lists_of_contact_models_raise_one_sentence(given, sentence):
     with pytest.raises(GranflowError, match=re.escape(sentence)):
         law_names(given)
-
-
-def test_the_command_rejects_unknown_contact_models_before_reading_the_scene(capsys, tmp_path):
-    assert main(["compare", "nowhere.yaml", "--laws", "linaer", "--out", str(tmp_path)]) == 2
-    message = capsys.readouterr().err
-    assert "Unknown contact model linaer. Did you mean linear?" in message and "Traceback" not in message
-
-
-def test_an_earlier_comparison_is_not_overwritten(found, capsys, tmp_path):
-    file = tmp_path / "scene.yaml"
-    file.write_text(head_on().to_yaml(), encoding="utf-8")
-    changed = ["--set", "numerics.max_overlap=0.7"]
-    assert main(["compare", str(file), "--laws", "hertz", "--out", str(found[1]), *changed]) == 2
-    assert "contains an earlier run" in capsys.readouterr().err
 
 
 def test_runs_of_a_stopped_comparison_are_kept(found, tmp_path, monkeypatch):
@@ -358,11 +282,3 @@ def run_of(stages, stopped=""):
     """Stand-in for a run with the contact count at the end of each stage."""
     columns = {"stage": np.array(list(stages)), "contact_count": np.array(list(stages.values()), dtype=float)}
     return SimpleNamespace(columns=columns, stopped=stopped)
-
-
-def test_the_densest_stage_is_common_to_all_complete_runs():
-    """A stage that waits for rest may end before its first row; aborted runs do not count."""
-    whole = run_of({"fill": 5, "settle": 9, "open": 0})
-    shorter = run_of({"fill": 6, "open": 1})
-    assert densest_stage([whole, whole]) == "settle"
-    assert densest_stage([whole, shorter, run_of({"settle": 3}, "Stopped: x")]) == "fill"

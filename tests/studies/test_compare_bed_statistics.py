@@ -49,19 +49,6 @@ def test_contacts_begin_and_end_midway_between_samples():
     assert seen == [2.5] and ended == [True]
 
 
-def test_contacts_of_the_first_sample_are_ignored_and_of_the_last_censored():
-    seen, ended = followed((0.0, [WALL]), (1.0, [WALL, OTHER_WALL]), (2.0, [OTHER_WALL]), (3.0, [OTHER_WALL]))
-    assert seen == [2.5] and ended == [False]
-
-
-def test_contacts_without_force_are_ignored():
-    record = FollowedContacts()
-    follower = ContactFollower(record)
-    for time, force in ((0.0, 0.0), (1.0, 2.0), (2.0, 0.0)):
-        follower.update(snapshot(time, [A], [force]))
-    assert [values.tolist() for values in record.arrays()] == [[1.0], [True]]
-
-
 def test_several_contacts_of_one_pair_are_followed_by_their_direction():
     """A particle in a mesh groove: on the left face from 0.5 to 4.5 s, on the right one from 1.5 to 2.5 s.
 
@@ -90,14 +77,6 @@ def test_survival_matches_kaplan_and_meier():
     assert np.isnan(median_of(*survival(np.ones(3), np.zeros(3, dtype=bool))))
 
 
-def test_median_of_exponential_lifetimes_is_unbiased_by_censoring():
-    """Lifetimes of mean 1 have the median ln 2 for any random censoring."""
-    random = np.random.default_rng(1)
-    life = random.exponential(1.0, 4000)
-    cut = random.uniform(0.0, 3.0, 4000)
-    assert median_of(*survival(np.minimum(life, cut), life <= cut)) == pytest.approx(np.log(2.0), rel=0.05)
-
-
 def test_bursts_sample_only_when_due():
     times = list(bursts(1.0, 2, 3, 0.01))
     np.testing.assert_allclose(times, [[0.25, 0.26, 0.27], [0.75, 0.76, 0.77]])
@@ -121,13 +100,6 @@ def test_bursts_sample_only_when_due():
     assert ended.tolist() == [False, True] or ended.tolist() == [True, False]
 
 
-def test_a_step_longer_than_the_sampling_interval_skips_samples():
-    monitor = ContactBursts([[0.0, 0.1, 0.2, 0.3]], 0.1)
-    monitor.observe(snapshot(0.0))
-    monitor.observe(snapshot(0.22))
-    assert monitor.next_time() == pytest.approx(0.3)
-
-
 def test_forces_of_an_exponential_distribution():
     """P = exp(-f/<f>): in a class from a to b the density is (exp(-a) - exp(-b)) / (b - a)."""
     force = np.random.default_rng(2).exponential(5.0, 200_000)
@@ -140,13 +112,6 @@ def test_forces_of_an_exponential_distribution():
     assert np.all(np.abs(forces.density("run") - expected) < 5.0 * sigma)
     assert forces.share_above("run", 2.0) == pytest.approx(np.exp(-2.0), rel=0.02)
     assert np.isnan(forces.share_above("nowhere", 2.0))
-
-
-def test_contacts_with_walls_and_too_few_contacts_are_left_out():
-    forces = ForceHistogram()
-    forces.update(snapshot(0.0, [WALL] * 50))
-    forces.update(snapshot(0.0, [A] * 9))
-    assert not forces.counts
 
 
 class Sideways:

@@ -6,9 +6,8 @@ import pytest
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
-from granflow.studies.bench import collide
 from granflow.studies.paper import figures, report
-from granflow.studies.paper.figures import PAPER_CASES, small_soft_case, thornton_restitution
+from granflow.studies.paper.figures import PAPER_CASES, thornton_restitution
 
 RESTITUTIONS = np.array([0.1, 0.2, 0.5, 0.7, 0.9, 1.0])
 SPEEDS = np.array([0.01, 0.3, 10.0])
@@ -100,16 +99,6 @@ def test_restitution_duration_and_spring_match_figures_3_to_5(taichi_f64):
     assert all(deviation.is_within_target for figure_data in drawn for deviation in figure_data.deviations)
 
 
-def test_spring_of_a_small_soft_particle_matches_the_papers_estimate(taichi_f64):
-    """R 1e-4 m, E 1e8 Pa, 1e3 kg/m3, 1 to 10 m/s: of the order of 1e3 N/m."""
-    speeds = np.array([1.0, 10.0])
-    outcomes = figures.estimate_run(speeds)
-    k, mass = hertz_numbers(small_soft_case())
-    largest = (1.25 * mass * speeds**2 / k) ** 0.4
-    assert figures.spring_of(outcomes) == pytest.approx(mass * speeds**2 / largest**2, rel=1e-3)
-    assert np.all(np.abs(np.log10(figures.spring_of(outcomes)) - 3.0) < 0.5)
-
-
 def rounding_of_forces(case, diameter):
     """Half of 2^-45 of the power of two above the largest force: Hertz with the radius of the largest spheres
     at the overlap limit of these simulations, 0.8 radii."""
@@ -144,25 +133,6 @@ def test_force_overlap_loops_match_equation_4(taichi_f64):
             dissipated = 1.0 - outcomes.restitution[index] ** 2
             assert trapezoid(force, share) == pytest.approx(0.4 * dissipated, abs=1e-3)
     assert outcomes.restitution[0] == pytest.approx(0.0, abs=1e-11)
-
-
-def test_accuracy_at_200_steps_is_within_its_target(taichi_f64, monkeypatch):
-    monkeypatch.setattr(figures, "ACCURACY_RESTITUTIONS", np.array([0.1, 0.4, 1.0]))
-    monkeypatch.setattr(figures, "PHASES", 4)
-    figure_data = figures.accuracy_figure(*figures.accuracy_run())
-    assert all(deviation.is_within_target for deviation in figure_data.deviations)
-    at_steps = {int(steps): figure_data.columns["duration_deviation"][figure_data.columns["steps_per_contact"] == steps]
-          for steps in (50, 400)}  # fmt: skip
-    assert np.all(at_steps[400] < at_steps[50] / 8.0**1.5)
-
-
-def test_contact_end_is_interpolated_within_a_step(taichi_f64):
-    """Duration and residual overlap do not depend on the position of the first contact within a step."""
-    case = PAPER_CASES[0]
-    pairs = [case.head_on(0.6, 1.0)] * 12
-    outcomes = collide(pairs, "zhou", case.duration(0.6, 1.0) / 100.0)
-    assert np.ptp(outcomes.duration) < 0.02 * outcomes.time_step
-    assert np.ptp(outcomes.overlap_residual / outcomes.overlap_max) < 2e-4
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.0, 30.0])

@@ -12,22 +12,16 @@ import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of, turned
 
 from granflow.cli.main import main
-from granflow.cli.show import FITS
 from granflow.errors import GranflowError
 from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
 from granflow.studies.frames import (
-    MARGIN,
     OPENING,
     VIEWS,
-    FrameParticles,
     aspect_of,
-    bounding_points,
     camera_for,
     corners_of,
     drawn_box,
     frames_of,
-    outermost_points,
-    particle_points,
     plane_box,
     planes_of,
     read_force_chains,
@@ -36,7 +30,7 @@ from granflow.studies.frames import (
     selected_frames,
     view_of,
 )
-from granflow.studies.render import decimals_of, prefixed, round_length, scale_for, speed_of, values_of
+from granflow.studies.render import decimals_of, prefixed, scale_for, speed_of, values_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -81,15 +75,6 @@ def test_each_frame_has_its_walls_and_contacts(run):
     np.testing.assert_allclose(chains.normal_force, contacts["normal_force"], rtol=1e-6)
 
 
-def test_bounding_points_depend_on_the_fit(run):
-    """`all` adds the walls to the points of `particles`; `domain` returns the corners of the box."""
-    box = np.array([[0.0, 0.0, 0.0], [2.0, 2.0, 2.0]])
-    frames = frames_of(run)
-    points = {fit: bounding_points(fit, None, frames, box, particle_points(frames)) for fit in FITS}
-    np.testing.assert_array_equal(points["domain"], corners_of(box))
-    assert len(points["all"]) > len(points["particles"]) > 0
-
-
 def test_planes_are_clipped_to_the_particles_except_along_their_normal(run):
     walls = read_walls(frames_of(run)[1])
     scene = SimpleNamespace(walls={"floor": SimpleNamespace(shape="plane")})
@@ -99,22 +84,6 @@ def test_planes_are_clipped_to_the_particles_except_along_their_normal(run):
     np.testing.assert_allclose(plane_box(floor, bed), [[-0.1, -0.1, -1.0], [2.1, 1.1, 2.0]])
     np.testing.assert_allclose(drawn_box(floor, bed), [[-0.1, -0.1, -np.inf], [2.1, 1.1, np.inf]])
     assert np.isinf(drawn_box(floor, np.zeros((0, 3)))).all()
-
-
-def test_selected_walls_have_their_own_polygons_only(run):
-    walls = read_walls(frames_of(run)[1])
-    assert walls.numbers == [0] and walls.selected([0]).same_as(walls)
-    assert walls.selected([1]).polygons == ()
-
-
-def test_missing_files_are_skipped(run):
-    (run / "particles_0001.vtu").unlink()
-    (run / "walls_0002.vtu").unlink()
-    assert [(frame.number, frame.walls is None) for frame in frames_of(run)] == [
-        (0, False),
-        (2, True),
-        (3, False),
-    ]
 
 
 @pytest.mark.parametrize(
@@ -163,88 +132,19 @@ def test_truncated_frame_is_rejected(run):
         read_particles(frames_of(run)[-1])
 
 
-def test_one_output_file_requires_one_frame(run, capsys):
-    assert main(["render", str(run), "--frame", "all", "--out", "a.png"]) == 2
-    assert "--frame all selects 4 images" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
-        *(
-            ["--size", text]
-            for text in ("1600", "9x9", "100000x100000", "10001x300", "9000x9000", "9" * 5000 + "x9")
-        ),
-        *([f"--range={text}"] for text in ("2,1", "fast", "0,inf", "-1e308,1e308")),
-        *(["--zoom", text] for text in ("0", "1e300", "1e-300", "nan")),
-        *(["--fps", text] for text in ("-1", "1e300", "1e-300")),
+        *(["--size", text] for text in ("1600", "9x9", "100000x100000")),
+        ["--range=2,1"],
+        ["--zoom", "0"],
+        ["--fps", "-1"],
     ],
 )
 def test_invalid_arguments_are_rejected_with_the_expected_form(run, arguments, capsys):
     with pytest.raises(SystemExit):
         main(["render", str(run), *arguments])
     assert "is not a " in capsys.readouterr().err
-
-
-def test_view_of_any_length_is_its_direction(run):
-    """The squares of these numbers overflow or underflow."""
-    for text in ("1e300,-2e300,0", "1e-300,-2e-300,0"):
-        np.testing.assert_allclose(view_of(text).toward, np.array([1, -2, 0]) / np.sqrt(5), rtol=1e-15)
-
-
-def test_frame_number_of_any_length_is_rejected(run):
-    with pytest.raises(GranflowError, match="no such frame"):
-        selected_frames(frames_of(run), "9" * 5000)
-    assert selected_frames(frames_of(run), "0003")[0].number == 3
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "particles_x.vtu",
-        "mine.vtu",
-        "../a/particles_0001.vtu",
-        "/particles_0001.vtu",
-        "walls_0000.vtu",
-        "",
-        "a\\b",
-    ],
-)
-@pytest.mark.parametrize("verb", ["report", "render"])
-def test_listed_file_that_is_no_frame_of_the_run_is_rejected(run, name, verb, capsys):
-    """A name without a number ended in a traceback, and files outside the directory were read."""
-    listing = (run / "particles.pvd").read_text()
-    (run / "particles.pvd").write_text(listing.replace("particles_0002.vtu", name))
-    assert main([verb, str(run)]) == 2
-    assert "particles.pvd cannot be read (it lists " in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "message"),
-    [
-        ('timestep="0.5"', 'timestep="nan"', "the time of particles_0002.vtu is nan"),
-        ('timestep="0.5"', 'time="0.5"', "an entry without 'timestep'"),
-        ("<VTKFile", "<!DOCTYPE a><VTKFile", "declares a document type"),
-        ("</Collection>", "", "mismatched tag"),
-    ],
-)
-def test_damaged_list_of_frames_is_rejected(run, before, after, message):
-    listing = (run / "particles.pvd").read_text()
-    (run / "particles.pvd").write_text(listing.replace(before, after))
-    with pytest.raises(GranflowError, match=message):
-        frames_of(run)
-
-
-def test_message_and_help_of_size_state_the_minimum(run, capsys):
-    with pytest.raises(SystemExit):
-        main(["render", str(run), "--size", "160x120"])
-    assert (
-        "160x120 is not a valid size; give width and height in pixels, from 200 to 10000"
-        in capsys.readouterr().err
-    )
-    with pytest.raises(SystemExit):
-        main(["render", "--help"])
-    assert "from 200 to 10000" in " ".join(capsys.readouterr().out.split())
 
 
 def test_missing_plot_extra_is_reported_with_the_install_command(run, capsys, monkeypatch):
@@ -275,12 +175,6 @@ def test_range_contains_98_percent_of_the_values_and_zero_if_near():
     signed = scale_for("velocity.z", [values - 10.0])
     assert signed.limits == (-89.0, 89.0)
     assert scale_for("radius", [values], limits=(1.0, 2.0)).limits == (1.0, 2.0)
-
-
-@pytest.mark.parametrize("values", [[], [0.0], [0.4], [-0.4], [np.nan]])
-def test_range_is_never_empty(values):
-    low, high = scale_for("velocity", [np.array(values)]).limits
-    assert low < high
 
 
 def test_materials_are_labeled_by_name():
@@ -326,15 +220,6 @@ def test_invalid_views_are_rejected(text):
         view_of(text)
 
 
-def test_outermost_points_include_the_radius():
-    particles = FrameParticles(
-        np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0]]), np.array([1.0, 0.5, 0.2]), {}
-    )
-    points = outermost_points(particles)
-    np.testing.assert_allclose(points.max(axis=0), [2.5, 1, 1])
-    np.testing.assert_allclose(points.min(axis=0), [-1, -1, -1])
-
-
 def test_time_label_has_enough_digits_to_distinguish_frames():
     assert [
         decimals_of(times) for times in ([0, 0.02, 0.04], [0, 1e-4, 2e-4, 3.1e-4], [5.0], [0.0], [0, 60, 120])
@@ -351,21 +236,6 @@ def test_speed_of_a_film_is_stated_as_a_ratio():
     times = np.arange(101) * 0.01
     assert [speed_of(times, rate) for rate in (25.0, 100.0, 400.0)] == ["4x slower", "real time", "4x faster"]
     assert speed_of([0.5], 25.0) == ""
-
-
-@pytest.mark.parametrize(
-    ("largest", "length"), [(0.011, 0.01), (0.0199, 0.01), (0.02, 0.02), (0.7, 0.5), (1.0, 1.0)]
-)
-def test_scale_bar_has_a_round_length(largest, length):
-    assert round_length(largest) == pytest.approx(length, rel=1e-12)
-
-
-def test_shown_height_is_that_of_the_points_and_falls_with_the_zoom():
-    box = corners_of(np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]))
-    assert camera_for(view_of("front"), box, 1.2).shown_height == pytest.approx(3.0 * MARGIN)
-    small = camera_for(view_of("iso"), 1e-6 * box + [5.0, 0.0, 0.0], 1.2).shown_height
-    whole, near = (camera_for(view_of("iso"), box, 1.2, zoom).shown_height for zoom in (1.0, 2.0))
-    assert 3.0 < whole < 6.0 and near < 0.7 * whole and small == pytest.approx(1e-6 * whole, rel=1e-3)
 
 
 # Runs in a separate process: if no picture can be drawn, VTK aborts instead of raising.
@@ -455,8 +325,8 @@ def test_film_contains_every_frame(run):
 @pytest.mark.slow
 @needs_plot
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_stopped_film_leaves_no_file(run, number):
+def test_stopped_film_leaves_no_file(run):
+    number = signal.SIGINT
     pytest.importorskip("imageio_ffmpeg")
     listing = run / "particles.pvd"
     lines = listing.read_text().splitlines()

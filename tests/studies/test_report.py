@@ -5,32 +5,22 @@ import re
 import shutil
 import sys
 from dataclasses import asdict
-from importlib.util import find_spec
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from observers.snapshots import particles_of, snapshot_of
 from scene_runner import SCENES
 from studies.test_page import BalanceParser
 
 from granflow import read_run
 from granflow.cli.main import main
 from granflow.io.log import RecordEntry, SessionFacts, read_record, sessions, warnings_and_errors
-from granflow.io.tables import SeriesColumn, TimeSeriesTable, read_series
+from granflow.io.tables import SeriesColumn, TimeSeriesTable
 from granflow.io.vtu import VtuMesh, write_vtu
-from granflow.observers.frames import ParticleFrames
 from granflow.studies import report as report_module
-from granflow.studies.frames import frames_of
 from granflow.studies.interactive_plots import MOST_POINTS, groups_of, plot_of, thinned
-from granflow.studies.page import environment, page_text
 from granflow.studies.report import (
-    _caption,
-    course_pictures,
     field_content,
-    pictures_for,
     report_text,
-    table_of,
 )
 
 HEAD = (
@@ -159,20 +149,6 @@ def test_page_of_a_resumed_run_lists_its_sessions(run):
     assert "resumed (2 sessions)" in text and "cuda" in text and "resumed from checkpoint_1.npz" in text
 
 
-@pytest.mark.parametrize("kept_file", ["timeseries.csv", "run.log", "result.json", "scene_as_run.yaml"])
-def test_one_file_suffices_for_a_page(run, kept_file):
-    for path in list(run.iterdir()):
-        if path.name != kept_file:
-            path.unlink()
-    assert "Summary" in text_of(run)
-
-
-@pytest.mark.parametrize("text", ["", "time [s],stage,a\n", "a,b\n1,2\n", "time [s],stage,a\n0.0,fi"])
-def test_time_series_without_rows_reads_as_none(tmp_path, text):
-    (tmp_path / "timeseries.csv").write_text(text)
-    assert read_series(tmp_path / "timeseries.csv") is None
-
-
 def test_directories_without_a_run_are_rejected(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 2
     assert "is not the directory of a run" in capsys.readouterr().err
@@ -190,17 +166,6 @@ def test_page_without_plotly_states_the_missing_package(run, capsys, monkeypatch
     html = (run / "report.html").read_text(encoding="utf-8")
     assert "Plots require plotly" in html and "run has no frames" in html
     assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "the page loads external content"
-
-
-def test_columns_are_read_with_units_and_stages(run):
-    series = read_series(run / "timeseries.csv")
-    energy = series.columns[1]
-    assert (energy.name, energy.unit, series.stages) == (
-        "kinetic_energy",
-        "J",
-        ((0.0, "fill"), (0.2, "pour")),
-    )
-    np.testing.assert_array_equal(energy.values, [2e-6, np.nan, 1e-6])
 
 
 def test_columns_of_one_quantity_and_unit_share_a_plot():
@@ -236,31 +201,6 @@ def test_columns_of_one_quantity_and_unit_share_a_plot():
     ]
 
 
-def test_table_of_many_quantities_has_them_as_rows():
-    parts = {"floor": {f"q{k}": k for k in range(11)}, "lid": {"q1": 7.5}}
-    table = table_of("", parts)
-    assert list(table.heads) == ["", "floor", "lid"] and len(table.rows) == 11
-    assert table.rows[1] == ("q1", "1", "7.5") and table.rows[2] == ("q2", "2", "")
-    assert list(table_of("", {"a": {"p": 1, "q": 2}}).heads) == ["", "p", "q"]
-
-
-def test_energies_without_a_budget_are_quantities_over_time(run):
-    """The run has an energy budget; without its columns, the page shows the kinetic energy without a
-    section."""
-    assert "Energy budget" in [topic.title for topic in report_module.topics(read_run(run), with_plots=True)]
-    rows = [line.split(",")[:4] for line in (run / "timeseries.csv").read_text().splitlines()]
-    assert rows[0][3] == "kinetic_energy [J]"
-    (run / "timeseries.csv").write_text("\n".join(map(",".join, rows)) + "\n")
-    (topic,) = [each for each in report_module.topics(read_run(run), with_plots=True) if not each.tables]
-    assert topic.title == "Over time" and "kinetic energy" in topic.plots[-1].caption.lower()
-
-
-def test_energies_of_rounding_are_zero(run):
-    values = np.array([2e-6, 1e-6, 6e-43])
-    (table,) = report_module._energy_budget([SeriesColumn("kinetic_energy", "J", values)])
-    assert table.rows[0][1:4] == ["2e-06", "0", "2e-06"]
-
-
 def test_angles_are_in_rad_and_degrees(run):
     result = json.loads((run / "result.json").read_text())
     result["metrics"] = {"left": {"angle_of_repose": 0.4, "angle_of_repose_error": 0.01}}
@@ -277,33 +217,6 @@ def test_angles_are_in_rad_and_degrees(run):
     assert figure["data"][0]["y"] == [0.0, 45.0] and figure["layout"]["yaxis"]["title"]["text"].endswith(
         "(deg)"
     )
-
-
-def test_small_components_of_forces_are_folded(run):
-    """A component is in the plot or in the folded table; a row of the table is hidden if it is small for all
-    walls."""
-    names = [f"wall_force_{axis}.{wall}" for wall in ("lid", "floor") for axis in "xyz"]
-    values = [5.0, 0.01, 0.0, 0.02, -0.03, -7.0]
-    head = "time [s],stage," + ",".join(f"{name} [N]" for name in names)
-    (run / "timeseries.csv").write_text(f"{head}\n0,a,{','.join(map(str, values))}\n1,a,0,0,0,0,0,0\n")
-    result = json.loads((run / "result.json").read_text())
-    forces = {"wall_force_x": 1.0, "wall_force_y": 2.0, "wall_force_z": 3.0, **{f"q{k}": k for k in range(8)}}
-    result["wall_forces"] = {"lid": forces, "floor": forces}
-    (run / "result.json").write_text(json.dumps(result))
-    topic = next(each for each in report_module.topics(read_run(run), True) if each.title == "Wall forces")
-    assert [row[0] for row in topic.folded[0].rows] == [
-        "wall force y, lid",
-        "wall force x, floor",
-        "wall force y, floor",
-    ]
-    (plot,) = topic.plots
-    curves = plot.figure["data"]
-    assert [curve["name"] for curve in curves] == ["wall force x, lid", "wall force z, floor"]
-    assert [curve["legendgroup"] for curve in curves] == ["lid", "floor"]
-    assert curves[0]["line"]["dash"] != curves[1]["line"]["dash"]
-    heads = [row[0] for row in topic.tables[0].rows]
-    assert heads[:2] == ["wall force x (N)", "wall force z (N)"] and len(heads) == 10
-    assert "largest absolute values" in text_of(run)
 
 
 def test_expected_quantities_are_first(run):
@@ -339,28 +252,6 @@ def test_thinned_curve_keeps_peaks_and_ends():
     np.testing.assert_array_equal(thinned(time[:9], values[:9])[1], values[:9])
 
 
-def test_plot_json_cannot_close_its_script_element():
-    group = groups_of([SeriesColumn("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
-    plot = plot_of(
-        group,
-        TimeSeriesTable(
-            np.array([0.0, 1.0, 2.0]), np.array(["a", "b", "b"]), group.columns, ((0.0, "a"), (0.1, "b"))
-        ),
-    )
-    assert plot.figure["data"][0]["x"] == [0.0, 2.0]
-    assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
-    html = environment().get_template("macros.html").module.plot(plot)
-    assert html.count("</script>") == 1
-    data = re.search(r'<script type="application/json">(.*?)</script>', html)[1]
-    assert json.loads(data) == plot.figure
-    shifts = [each["yshift"] for each in plot.figure["layout"]["annotations"]]
-    assert shifts[0] != shifts[1], "names of stages that begin soon after each other overlap"
-
-
-def test_plots_offer_no_upload_of_data():
-    assert "showSendToCloud: false" in page_text("page.html", plotly="/* plotly */")
-
-
 def test_record_yields_sessions_warnings_and_explanations(run):
     """Lines that are no entries are skipped."""
     damaged = '[]\n5\n{"time": 1, "level": "ERROR", "text": ""}\n{"time": "", "session": {}}\n{"time": "2026-'
@@ -376,49 +267,6 @@ def test_record_yields_sessions_warnings_and_explanations(run):
         ("08", "error"),
     ]
     assert first.explanation.splitlines()[1].startswith("  friction") and not second.explanation
-
-
-def test_captions_follow_from_file_names(tmp_path):
-    assert _caption(tmp_path / "picture_normal_force_iso_cut_0023.png", []) == "normal force, iso, cut."
-    assert _caption(tmp_path / "film_velocity_z_from_1_-2_0.8.mp4", []) == "velocity z, from 1 -2 0.8."
-    assert _caption(tmp_path / "mine.png", []) == "mine"
-
-
-def frames_in(directory, count):
-    """Particle frames 0 to count - 1 of a run, without pictures."""
-    writer = ParticleFrames(directory, 0.1)
-    for k in range(count):
-        writer.observe(snapshot_of(time=0.1 * k, particles=particles_of(3, seed=k)))
-    return frames_of(directory)
-
-
-def test_pictures_of_the_course_are_rendered_besides_others(tmp_path, monkeypatch):
-    """The one picture that exists is not rendered again; a picture with another name follows those of the
-    course."""
-    frames = frames_in(tmp_path, 9)
-    course = course_pictures(tmp_path, frames)
-    assert [each.path.name for each in course] == [f"picture_velocity_iso_{k:04d}.png" for k in (2, 4, 6, 8)]
-    (tmp_path / "pictures").mkdir()
-    for name in ("picture_velocity_iso_0004.png", "picture_radius_top_0008.png", "film_velocity_iso.mp4"):
-        (tmp_path / "pictures" / name).write_bytes(b"x" * 2_000_000)
-    commands = []
-
-    def stand_in(command, **_):
-        commands.append(command)
-        for number in command[command.index("--frame") + 1].split(","):
-            (tmp_path / "pictures" / f"picture_velocity_iso_{int(number):04d}.png").write_bytes(b"x")
-        return SimpleNamespace(returncode=0)
-
-    monkeypatch.setattr(report_module.subprocess, "run", stand_in)
-    monkeypatch.setattr(report_module, "reduced", lambda path, scratch: path)
-    monkeypatch.setattr(report_module, "find_spec", lambda name: True)
-    shown = [each.path.name for each in pictures_for(tmp_path, tmp_path).shown]
-    assert [command[-1] for command in commands] == ["2,6,8"]
-    assert shown == [
-        "film_velocity_iso.mp4",
-        *(each.path.name for each in course),
-        "picture_radius_top_0008.png",
-    ]
 
 
 def write_fields(directory, cells):
@@ -449,22 +297,3 @@ def test_fields_of_a_row_of_cells_are_profiles(tmp_path):
     (curve,) = plots[0].figure["data"]
     assert curve["x"] == [0.5, 1.5, 2.5] and curve["y"] == [0.0, 1.0, 2.0] and curve["name"] == "0.5 s"
     assert len(field_content(tmp_path, with_plots=False)[0]) == 1
-
-
-def test_fields_of_other_grids_are_tables(run):
-    write_fields(run, (2, 1, 3))
-    (table,), plots = field_content(run, with_plots=True)
-    assert plots == [] and table.rows == [
-        ["solid fraction", "0", "2.5", "5"], ["velocity, magnitude (m/s)", "2", "2", "2"]
-    ]  # fmt: skip
-    text = text_of(run)
-    assert "Fields" in text and "Field bed at 0.5 s over 6 cells; fields_bed.pvd has all frames." in text
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(find_spec("plotly") is None, reason="needs the plot extra")
-def test_page_with_plots_is_smaller_than_6_mb(run):
-    assert main(["report", str(run)]) == 0
-    page = run / "report.html"
-    assert 1e6 < page.stat().st_size < 6e6
-    assert "Plotly.react" in page.read_text(encoding="utf-8")

@@ -38,10 +38,6 @@ def test_section_shows_the_collisions_since_the_start(tmp_path):
     assert wall["y"] == [None, None], "a logarithmic axis has no 0"
 
 
-def test_run_without_collision_energies_has_no_section(tmp_path):
-    assert list(collision_topics(tmp_path, True)) == []
-
-
 def test_report_of_a_run_has_the_section(tmp_path, taichi_f64):
     output = {"interval": 0.05, "collision_energies": {"min": 1e-9, "max": 1e-2}}
     scene = build_scene(

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group, plane, run_to_end
-from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.load import load_scene
@@ -99,25 +98,7 @@ def test_reached_restitution_equals_that_of_a_run(taichi_f64):
     assert fastest.min_reached - 2e-4 <= reached <= fastest.max_reached + 2e-4
 
 
-def max_difference_at_low_velocity(precision):
-    scene = two_materials(run={"duration": 1.0, "velocity_max": 5.0, "precision": precision})
-    rows, _ = measure(scene)
-    return max(abs(row.difference) for row in rows if row.velocity < 0.01)
-
-
-@pytest.mark.slow
-def test_single_precision_is_inaccurate_at_low_velocities(taichi_f64):
-    """The spacing of f32 coordinates up to 1 m is 6e-8 m; overlaps at 5 mm/s are of that order."""
-    assert in_subprocess(max_difference_at_low_velocity, "f32") > 0.05
-    assert max_difference_at_low_velocity("f64") < 0.01
-
-
 # ---------------------------------------------------------------- the warning
-
-
-def given_warnings(scene):
-    """Warnings for a scene with its plan."""
-    return warnings(plan_for(scene))
 
 
 def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(taichi_f64):
@@ -138,31 +119,9 @@ def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(tai
     assert warnings_of(coarse_hertz(fraction=remedy)) == []
 
 
-def test_each_material_pair_has_at_most_one_warning():
-    scene = coarse_hertz()
-    three_groups = scene.model_copy(update={"particles": {
-        name: scene.particles["beads"].model_copy(update={"count": 2}) for name in ("one", "two", "three")
-    }})  # fmt: skip
-    fixed = scene.particles["beads"].model_copy(
-        update={"count": 2, "fixed": True, "velocity": (0.0, 0.0, 0.0)}
-    )
-    assert len(warnings_of(three_groups)) == 1
-    assert warnings_of(scene.model_copy(update={"particles": {"beads": fixed}})) == []
-
-
 def test_shipped_scenes_have_no_warnings():
     for path in [*SCENES.glob("*.yaml"), *SCENES.glob("dosta2024/*.yaml")]:
         assert warnings_of(load_scene(path)) == [], path
-
-
-def test_warnings_of_the_plan_are_not_repeated():
-    """Restitution 0.02 requires an unloading stiffness that is unstable with the time step."""
-    scene = two_materials(fraction=0.1, pairs={
-        "steel-steel": {"restitution": 0.02, "friction": 0.3}, "steel-glass": {"restitution": 0.6, "friction": 0.3}
-    })  # fmt: skip
-    plan = plan_for(scene)
-    assert any("0.02" in sentence for sentence in plan.step.warnings)
-    assert not any("steel-steel" in sentence for sentence in warnings(plan))
 
 
 def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):

@@ -2,7 +2,6 @@
 
 import pytest
 from studies.sweep_files import write_sweep
-from studies.test_calibration import CALIBRATION, runner
 from studies.test_sweep import problems_of, settings, sweep_of
 
 from granflow.errors import FileError
@@ -46,12 +45,3 @@ def test_unit_of_another_dimension_is_refused_by_the_scene(tmp_path, values):
         FileError, match=r"sweep.yaml:3:3: pairs.steel-steel.friction is .*a number without a unit is"
     ):
         checked_points(read_sweep(write_sweep(tmp_path, text)), settings(tmp_path))
-
-
-def test_bounds_with_a_unit_of_another_dimension_are_refused(tmp_path):
-    """The numbers 0.03 and 0.09 would be valid restitutions."""
-    found = runner(tmp_path, CALIBRATION.replace("from: 0.3, to: 0.9", "from: 30 mm, to: 90 mm"))
-    with pytest.raises(
-        FileError, match=r"calibration.yaml:4:3: .*restitution is 0.06 m, but a number without a unit"
-    ):
-        found.check()

@@ -28,7 +28,6 @@ from granflow.studies.run_process import (
 )
 from granflow.studies.sweep import checked_points, read_sweep
 from granflow.studies.sweep_design import (
-    LatinHypercube,
     SobolSampling,
     SweepInput,
     design_points,
@@ -100,12 +99,6 @@ def test_invalid_parameters_are_refused(tmp_path, vary, words):
 def test_too_many_runs_are_refused_before_any_is_checked(tmp_path, text, words):
     (problem,) = problems_of(tmp_path, f"scene: spheres.yaml\n{text}\nread: kinetic_energy\n")
     assert words in problem
-
-
-def test_missing_scene_is_reported_at_its_key(tmp_path):
-    path = write_sweep(tmp_path, SWEEP.replace("spheres.yaml", "spheers.yaml"))
-    with pytest.raises(FileError, match=r"sweep.yaml:1:8: scene is spheers.yaml, but there is no file"):
-        read_sweep(path)
 
 
 def test_misspelt_key_of_the_scene_is_reported_at_its_line_of_the_sweep(tmp_path):
@@ -187,34 +180,6 @@ def test_grid_contains_all_combinations_in_si_units_and_the_scene_gets_the_given
     assert points[3].settings == {"d": "2 ms", "a.b": "1 cm", "c": 1.0}
 
 
-def test_values_of_a_grid_are_the_shortest_decimals():
-    def levels(**bounds):
-        content = {"scene": "a.yaml", "vary": {"a.x": bounds}, "read": ["step_count"]}
-        return [point.values["a.x"] for point in design_points(SweepInput.model_validate(content))]
-
-    tenths = levels(**{"from": 0.1, "to": 0.8, "count": 8})
-    assert tenths == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
-    assert levels(**{"from": 0.0, "to": 1.0, "count": 4}) == [0.0, 1 / 3, 2 / 3, 1.0]
-    decades = levels(**{"from": 1e-5, "to": 1.0, "count": 6, "scale": "log"})
-    assert decades == [1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0]
-    assert levels(**{"from": 1.0, "to": 2.0, "count": 3, "scale": "log"})[1] == 2.0**0.5
-
-
-def test_one_parameter_sets_several_keys_and_others_along_with_it():
-    vary = {"hole": {"values": ["9 mm", "12 mm"], "keys": ["walls.plug.radius", "walls.floor.hole_radius"],
-                     "with": {"stages.1.duration": ["2 s", "1 s"]}}}  # fmt: skip
-    found = [point.settings for point in design_points(sweep_of(vary=vary))]
-    assert found == [
-        {"walls.plug.radius": "9 mm", "walls.floor.hole_radius": "9 mm", "stages.1.duration": "2 s"},
-        {"walls.plug.radius": "12 mm", "walls.floor.hole_radius": "12 mm", "stages.1.duration": "1 s"},
-    ]
-
-
-def test_latin_hypercube_has_one_point_in_each_interval():
-    samples = unit_samples(LatinHypercube(kind="latin_hypercube", count=16, seed=3), 3)
-    assert all(sorted((16 * column).astype(int)) == list(range(16)) for column in samples.T)
-
-
 def test_sobol_design_gives_the_indices_of_the_ishigami_function():
     """Ishigami & Homma (1990): f = sin x + a sin^2 y + b z^4 sin x on (-pi, pi)^3, with a = 7 and b = 0.1.
 
@@ -254,12 +219,6 @@ def test_points_are_checked_and_hashed_by_their_resolved_scene(tmp_path):
     assert refused[0].startswith(f"{tmp_path}/sweep.yaml:3:3: pairs.steel-steel.restitution is 1.2")
     valid = [run for run in runs if isinstance(run, CheckedRun)]
     assert len({run.directory for run in valid}) == 8
-
-
-def test_seeds_follow_that_of_the_scene(tmp_path):
-    path = write_sweep(tmp_path, SWEEP + "repeat: {seeds: 3}\n", "seed: 5\n" + SCENE)
-    (_, runs), *_ = checked_points(read_sweep(path), settings(tmp_path))
-    assert [run.seed for run in runs] == [5, 6, 7] and len({run.directory for run in runs}) == 3
 
 
 class Instant:
