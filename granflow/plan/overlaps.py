@@ -224,6 +224,7 @@ def supported_pairs(plan: Plan) -> Iterator[tuple[PairCase, float]]:
     those below: for each the effective mass is M / (2 N). Without gravity there is no bed.
     """
     magnitude = float(np.linalg.norm(plan.scene.gravity))
+    mobile = {name: each for name, each in plan.scene.particles.items() if not each.fixed}
     for large, small in product(plan.groups, plan.groups):
         if large.spec.fixed or small.spec.fixed or not magnitude or not _collide(plan, large, small):
             continue
@@ -232,24 +233,15 @@ def supported_pairs(plan: Plan) -> Iterator[tuple[PairCase, float]]:
         count = max(2.0 * LAYER_FRACTION * radius * plan.scene.numerics.max_overlap / radius_small, 1.0)
         if radius < SUPPORTED_RATIO * radius_small or small.spec.count <= count:
             continue
-        if _depth(plan, radius) > SHALLOW * radius:
+        below = {name: each for name, each in mobile.items() if 0.5 * max(each.diameters) < radius}
+        depth = solid_volume(below) / (SOLID_FRACTION * weight_pressure(plan.scene)[1])
+        if depth > SHALLOW * radius:
             continue
         pair = _of_particles(plan, large, small, (2.0 * radius, 2.0 * radius_small))
         mass = _mass(plan, large, radius)
         name = f"particles of {large.name} on the smallest of {small.name}"
         supported = replace(pair, name=name, mass_eff=max(mass / (2.0 * count), pair.mass_eff))
         yield supported, magnitude * mass / count
-
-
-def _depth(plan: Plan, radius: float) -> float:
-    """Depth [m] of a bed at rest of all mobile particles of groups without a radius of at least `radius`
-    [m]."""
-    smaller = {
-        name: each
-        for name, each in plan.scene.particles.items()
-        if not each.fixed and 0.5 * max(each.diameters) < radius
-    }
-    return solid_volume(smaller) / (SOLID_FRACTION * weight_pressure(plan.scene)[1])
 
 
 def _collide(plan: Plan, group: SceneGroup, other: SceneGroup) -> bool:

@@ -133,7 +133,8 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         None,
         alias="count",
         description=(
-            "number of particles, or of clumps; with positions or file: default is the number of rows"
+            "number of particles, or of clumps; default with positions or file: number of rows; with rain or "
+            "inlet: those that enter until the run ends"
         ),
     )
     mass: q.ParticleMass | None = Field(
