@@ -87,19 +87,30 @@ def test_insertion_is_reproducible_and_depends_on_the_seed():
     assert not np.any(first[0][1].position == other[0][1].position)
 
 
-def test_due_particles_are_queued_while_the_region_is_full():
+def test_a_position_is_clear_from_the_sum_of_both_radii():
+    """Radii of 2 and 4 mm are 6 mm apart: 5.9 mm is too near, also for the smaller one."""
+    rain = rain_of(count=2)
+    rain.radius = np.array([0.002, 0.004])
+    for k, other in ((0, 1), (1, 0)):
+        positions = {other: np.zeros(3)}
+        rain.place_first_clear(k, np.array([[0.0059, 0, 0], [0.0061, 0, 0]]), positions)
+        np.testing.assert_array_equal(positions[k], [0.0061, 0, 0])
+
+
+@pytest.mark.parametrize("count", [50, 11])
+def test_due_particles_are_queued_while_the_region_is_full(count):
     """While a particle fills the region, nothing is inserted; after its removal all queued particles are
-    inserted."""
-    rain = rain_of(count=50, rate=1000.0, diameter=0.004)
+    inserted, also those that wait after the last one has become due."""
+    rain = rain_of(count=count, rate=1000.0, diameter=0.004)
     plug = np.array([[0, 0, 0.43]]), np.array([0.2])
     for now in (0.0, 0.005, 0.01):
         assert len(rain.insert_due(now, *plug)) == 0
-    assert rain.remaining == 50 and list(rain.queued) == list(range(11))
-    assert rain.next_time > 0.01
+    assert rain.remaining == count and list(rain.queued) == list(range(11))
+    assert 0.01 < rain.next_time < 1.0
     inserted = 0
     while rain.remaining:
         inserted += len(rain.insert_due(rain.next_time, np.empty((0, 3)), np.empty(0)))
-    assert inserted == 50
+    assert inserted == count
 
 
 def test_insertion_stops_in_a_full_region():
