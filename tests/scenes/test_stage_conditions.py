@@ -10,6 +10,8 @@ from scene_builders import SOFT, build_scene, particle_group, plane
 
 from granflow.contact import theory
 from granflow.errors import GranflowError
+from granflow.observers.timeseries import Row
+from granflow.runs.stages import StageConditions
 from granflow.simulation import Simulation
 
 RADIUS, GRAVITY = 0.005, 9.81
@@ -46,6 +48,20 @@ def time_of_force(force):
     """Time [s] at which the slowly approaching lid reaches a force F = k (d/2)^1.5 on two equal contacts in
     series."""
     return 2.0 * (force / STIFFNESS) ** (2 / 3) / SPEED
+
+
+def test_the_hold_of_a_condition_begins_again_after_a_row_without_it():
+    """Met from 1 to 2 ms, not at 3 ms, met from 4 ms: a hold of 2 ms ends at 6 ms, not at 4 ms."""
+    until = {"quantity": "wall_force_z.lid", "above": 1.0, "hold": 2e-3}
+    scene = press(until)
+    stage, conditions = scene.stages[0], StageConditions()
+    conditions.begin(stage, 0.0)
+    ended = []
+    for k, force in enumerate([0.0, 2.0, 2.0, 0.5, 2.0, 2.0, 2.0]):
+        row = Row(time=k * 1e-3, time_before=max(k - 1, 0) * 1e-3, numbers={"wall_force_z.lid": force})
+        conditions.add_row(scene, stage, 0.0, row)
+        ended.append(conditions.met is not None)
+    assert ended == [False] * 6 + [True]
 
 
 def test_a_stage_ends_at_a_force(taichi_f64):
