@@ -124,6 +124,16 @@ def flight(height):
     return ""
 
 
+def test_the_limit_of_displacement_is_that_of_the_smallest_particle(taichi_f64):
+    """0 to 500 m/s at 1e6 m/s2: from 40 m/s on, 0.2 mm per step of 5 us, 0.2 radii of the small particle."""
+    scene = build_scene(
+        {"large": particle_group([[0.3, 0, 0]], 0.02), "small": particle_group([[0, 0, 0]], 0.002)}, gravity=[1e6, 0, 0],
+        run={"duration": 5e-4, "velocity_max": 1.0, "time_step": 5e-6}, numerics={"skin": 1e-2},
+    )  # fmt: skip
+    message = abort_message(scene)
+    assert number_after("at", message) == pytest.approx(4e-5, abs=1e-5)
+
+
 def test_valid_run_has_no_diagnosis(taichi_f64):
     simulation = Simulation(
         build_scene(
