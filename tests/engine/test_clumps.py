@@ -60,7 +60,7 @@ def fingerprint(threads, precision="f64", as_on_gpu=False):
     return [*digests, totals, simulation.engine.timing.rebuild_count]
 
 
-@pytest.mark.parametrize("precision", ["f64", "mixed"])
+@pytest.mark.parametrize("precision", ["f64", pytest.param("mixed", marks=pytest.mark.slow)])
 def test_results_are_bit_identical_for_any_thread_count_and_on_the_gpu_code_path(precision):
     calls = [(threads, precision) for threads in (1, 2, MORE_THAN_POOL)]
     one, *others = each_in_subprocess(fingerprint, calls, seconds=600)

@@ -156,7 +156,10 @@ def simulated(steps, springs):
     return np.concatenate([particles["position"][fine], RADIUS * particles["angular_velocity"][fine]], axis=1)
 
 
-@pytest.mark.parametrize("springs", [(1, 0), (0, 1)], ids=["friction", "rolling"])
+@pytest.mark.parametrize(
+    "springs",
+    [pytest.param((1, 0), id="friction"), pytest.param((0, 1), id="rolling", marks=pytest.mark.slow)],
+)
 def test_trajectories_with_spin_converge_with_second_order(taichi_f64, tmp_path, monkeypatch, springs):
     """On a sphere, in a rotating drum, on a turning plate and over the edge of a mesh, springs below their
     limits.

@@ -42,6 +42,7 @@ def test_shipped_stirrer_equals_the_mesh_of_the_script():
     np.testing.assert_allclose(corners, points[triangles], atol=1e-5)  # STL has single precision [mm]
 
 
+@pytest.mark.slow
 def test_reduced_mixer_satisfies_its_expectations(tmp_path, taichi_f64):
     small = (
         "particles.left.count=150",

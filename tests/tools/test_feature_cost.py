@@ -170,6 +170,7 @@ def measured(directory):
     }
 
 
+@pytest.mark.slow
 def test_every_timing_starts_from_the_same_particles(tmp_path):
     found = in_subprocess(measured, str(tmp_path))
     assert [row[0] for row in found["rows"]] == ["baseline", "without walls"]

@@ -20,6 +20,7 @@ def module(name):
     return importlib.import_module(name)
 
 
+@pytest.mark.slow
 def test_missing_device_is_reported_in_one_sentence(tmp_path):
     from granflow.kernel_language import ti
 
@@ -147,7 +148,7 @@ def measured_in_subprocess(tools, path):
     }  # kernels for the GPU must compile on the CPU
 
 
-@pytest.mark.parametrize("language", ["taichi", "quadrants"])
+@pytest.mark.parametrize("language", [pytest.param("taichi", marks=pytest.mark.slow), "quadrants"])
 def test_speed_measurement_of_four_particles(tmp_path, monkeypatch, language):
     """Four particles above the floor, two of which overlap by 0.1 mm; with the profiler of kernels."""
     if importlib.util.find_spec(language) is None:

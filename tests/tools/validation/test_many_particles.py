@@ -56,6 +56,7 @@ def test_six_directions_dissipate_less_than_a_maxwell_gas():
     assert cooling.six_directions() == pytest.approx(pairs.mean() / maxwell, rel=0.005)
 
 
+@pytest.mark.slow
 def test_oblique_impacts_of_soft_particles_dissipate_less(taichi_f64):
     """The correction and the duration are proportional to E^(-2/5), apart from terms of the order of the
     correction."""
@@ -65,6 +66,7 @@ def test_oblique_impacts_of_soft_particles_dissipate_less(taichi_f64):
     assert soft.duration / stiff.duration == pytest.approx(100**0.4, rel=0.03)
 
 
+@pytest.mark.slow
 def test_small_gas_follows_haffs_law(taichi_f64):
     assert statuses(cooling.haff_cases((5e6,), 300, (1,))) == ["pass"]
 
@@ -116,6 +118,7 @@ def test_evaluation_of_a_silo_rejects_a_wall_that_carries_too_little():
     assert statuses(silo.evaluate_silo([record] * 10)) == ["pass", "fail"]
 
 
+@pytest.mark.slow
 def test_small_silo_carries_its_weight(taichi_f64):
     balance, _ = silo.janssen_cases(150)
     assert balance.status == "pass"

@@ -85,6 +85,7 @@ def test_stored_cases_are_within_the_allowed_deviations():
     assert [each.name for each in cases if each.status == "fail"] == []
 
 
+@pytest.mark.slow
 def test_elastic_collision_stack_and_incline_pass(taichi_f64):
     cases = collisions.elastic_cases()[:3] + motion.stack_cases() + motion.incline_cases()
     assert [each.status for each in cases] == ["pass"] * 9
