@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import takewhile
-from math import inf, isfinite
+from math import isfinite
 from typing import Any, NamedTuple
 from zlib import compress
 
@@ -294,16 +294,14 @@ def _curve(
 
 
 STAGE_ROW = 14
-"""Vertical offset of a stage name that would overlap the previous one [pixels]."""
-NEAR = 0.1
-"""Distance of two stage names below which they would overlap, as a fraction of the run."""
+"""Vertical offset of every second stage name, so that names of closely spaced stages do not overlap
+[pixels]."""
 
 
 def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
     """A line and a name at the start of each stage if the run has several."""
     stages = series.stages if len(series.stages) > 1 else ()
     line = {"width": 1, "dash": "dot"}
-    rows = _rows([time for time, _ in stages], series.time[-1] - series.time[0])
     return {
         "shapes": [
             {"type": "line", "x0": time, "x1": time, "y0": 0, "y1": 1, "yref": "paper", "line": line}
@@ -319,16 +317,8 @@ def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
                 "xanchor": "left",
                 "yanchor": "bottom",
                 "font": {"size": 11},
-                "yshift": STAGE_ROW * row,
+                "yshift": STAGE_ROW * (k % 2),
             }
-            for (time, name), row in zip(stages, rows, strict=True)
+            for k, (time, name) in enumerate(stages)
         ],
     }
-
-
-def _rows(times: Sequence[float], span: float) -> list[int]:
-    """Row 0 or 1 of each stage name, so that names of closely spaced stages do not overlap."""
-    rows: list[int] = []
-    for before, time in zip([-inf, *times], times, strict=False):
-        rows.append(1 - rows[-1] if rows and time - before < NEAR * span else 0)
-    return rows
