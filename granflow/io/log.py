@@ -7,14 +7,13 @@ as a record: its sessions with the output of `granflow explain`, its warnings an
 import json
 import logging
 import platform
-import re
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Protocol
 
 from granflow.errors import GranflowError
 from granflow.io.files import read_text, separate_from_links, write_text
@@ -163,19 +162,7 @@ def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
     return path
 
 
-# Reading the log and the record
-
-ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*)")
-"""Time, level, logger and text of an entry of the log, see `run_log`."""
-
-
-@dataclass(frozen=True)
-class LogEntry:
-    """One entry of a log; the text may have several lines."""
-
-    time: str
-    level: str
-    text: str
+# Reading the record
 
 
 @dataclass(frozen=True)
@@ -215,63 +202,24 @@ class RecordEntry:
     ended_by: str = ""
 
 
-def read_log(path: Path) -> list[LogEntry]:
-    """Entries of a log; empty if the file does not exist. Raises GranflowError if it cannot be read.
-
-    Lines without a time stamp continue the entry before them.
-    """
-    entries: list[LogEntry] = []
-    for line in _text_of(path).splitlines():
-        match = ENTRY.fullmatch(line)
-        if match:
-            entries.append(LogEntry(match[1], match[2], match[4]))
-        elif entries:
-            last = entries[-1]
-            entries[-1] = LogEntry(last.time, last.level, f"{last.text}\n{line}")
-    return entries
-
-
 def read_record(path: Path) -> list[RecordEntry]:
     """Entries of a record; empty if the file does not exist. Raises GranflowError if it cannot be read.
 
     Lines that are no entry are skipped: the last one of a session that was killed may be cut off.
     """
-    entries = []
-    for line in _text_of(path).splitlines():
-        with suppress(ValueError, TypeError, RecursionError):
-            entries.append(_entry_of(json.loads(line)))
-    return entries
-
-
-def _text_of(path: Path) -> str:
-    """Content of a text file, empty if it does not exist. Raises GranflowError if it cannot be read."""
     try:
-        return read_text(path)
+        lines = read_text(path).splitlines()
     except FileNotFoundError:
-        return ""
+        return []
     except OSError as error:
         raise GranflowError(f"{path}: {error.strerror}.") from None
-
-
-def _entry_of(found: Any) -> RecordEntry:
-    """The entry of a line of the record. Raises TypeError for other keys or types of values."""
-    if not isinstance(found, dict):
-        raise TypeError(f"{found!r} is not an object")
-    facts = found.pop("session", None)
-    session = None if facts is None else _of_declared_types(SessionFacts(**facts))
-    return _of_declared_types(RecordEntry(**found, session=session))
-
-
-T = TypeVar("T", SessionFacts, RecordEntry)
-
-
-def _of_declared_types(record: T) -> T:
-    """The record. Raises TypeError if a field has another type than the declared one."""
-    for each in fields(record):
-        value = getattr(record, each.name)
-        if not isinstance(value, each.type):  # type: ignore[arg-type]
-            raise TypeError(f"{each.name} is {value!r}")
-    return record
+    entries = []
+    for line in lines:
+        with suppress(ValueError, TypeError):
+            found = json.loads(line)
+            facts = found.pop("session", None)
+            entries.append(RecordEntry(**found, session=None if facts is None else SessionFacts(**facts)))
+    return entries
 
 
 def sessions(entries: list[RecordEntry]) -> list[tuple[str, SessionFacts]]:

@@ -16,7 +16,7 @@ from granflow.geometry.sphere import sphere_mass
 from granflow.io.files import read_text, resolved
 from granflow.io.frames import frame_near, is_empty, listed_frames, read_mesh, require_directory
 from granflow.io.lock import locked
-from granflow.io.log import LOG, RECORD, LogEntry, RecordEntry, read_log, read_record
+from granflow.io.log import LOG, RECORD, RecordEntry, read_record
 from granflow.io.tables import TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh
 from granflow.load import Scene, load_scene
@@ -285,11 +285,6 @@ class Run:
         if simulated is not None:
             return float(simulated)
         return float(self.series.time[-1]) if self.series is not None else None
-
-    @cached_property
-    def log(self) -> list[LogEntry]:
-        """Entries of `run.log`: time, level and text; empty without a log."""
-        return read_log(self.directory / LOG)
 
     @cached_property
     def record(self) -> list[RecordEntry]:

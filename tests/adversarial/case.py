@@ -121,7 +121,7 @@ def _faults_of_processes(case: Case, sandbox: Sandbox) -> list[str]:
     for finished in sandbox.history:
         if re.search(r"Traceback|Logging error|Segmentation|core dumped", finished.text):
             found.append(f"granflow {finished.command} prints a traceback: {finished.text[-400:]}")
-        if re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\u202e\u2066-\u2069]", finished.text):
+        if re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]", finished.text):
             found.append(
                 f"granflow {finished.command} prints control characters: {ascii(finished.err[:400])}"
             )

@@ -134,7 +134,7 @@ def test_status_of_an_aborted_run(tmp_path):
     with pytest.raises(gf.RunError), run_log(tmp_path):
         raise gf.RunError("it burst")
     run = stopped(tmp_path, (tmp_path / "run.log").read_text())
-    assert run.status == "aborted" and run.log[-1].text == "ended by RunError: it burst"
+    assert run.status == "aborted" and run.record[-1].text == "ended by RunError: it burst"
 
 
 def test_damaged_files_are_reported(tmp_path):

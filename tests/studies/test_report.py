@@ -253,9 +253,8 @@ def test_thinned_curve_keeps_peaks_and_ends():
 
 
 def test_record_yields_sessions_warnings_and_explanations(run):
-    """Lines that are no entries are skipped."""
-    damaged = '[]\n5\n{"time": 1, "level": "ERROR", "text": ""}\n{"time": "", "session": {}}\n{"time": "2026-'
-    (run / "run.jsonl").write_text(lines_of(RECORD) + damaged + "\n" + lines_of(RESUMED))
+    """A line that a killed session has cut off is skipped."""
+    (run / "run.jsonl").write_text(lines_of(RECORD) + '{"time": "2026-\n' + lines_of(RESUMED))
     entries = read_record(run / "run.jsonl")
     assert entries == RECORD + RESUMED
     first, second = (facts for _, facts in sessions(entries))
