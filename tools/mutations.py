@@ -1,6 +1,6 @@
 """Random mutations of the source: which tests detect which error.
 
-    python tools/mutations.py draw 400 --seed 1 --out mutations.json [FILE or FOLDER ...]
+    python tools/mutations.py draw 400 --seed 1 --out mutations.json [--places FILE ...]
     python tools/mutations.py run mutations.json results.jsonl [ARGUMENT of pytest ...]
     python tools/mutations.py cover results.jsonl durations.txt
 
@@ -18,7 +18,6 @@ import json
 import os
 import random
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -32,9 +31,9 @@ from cosmic_ray.ast import ast_nodes
 from cosmic_ray.mutating import MutationVisitor
 from cosmic_ray.operators.operator import Operator
 from cosmic_ray.plugins import get_operator, operator_names
+from source_copy import copy_to, write_later
 
 ROOT = Path(__file__).resolve().parents[1]
-COPIED = ("granflow", "tests", "tools", "scenes", "docs", "pyproject.toml", "README.md", "CHANGELOG.md")
 CORE = tuple(
     f"granflow/{name}"
     for name in ("contact", "engine", "geometry", "particles", "plan", "scene", "io", "observers", "runs")
@@ -148,19 +147,15 @@ def run(mutations: list[dict], results: Path, arguments: list[str]) -> None:
     """Append the failed tests of each error to the results."""
     done = results.read_text(encoding="utf-8").splitlines() if results.is_file() else []
     with tempfile.TemporaryDirectory() as folder:
-        for name in COPIED:
-            if (ROOT / name).is_dir():
-                shutil.copytree(ROOT / name, Path(folder, name), ignore=shutil.ignore_patterns("__pycache__"))
-            else:
-                shutil.copy2(ROOT / name, Path(folder, name))
+        copy_to(Path(folder))
         if failed := failed_tests(Path(folder), arguments):
             raise SystemExit(f"Without an error, these tests fail: {failed}")
         for mutation in mutations[len(done) :]:
             path = Path(folder, mutation["file"])
             source = path.read_text(encoding="utf-8")
-            path.write_text(mutated(source, mutation), encoding="utf-8")
+            write_later(path, mutated(source, mutation))
             failed = failed_tests(Path(folder), arguments)
-            path.write_text(source, encoding="utf-8")
+            write_later(path, source)
             with results.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(mutation | {"failed": failed}) + "\n")
             print("detected" if failed else "SURVIVED", *mutation.values(), flush=True)
@@ -187,7 +182,7 @@ def main() -> None:
     one.add_argument("count", type=int)
     one.add_argument("--seed", type=int, default=1)
     one.add_argument("--out", type=Path, required=True)
-    one.add_argument("places", nargs="*", default=CORE)
+    one.add_argument("--places", nargs="+", default=CORE)
     one = commands.add_parser("run")
     one.add_argument("mutations", type=Path)
     one.add_argument("results", type=Path)

@@ -23,7 +23,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
-from mutate import copy_to, write_later  # noqa: E402
+from source_copy import copy_to, write_later  # noqa: E402
 
 from validation.run import PAGE, RESULTS, write_stored  # noqa: E402
 
