@@ -57,7 +57,8 @@ def named_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
         is_unnamed = error.filename is None and error.errno is not None
         if is_unnamed or (temporary is not None and str(error.filename) == str(temporary)):
             error.filename = str(path)
-            error.filename2 = None
+            if error.filename2 is not None:
+                del error.filename2  # None would appear in the message
         raise
 
 
