@@ -43,6 +43,24 @@ def pulled(law, steps=20000):
     )[None, :]
 
 
+@pytest.mark.parametrize("name", ["capillary", "capillary_transfer"])
+def test_the_range_of_a_bridge_covers_all_pairs_of_materials(name):
+    """Rupture distance (1 + angle / 2) V^(1/3) (Lian et al. 1993): 0.6 rad instead of 0.1 for one pair."""
+    liquid = {"surface_tension": 0.07, "restitution": 0.8, "friction": 0.0}
+    volume = {"liquid_volume": 1e-9} if name == "capillary" else {}
+    pairs = {
+        f"{a}-{b}": liquid | volume | {"contact_angle": 0.6 if a == "glass" else 0.1}
+        for a, b in (("glass", "glass"), ("glass", "steel"), ("steel", "steel"))
+    }
+    model = name if name == "capillary" else {"law": name, "max_bridge_volume": 1e-9}
+    scene = build_scene(
+        {"balls": particle_group([[0.0, 0.0, 0.0]])}, {"floor": plane([0, 0, -1], [0, 0, 1], "steel")},
+        pairs=pairs, contact={"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": model},
+    )  # fmt: skip
+    farthest = (1.0 + 0.5 * 0.6) * 1e-9 ** (1.0 / 3.0)
+    assert farthest <= plan_for(scene).laws.cohesion.range < 1.01 * farthest
+
+
 def test_jkr_pull_off_force_and_distance(taichi_f64):
     """Smallest force -3/2 pi w R; snap-off at a = a_s / 4^(2/3), which is the distance 3/4 4^(-1/3) d_s (JKR
     1971)."""

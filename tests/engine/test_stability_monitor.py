@@ -92,6 +92,24 @@ def test_supplied_energy_does_not_depend_on_the_origin(height, put):
         assert energy_input(accounting, 2.0 * origin + 5.0, (2.0, -7.0)) == pytest.approx(2.0)
 
 
+def test_the_error_of_a_bounce_refers_to_the_largest_energy_input(taichi_f64):
+    """An elastic sphere is back at its height of 5 mm after two falls: gravity has put in m g h on the way,
+    and nothing in sum."""
+    height, gravity = 0.005, 9.81
+    scene = build_scene(
+        {"ball": particle_group([[0.0, 0.0, 0.005 + height]])}, walls={"floor": plane([0, 0, 0], [0, 0, 1])},
+        gravity=[0, 0, -gravity], pair={"restitution": 1.0}, run={"duration": 2.0 * np.sqrt(2.0 * height / gravity)},
+        output={"interval": 1.0, "energy_budget": True},
+    )  # fmt: skip
+    simulation = Simulation(scene, observers=[on_interval(1e-3, lambda snapshot: None)])
+    simulation.run()
+    last = simulation.snapshot()
+    assert last.particles["position"][0, 2] > 0.005 + 0.99 * height
+    assert simulation.engine.accounting.energy_put_in == pytest.approx(MASS * gravity * height, rel=0.02)
+    assert abs(last.totals["energy_error"]) < 1e-4
+    simulation.free()
+
+
 def test_velocity_too_high_for_the_step_causes_a_warning_with_the_required_step(taichi_f64):
     """A particle exceeds the planned velocity; required: 2 sqrt(M/K) for an impact on an equal particle."""
     step = 4e-4
