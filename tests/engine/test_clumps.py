@@ -165,6 +165,22 @@ def test_clumps_cross_a_periodic_face_as_one_body(taichi_f64):
     assert (np.abs(np.round(branch / 0.024)).max(axis=1) > 0).any(), "some rods lie across a face"
 
 
+def test_rate_dependent_forces_see_spheres_of_clumps_at_the_time_of_the_positions(taichi_f64):
+    """A free rod that spins: v = w x arm with the arm of the same time; one of the step before is 1 % off."""
+    rod = clump_group([0.0, 0.0, 0.0], angular_velocity=[[0.0, 0.0, 1000.0]])
+    run = {"duration": 1e-3, "velocity_max": 5.0, "time_step": 1e-5}
+    scene = build_scene({"rod": rod}, normal="hertz", pair={"restitution": 0.5, "friction": 0.0}, run=run)
+    simulation = Simulation(scene)
+    simulation.run()
+    last = simulation.snapshot()
+    assert simulation.plan.features.rate_dependent
+    particles = simulation.engine.state.particles
+    order = np.argsort(particles.id.to_numpy()[:4])
+    found = particles.velocity_synchronized.to_numpy()[:4][order]
+    arm = last.particles["position"] - last.particles["clump_position"]
+    assert found == pytest.approx(np.cross([0.0, 0.0, 1000.0], arm), abs=1e-9)
+
+
 def test_outlets_delete_whole_clumps(taichi_f64):
     """A clump is deleted when its center of mass is in the outlet, with all its spheres and its mass.
 
