@@ -23,11 +23,12 @@ ENVIRONMENT = ROOT / ".venv"
 STAMP = ENVIRONMENT / "granflow-installed.txt"
 UNFINISHED = "unfinished"
 OLDEST, NEWEST = (3, 10), (3, 13)
+ALL = ("dev", "docs", "plot", "quadrants", "sweep", "cluster", "calibrate", "notebook")
 EXTRAS = {
     "run": (),
-    "test": ("dev",),
+    "test": ALL,
     "check": ("dev",),
-    "slow": ("dev", "docs", "plot", "sweep", "cluster", "calibrate", "notebook"),
+    "slow": ALL,
     "gpu-test": ("dev", "quadrants"),
     "docs": ("docs", "plot"),
 }
