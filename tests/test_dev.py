@@ -49,13 +49,13 @@ def set_up(dev, verb):
 
 
 def test_first_start_installs_and_second_does_not(dev):
-    assert set_up(dev, "test") == ["venv", "[dev]"]
-    assert set_up(dev, "test") == []
+    assert set_up(dev, "check") == ["venv", "[dev]"]
+    assert set_up(dev, "check") == []
 
 
 def test_run_installs_no_developer_tools(dev):
     assert set_up(dev, "run") == ["venv", ""]
-    assert set_up(dev, "test") == ["[dev]"]
+    assert set_up(dev, "check") == ["[dev]"]
     assert set_up(dev, "run") == []
 
 
