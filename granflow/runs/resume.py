@@ -479,7 +479,11 @@ def saved_parameters(checkpoint: Checkpoint, force: ExternalForce) -> dict[str, 
     Raises CheckpointError for other parameters.
     """
     saved = checkpoint.saved["changes"]["forces"][force.name]
-    refuse_other_keys(checkpoint, f"changes/forces/{force.name}", dict(force.values))
+    if set(saved) != set(force.values):
+        raise CheckpointError(
+            f"{checkpoint.path}: the force {force.name} had the parameters {', '.join(saved) or 'none'} and "
+            f"has {', '.join(force.values) or 'none'}; give it the same ones."
+        )
     return {name: _tuples(value) for name, value in saved.items()}
 
 
