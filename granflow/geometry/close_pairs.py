@@ -6,6 +6,8 @@ import numpy as np
 
 ROUNDING = 1.0 + 1e-12
 """Factor of the distances in which the tree searches, so that its rounding loses no pair."""
+FEW = 256
+"""Up to this number of spheres, all pairs are compared: that takes less time than the import of the tree."""
 
 
 def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
@@ -14,7 +16,18 @@ def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[
     `position` (n, 3) [m], `radius` (n,) [m]. The pairs are in ascending order, the smaller index first. Size
     classes keep the distances small if a few large spheres are mixed with many small ones.
     """
-    from scipy.spatial import cKDTree  # imported here: most scenes do not need it to be read
+    if len(radius) <= FEW:
+        pairs = np.stack(np.triu_indices(len(radius), 1), axis=1)
+    else:
+        pairs = np.sort(_pairs_by_tree(position, radius, reach), axis=1)
+    first, second = pairs[_are_close(position, radius, position, radius, reach, *pairs.T)].T
+    order = np.lexsort((second, first))
+    return first[order], second[order]
+
+
+def _pairs_by_tree(position: np.ndarray, radius: np.ndarray, reach: float) -> np.ndarray:
+    """Candidates (p, 2) for `near_pairs`."""
+    from scipy.spatial import cKDTree  # imported here: small scenes do not need it to be checked
 
     classes = list(size_classes(radius))
     found = [np.empty((0, 2), dtype=np.int64)]
@@ -24,10 +37,7 @@ def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[
         for smaller in classes[k + 1 :]:
             i, j = _between(position[larger], radius[larger], position[smaller], radius[smaller], reach)
             found.append(np.stack([larger[i], smaller[j]], axis=1))
-    pairs = np.sort(np.concatenate(found), axis=1)
-    first, second = pairs[_are_close(position, radius, position, radius, reach, *pairs.T)].T
-    order = np.lexsort((second, first))
-    return first[order], second[order]
+    return np.concatenate(found)
 
 
 def overlaps_any(
