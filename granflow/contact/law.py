@@ -909,10 +909,10 @@ class ContactModel:
         return next(name for name, slot in SLOTS.items() if issubclass(self.law, slot.base))
 
     def acts(self, pairs: Iterable[Any]) -> bool:
-        """Whether the model acts between any of the pairs of the block `pairs`: it has no properties of
-        pairs, or one of them is not 0."""
+        """Whether the model acts between any of the pairs of the block `pairs`: it is the normal model, has
+        no properties of pairs, or one of them is not 0."""
         keys = self.pair_properties.model_fields
-        return not keys or any(getattr(pair, key) for pair in pairs for key in keys)
+        return self.slot == "normal" or not keys or any(getattr(pair, key) for pair in pairs for key in keys)
 
     @property
     def required_options(self) -> dict[str, str]:

@@ -193,6 +193,10 @@ def _problems_of_equation(equation: ParticleEquation) -> Iterator[str]:
         yield f"its class must define {needed}, see {ParticleEquation.__module__}.ParticleEquation"
     elif not is_name(equation.name):
         yield "a name has lowercase letters, digits and _"
+    elif not isinstance(equation.flows, tuple) or not all(map(is_name, equation.flows)):
+        yield f'flows is {shown(equation.flows)}, but must be a tuple of names, such as ("heat_flow",)'
+    elif equation.name in _EQUATIONS:
+        yield "an equation of this name exists"
     elif equation.name in fields.PARTICLE_QUANTITIES:
         yield f"a property {equation.name} of the particles exists"
     elif not issubclass(equation.material_properties, MaterialProperties):

@@ -212,7 +212,7 @@ def _refuse_other_particles(checkpoint: Checkpoint, before: Scene, plan: Plan) -
         if due > group.spec.count:
             raise GranflowError(
                 f"particles.{group.name}.count is {group.spec.count}, but at {checkpoint.path} {due} were "
-                "already inserted or due: give at least this count."
+                "already inserted or due: give at least this count, or a run.duration after the checkpoint."
             )
 
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import BaseModel, Field, create_model
 
 from granflow.contact import registry
-from granflow.contact.law import Remedy
+from granflow.contact.law import SLOTS, Remedy
 from granflow.fields import (
     ENERGY_BUDGET_QUANTITIES,
     FLOW_METER_QUANTITIES,
@@ -402,9 +402,20 @@ def liquid_content(parts: PartialScene) -> Iterator[Fault]:
 def equation_values(parts: PartialScene) -> Iterator[Fault]:
     """A particle equation requires an initial value of each group, and its keys of their materials.
 
-    Clumps are not supported, and earlier runs have no values.
+    Clumps are not supported, and earlier runs have no values. An initial value for an equation that does not
+    act would have no effect.
     """
     scene = parts.scene
+    chosen = [registry.models(slot).get(scene.contact.name(slot)) for slot in SLOTS]
+    known = registry.equations_with(tuple(flow for model in chosen if model for flow in model.law.flows))
+    for equation in registry.equations():
+        for name in scene.particles if equation not in known else ():
+            if getattr(scene.particles[name], equation.name) is not None:
+                flows = alternatives(equation.flows)
+                reason = f"has no effect: no contact model of this scene has the flow {flows} that changes it"
+                yield whole(
+                    ("particles", name, equation.name), f"{reason}; remove it, or select such a model"
+                )
     for equation in scene.equations:
         for name, group in scene.particles.items():
             if getattr(group, equation.name) is None:

@@ -56,6 +56,10 @@ def register_particle_equation(equation: ParticleEquation) -> None:
     Raises GranflowError for an equation that is not valid, or a name that exists.
     """
     refuse_other("equation", equation, ParticleEquation, "a ParticleEquation, see the guide")
+    keys = {field.alias or key for key, field in particles.Group.model_fields.items()}
+    name = getattr(equation, "name", None)
+    if name in keys - {each.name for each in registry.equations()}:
+        raise GranflowError(f"particle equation {equation.name}: a key of particle groups has this name.")
     try:
         source_lines(unwrap(type(equation).rate))
         registry.add_equation(equation)

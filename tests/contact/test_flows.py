@@ -14,7 +14,7 @@ from granflow.contact.law import ContactModel, Flow, PairProperties
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.particle_equation import MaterialProperties, ParticleEquation
 from granflow.device_functions import ti
-from granflow.errors import RunError, SceneError
+from granflow.errors import GranflowError, RunError, SceneError
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
 from granflow.scene.registration import (
@@ -287,6 +287,33 @@ def test_a_scene_without_the_model_has_no_sums():
     scene = scene_of(PAIR, (HOT, COLD)).to_dict()
     scene["contact"]["normal"] = "hertz"
     del scene["pairs"]["glass-glass"]["conductance"]
+    with pytest.raises(SceneError, match=r"temperature has no effect: no contact model .* flow heat_flow"):
+        Scene.from_dict(scene)
+    for group in scene["particles"].values():
+        del group["temperature"]
     plan = plan_for(Scene.from_dict(scene))
     assert plan.features.flows == plan.laws.flows == plan.scene.equations == ()
     assert not plan.flow_units and all(a != b for a, b in pairwise(plan.laws.names))
+
+
+def test_a_normal_model_acts_without_the_values_of_its_properties():
+    """A conductance of 0: the force is that of Hertz, the temperatures stay."""
+    insulated = {"glass-glass": {"restitution": 0.8, "friction": 0.0, "conductance": 0.0}}
+    with Simulation(scene_of(PAIR, (HOT, COLD), pairs=insulated), threads=1) as simulation:
+        simulation.step(10)
+        particles = simulation.snapshot().particles
+    assert particles["temperature"].tolist() == [HOT, COLD]
+    assert particles["coordination_number"].tolist() == [1, 1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": "count"}, "particle equation count: a key of particle groups has this name"),
+        ({"name": "heat", "flows": "heat_flow"}, "flows is 'heat_flow', but must be a tuple of names"),
+        ({}, "particle equation temperature: an equation of this name exists"),
+    ],
+)
+def test_an_equation_that_is_not_valid_is_refused(changes, message):
+    with pytest.raises(GranflowError, match=message):
+        register_particle_equation(type("Other", (Temperature,), changes)())
