@@ -8,8 +8,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from granflow.arguments import shown
+from granflow.errors import FunctionError
 from granflow.plan.plan import Plan
-from granflow.scene.blocks.metrics import MeasuredScene, Reading
+from granflow.scene.blocks.metrics import MeasuredScene, Metric, Reading
 from granflow.snapshot import Snapshot
 
 
@@ -103,6 +105,25 @@ def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
         largest_radius=plan.radius_max,
     )
     return {
-        name: MetricMeter(partial(metric.measure, scene=scene), metric.wants)
+        name: MetricMeter(partial(_reading, name, metric, scene), metric.wants)
         for name, metric in plan.scene.output.metrics.items()
     }
+
+
+def _reading(name: str, metric: Metric, scene: MeasuredScene, snapshot: Snapshot) -> Reading:
+    """The reading of a metric. Raises FunctionError if one of a program fails or returns something else."""
+    if type(metric).__module__.startswith("granflow."):
+        return metric.measure(snapshot, scene)
+    try:
+        found = metric.measure(snapshot, scene)
+    except Exception as error:
+        raise FunctionError(
+            f"The metric {name} failed at {snapshot.time:.6g} s: {type(error).__name__}: {error}"
+        ) from error
+    expected = [each.name for each in metric.quantities]
+    if not isinstance(found, Reading) or sorted(found.numbers) != sorted(expected):
+        raise FunctionError(
+            f"The metric {name} returned {shown(found)}, but measure must return a Reading with the numbers "
+            f"{', '.join(expected)}."
+        )
+    return found

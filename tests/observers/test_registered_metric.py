@@ -131,3 +131,27 @@ def test_invalid_metrics_are_refused(metric, message):
     with pytest.raises(gf.GranflowError, match=message):
         gf.register_metric(metric)
     assert metric is gf.LaceyMetric or metric not in METRICS
+
+
+@pytest.mark.parametrize(
+    ("reading", "message"),
+    [
+        (lambda: 1 / 0, "The metric fall failed at 0.005[0-9]* s: ZeroDivisionError: division by zero"),
+        (lambda: 0.5, "The metric fall returned 0.5, but measure must return a Reading with the numbers "),
+        (lambda: Reading({"mean_heigth": 0.0}), "a Reading with the numbers mean_height, share_above"),
+    ],
+)
+def test_a_metric_that_fails_is_named_and_the_state_is_saved(
+    registered, monkeypatch, tmp_path, taichi_f64, reading, message
+):
+    scene = falling_beads({"fall": {"kind": "height"}})
+    usual = Height.measure
+    monkeypatch.setattr(
+        Height,
+        "measure",
+        lambda self, snapshot, scene: reading() if snapshot.time > 0.004 else usual(self, snapshot, scene),
+    )
+    simulation = gf.Simulation(scene, out=tmp_path / "out", threads=2)
+    with pytest.raises(gf.FunctionError, match=message):
+        simulation.run()
+    assert list((tmp_path / "out").glob("checkpoint_*.npz"))
