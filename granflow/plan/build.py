@@ -23,6 +23,7 @@ from granflow.plan.joined_walls import joints_of
 from granflow.plan.limits import (
     refuse_coarse,
     refuse_coarse_liquid,
+    refuse_coarse_properties,
     refuse_cut_walls,
     refuse_fast_images,
     refuse_fast_motion,
@@ -101,6 +102,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     pair_constants = pair_table(scene, laws, pairs, materials)
     refuse_coarse(scene, radius_min)
     refuse_coarse_liquid(scene, features.liquid_transfer)
+    refuse_coarse_properties(scene)
 
     # The time step of the stiffest possible contact, and what moves in one step.
     pair_cases = pair_cases_of(scene, groups, pairs)

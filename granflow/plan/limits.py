@@ -20,6 +20,7 @@ from granflow.plan.stages import always
 from granflow.plan.time_step import STEP_SHARE
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.motions import single_rotation
+from granflow.visible_text import alternatives
 
 # The domain: width of periodic boxes, walls that cross periodic boundaries, and domains that expand.
 
@@ -180,6 +181,17 @@ def refuse_coarse_liquid(scene: Scene, transfers_liquid: bool) -> None:
         raise SceneError(
             f"{scene.locate('run', 'precision')}: run.precision is {scene.run.precision}, but "
             f"contact.cohesion: {scene.contact.name('cohesion')} conserves liquid in f64 only; write f64."
+        )
+
+
+def refuse_coarse_properties(scene: Scene) -> None:
+    """Raise SceneError for particle equations in f32: a change per step is often below the rounding of the
+    property, which would not change at all."""
+    if scene.equations and scene.run.precision == "f32":
+        names = alternatives([each.name for each in scene.equations])
+        raise SceneError(
+            f"{scene.locate('run', 'precision')}: run.precision is f32, but the change of {names} in one "
+            "step can be below its rounding error; write mixed or f64."
         )
 
 

@@ -281,6 +281,8 @@ def test_missing_keys_and_a_long_time_step_are_errors():
     scene["materials"]["glass"]["heat_capacity"] = 1e-5
     with pytest.raises(SceneError, match=r"up to which the equation of the temperature is stable"):
         plan_for(Scene.from_dict(scene))
+    with pytest.raises(SceneError, match=r"run.precision is f32, but the change of temperature in one step"):
+        plan_for(scene_of(PAIR, (HOT, COLD)).with_precision("f32"))
 
 
 def test_a_scene_without_the_model_has_no_sums():
