@@ -23,6 +23,7 @@ import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,7 @@ class RemoveStatement(Operator):
         return ()
 
 
+@cache
 def operators() -> dict[str, Operator]:
     """All operators by name."""
     found = {name: get_operator(name) for name in operator_names() if not LEFT_OUT.search(name)}

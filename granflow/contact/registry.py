@@ -5,7 +5,7 @@ A built-in model or equation is one file and one entry here. `ContactLaws` holds
 slot that it needs, and their layout in arrays.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -178,6 +178,11 @@ def equations() -> tuple[ParticleEquation, ...]:
 def equations_with(flows: tuple[str, ...]) -> tuple[ParticleEquation, ...]:
     """The equations that act if contact models have these flows."""
     return tuple(each for each in _EQUATIONS.values() if each.acts_with(flows))
+
+
+def equations_of(models: Iterable[ContactModel]) -> tuple[ParticleEquation, ...]:
+    """The equations that act with these contact models, because they have the flows that each reads."""
+    return equations_with(tuple(name for model in models for name in model.law.flows))
 
 
 def _problems_of_equation(equation: ParticleEquation) -> Iterator[str]:

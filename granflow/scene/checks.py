@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import BaseModel, Field, create_model
 
 from granflow.contact import registry
-from granflow.contact.law import SLOTS, Remedy
+from granflow.contact.law import Remedy
 from granflow.fields import (
     ENERGY_BUDGET_QUANTITIES,
     FLOW_METER_QUANTITIES,
@@ -406,8 +406,7 @@ def equation_values(parts: PartialScene) -> Iterator[Fault]:
     act would have no effect.
     """
     scene = parts.scene
-    chosen = [registry.models(slot).get(scene.contact.name(slot)) for slot in SLOTS]
-    known = registry.equations_with(tuple(flow for model in chosen if model for flow in model.law.flows))
+    known = registry.equations_of(scene.chosen_models.values())
     for equation in registry.equations():
         for name in scene.particles if equation not in known else ():
             if getattr(scene.particles[name], equation.name) is not None:

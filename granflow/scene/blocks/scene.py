@@ -158,16 +158,21 @@ class SceneInput(Model):
         return tuple(name for name in self.walls if name in requested)
 
     @property
-    def active_models(self) -> dict[str, ContactModel]:
-        """The contact models that act, by slot, see `ContactModel.acts`; other slots are absent."""
+    def chosen_models(self) -> dict[str, ContactModel]:
+        """The contact models of the block `contact`, by slot; slots without one are absent."""
         chosen = {slot: registry.models(slot).get(self.contact.name(slot)) for slot in SLOTS}
-        return {slot: each for slot, each in chosen.items() if each and each.acts(self.pairs.values())}
+        return {slot: each for slot, each in chosen.items() if each}
+
+    @property
+    def active_models(self) -> dict[str, ContactModel]:
+        """The chosen models that act, by slot, see `ContactModel.acts`."""
+        pairs = self.pairs.values()
+        return {slot: each for slot, each in self.chosen_models.items() if each.acts(pairs)}
 
     @property
     def equations(self) -> tuple[ParticleEquation, ...]:
-        """The particle equations that act, because the contact models have the flows that they read."""
-        flows = tuple(name for model in self.active_models.values() for name in model.law.flows)
-        return registry.equations_with(flows)
+        """The particle equations that act."""
+        return registry.equations_of(self.active_models.values())
 
     def pair(self, first: str, second: str) -> MaterialPair:
         """The pair of two materials in either order. Raises KeyError if the scene does not have it."""
