@@ -124,6 +124,19 @@ def test_stable_step_of_a_damped_spring_is_the_leapfrog_stability_limit(contacts
     assert growth(1.001 * allowed) > 1.0 + 1e-6
 
 
+def test_stable_step_of_a_sliding_pair_contains_its_rotation():
+    """A tangential spring Kt much stiffer than the normal one between two equal spheres of mass m = 2 M.
+
+    A force F moves both surfaces against each other by 2 (F/m + R^2 F/I) = (1 + 5/2) F/M.
+    """
+    stiffness = 1e6
+    pair = PairMaterial(1e9, 1e9, 1.0, 0.5, has_tangential_force=True, tangential_stiffness=stiffness)
+    solid = Material(young_modulus=1e9, poisson_ratio=0.25, density=2500.0)
+    case = PairCase("pair", ("a", "a"), pair, 1e-3, MASS, 1e-3, 1e-3, solid, 1)
+    expected = 0.99 * 2.0 / math.sqrt(3.5 * stiffness / MASS)
+    assert case.stable_step(Linear(Spring(1e4, None, 0.0)), VELOCITY) == pytest.approx(expected)
+
+
 def test_rayleigh_fraction_limits_the_step(tmp_path):
     step = plan_for(scene_of(tmp_path, "numerics.rayleigh_fraction=0.001")).step
     shear = YOUNG / (2 * (1 + POISSON))
