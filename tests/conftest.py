@@ -7,6 +7,7 @@ import pytest
 
 from granflow import start
 from granflow.engine import state_cache
+from granflow.plan import cost
 
 CACHE = Path(__file__).parent.parent / ".pytest_cache"
 
@@ -21,7 +22,10 @@ them."""
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 """Idle threads of numpy's linear algebra spin, at the cost of the other test processes."""
 
-state_cache.restarts_for_structures, state_cache.MOST_STATES = False, 100
+state_cache.restarts_for_structures = False
+state_cache.MOST_STATES = 100
+cost.OPTIMIZED_ABOVE = 100.0
+"""Tests compile for short runs; `bits` compares with kernels of long runs."""
 
 
 @pytest.fixture(scope="module")

@@ -155,6 +155,16 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     return _started
 
 
+def optimize_kernels(wanted: bool) -> None:
+    """Let the kernel language optimize, or not, the kernels that are compiled from now on; LLVM always does.
+
+    On a GPU both optimize, because a driver may contract other products with sums.
+    """
+    ti.lang.impl.current_cfg().advanced_optimization = wanted or (
+        _started is not None and not _started.on_cpu
+    )
+
+
 def stop() -> None:
     """Stop Taichi, if it runs; all fields and compiled kernels are lost. `start` numbers new fields from 0
     again."""

@@ -32,6 +32,7 @@ from granflow.plan.arrays import (
     wall_dynamics_arrays,
 )
 from granflow.plan.capacities import POSE_COUNT, WORKERS, Capacities, rounded_capacity
+from granflow.plan.cost import is_worth_optimizing
 from granflow.plan.plan import Plan, parameter_count
 from granflow.scene.blocks.motions import TimedMotion
 
@@ -44,6 +45,7 @@ class State:
     """All device data of one plan.
 
     structure:      what the kernels depend on, see `plan.arrays.structure_of`
+    optimized:      kernels are compiled for a long run, see `plan.cost.is_worth_optimizing`
     capacities:     lengths of the arrays; those of the plan unless the neighbor lists have grown
     parameters:     numbers of the plan
     count:          number of particles
@@ -59,6 +61,7 @@ class State:
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.structure = structure_of(plan)
+        self.optimized = is_worth_optimizing(plan)
         self.plan = plan
         self.backend = backend
         self._built: dict[Any, Any] = {}

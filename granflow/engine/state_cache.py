@@ -20,7 +20,7 @@ from granflow.engine.state import State
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
 from granflow.plan.arrays import fits_lists, structure_of
-from granflow.plan.cost import estimate_memory
+from granflow.plan.cost import estimate_memory, is_worth_optimizing
 from granflow.plan.plan import Plan
 
 MOST_STATES = 4
@@ -72,6 +72,7 @@ def take_state(plan: Plan, backend: Backend) -> State:
     else:
         _kept.remove(found)
         found.reset(plan)
+    taichi.optimize_kernels(found.optimized)
     _in_use.add(found)
     return found
 
@@ -111,7 +112,9 @@ def _matches(structure: Hashable, plan: Plan, states: "list[State] | weakref.Wea
     return [
         state
         for state in states
-        if state.structure == structure and fits_lists(state.capacities, plan.capacities)
+        if state.structure == structure
+        and state.optimized >= is_worth_optimizing(plan)
+        and fits_lists(state.capacities, plan.capacities)
     ]
 
 

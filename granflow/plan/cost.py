@@ -313,6 +313,20 @@ def typical_run_time(plan: Plan) -> float:
     return max(of_particles, steps / TYPICAL_STEPS_PER_SECOND)
 
 
+OPTIMIZED_ABOVE = 5.0
+"""Typical run time [s] above which the kernels are optimized twice: by the kernel language and by LLVM.
+
+The former takes as long as the latter (hopper 1.7 s, mixer 9 s) and shortens the steps by a fifth, so that a
+shorter run ends later with it. The results are the same bits.
+"""
+
+
+def is_worth_optimizing(plan: Plan) -> bool:
+    """Whether a run on a CPU is long enough for the optimization of the kernel language, see
+    OPTIMIZED_ABOVE."""
+    return typical_run_time(plan) > OPTIMIZED_ABOVE
+
+
 def _writes(plan: Plan) -> float:
     """Number of frames, rows and checkpoints at intervals of simulated time: at most one of each per step."""
     output = plan.scene.output
