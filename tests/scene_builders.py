@@ -176,3 +176,30 @@ def prepared_simulation(scene, step=0):
     simulation.engine.set_walls([True] * len(scene.walls), [()] * len(scene.walls))
     simulation.engine.refresh()
     return simulation
+
+
+def few_spheres(groups, walls=None, pair=None, **parts):
+    """A scene of a few spheres whose compiled kernels are those of all such scenes with the same models.
+
+    They have an energy budget, a plane wall, and far from all others a fixed particle of a second material, as
+    the last one; its pairs have friction and damping, and the restitution 0 if the model permits it.
+    """
+    first = next(iter(groups.values()))
+    diameter = float(np.ravel(first["diameter"])[0])
+    fixed = particle_group([[0.9, 0.9, 0.9]], diameter, "fixed") | {"fixed": True}
+    materials = parts.pop("materials", {})
+    materials = materials | {"fixed": materials.get(first["material"], SOFT)}
+    contact = {"normal": "zhou", "rolling": "none"} | parts | parts.get("contact", {})
+    own = {"restitution": 0.0 if contact["normal"] == "zhou" else 0.5, "friction": 0.5}
+    own |= {} if contact["rolling"] == "none" else {"rolling_friction": 0.1}
+    pairs = {"fixed-fixed": own} | parts.pop("pairs", {})
+    parts = {"output": {"interval": 1.0, "energy_budget": True}} | parts
+    walls = walls or {"floor": plane([0.0, 0.0, -0.9], [0.0, 0.0, 1.0])}
+    return build_scene(groups | {"fixed": fixed}, walls, pair, materials=materials, pairs=pairs, **parts)
+
+
+def colliding(distance, diameters, velocity, axis=(1.0, 0.0, 0.0), **more):
+    """Two spheres about the origin, centers `distance` [m] apart along the axis, that approach with half of the
+    relative velocity [m/s] each."""
+    directions = np.array([[-0.5], [0.5]]) * np.asarray(axis)
+    return particle_group(distance * directions, diameters, velocity=-velocity * directions, **more)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, particle_group, plane
+from scene_builders import few_spheres, particle_group, plane
 
 from granflow import Simulation
 
@@ -22,35 +22,31 @@ def hertz_arm(radius, partner_radius, overlap):
     return np.trapezoid(pressure * distance, square) / np.trapezoid(pressure, square)
 
 
-def measured_arms(partner_radius):
-    """Torque over tangential force of a sphere and its partner, none for a wall (infinite radius); overlap
-    [m]."""
-    is_wall = np.isinf(partner_radius)
+@pytest.mark.parametrize("ratio", [1.0, 2.5, np.inf])
+def test_the_contact_point_halves_the_overlap(taichi_f64, ratio):
+    """As for Hertz's contact of equal moduli, within a tenth of the overlap; exactly for equal radii.
+
+    Torque over tangential force of a sphere and its partner; an infinite radius is a wall, without torque.
+    """
+    partner = ratio * RADIUS
     groups = {"sphere": particle_group([0, 0, RADIUS - OVERLAP], 2 * RADIUS, velocity=[0.1, 0, 0])}
-    if not is_wall:
-        groups["partner"] = particle_group([0, 0, -partner_radius], 2 * partner_radius)
-    scene = build_scene(
-        groups, walls={"floor": plane([0, 0, 0], [0, 0, 1])} if is_wall else {},
-        pair={"restitution": 0.9, "friction": 0.3}, run={"duration": 1e-3, "velocity_max": 1.0},
-    )  # fmt: skip
-    simulation = Simulation(scene)
+    walls = {"floor": plane([0, 0, 0], [0, 0, 1])}
+    if np.isfinite(ratio):
+        groups["partner"] = particle_group([0, 0, -partner], 2 * partner)
+        walls = None
+    simulation = Simulation(few_spheres(groups, walls, {"restitution": 0.9, "friction": 0.3},
+                                        run={"duration": 1e-3, "velocity_max": 1.0}))  # fmt: skip
     simulation.step(3)
     particles = simulation.snapshot().particles
     simulation.free()
-    distance = particles["position"][0] - ([0, 0, 0] if is_wall else particles["position"][1])
-    normal = np.array([0.0, 0.0, 1.0]) if is_wall else distance / np.linalg.norm(distance)
-    overlap = RADIUS + (0.0 if is_wall else partner_radius) - distance @ normal
+    radii = np.array([RADIUS, partner])[: len(groups)]
+    distance = particles["position"][0] - (particles["position"][1] if walls is None else 0.0)
+    normal = np.array([0.0, 0.0, 1.0]) if walls else distance / np.linalg.norm(distance)
+    overlap = radii.sum() - distance @ normal
     tangential = particles["force"][0] - particles["force"][0] @ normal * normal
-    torques = np.linalg.norm(particles["torque"], axis=1)
-    return torques / np.linalg.norm(tangential), overlap
-
-
-@pytest.mark.parametrize("ratio", [1.0, 5.0, 20.0, np.inf])
-def test_the_contact_point_halves_the_overlap(taichi_f64, ratio):
-    """As for Hertz's contact of equal moduli, within a tenth of the overlap; exactly for equal radii."""
-    others = np.array([ratio * RADIUS, RADIUS])
-    arms, overlap = measured_arms(others[0])
-    radii = np.array([RADIUS, others[0]])[: len(arms)]
+    arms = np.linalg.norm(particles["torque"][: len(radii)], axis=1) / np.linalg.norm(tangential)
     np.testing.assert_allclose((radii - arms) / overlap, 0.5, rtol=1e-6)
-    exact = [hertz_arm(radius, other, overlap) for radius, other in zip(radii, others, strict=False)]
+    exact = [
+        hertz_arm(radius, other, overlap) for radius, other in zip(radii, (partner, RADIUS), strict=False)
+    ]
     np.testing.assert_allclose(arms, exact, rtol=0.0, atol=(0.1 * (1.0 - 1.0 / ratio) + 1e-5) * overlap)
