@@ -8,11 +8,11 @@ plane, because all surfaces lie in the plane z = 0.
 import numpy as np
 import pytest
 from geometry.meshes import write
-from scene_builders import build_scene, particle_group, plane, run_and_sample
+from scene_builders import build_scene, column, few_spheres, particle_group, plane, run_and_sample
 
+import granflow as gf
 from granflow.errors import RunError
 from granflow.plan.build import plan_for
-from granflow.simulation import Simulation
 
 RADIUS = 2e-3
 VELOCITY = np.array([0.4, 0.15, -0.5])
@@ -128,80 +128,79 @@ def seams(folder):
     return walls, np.array(positions)
 
 
-def collisions(walls, positions, **parts):
-    """A scene in a box that is periodic along x."""
-    group = particle_group(
-        positions, 2 * RADIUS, velocity=VELOCITY.tolist(), angular_velocity=[20.0, 50.0, 30.0]
-    )
-    domain = {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 0.1], "periodic": ["x"], "on_exit": "error"}
-    output = {"interval": 4e-3, "energy_budget": True}
-    return build_scene(
-        {"balls": group}, walls=walls, domain=domain, output=output, pair=PAIR, rolling="epsd",
-        materials={"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}},
-        run={"duration": 2e-3, "velocity_max": 0.7}, **parts,
-    )  # fmt: skip
+AWAY, GROUND = 0.2, -0.05
+"""Shift along y [m] of the walls with corners, and height [m] of the plane without seams."""
 
 
-def test_seams_of_walls_have_no_effect(taichi_f64, folder):
-    """Trajectories, contacts and energies are those on one plane, for all owners and across a periodic
-    boundary."""
-    walls, positions = seams(folder)
-    ground = {"ground": plane([0, 0, 0], [0, 0, 1])}
-    found, expected = (run_and_sample(collisions(each, positions), 5e-5, 2e-3) for each in (walls, ground))
-    assert len(found) == len(expected)
-    counts = np.sum([each.particles["wall_contact_count"] for each in found], axis=0)
-    assert np.all(counts >= 8), "all particles are in contact for at least eight samples"
-    for snapshot, exact in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(
-            snapshot.particles["wall_contact_count"], exact.particles["wall_contact_count"]
-        )
-        for name in ("position", "velocity", "angular_velocity"):
-            size = np.abs(exact.particles[name]).max()
-            np.testing.assert_allclose(
-                snapshot.particles[name], exact.particles[name], rtol=0.0, atol=1e-8 * size
-            )
-        assert snapshot.totals["energy_error"] == pytest.approx(exact.totals["energy_error"], abs=1e-8)
-    np.testing.assert_allclose(found[-1].particles["velocity"][:, 2], 0.15, rtol=1e-3)
+def corners(folder):
+    """Walls with grooves and corners, and positions, velocities and greatest numbers of contacts of spheres there.
 
-
-def test_different_contacts_stay_different(taichi_f64, folder):
-    """Corners and grooves give a contact with each side, also where the walls touch; edges and tips give one.
-
-    A sphere that falls on the middle of a right-angled groove rebounds with the restitution of one wall:
-    along each normal, its mass and velocity are those of a collision with that wall alone. On an edge
-    that two walls share, the sphere has one contact along the line from the edge.
+    A sphere that falls on the middle of a right-angled groove rebounds with the restitution of one wall: along each
+    normal, its mass and velocity are those of a collision with that wall alone. On an edge that two walls share, the
+    sphere has one contact along the line from the edge.
     """
     a = np.cos(np.pi / 4)
+    low, wide = AWAY - 0.05, [0, 0.1, 0]
     walls = {
-        "ground": plane([0, 0, 0], [0, 0, 1]),
-        "post": rectangle([-0.05, -0.05, 0], [0, 0.1, 0], [0, 0, 0.05]),
-        "left": rectangle([0.02, -0.05, 0.02], [0, 0.1, 0], [-0.02 * a, 0, 0.02 * a]),
-        "right": rectangle([0.02, -0.05, 0.02], [0, 0.1, 0], [0.02 * a, 0, 0.02 * a]),
-        "top": rectangle([0.06, -0.05, 0.03], [0.02, 0, 0], [0, 0.1, 0]),
-        "side": rectangle([0.06, -0.05, 0.03], [0, 0, -0.02], [0, 0.1, 0]),
+        "ground": rectangle([-0.08, low, 0], [0.08, 0, 0], wide),
+        "post": rectangle([-0.05, low, 0], wide, [0, 0, 0.05]),
+        "left_groove": rectangle([0.02, low, 0.02], wide, [-0.02 * a, 0, 0.02 * a]),
+        "right_groove": rectangle([0.02, low, 0.02], wide, [0.02 * a, 0, 0.02 * a]),
+        "top": rectangle([0.06, low, 0.03], [0.02, 0, 0], wide),
+        "side": rectangle([0.06, low, 0.03], [0, 0, -0.02], wide),
     }
     write(folder / "ramp.stl", np.array([[0.02, y, 0.06] for y in (-0.05, 0.05)]
           + [[0.02 + 0.02 * side, y, 0.08] for side in (-1, 1) for y in (-0.05, 0.05)]),
           np.array([[0, 1, 3], [0, 3, 2], [0, 1, 5], [0, 5, 4]]))  # fmt: skip
-    walls["ramp"] = mesh_wall("ramp.stl")
+    walls["ramp"] = mesh_wall("ramp.stl", translate=[0, AWAY, 0])
     away = np.array([-a, 0.0, a])
     positions = np.array([
-        [-0.05 + RADIUS + 1e-5, 0, RADIUS + 1e-5],
-        [0.02, 0, 0.02 + (RADIUS + 1e-5) / a],
-        [0.02, 0, 0.06 + (RADIUS + 1e-5) / a],
-        np.array([0.06, 0, 0.03]) + (RADIUS + 1e-5) * away,
+        [-0.05 + RADIUS + 1e-5, AWAY, RADIUS + 1e-5],
+        [0.02, AWAY, 0.02 + (RADIUS + 1e-5) / a],
+        [0.02, AWAY, 0.06 + (RADIUS + 1e-5) / a],
+        np.array([0.06, AWAY, 0.03]) + (RADIUS + 1e-5) * away,
     ])  # fmt: skip
     velocity = 0.5 * np.array([[-a, 0, -a], [0, 0, -1], [0, 0, -1], -away])
-    group = particle_group(positions, 2 * RADIUS, velocity=velocity)
+    smooth = {wall: each | {"material": "smooth"} for wall, each in walls.items()}
+    return smooth, positions, velocity, [2, 2, 2, 1]
+
+
+def test_walls_that_touch_act_as_one_surface_and_corners_as_two(taichi_f64, folder):
+    """On seams, trajectories and contacts are those on one plane, for all owners and across a periodic boundary.
+
+    Corners and grooves give a contact with each side, also where the walls touch; edges and tips give one.
+    """
+    walls, positions = seams(folder)
+    count = len(positions)
+    smooth_walls, smooth_positions, smooth_velocity, contacts = corners(folder)
+    walls |= smooth_walls | {"plane": plane([0, 0, GROUND], [0, 0, 1])}
+    both = np.concatenate([positions, positions + [0, 0, GROUND]])
+    groups = {
+        "balls": particle_group(both, 2 * RADIUS, velocity=VELOCITY.tolist(), angular_velocity=[20.0, 50.0, 30.0]),
+        "drops": particle_group(smooth_positions, 2 * RADIUS, "smooth", velocity=smooth_velocity),
+    }  # fmt: skip
+    soft = {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}
+    frictionless = {"restitution": 0.6, "friction": 0.0, "rolling_friction": 0.0}
     scene = build_scene(
-        {"balls": group}, walls=walls, pair={"restitution": 0.6}, normal="hertz",
-        materials={"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}},
-        run={"duration": 2e-3, "velocity_max": 0.7}, output={"interval": 2e-3},
+        groups, walls, PAIR, pairs={"smooth-smooth": frictionless}, rolling="epsd",
+        domain={"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.3, 0.1], "periodic": ["x"], "on_exit": "error"},
+        materials={"glass": soft, "smooth": soft}, run={"duration": 2e-3, "velocity_max": 0.7},
+        output={"interval": 4e-3, "energy_budget": True},
     )  # fmt: skip
-    found = run_and_sample(scene, 1e-4, 2e-3)
-    most = np.max([each.particles["wall_contact_count"] for each in found], axis=0)
-    np.testing.assert_array_equal(most, [2, 2, 2, 1])
-    np.testing.assert_allclose(found[-1].particles["velocity"], -0.6 * velocity, atol=2e-3)
+    snapshots = run_and_sample(scene, 5e-5, 2e-3)
+    counts = column(snapshots, "wall_contact_count")
+    assert np.all(counts[:, : 2 * count].sum(axis=0) >= 8), "all are in contact for at least eight samples"
+    np.testing.assert_array_equal(counts[:, :count], counts[:, count : 2 * count])
+    for name, shift in (("position", [0, 0, GROUND]), ("velocity", 0.0), ("angular_velocity", 0.0)):
+        values = column(snapshots, name)
+        expected = values[:, count : 2 * count] - shift
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(values[:, :count], expected, rtol=0.0, atol=1e-8 * size, err_msg=name)
+    assert abs(snapshots[-1].totals["energy_error"]) < 1e-3
+    velocity = snapshots[-1].particles["velocity"]
+    np.testing.assert_allclose(velocity[:count, 2], 0.15, rtol=1e-3)
+    np.testing.assert_array_equal(counts[:, 2 * count :].max(axis=0), contacts)
+    np.testing.assert_allclose(velocity[2 * count :], -0.6 * smooth_velocity, atol=2e-3)
 
 
 def test_coincident_walls_are_reported(folder):
@@ -228,10 +227,9 @@ def test_coincident_walls_are_reported(folder):
     assert same == [("walls.b", "walls.a"), ("walls.d", "walls.c"), ("walls.f", "walls.e")]
 
 
-def test_particles_that_are_inserted_into_a_mesh_are_reported_as_such(taichi_f64, folder):
+def test_particles_that_are_inserted_into_a_wall_are_reported_as_such(taichi_f64):
     """Rain does not consider walls: the message names the insertion and the wall, not velocity and
     modulus."""
-    write(folder / "plate.stl", *flat([-0.1, -0.1], [0.1, 0.1]))
     region = {"box": {"min": [-0.05, -0.05, -2e-3], "max": [0.05, 0.05, 4e-3]}}
     rain = {"kind": "rain", "rate": 1e5, "start": 1e-4, "region": region}
     group = {
@@ -241,6 +239,6 @@ def test_particles_that_are_inserted_into_a_mesh_are_reported_as_such(taichi_f64
         "insert": rain,
         "velocity": [0, 0, -0.1],
     }
-    scene = build_scene({"drops": group}, walls={"bowl": mesh_wall("plate.stl")}, run={"duration": 0.01})
+    scene = few_spheres({"drops": group}, {"bowl": plane([0, 0, 0], [0, 0, 1])}, run={"duration": 0.01})
     with pytest.raises(RunError, match=r"was inserted there.*does not intersect wall bowl"):
-        Simulation(scene).run()
+        gf.Simulation(scene).run()
