@@ -14,6 +14,9 @@ COMMAND_TAG = 1
 GHOST_TAG = 2
 """Tags of messages."""
 
+END = "end"
+"""Command that ends the other ranks."""
+
 POLL_SECONDS = 2e-4
 """Interval [s] at which an idle rank looks for a command: it must not occupy a core while the root writes
 files."""
@@ -35,6 +38,7 @@ class Communicator:
         self.rank = self._world.rank
         self.size = self._world.size
         self._depth = 0
+        self._has_ended = False
 
     @property
     def is_root(self) -> bool:
@@ -56,7 +60,12 @@ class Communicator:
     @contextmanager
     def commanding(self, name: str, arguments: Sequence[Any] = ()) -> Iterator[None]:
         """On the root: let the other ranks execute the command that the block executes here; nested blocks do
-        not."""
+        not.
+
+        Raises GranflowError after `end`, when no other rank would answer.
+        """
+        if self._has_ended:
+            raise GranflowError("The other ranks have ended, and with them this simulation.")
         if self.is_root and self._depth == 0:
             self.send_command(name, arguments)
         self._depth += 1
@@ -67,6 +76,11 @@ class Communicator:
         """On the root: send a command to all other ranks."""
         for rank in range(1, self.size):
             self._world.send((name, tuple(arguments)), dest=rank, tag=COMMAND_TAG)
+
+    def end(self) -> None:
+        """On the root: let all other ranks end."""
+        self.send_command(END)
+        self._has_ended = True
 
     def next_command(self) -> tuple[str, tuple[Any, ...]]:
         """Wait for the next command of the root: its name and arguments."""

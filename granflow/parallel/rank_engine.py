@@ -27,7 +27,7 @@ from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.io.checkpoint import CheckpointError, RankFile
 from granflow.load import Scene, identity_of
-from granflow.parallel.communicator import Communicator
+from granflow.parallel.communicator import END, Communicator
 from granflow.parallel.rank_stepper import RankStepper
 from granflow.plan.build import rank_plan
 from granflow.plan.plan import Plan
@@ -36,8 +36,7 @@ from granflow.snapshot import Snapshot
 
 _T = TypeVar("_T")
 START = "start"
-END = "end"
-"""Commands that create the engines and end the ranks; all others are names of methods of `RankEngine`."""
+"""Command that creates the engines; all others but END are names of methods of `RankEngine`."""
 
 
 def _ranks_with_another_scene(communicator: Communicator, scene: Scene) -> list[int]:
@@ -271,9 +270,9 @@ def controlling(communicator: Communicator) -> Iterator[None]:
         except (GranflowError, OSError, KeyboardInterrupt):
             if not communicator.is_idle:
                 _abort(communicator)
-            communicator.send_command(END)
+            communicator.end()
             raise
-    communicator.send_command(END)
+    communicator.end()
 
 
 @contextmanager

@@ -1,0 +1,166 @@
+"""Executes the scenes of `scenes` in one of several ways, and saves what a run leaves behind.
+
+    python executions.py host|gpu|long|ranks FOLDER SCENE ...
+
+host:   one thread, two threads, more threads than the pool has, other chunks, resumed from three checkpoints
+gpu:    the code path of a GPU on the CPU, with fields in several trees
+long:   with the kernels that are compiled for long runs
+ranks:  on the MPI ranks of mpirun
+
+FOLDER/EXECUTION/SCENE contains the files of each run and `state.npz`, its state at the end.
+"""
+
+import os
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from bits.scenes import SCENES  # noqa: E402
+
+from granflow.engine import backend, fields, threads  # noqa: E402
+from granflow.engine.host import joined_particles  # noqa: E402
+from granflow.io.checkpoint import read_checkpoint  # noqa: E402
+from granflow.load import Scene  # noqa: E402
+from granflow.plan import cost  # noqa: E402
+from granflow.simulation import Simulation  # noqa: E402
+
+HOST = ("one", "two", "pool", "chunks", "resumed_1", "resumed_4", "resumed_8")
+"""Executions of `host`, the reference first; `resumed_N` continues from checkpoint N of the first."""
+MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
+"""Number of workers that exceeds the number of threads in Taichi's pool."""
+LARGEST_BUFFER = 2**18
+"""Bytes of the buffers of the imitated GPU; the fields of each scene are in several trees."""
+
+
+def main(execution, folder, names):
+    cost.OPTIMIZED_ABOVE = 1e9
+    for name in names:
+        if execution == "ranks" and not SCENES[name].on_ranks:
+            continue
+        {"host": on_host, "gpu": on_gpu, "long": for_long, "ranks": on_ranks}[execution](name, Path(folder))
+
+
+def on_host(name, folder):
+    row = SCENES[name]
+    run(name, folder / "one", row.build(), 1)
+    threads.SINGLE_WORKER_PARTICLES = 0  # scenes of this size use one worker by default
+    run(name, folder / "two", row.build(), 2)
+    run(name, folder / "chunks", with_chunks(row.build(), 7), 2)
+    count = backend.worker_count
+    backend.worker_count = lambda requested: (requested, "")
+    run(name, folder / "pool", row.build(), MORE_THAN_POOL)
+    backend.worker_count = count
+    for execution in HOST[4:] if row.change is None else HOST[-1:]:  # a checkpoint contains earlier changes
+        resume(name, folder, execution)
+
+
+def on_gpu(name, folder):
+    backend.Backend.on_cpu = property(lambda self: False)
+    prepare = fields.FieldBlock.__init__
+
+    def prepare_with_limit(block, started):
+        prepare(block, replace(started, largest_buffer=LARGEST_BUFFER))
+
+    fields.FieldBlock.__init__ = prepare_with_limit
+    run(name, folder / "gpu", with_chunks(SCENES[name].build(), 1), 1)
+    fields.FieldBlock.__init__ = prepare
+
+
+def for_long(name, folder):
+    cost.OPTIMIZED_ABOVE = 0.0
+    run(name, folder / "long", SCENES[name].build(), 1)
+
+
+def on_ranks(name, folder):
+    from granflow.engine.state_cache import start
+    from granflow.parallel import rank_stepper
+    from granflow.parallel.communicator import Communicator
+    from granflow.parallel.rank_engine import RankEngine, controlling, serve
+    from granflow.plan.build import plan_for
+
+    rank_stepper.MIGRATION_INTERVAL = 2  # every other rebuild keeps the particles
+    scene = SCENES[name].build()
+    communicator = Communicator()
+    if communicator.is_root:
+        with controlling(communicator):
+            run(name, folder / "ranks", scene, 1, communicator=communicator)
+        return
+    engines = []
+
+    def engine():
+        engines.append(RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator))
+        return engines[-1]
+
+    serve(communicator, engine)
+    engines[-1].free()  # the next scene may have another precision
+
+
+def with_chunks(scene, size):
+    """The scene with another chunk size."""
+    changed = scene.to_dict()
+    changed["numerics"]["chunk_size"] = size
+    return Scene.from_dict(changed)
+
+
+def run(name, folder, scene, workers, **options):
+    """Run a scene to its end, with the change of its row, and save its state."""
+    change = SCENES[name].change
+    simulation = Simulation(scene, out=folder / name, threads=workers, **options)
+    if change is not None:
+        simulation.run(until=0.5 * scene.longest_duration)
+        change(simulation)
+    simulation.run()
+    save(folder / name, simulation)
+
+
+def resume(name, folder, execution):
+    """Continue the run `one` in a copy of its folder from one of its checkpoints."""
+    out = folder / execution / name
+    shutil.copytree(folder / "one" / name, out)
+    number = int(execution.rpartition("_")[2])
+    checkpoint = sorted(out.glob("checkpoint_*.npz"))[number]
+    scene = SCENES[name].build()
+    simulation = Simulation(scene, out=out, threads=2, resume=read_checkpoint(checkpoint))
+    simulation.run()
+    save(out, simulation)
+
+
+def save(out, simulation):
+    """Write particles, contacts, totals, wall impulses, contact histories and counts at the end of a run."""
+    last = simulation.snapshot(contacts=True)
+    engine = simulation.engine
+    kinds = ("particles", "contacts", "totals", "impulses", "collisions")
+    arrays = {
+        f"{kind}.{name}": np.asarray(value) for kind in kinds for name, value in getattr(last, kind).items()
+    }
+    arrays |= {f"offset.{name}": wall.offset for name, wall in last.walls.items()}
+    arrays |= {f"exits.{face}": np.array(count) for face, count in engine.accounting.exits.items()}
+    arrays |= {
+        "steps": np.array(engine.step_count),
+        "rebuilds": np.array(engine.timing.rebuild_count),
+        "stride": np.array(engine.state.stride),
+    }
+    np.savez(out / "state.npz", **arrays, **histories(engine))
+    simulation.free()
+
+
+def histories(engine):
+    """Contact histories of all particles, ordered by the ids of owner and partner."""
+    particles = joined_particles(engine.on_each_rank(own_particles)).by_id()
+    found = particles.histories
+    pairs = np.stack([particles.arrays["id"][found.owner], found.partner])
+    return {"history.pairs": pairs} | {f"history.{slot}": values for slot, values in found.values.items()}
+
+
+def own_particles(engine, _rank):
+    """Particles and contact histories of one rank."""
+    return engine.saved_particles()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2], sys.argv[3:])

@@ -1,0 +1,221 @@
+"""Scenes whose runs have the same bits in every execution of `executions`, and what shows that they use what
+they are for.
+
+The scenes of QUICK contain most features together, because the kernels of each scene are compiled for several
+executions; the others add contact models, precisions and numerics.
+"""
+
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from clumps import clump_group
+from contact import test_flows
+from geometry.meshes import cube, write
+from resume.runs import complex_scene
+from scene_builders import (
+    DASHPOTS,
+    LIQUID,
+    SOFT,
+    SPRINGS,
+    box,
+    build_scene,
+    moving_lattice,
+    particle_group,
+)
+from sheared_scenes import sheared_gas
+
+from granflow import register_contact_model
+from granflow.load import Scene
+from granflow.scene.registration import register_particle_equation
+from granflow.simulation import Simulation
+
+FILES = tempfile.TemporaryDirectory()
+"""Meshes of this process."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One scene of the matrix.
+
+    build:      returns the scene
+    effects:    names of totals that are not 0 at the end, because the features of the scene have had an effect
+    change:     called with the simulation at half of its duration; None: no change
+    on_ranks:   whether granflow accepts the scene on MPI ranks
+    """
+
+    build: Callable[[], Scene]
+    effects: tuple[str, ...] = ()
+    change: Callable[[Simulation], None] | None = None
+    on_ranks: bool = True
+
+
+def poured() -> Scene:
+    """Rain, an inlet, fixed particles, three stages with other walls, a domain that deletes, all outputs."""
+    return complex_scene(0.012)
+
+
+def moved_walls() -> Scene:
+    """A bed with a coarse particle between a turning mesh, a belt, a servo lid, a free and a shaken wall."""
+    os.chdir(FILES.name)  # where a scene without a file looks for meshes
+    points, corners = cube()
+    write(Path("cube.stl"), 0.02 * points + [0.011, 0.011, -0.0185], corners)
+    walls: dict[str, Any] = box(0.042)
+    walls["low_z"]["motion"] = {
+        "kind": "surface_velocity", "velocity": [2.0, 0.5, 0.0], "ramp_duration": 1e-3, "initial_velocity": [0, 1, 0]
+    }  # fmt: skip
+    turning = {"kind": "rotation", "point": [0.021, 0.021, 0.0], "axis": [0, 0, 1], "angular_velocity": 40.0}
+    walls["cube"] = {"shape": "mesh", "file": "cube.stl", "material": "glass", "motion": turning}
+    shaken = {"kind": "vibration", "direction": [1, 0, 0], "amplitude": 2e-4, "frequency": 300.0}
+    table = {
+        "kind": "table",
+        "direction": [-1, 0, 0],
+        "times": [0, 1e-3, 2e-3],
+        "displacements": [0, 2e-4, 1e-4],
+    }
+    walls["low_x"]["motion"] = [
+        shaken,
+        {"kind": "surface_velocity", "velocity": [0.0, 1.0, 0.0], "start": 5e-4},
+    ]
+    walls["high_x"]["motion"] = table
+    walls["high_y"]["motion"] = {"kind": "free", "mass": 0.2, "direction": [0, -1, 0]}
+    walls["high_z"]["motion"] = {"kind": "servo", "force": 2.0, "velocity_max": 0.5, "direction": [0, 0, -1]}
+    lattice = moving_lattice((6, 6, 5), largest=0.0062, speed=1.0)
+    coarse = particle_group([[0.021, 0.021, 0.0365]], 0.009, velocity=[[0.0, 0.0, -1.0]])
+    return build_scene(
+        {"lattice": lattice, "coarse": coarse}, walls=walls, gravity=[0.0, 3.0, -9.81],
+        numerics={"chunk_size": 32, "skin": 2e-4, "max_overlap": 0.4},
+        run={"duration": 3e-3, "velocity_max": 6.0, "time_step": 2e-6, "precision": "mixed"},
+        output={"interval": 1e-3, "energy_budget": True, "wall_forces": True, "walls": False, "checkpoint": {"interval": 2.5e-4, "keep": 100}},
+        **SPRINGS,
+    )  # fmt: skip
+
+
+def wet_clumps() -> Scene:
+    """Rods, tetrahedra and spheres with bridges of fixed volume fall into a box; rain of clumps."""
+    rng = np.random.default_rng(8)
+    sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
+    velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
+    corners = 1.2e-3 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    rods = clump_group(sites[:16], velocity=velocity, angular_velocity=rng.normal(0, 50, (16, 3)))
+    others = clump_group(sites[16:], corners, 1.5e-3, "random", "steel", velocity=velocity)
+    balls = particle_group(0.012 * np.argwhere(np.ones((3, 3, 1))) + [0.01, 0.01, 0.035], 0.005)
+    region = {"box": {"min": [0.002, 0.002, 0.042], "max": [0.052, 0.052, 0.054]}}
+    rain = {
+        "material": "steel", "count": 12, "clump": others["clump"], "velocity": [0.0, 0.0, -0.5],
+        "insert": {"kind": "rain", "region": region, "rate": 1500.0},
+    }  # fmt: skip
+    contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": "capillary"}
+    return build_scene(
+        {"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), contact=contact,
+        pair={"friction": 0.4, "restitution": 0.4, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-10},
+        gravity=[0.0, 0.0, -100.0], numerics={"chunk_size": 32, "max_overlap": 0.2},
+        run={"duration": 0.012, "velocity_max": 4.0, "time_step": 2e-6},
+        output={"interval": 0.004, "energy_budget": True, "checkpoint": {"interval": 0.001, "keep": 100}},
+    )  # fmt: skip
+
+
+def sheared_films() -> Scene:
+    """Two sizes with liquid films in a Lees-Edwards box: separate grids, periodic images, bridges."""
+    output = {"interval": 0.001, "checkpoint": {"interval": 4e-4, "keep": 100}}
+    scene = sheared_gas(duration=0.004, sizes=(0.003, 0.0078), output=output, chunk_size=32).to_dict()
+    scene["particles"]["balls"]["liquid_content"] = 0.01
+    scene["contact"] = LIQUID["contact"]
+    scene["pairs"]["glass-glass"] = LIQUID["pair"]
+    return Scene.from_dict(scene)
+
+
+@cache
+def conducting() -> Scene:
+    """Particles with a temperature: contact model and equation are registered as by a program, once."""
+    for model in test_flows.MODELS:
+        register_contact_model(model)
+    register_particle_equation(test_flows.EQUATION)
+    output = {"interval": 1e-3, "checkpoint": {"interval": 3e-4, "keep": 100}}
+    run = {"duration": 3e-3, "time_step": test_flows.TIME_STEP, "velocity_max": 1.0}
+    return test_flows.bed(32, output=output, run=run)
+
+
+def disturb(simulation: Simulation) -> None:
+    """Change velocities and delete every seventh particle from Python."""
+    particles = simulation.particles
+    particles.velocity[::2] += [0.1, 0.0, -0.2]
+    particles.remove(np.arange(len(particles)) % 7 == 0)
+
+
+SPRING = {"stiffness": {"reference_velocity": 1.0}}
+BRIDGE = {"surface_tension": 0.5, "contact_angle": 0.3, "liquid_volume": 1e-9}
+SURFACES = {"hamaker_constant": 1e-18, "separation": 1e-8}
+ENERGY = {"work_of_adhesion": 0.5}
+
+
+def with_models(normal, rolling, cohesion, options, restitution=0.5, **material) -> Scene:
+    """The poured bed with a normal, a rolling and a cohesion model; `options` are the values that these
+    models require."""
+    contact = {"normal": normal, "tangential": "mindlin", "rolling": rolling, "cohesion": cohesion}
+    pair = {"friction": 0.4, "rolling_friction": 0.1, "restitution": restitution} | options
+    materials = {name: SOFT | material for name in ("glass", "steel")}
+    run = {"velocity_max": 2.0, "time_step": 2e-6}
+    return complex_scene(0.006, contact=contact, pair=pair, materials=materials, run=run)
+
+
+def in_precision(precision) -> Scene:
+    """The poured bed in another precision."""
+    return complex_scene(0.009, run={"velocity_max": 2.0, "time_step": 4e-6, "precision": precision})
+
+
+QUICK = {
+    "poured": Row(
+        poured,
+        ("deleted_count", "wall_work", "plastic_dissipation", "friction_dissipation", "rolling_dissipation"),
+    ),
+    "walls": Row(moved_walls, ("wall_displacement.high_z", "wall_displacement.high_y", "wall_work")),
+    "clumps": Row(wet_clumps, ("rotational_energy", "contact_count"), on_ranks=False),
+    "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
+    "heat": Row(conducting, ("contact_count",)),
+}
+"""Scenes of the usual test run."""
+
+SLOW = {
+    "disturbed": Row(lambda: complex_scene(0.009), ("wall_work",), disturb, on_ranks=False),
+    "sheared": Row(lambda: sheared_gas(duration=0.012, sizes=(0.002, 0.0065)), ("boundary_work",)),
+    "adaptive": Row(lambda: complex_scene(0.006, run={"velocity_max": 2.0, "time_step": "adaptive"})),
+    "mixed": Row(lambda: in_precision("mixed")),
+    "f32": Row(lambda: in_precision("f32")),
+    "dashpots": Row(lambda: complex_scene(0.006, **DASHPOTS), ("damping_dissipation",)),
+    "springs": Row(lambda: complex_scene(0.006, **SPRINGS)),
+    "poured films": Row(
+        lambda: complex_scene(0.009, of_groups={"liquid_content": 0.01}, **LIQUID),
+        ("liquid_bridge_volume",),
+        on_ranks=False,
+    ),
+    "linear": Row(
+        lambda: with_models({"law": "linear", **SPRING}, "cdt", "sjkr", {"cohesion_energy_density": 1e4})
+    ),
+    "thornton": Row(
+        lambda: with_models(
+            {"law": "thornton", "yield_ratio": 1.6}, "epsd", "dmt", ENERGY, restitution=None, yield_strength=3e6
+        )
+    ),
+    "walton_braun": Row(
+        lambda: with_models(
+            {"law": "walton_braun", "unloading": {"reference_velocity": 1.0}, **SPRING}, "cdt", "jkr", ENERGY
+        )
+    ),
+    "luding": Row(
+        lambda: with_models(
+            {"law": "luding", "plasticity_depth": 0.02, "tension": 0.3, **SPRING}, "epsd", "capillary", BRIDGE
+        )
+    ),
+    "kuwabara_kono": Row(
+        lambda: with_models({"law": "kuwabara_kono", "reference_velocity": 1.0}, "cdt", "van_der_waals", SURFACES)
+    ),
+}  # fmt: skip
+"""Scenes of the slow tests."""
+
+SCENES = QUICK | SLOW

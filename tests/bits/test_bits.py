@@ -1,0 +1,141 @@
+"""Another execution, the same bits: one matrix of scenes and executions, one process per kind of execution."""
+
+import fcntl
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rank_launcher
+from bits.executions import HOST
+from bits.scenes import QUICK, SCENES, SLOW
+from resume.runs import files_of, states_of
+
+PROGRAM = Path(__file__).parent / "executions.py"
+pytestmark = pytest.mark.timeout(1200)
+
+NOT_COMPARED = {"stride", "rebuilds"}
+"""The stride differs by intent; a resumed run begins with a rebuild."""
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    """One folder for all test processes, so that only one of them makes the reference."""
+    base = tmp_path_factory.getbasetemp()
+    found = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "bits"
+    found.mkdir(exist_ok=True)
+    return found
+
+
+def execute(kind, folder, scenes):
+    """Run scenes in one kind of execution."""
+    options = (PROGRAM, kind, folder, *scenes)
+    on_ranks = rank_launcher.on_ranks
+    done = on_ranks(2, *options, seconds=900) if kind == "ranks" else alone(options)
+    assert done.returncode == 0, done.stderr[-3000:]
+
+
+def alone(options):
+    """The completed process of a Python program, which does not inherit the settings of the tests."""
+    command = [sys.executable, *map(str, options)]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=900, env=rank_launcher.environment()
+    )
+
+
+def execute_on_host(folder, scenes):
+    """Run scenes in the executions of `host`, unless a test process has done it."""
+    with open(folder / f"lock_{scenes[0]}", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / HOST[-1] / scenes[-1] / "state.npz").exists():
+            execute("host", folder, scenes)
+
+
+def loaded(path):
+    """Arrays of the state at the end of a run."""
+    with np.load(path / "state.npz") as arrays:
+        return dict(arrays)
+
+
+def differences(folder, execution, scene):
+    """Names of the arrays and files in which an execution of a scene differs from the reference.
+
+    Signs of zeros in arrays do not count: a code path that adds other zeros has others.
+    """
+    expected, found = (loaded(folder / each / scene) for each in ("one", execution))
+    arrays = {
+        name
+        for name in (expected.keys() | found.keys()) - NOT_COMPARED
+        if not np.array_equal(expected.get(name), found.get(name), equal_nan=True)
+    }
+    if execution in ("gpu", "chunks"):  # frames there have zeros of other signs
+        return sorted(arrays)
+    reference, files = (files_of(folder / each / scene) for each in ("one", execution))
+    assert len(files) > 3
+    return sorted(arrays | {n for n in reference.keys() | files.keys() if reference.get(n) != files.get(n)})
+
+
+def assert_effects(folder, scene):
+    """Assert that the features of a scene have had effects in the reference, over several rebuilds."""
+    found = loaded(folder / "one" / scene)
+    assert found["rebuilds"] >= 3 and found["totals.contact_count"] >= 3
+    assert all(found[f"totals.{name}"] != 0.0 for name in SCENES[scene].effects), scene
+
+
+def assert_same_bits(folder, scenes, executions):
+    found = {
+        (scene, execution): differences(folder, execution, scene)
+        for scene in scenes
+        for execution in executions
+        if (folder / execution / scene).exists()
+    }
+    assert len(found) >= len(scenes)
+    assert not {key: names for key, names in found.items() if names}
+
+
+def check_host(folder, scenes):
+    """Threads, more workers than threads of the pool, chunks, and runs resumed from checkpoints."""
+    execute_on_host(folder, scenes)
+    for scene in scenes:
+        assert_effects(folder, scene)
+    assert_same_bits(folder, scenes, HOST[1:])
+    for scene in scenes:
+        whole = states_of(folder / "one" / scene)
+        assert len(whole) >= 10
+        assert states_of(folder / HOST[-1] / scene) == whole
+
+
+def check_kind(folder, kind, scenes):
+    """Another kind of execution than those of `host`."""
+    execute(kind, folder, scenes)
+    execute_on_host(folder, scenes)
+    assert_same_bits(folder, scenes, [kind])
+    if kind == "gpu":
+        strides = {int(loaded(folder / each / scenes[0])["stride"]) for each in ("one", "gpu")}
+        assert len(strides) == 2, "the code paths differ"
+
+
+def test_threads_chunks_and_resumed_runs_have_the_same_bits(folder):
+    check_host(folder, list(QUICK))
+
+
+@pytest.mark.parametrize("kind", ["gpu", "long"])
+def test_other_kernels_give_the_same_bits(folder, kind):
+    check_kind(folder, kind, list(QUICK))
+
+
+@pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
+def test_two_ranks_give_the_same_bits(folder):
+    check_kind(folder, "ranks", list(QUICK))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("scene", SLOW)
+def test_each_model_and_precision_has_the_same_bits(folder, scene):
+    check_host(folder, [scene])
+    for kind in ("gpu", "long", "ranks"):
+        if kind != "ranks" or not rank_launcher.MISSING:
+            check_kind(folder, kind, [scene])
