@@ -33,7 +33,7 @@ def test_every_model_describes_its_constants_history_limits_and_source(model):
         assert law.pair_constants(pair)[:2] == (pair.modulus_eff, pair.shear_modulus_eff)
 
 
-@pytest.mark.parametrize("model", RECORDS, ids=lambda model: f"{model.slot}-{model.name}")
-def test_a_second_model_of_the_same_name_is_rejected(model):
-    with pytest.raises(ValueError, match=f"a {model.slot} model of this name exists"):
-        registry.add(model)
+def test_a_second_model_of_the_same_name_is_rejected():
+    for model in RECORDS:
+        with pytest.raises(ValueError, match=f"a {model.slot} model of this name exists"):
+            registry.add(model)

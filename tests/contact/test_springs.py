@@ -1,5 +1,4 @@
-"""Tangential springs and rolling torques: device against reference, Coulomb limit, and energy of the
-springs."""
+"""Tangential springs and rolling torques: Coulomb limit, losses, rotation with the contact plane."""
 
 import numpy as np
 import pytest
@@ -83,15 +82,6 @@ def stretched(stiffness, share, force_max, displacement_before, step):
     return force, spring_history, lost
 
 
-def test_spring_on_the_device_equals_its_reference_within_4_ulps(taichi_f64):
-    springs = random_springs()
-    force, spring_history, _ = stretched(*springs)
-    for i, (stiffness, share, force_max, before, step) in enumerate(zip(*springs, strict=True)):
-        expected = spring.reference_spring(stiffness, force_max, min(share, 1.0) * before, step)
-        for found, given in zip((force[i], spring_history[i]), expected, strict=True):
-            assert np.abs(found - given).max() <= 4.0 * np.finfo(float).eps * np.linalg.norm(given)
-
-
 def test_spring_force_is_limited_to_the_friction_limit(taichi_f64):
     stiffness, share, force_max, displacement_before, step = random_springs(seed=2)
     force, spring_history, _ = stretched(stiffness, share, force_max, displacement_before, step)
@@ -117,13 +107,6 @@ def test_spring_loss_is_never_negative(taichi_f64):
     scale = stiffness * (np.linalg.norm(displacement_before, axis=1) + np.linalg.norm(step, axis=1)) ** 2
     assert np.all(lost >= -1e-14 * scale)
     assert np.count_nonzero(lost > 1e-3 * scale) > 1000
-
-
-def test_sticking_spring_of_a_steady_contact_has_no_loss(taichi_f64):
-    stiffness, _, force_max, displacement_before, step = random_springs(seed=4)
-    _, _, lost = stretched(stiffness, np.ones_like(force_max), force_max + 100.0, displacement_before, step)
-    scale = stiffness * (np.linalg.norm(displacement_before, axis=1) + np.linalg.norm(step, axis=1)) ** 2
-    assert np.all(np.abs(lost) <= 1e-14 * scale)
 
 
 def rotated_by_90_degrees(steps):
