@@ -195,6 +195,10 @@ def few_spheres(groups, walls=None, pair=None, **parts):
     pairs = {"fixed-fixed": own} | parts.pop("pairs", {})
     parts = {"output": {"interval": 1.0, "energy_budget": True}} | parts
     walls = walls or {"floor": plane([0.0, 0.0, -0.9], [0.0, 0.0, 1.0])}
+    if any(wall.get("motion") for wall in walls.values()):
+        walls = walls | {
+            "side": plane([-0.95, 0.0, 0.0], [1.0, 0.0, 0.0])
+        }  # all of them may touch another wall
     return build_scene(groups | {"fixed": fixed}, walls, pair, materials=materials, pairs=pairs, **parts)
 
 
