@@ -1,12 +1,12 @@
-"""Fixtures of tests that run the command line in separate processes."""
+"""Fixtures of tests of resumed runs."""
 
 import pytest
-from resume.faults import SCENE
+
+from granflow.runs import run_state
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    """A directory with SCENE as beads.yaml."""
-    directory = tmp_path_factory.mktemp("home")
-    (directory / "beads.yaml").write_text(SCENE)
-    return directory
+@pytest.fixture
+def frequent_copies(monkeypatch):
+    """The state is kept after each batch of steps."""
+    monkeypatch.setattr(run_state, "KEPT_SECONDS", 0.0)
+    monkeypatch.setattr(run_state, "KEPT_SHARE", float("inf"))

@@ -86,6 +86,28 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, coun
     )
 
 
+def balls(positions=None, lid_speed=0.1, gate_until=1.0, friction=0.3, groups=None, **parts):
+    """Four balls that fall on a gate, on which they are after 18 ms; a lid rises far above them.
+
+    All scenes of this function have one compiled structure: tests that need any small run use it.
+    """
+    positions = positions or [[0.02 * (k % 2), 0.02 * (k // 2), 0.0065 + 1e-4 * k] for k in range(4)]
+    groups = groups or {"balls": particle_group(positions, velocity=[[0.1, 0.0, 0.0]] * len(positions))}
+    rising = [{"kind": "translation", "velocity": [0, 0, lid_speed], "start": 0.0}]
+    walls = {
+        "gate": plane([0, 0, 0], [0, 0, 1], vanishes_at=gate_until),
+        "lid": plane([0, 0, 0.5], [0, 0, -1], motion=rising),
+    }
+    defaults = {
+        "pair": {"friction": friction, "restitution": 0.5}, "gravity": [0.0, 0.0, -9.81],
+        "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "delete"},
+        "run": {"duration": 0.02, "time_step": 1e-5, "velocity_max": 1.0},
+        "numerics": {"chunk_size": 4, "max_overlap": 0.3},
+        "output": {"interval": 2e-3, "timeseries_interval": 5e-4, "energy_budget": True, "wall_forces": True},
+    }  # fmt: skip
+    return build_scene(groups, walls, **(defaults | parts))
+
+
 def files_of(out):
     """Digest of each result file by name, except files with wall-clock times; of result.json the physical
     results."""

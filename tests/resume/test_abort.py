@@ -4,60 +4,43 @@ import re
 import shlex
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from resume.runs import files_of
-from scene_builders import build_scene, particle_group, plane
+from resume.runs import balls, files_of
 
 import granflow as gf
 from granflow.cli.main import main
 from granflow.io.checkpoint import newest_checkpoint
-from granflow.runs import run_state
 
+pytestmark = pytest.mark.usefixtures("taichi_f64")
 LIMITS = 0.004, 0.3
 """Overlap limits: the first ball exceeds the lower one. Their units of the sums differ by far."""
 
 
-def scene(max_overlap, **parts):
-    """Two balls that fall on a floor with friction from 1 mm and 10 mm: at 0.14 and at 0.44 m/s, after 14 and
-    45 ms."""
-    balls = particle_group([[0, 0, 0.006], [0.03, 0, 0.015]], velocity=[[0.1, 0, 0], [0.1, 0, 0]])
-    return build_scene(
-        {"balls": balls}, {"floor": plane([0, 0, 0], [0, 0, 1])}, pair={"friction": 0.3, "restitution": 0.5},
-        gravity=[0.0, 0.0, -9.81], run={"duration": 0.06, "velocity_max": 1.0}, numerics={"max_overlap": max_overlap},
-        output={"interval": 0.003, "timeseries_interval": 1e-3, "energy_budget": True, "wall_forces": True, **parts},
-    )  # fmt: skip
+def scene(max_overlap, positions=((0, 0, 0.006), (0.03, 0, 0.008))):
+    """Two balls that fall on a floor from 1 mm and 3 mm: at 0.14 and at 0.24 m/s, after 14 and 25 ms."""
+    run = {"duration": 0.03, "time_step": 1e-5, "velocity_max": 1.0}
+    return balls([*positions], run=run, numerics={"max_overlap": max_overlap, "chunk_size": 4})
 
 
-def aborted(out, max_overlap, **parts):
+def aborted(scene, out, **options):
     """The message of a run that exceeds the limit."""
-    with (
-        pytest.raises(gf.RunError) as stopped,
-        gf.Simulation(scene(max_overlap, **parts), out=out) as simulation,
-    ):
+    with pytest.raises(gf.RunError) as stopped, gf.Simulation(scene, out=out, **options) as simulation:
         simulation.run()
     return str(stopped.value)
 
 
-@pytest.fixture
-def frequent_copies(monkeypatch):
-    """The state is kept after each batch of steps."""
-    monkeypatch.setattr(run_state, "KEPT_SECONDS", 0.0)
-    monkeypatch.setattr(run_state, "KEPT_SHARE", np.inf)
-
-
 @pytest.mark.parametrize("copies", ["frequent", "first"])
 def test_command_of_an_abort_continues_with_the_bits_of_a_run_without_limit(
-    taichi_f64, tmp_path, request, capsys, copies
+    tmp_path, request, capsys, copies
 ):
     """Both the state before the first step and one shortly before the abort lead to the same files.
 
-    The units of the sums follow from the first limit in all runs.
+    The units of the sums follow from the first limit in all runs. Without a change the run aborts again.
     """
     if copies == "frequent":
         request.getfixturevalue("frequent_copies")
     low, high = LIMITS
-    message = aborted(tmp_path / "run", low)
+    message = aborted(scene(low), tmp_path / "run")
     (command,) = re.findall(
         r"(granflow resume \S+ --set numerics.max_overlap=\S+) continues from the last", message
     )
@@ -65,6 +48,8 @@ def test_command_of_an_abort_continues_with_the_bits_of_a_run_without_limit(
     assert (checkpoint.time > 0.0) == (copies == "frequent")
     accepted = float(command.rpartition("=")[2])
     assert low < accepted <= high
+    assert main(["resume", str(tmp_path / "run"), "--threads", "2"]) == gf.RunError.exit_code
+    assert copies == "first" or message in capsys.readouterr().err
 
     plan = replace(gf.plan_for(scene(high)), saved_sum_units=gf.plan_for(scene(low)).sum_units)
     assert gf.plan_for(scene(high)).sum_units != plan.sum_units
@@ -76,44 +61,26 @@ def test_command_of_an_abort_continues_with_the_bits_of_a_run_without_limit(
     assert files_of(tmp_path / "run") == files_of(tmp_path / "whole")
 
 
-def test_without_a_change_the_run_aborts_again_with_the_same_message(
-    taichi_f64, tmp_path, frequent_copies, capsys
-):
-    message = aborted(tmp_path / "run", LIMITS[0])
-    assert main(["resume", str(tmp_path / "run"), "--threads", "2"]) == gf.RunError.exit_code
-    assert message in capsys.readouterr().err
-
-
-def test_an_exception_of_an_observer_at_the_abort_saves_the_last_good_state(taichi_f64, tmp_path):
+def test_an_exception_of_an_observer_at_the_abort_saves_the_last_good_state(tmp_path):
     """The observer receives the state of the abort; the checkpoint must not contain it."""
 
     def fails(snapshot):
         if snapshot.time > 0.0:
             raise ValueError("too much")
 
-    observer = gf.on_interval(1.0, fails)
-    with (
-        pytest.raises(gf.RunError, match="more than numerics.max_overlap"),
-        gf.Simulation(scene(LIMITS[0]), out=tmp_path, observers=[observer]) as simulation,
-    ):
-        simulation.run()
+    message = aborted(scene(LIMITS[0]), tmp_path, observers=[gf.on_interval(1.0, fails)])
+    assert "more than numerics.max_overlap" in message
     checkpoint, _ = newest_checkpoint(tmp_path)
-    assert checkpoint.time < 0.02
+    assert checkpoint.time < 0.014
     assert checkpoint.saved["engine"]["clock"]["step_count"] == 0
 
 
 def test_abort_before_the_first_step_offers_the_command_that_runs_the_scene_with_another_limit(
-    taichi_f64, tmp_path, monkeypatch
+    tmp_path, monkeypatch
 ):
     """A ball overlaps the floor initially by 0.16 of its radius: there is no good state and no checkpoint."""
     monkeypatch.chdir(tmp_path)
-    overlapping = build_scene(
-        {"ball": particle_group([[0, 0, 0.0042]])}, {"floor": plane([0, 0, 0], [0, 0, 1])},
-        numerics={"max_overlap": 0.01}, run={"duration": 1e-5, "velocity_max": 1.0},
-    )  # fmt: skip
-    with pytest.raises(gf.RunError) as stopped, gf.Simulation(overlapping, out="out") as simulation:
-        simulation.run()
-    message = str(stopped.value)
+    message = aborted(scene(0.01, [(0, 0, 0.0042)]), "out")
     assert "granflow resume" not in message and "is written" not in message
     assert newest_checkpoint(tmp_path / "out")[0] is None
     (command,) = re.findall(r"(granflow run \S+ --out \S+ --set numerics.max_overlap=\S+) runs", message)
@@ -122,12 +89,11 @@ def test_abort_before_the_first_step_offers_the_command_that_runs_the_scene_with
     assert main([*shlex.split(command)[1:], "--threads", "2"]) == 0
 
 
-def test_resumed_run_lists_a_warning_once(taichi_f64, tmp_path, capsys):
+def test_resumed_run_lists_a_warning_once(tmp_path):
     """The warning names the position of the limit, in the scene and then in `scene_as_run.yaml`."""
     path = scene(0.02).save(tmp_path / "balls.yaml")
     out = tmp_path / "run"
     assert main(["run", str(path), "--out", str(out), "--until", "1ms", "--threads", "2"]) == 0
     assert main(["resume", str(out), "--until", "2ms", "--threads", "2"]) == 0
-    capsys.readouterr()
     warnings = [text for text in gf.read_run(out).result.warnings if "numerics.max_overlap" in text]
     assert len(warnings) == 1

@@ -3,9 +3,10 @@ invalid."""
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, moving_lattice, vibrating_box
+from resume.runs import balls
+from scene_builders import particle_group
 
-from granflow import Simulation
+import granflow as gf
 from granflow.engine.engine import host_particles
 from granflow.io.checkpoint import (
     CheckpointError,
@@ -19,24 +20,25 @@ from granflow.parallel.rank_engine import share_of_checkpoint
 from granflow.runs.run_directory import CheckpointWriter
 from granflow.scene.blocks.output import Checkpoints
 
-STEPS = 600
+STEPS = 200
+COUNT = 12
 
 
 def scene():
-    """64 particles with friction in a box, which collide."""
-    return build_scene(
-        {"lattice": moving_lattice((4, 4, 4), largest=0.0062, speed=1.0)}, vibrating_box(0.028),
-        pair={"friction": 0.4, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
-        numerics={"chunk_size": 8, "max_overlap": 0.3}, output={"interval": 1.0, "energy_budget": True},
-        run={"duration": STEPS * 4e-6, "velocity_max": 4.0, "time_step": 4e-6},
-    )  # fmt: skip
+    """A lattice of particles on a floor, which slide and collide."""
+    positions = 0.0099 * np.argwhere(np.ones((4, 3, 1))) + [0.0, 0.0, 0.004999]
+    velocity = np.random.default_rng(1).normal(0.0, 0.1, positions.shape)
+    group = particle_group(positions, velocity=velocity)
+    return balls(
+        groups={"balls": group}, run={"duration": STEPS * 1e-5, "time_step": 1e-5, "velocity_max": 1.0}
+    )
 
 
 @pytest.fixture(scope="module")
 def half(tmp_path_factory, taichi_f64):
     """Checkpoint at half of the steps, and positions at the end."""
     out = tmp_path_factory.mktemp("run")
-    with Simulation(scene(), out=out, threads=1) as simulation:
+    with gf.Simulation(scene(), out=out, threads=2) as simulation:
         simulation.step(STEPS // 2)
         simulation.save()
         checkpoint = newest_checkpoint(out)[0]
@@ -75,8 +77,8 @@ def test_a_run_continues_from_the_files_of_ranks_with_the_same_bits(half, tmp_pa
     checkpoint, expected = half
     assert len(checkpoint.saved["engine"]["contacts"]["partner"]) >= 5
     path = distributed(checkpoint, tmp_path, 150)
-    assert len(read_checkpoint(path, "root").saved["engine"]["particles"]["id"]) == 22
-    with Simulation(scene(), out=tmp_path, threads=1, resume=path) as simulation:
+    assert len(read_checkpoint(path, "root").saved["engine"]["particles"]["id"]) == COUNT // 3
+    with gf.Simulation(scene(), out=tmp_path, threads=2, resume=path) as simulation:
         simulation.run()
         np.testing.assert_array_equal(simulation.snapshot().particles["position"], expected)
 
@@ -151,8 +153,8 @@ class OneRank:
 
 def test_a_rank_reads_its_files(half, tmp_path):
     checkpoint = read_checkpoint(distributed(half[0], tmp_path, 150), "root")
-    with Simulation(scene(), threads=1) as simulation:
+    with gf.Simulation(scene(), threads=2) as simulation:
         state = simulation.engine.state
         own = host_particles(state, checkpoint.saved["engine"])
         found, problem = share_of_checkpoint(state, OneRank(), own, checkpoint.rank_files)
-    assert (problem, found.count) == (None, 64)
+    assert (problem, found.count) == (None, COUNT)

@@ -1,1 +1,0 @@
-"""Invalid inputs and faults: the table of the documentation and the cases behind it."""
