@@ -34,10 +34,12 @@ def environment():
     return os.environ | OPEN_MPI | {"PYTHONPATH": str(ROOT)}
 
 
-def on_ranks(ranks, *arguments, seconds=250):
+def on_ranks(ranks, *arguments, seconds=250, **variables):
     """The completed process of `mpirun -n ranks python arguments`; stdout and stderr are text."""
     command = [MPIRUN, "-n", str(ranks), sys.executable, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment())
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=seconds, env=environment() | variables
+    )
 
 
 def alone(*arguments, seconds=250):

@@ -178,6 +178,27 @@ def conducting():
     return test_flows.bed(8, run={"duration": 3e-3, "time_step": test_flows.TIME_STEP, "velocity_max": 1.0})
 
 
+def resumable():
+    """64 particles with rain, a vibrating floor, a servo wall, a stage that ends on a quantity, and frames of
+    contacts."""
+    region = {"box": {"min": [0.005, 0.005, 0.032], "max": [0.023, 0.023, 0.05]}}
+    rain = {"material": "glass", "count": 20, "diameter": 0.004,
+            "insert": {"kind": "rain", "region": region, "rate": 20000.0}}  # fmt: skip
+    walls = vibrating_box(0.028)
+    del walls["high_z"]
+    walls["high_x"]["motion"] = {"kind": "servo", "direction": [-1, 0, 0], "force": 1.0, "velocity_max": 0.2}
+    condition = {"quantity": "contact_count", "above": 10}
+    return build_scene(
+        {"lattice": moving_lattice((4, 4, 4), largest=0.0062, speed=1.0), "rain": rain}, walls,
+        normal="zhou", rolling="epsd", gravity=[0.0, 3.0, -9.81], numerics={"chunk_size": 16},
+        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5},
+        output={"interval": 5e-4, "timeseries_interval": 2e-5, "energy_budget": True, "wall_forces": True,
+                "contacts": True, "checkpoint": {"interval": 7e-4}},
+        stages=[{"name": "approach", "until": condition, "max_duration": 2e-3}, {"name": "mix", "duration": 3e-3}],
+        run={"velocity_max": 4.0, "time_step": 2e-6},
+    )  # fmt: skip
+
+
 SPRING = {"stiffness": {"reference_velocity": 1.0}}
 BRIDGE = {"surface_tension": 0.5, "contact_angle": 0.3, "liquid_volume": 1e-9}
 SURFACES = {"hamaker_constant": 1e-18, "separation": 1e-8}
@@ -227,6 +248,7 @@ SCENES = (
         "uneven": uneven,
         "conducting": conducting,
         "short": bed,
+        "resumable": resumable,
         "long_lists": lambda: bed(numerics={"chunk_size": 32, "skin": 1.5e-3}),
     }
 )

@@ -105,6 +105,7 @@ def test_shipped_scene_is_equal_after_saving_and_from_its_blocks(path, tmp_path)
         name: getattr(scene, name) for name in type(scene).model_fields if getattr(scene, name) is not None
     }
     assert gf.Scene(folder=path.parent, **parts) == scene
+    assert gf.Scene.from_dict(scene.to_dict(), scene.folder) == scene
     for _, name in scene.input_names():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes((path.parent / name).read_bytes())

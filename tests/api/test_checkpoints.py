@@ -5,28 +5,17 @@ import shutil
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, particle_group, plane
+from api.scenes import beads
 
 import granflow as gf
 from granflow.io.checkpoint import newest_checkpoint
 
-OUTPUT = {"interval": 2e-3, "timeseries_interval": 1e-3, "energy_budget": True}
 
-
-def scene():
-    """Particles above a floor, and a gate."""
-    walls = {
-        "floor": plane([0.0] * 3, [0.0, 0.0, 1.0]),
-        "gate": plane([0.3, 0.0, 0.0], [-1.0, 0.0, 0.0]),
-    }
-    groups = {"balls": particle_group([[0.02 * k, 0.0, 0.0055] for k in range(3)], velocity=[0.0, 0.0, -0.1])}
-    parts = {
-        "gravity": [0.0, 0.0, -9.81],
-        "pair": {"friction": 0.3},
-        "run": {"duration": 0.01},
-        "output": OUTPUT,
-    }
-    return build_scene(groups, walls=walls, **parts)
+def scene(**output):
+    """Particles above a floor, beside a wall."""
+    parts = {"interval": 2e-3, "timeseries_interval": 1e-3, "energy_budget": True} | output
+    positions = [[0.02 * k, 0.0, 0.0055] for k in range(3)]
+    return beads(positions, [0.0, 0.0, -0.1], run={"duration": 0.01, "velocity_max": 1.0}, output=parts)
 
 
 def warn(snapshot):
@@ -36,14 +25,14 @@ def warn(snapshot):
 
 def test_result_of_a_resumed_run_has_the_warnings_of_all_parts(tmp_path, taichi_f64):
     """A warning in the first half, and one on the last value of a metric; the last resume takes no step."""
-    metrics = {"mix": {"kind": "lacey", "groups": ["balls"], "cell": 0.02, "at_least": 9}}
-    data = scene().model_dump(by_alias=True, exclude_none=True)
-    mixed = gf.Scene.from_dict(data | {"output": data["output"] | {"metrics": metrics}})
+    metrics = {"mix": {"kind": "lacey", "groups": ["beads"], "cell": 0.02, "at_least": 9}}
     found = []
     for out, until in (("whole", None), ("part", 5e-3), ("part", None), ("part", None)):
         resume = tmp_path / out if (tmp_path / out).exists() else None
         given = [gf.on_interval(1e-3, warn)]
-        with gf.Simulation(mixed, out=tmp_path / out, resume=resume, observers=given) as simulation:
+        with gf.Simulation(
+            scene(metrics=metrics), out=tmp_path / out, resume=resume, observers=given
+        ) as simulation:
             simulation.run(until)
         found.append(gf.read_run(tmp_path / out).result.warnings)
     early, excluded = found[0]
@@ -65,7 +54,7 @@ def change(simulation):
     simulation.particles.velocity[0] = [0.1, 0.0, 0.0]
     simulation.particles.add([[0.1, 0.0, 0.05]], diameter=0.01)
     simulation.particles.remove([1])
-    simulation.walls["gate"].remove()
+    simulation.walls["side"].remove()
     simulation.walls["floor"].motion = gf.Translation(velocity=[0.0, 0.0, 0.02])
     simulation.forces[0].parameters["coefficient"] = 5e-3
     simulation.observers.remove(simulation.observers[1])
@@ -90,7 +79,7 @@ def test_resumed_run_equals_the_uninterrupted_one(runs, tmp_path):
     checkpoint, _ = newest_checkpoint(out)
     with gf.Simulation(scene(), out=out, resume=checkpoint, forces=[force()]) as simulation:
         assert (
-            not simulation.walls["gate"].is_present and simulation.forces[0].parameters["coefficient"] == 5e-3
+            not simulation.walls["side"].is_present and simulation.forces[0].parameters["coefficient"] == 5e-3
         )
         np.testing.assert_array_equal(simulation.particles.id, [0, 2, 3])
         simulation.run()

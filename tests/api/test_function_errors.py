@@ -5,7 +5,7 @@ from inspect import getsourcelines
 from pathlib import Path
 
 import pytest
-from scene_builders import build_scene, particle_group
+from api.scenes import flying
 
 import granflow as gf
 from granflow.contact.law import CohesionLaw, ContactModel, HistoryField
@@ -150,7 +150,7 @@ def position_of(function, line):
 
 def scene(**more):
     """Two particles that overlap."""
-    return build_scene({"balls": particle_group([[0.0] * 3, [0.0, 0.0099, 0.0]])}, **more)
+    return flying([[0.0, 0.0, 0.1], [0.0, 0.0099, 0.1]], [0.0] * 3, **more)
 
 
 @pytest.mark.parametrize("function", FORCES)

@@ -4,8 +4,9 @@ import re
 
 import numpy as np
 import pytest
+from api.scenes import beads, flying
 from clumps import clump_group
-from scene_builders import SOFT, build_scene, particle_group, plane
+from scene_builders import SOFT, build_scene, particle_group
 
 import granflow as gf
 from granflow.cli.main import main
@@ -111,10 +112,9 @@ def test_budget_closes_with_all_changes(simulation):
 
 
 def resting(count=1):
-    """Particles at rest on a floor, with friction."""
-    groups = {"balls": particle_group([[0.02 * k, 0.0, 0.005 - 1e-6] for k in range(count)])}
-    walls = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}
-    return build_scene(groups, walls=walls, gravity=[0.0, 0.0, -GRAVITY], pair={"friction": 0.5})
+    """Particles at rest on a floor."""
+    positions = [[0.02 * k, 0.0, 0.005 - 1e-6] for k in range(count)]
+    return beads(positions, run={"duration": 1.0, "velocity_max": 1.0})
 
 
 def test_lists_and_forces_follow_a_particle_that_is_moved_away_and_back(taichi_f64):
@@ -132,11 +132,9 @@ def test_lists_and_forces_follow_a_particle_that_is_moved_away_and_back(taichi_f
 
 
 def test_an_overlap_written_by_the_user_stores_its_energy_in_the_budget(taichi_f64):
-    balls = {"balls": particle_group([[0.0] * 3, [0.1, 0.0, 0.0]])}
-    scene = build_scene(balls, output={"interval": 1, "energy_budget": True})
-    with gf.Simulation(scene) as simulation:
+    with gf.Simulation(flying([[0.0, 0.0, 0.1], [0.1, 0.0, 0.1]], [0.0] * 3)) as simulation:
         simulation.step(5)
-        simulation.particles.position[1] = [0.0099, 0.0, 0.0]
+        simulation.particles.position[1] = [0.0099, 0.0, 0.1]
         totals = simulation.snapshot().totals
         energy = totals["elastic_energy"] + totals["plastic_dissipation"]
         assert -totals["removed_energy"] == pytest.approx(energy, rel=1e-9) and energy > 0.0
@@ -176,43 +174,39 @@ def test_removal_of_all_particles_and_of_a_contact(taichi_f64):
         assert len(simulation.particles) == simulation.snapshot().totals["particle_count"] == 0
 
 
+def setting(name, index, value):
+    """Assigns a value to rows of an array."""
+    return lambda p: getattr(p, name).__setitem__(index, value)
+
+
+def adding(position=(0, 0, 0), **values):
+    """Adds particles."""
+    return lambda p: p.add(position, **values)
+
+
 WRONG = {
-    "velocity: values of the shape (1, 2) are given for (4, 3).": lambda p: p.velocity.__setitem__(
-        slice(None), [[1.0, 2.0]]
-    ),
-    "velocity: values of the shape (3, 4) are given for (4, 3); give the transpose": lambda p: setattr(
-        p, "velocity", np.zeros((3, 4))
-    ),
-    "velocity, of the shape (4, 3): index 9 is out of bounds": lambda p: p.velocity.__setitem__(9, 0.0),
-    "particles.add has no argument radius. Give diameter, twice the radius.": lambda p: p.add(
-        [0, 0, 0], group="feed", radius=0.005
-    ),
-    "particles.add has no argument velosity. Did you mean velocity?": lambda p: p.add(
-        [0, 0, 0], group="feed", velosity=[0, 0, 1]
-    ),
-    "velocity contains nan; all values must be finite": lambda p: p.velocity.__setitem__(0, np.nan),
-    "outside the domain from [-1.0, -1.0, -1.0] to": lambda p: p.position.__setitem__(0, [0.0, 0.0, 2.0]),
-    "particles.mass is read-only": lambda p: p.mass.__setitem__(0, 1.0),
-    "particles.diameter would lie in [0.01, 0.05] m": lambda p: p.diameter.__setitem__(1, 0.05),
-    "particles.group is 'food', but must be one of feed, rest, other": lambda p: p.group.__setitem__(
-        0, "food"
-    ),
-    "the new group must have the same material": lambda p: p.group.__setitem__(0, "other"),
+    "velocity: values of the shape (1, 2) are given for (4, 3).": setting("velocity", slice(None), [[1.0, 2.0]]),
+    "(3, 4) are given for (4, 3); give the transpose": lambda p: setattr(p, "velocity", np.zeros((3, 4))),
+    "velocity, of the shape (4, 3): index 9 is out of bounds": setting("velocity", 9, 0.0),
+    "no argument radius. Give diameter, twice the radius.": adding(group="feed", radius=0.005),
+    "no argument velosity. Did you mean velocity?": adding(group="feed", velosity=[0, 0, 1]),
+    "velocity contains nan; all values must be finite": setting("velocity", 0, np.nan),
+    "outside the domain from [-1.0, -1.0, -1.0] to": setting("position", 0, [0.0, 0.0, 2.0]),
+    "particles.mass is read-only": setting("mass", 0, 1.0),
+    "particles.diameter would lie in [0.01, 0.05] m": setting("diameter", 1, 0.05),
+    "particles.group is 'food', but must be one of feed, rest, other": setting("group", 0, "food"),
+    "the new group must have the same material": setting("group", 0, "other"),
     "no particle has the id 9": lambda p: p.rows([0, 9]),
-    "material is 'brass', but must be one of glass, steel": lambda p: p.add([0, 0, 0], material="brass"),
-    "material is 'steel', but the group feed is of glass": lambda p: p.add(
-        [0, 0, 0], material="steel", group="feed"
-    ),
-    "group is missing: give one of feed, rest, other": lambda p: p.add([0, 0, 0]),
-    "position has the shape (2, 2)": lambda p: p.add([[0, 0], [0, 1]], group="feed"),
-    "velocity has the shape (2, 3)": lambda p: p.add([0, 0, 0], group="feed", velocity=np.zeros((2, 3))),
-    "position contains nan": lambda p: p.add([0, 0, np.nan], group="feed"),
-    "position contains [0.0, 0.0, 3.0] m, which is outside": lambda p: p.add([0, 0, 3], group="feed"),
-    "diameter contains 0.5 m, but the diameters of the scene": lambda p: p.add(
-        [0, 0, 0], diameter=0.5, group="feed"
-    ),
+    "material is 'brass', but must be one of glass, steel": adding(material="brass"),
+    "material is 'steel', but the group feed is of glass": adding(material="steel", group="feed"),
+    "group is missing: give one of feed, rest, other": adding(),
+    "position has the shape (2, 2)": adding([[0, 0], [0, 1]], group="feed"),
+    "velocity has the shape (2, 3)": adding(group="feed", velocity=np.zeros((2, 3))),
+    "position contains nan": adding([0, 0, np.nan], group="feed"),
+    "position contains [0.0, 0.0, 3.0] m, which is outside": adding([0, 0, 3], group="feed"),
+    "diameter contains 0.5 m, but the diameters of the scene": adding(diameter=0.5, group="feed"),
     "particles.remove: ": lambda p: p.remove([7]),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("message", WRONG)
@@ -240,12 +234,8 @@ def program_scene(count=3):
         "count": count,
         "diameter": {"distribution": "uniform", "min": 0.008, "max": 0.01},
     }
-    return build_scene(
-        {"balls": group | {"insert": {"kind": "python"}}},
-        walls={"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])},
-        gravity=[0.0, 0.0, -GRAVITY],
-        pair={"friction": 0.5},
-    )
+    run = {"duration": 1.0, "velocity_max": 1.0}
+    return beads(groups={"balls": group | {"insert": {"kind": "python"}}}, run=run)
 
 
 def test_a_scene_without_particles_takes_arrays_and_resumes(taichi_f64, tmp_path):

@@ -4,20 +4,28 @@ import csv
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, particle_group, plane
+from api.scenes import beads
 
 import granflow as gf
 
 OUTPUT = {"interval": 1e-3, "timeseries_interval": 5e-4, "energy_budget": True}
 
 
-def falling(groups=None, **more):
-    """Two particles above a floor, one of which hits it within 2 ms, or other groups."""
-    groups = groups or {
-        "balls": particle_group([[0.0, 0.0, 0.0055], [0.02, 0.0, 0.02]], velocity=[0.0, 0.0, -1.0])
-    }
-    walls = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}
-    return build_scene(groups, walls=walls, **{"run": {"duration": 2e-3}, "output": OUTPUT} | more)
+def falling(**more):
+    """Two particles above a floor, one of which hits it within 2 ms."""
+    parts = {"gravity": [0.0] * 3, "run": {"duration": 2e-3, "velocity_max": 1.0}, "output": OUTPUT}
+    return beads([[0.0, 0.0, 0.0055], [0.02, 0.0, 0.02]], [0.0, 0.0, -1.0], **(parts | more))
+
+
+@pytest.fixture(scope="module")
+def whole(taichi_f64, tmp_path_factory):
+    """Files of a run in one part."""
+    out = tmp_path_factory.mktemp("runs") / "whole"
+    with gf.Simulation(falling(), out=out) as simulation:
+        simulation.run()
+    found = files_of(out)
+    assert "particles.pvd" in found and len(found) > 4
+    return found
 
 
 def files_of(folder):
@@ -27,48 +35,35 @@ def files_of(folder):
     }
 
 
-def test_run_in_parts_writes_the_files_of_one_run(tmp_path, taichi_f64):
-    with gf.Simulation(falling(), out=tmp_path / "parts") as simulation:
+def test_run_in_parts_writes_the_files_of_one_run(tmp_path, whole):
+    with gf.Simulation(falling(), out=tmp_path) as simulation:
         simulation.step(7)
         simulation.run(until=0.7e-3)
         simulation.run(duration=0.5e-3)
         simulation.run()
-    whole = gf.Simulation(falling(), out=tmp_path / "whole")
-    whole.run()
-    whole.free()
-    first = files_of(tmp_path / "parts")
-    second = files_of(tmp_path / "whole")
-    assert first == second and "particles.pvd" in first and len(first) > 4
-    assert (tmp_path / "parts" / "result.json").exists()
+    assert files_of(tmp_path) == whole
+    assert (tmp_path / "result.json").exists()
 
 
 @pytest.mark.parametrize("begin", [lambda s: s.run(until=0), lambda s: s.step(0), lambda s: s.save()])
-def test_a_run_that_ended_at_its_start_can_be_resumed(tmp_path, taichi_f64, begin):
-    with gf.Simulation(falling(), out=tmp_path / "whole") as simulation:
-        simulation.run()
-    with gf.Simulation(falling(), out=tmp_path / "part") as simulation:
+def test_a_run_that_ended_at_its_start_can_be_resumed(tmp_path, whole, begin):
+    with gf.Simulation(falling(), out=tmp_path) as simulation:
         begin(simulation)
         assert simulation.time == 0.0
-    with gf.Simulation(falling(), out=tmp_path / "part", resume=tmp_path / "part") as simulation:
+    with gf.Simulation(falling(), out=tmp_path, resume=tmp_path) as simulation:
         simulation.run()
-    first = files_of(tmp_path / "part")
-    second = files_of(tmp_path / "whole")
-    assert first == second and "particles.pvd" in first and len(first) > 4
+    assert files_of(tmp_path) == whole
 
 
 def test_a_result_between_two_rows_does_not_change_the_energy_error(tmp_path, taichi_f64):
-    """The energy input is largest when the ball is lowest, at about 0.72 ms, between the rows at 0.5 and 1
+    """The energy input is largest when the balls are lowest, at about 0.72 ms, between the rows at 0.5 and 1
     ms."""
-    groups = {"ball": particle_group([[0.0, 0.0, 0.0055]], velocity=[0.0, 0.0, -1.0])}
-    scene = falling(groups, gravity=[0.0, 0.0, -100.0])
-    with gf.Simulation(scene, out=tmp_path / "parts") as simulation:
-        simulation.run(until=0.72e-3)
-        simulation.run()
-    with gf.Simulation(scene, out=tmp_path / "whole") as simulation:
-        simulation.run()
-    first = files_of(tmp_path / "parts")
-    second = files_of(tmp_path / "whole")
-    assert first["timeseries.csv"] == second["timeseries.csv"]
+    for name, parts in (("parts", [0.72e-3, None]), ("whole", [None])):
+        with gf.Simulation(falling(gravity=[0.0, 0.0, -100.0]), out=tmp_path / name) as simulation:
+            for until in parts:
+                simulation.run(until=until)
+    first, second = (files_of(tmp_path / name)["timeseries.csv"] for name in ("parts", "whole"))
+    assert first == second
 
 
 def test_run_continues_beyond_the_last_stage(taichi_f64):
@@ -116,7 +111,7 @@ def test_times_that_are_not_valid_are_refused(arguments, taichi_f64):
 def test_stages_begin_after_the_previous_ones_have_ended(taichi_f64):
     """The end of a part of a run is reached to rounding, within the stage."""
     stages = [{"name": name, "duration": 1e-3} for name in ("first", "second")]
-    with gf.Simulation(falling(run={}, stages=stages)) as simulation:
+    with gf.Simulation(falling(run={"velocity_max": 1.0}, stages=stages)) as simulation:
         simulation.run(until=np.nextafter(3 * simulation.time_step, 1.0))
         assert simulation.engine.step_count == 3
         assert simulation.stage == "first"
@@ -163,24 +158,22 @@ def test_attributes_that_would_have_no_effect_cannot_be_set(taichi_f64, name):
 
 
 @pytest.mark.parametrize(
-    ("energy_budget", "kind", "name", "message"),
+    ("kind", "name", "message"),
     [
-        (True, "totals", "energy", "snapshot.totals has no energy; the names are particle_count, "),
+        ("totals", "energy", "snapshot.totals has no energy; the names are particle_count, "),
         (
-            False,
             "totals",
             "elastic_energy",
             "snapshot.totals has no elastic_energy; set output.energy_budget to true.",
         ),
-        (True, "particles", "spin", "snapshot.particles has no spin; the names are position, radius, mass, "),
-        (True, "walls", "lid", "snapshot.walls has no lid; the names are floor."),
-        (True, "impulses", "floor", "snapshot.impulses has no floor; it is empty."),
+        ("particles", "spin", "snapshot.particles has no spin; the names are position, radius, mass, "),
+        ("walls", "lid", "snapshot.walls has no lid; the names are floor, side."),
+        ("impulses", "floor", "snapshot.impulses has no floor; it is empty."),
     ],
 )
-def test_unknown_names_of_a_snapshot_are_refused_with_the_known_ones(
-    taichi_f64, energy_budget, kind, name, message
-):
-    with gf.Simulation(falling(output=OUTPUT | {"energy_budget": energy_budget})) as simulation:
+def test_unknown_names_of_a_snapshot_are_refused_with_the_known_ones(taichi_f64, kind, name, message):
+    output = OUTPUT | {"energy_budget": "energy_budget" not in message}
+    with gf.Simulation(falling(output=output)) as simulation:
         contents = getattr(simulation.snapshot(), kind)
     with pytest.raises(KeyError) as error:
         contents[name]

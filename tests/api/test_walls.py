@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from api.scenes import beads
 from geometry.motions import rotation, table, translation, vibration
-from scene_builders import build_scene, particle_group, plane
+from scene_builders import plane
 
 import granflow as gf
 from granflow.plan.build import plan_for
@@ -16,16 +17,12 @@ GRAVITY = 9.81
 
 
 def resting(motion=(), **more):
-    """A particle at rest on a floor, which is the top of a hinged plate, and a second wall."""
+    """A particle at rest on a floor, and a side wall."""
     walls = {
         "floor": plane([0.0] * 3, [0.0, 0.0, 1.0], **({"motion": motion} if motion else {})),
         "side": plane([0.5, 0.0, 0.0], [-1.0, 0.0, 0.0]),
     }
-    groups = {"balls": particle_group([[0.0, 0.0, 0.005 - 1e-6]])}
-    parts = {"gravity": [0.0, 0.0, -GRAVITY], "pair": {"friction": 0.5}}
-    return build_scene(
-        groups, walls=walls, **parts | {"output": {"interval": 1.0, "energy_budget": True}} | more
-    )
+    return beads([[0.0, 0.0, 0.005 - 1e-6]], walls=walls, run={"duration": 1.0, "velocity_max": 1.0}, **more)
 
 
 def test_particle_falls_after_its_wall_is_removed(taichi_f64):

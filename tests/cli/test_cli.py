@@ -79,14 +79,6 @@ def stubs(monkeypatch, tmp_path):
 # ---------------------------------------------------------------- arguments
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"], ["collide", "--help"]])
-def test_help_imports_neither_numpy_nor_taichi(arguments):
-    program = f"import sys, granflow.cli\ntry: granflow.cli.main({arguments})\nfinally: print(*sys.modules)"
-    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert process.returncode == 0, process.stderr
-    assert not {"taichi", "numpy", "rich", "pydantic"} & set(process.stdout.split())
-
-
 def test_module_and_command_are_equivalent():
     process = subprocess.run([sys.executable, "-m", "granflow", "--version"], capture_output=True, text=True)
     assert (process.returncode, process.stdout.split()[0]) == (0, "granflow")
@@ -142,24 +134,10 @@ def test_run_passes_arguments_to_the_simulation(stubs, capsys):
         "allow_changes": False,
     }
     assert stubs.until == 1.0
+    main(["run", "scenes/hopper.yaml"])
+    assert stubs.simulation["out"] == Path("out/hopper") and stubs.simulation["threads"] is None
     output = capsys.readouterr().out
     assert "Two [spheres]" in output and "particle count" in output and "1.25e-06" in output
-
-
-def test_default_output_directory_is_named_after_the_scene(stubs):
-    main(["run", "scenes/hopper.yaml"])
-    assert stubs.simulation == {
-        **{"arch": "cpu", "threads": None},
-        **{
-            "out": Path("out/hopper"),
-            "progress": True,
-            "allow_long": False,
-            "communicator": None,
-            "overwrite": False,
-            "resume": None,
-            "allow_changes": False,
-        },
-    }
 
 
 @pytest.mark.parametrize(("met", "code"), [(True, 0), (False, 1)])
@@ -314,27 +292,12 @@ def test_output_directory_is_locked_during_the_run(stubs, monkeypatch):
 # ---------------------------------------------------------------- collide
 
 
-def test_collide_prints_json(stubs, capsys):
-    arguments = (
-        "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 "
-        "--json"
-    )
-    assert main(arguments.split()) == 0
+def test_collide_passes_arguments_and_prints_json(stubs, capsys):
+    options = "--diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 --json"
+    assert main(["collide", "--material", "glass", *options.split()]) == 0
     assert json.loads(capsys.readouterr().out)["duration_theory"] == 4.1e-5
-    assert stubs.collide == {
-        "law": "zhou",
-        "material": "glass",
-        "diameter": 0.004,
-        "velocity": 1.0,
-        "diameter2": None,
-        "material2": None,
-        "wall": True,
-        "restitution": 0.7,
-        "settings": ["damping_ratio=0"],
-        "steps_per_contact": None,
-        "precision": None,
-        "arch": "cpu",
-    }
+    given = {"material": "glass", "diameter": 0.004, "velocity": 1.0, "wall": True, "restitution": 0.7}
+    assert stubs.collide.items() >= given.items() and stubs.collide["settings"] == ["damping_ratio=0"]
 
 
 def test_collide_prints_a_table(capsys):

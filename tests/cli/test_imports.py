@@ -1,65 +1,65 @@
 """Verbs that do not simulate import neither Taichi nor large libraries, which would delay each of them."""
 
+import json
 import subprocess
 import sys
 
 import pytest
 
 HEAVY = {
-    "taichi",
-    "scipy",
-    "meshio",
-    "rich",
-    "jinja2",
-    "pandas",
-    "matplotlib",
-    "pyvista",
-    "psutil",
-    "platformdirs",
-}
+    "taichi", "scipy", "meshio", "rich", "jinja2", "pandas", "matplotlib", "pyvista", "psutil", "platformdirs",
+}  # fmt: skip
 """Packages that reading and checking a scene does not require."""
 
 READS_SCENES = {"numpy", "pydantic", "ruamel"}
 """Packages that `--help` does not require either."""
 
 PROGRAM = """
-import sys
-from granflow.cli.main import main
-try:
-    code = main(sys.argv[1:])
-except SystemExit as end:
-    code = end.code
-print("imported:", *sorted({name.partition(".")[0] for name in sys.modules}))
-sys.exit(code)
+import contextlib, io, json, sys
+
+def packages():
+    return sorted({name.partition(".")[0] for name in sys.modules})
+
+found = []
+for arguments in json.loads(sys.argv[1]):
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            from granflow.cli.main import main
+            code = main(arguments)
+        except SystemExit as end:
+            code = end.code or 0
+    found.append([code, packages()])
+import granflow.simulation
+found.append([0, packages()])
+print(json.dumps(found))
 """
 
 
-def imported(root, *arguments):
-    """Top-level packages that a verb imports in a process of its own."""
-    command = [sys.executable, "-c", PROGRAM, *arguments]
-    process = subprocess.run(command, cwd=root, capture_output=True, text=True)
+@pytest.fixture(scope="module")
+def imported(pytestconfig):
+    """Exit code and imported packages after each verb in one process, and after the import of a simulation."""
+    help_verbs = [["--help"], ["--version"], ["run", "--help"], ["collide", "--help"]]
+    checks = [["check", f"scenes/{name}.yaml"] for name in ("two_spheres", "hopper", "drum")]
+    checks.append([*checks[0], "--set", "run.duration=-1 s"])
+    command = [sys.executable, "-c", PROGRAM, json.dumps([*help_verbs, *checks])]
+    process = subprocess.run(command, cwd=pytestconfig.rootpath, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr
-    return set(process.stdout.splitlines()[-1].split()[1:])
+    found = [(code, set(packages)) for code, packages in json.loads(process.stdout.splitlines()[-1])]
+    return found[: len(help_verbs)], found[len(help_verbs) : -1], found[-1]
 
 
-@pytest.mark.parametrize("scene", ["two_spheres", "hopper", "drum"])
-def test_check_imports_no_heavy_library(pytestconfig, scene):
-    packages = imported(pytestconfig.rootpath, "check", f"scenes/{scene}.yaml")
-    assert packages >= READS_SCENES
-    assert not packages & HEAVY
+def test_help_imports_no_library(imported):
+    for code, packages in imported[0]:
+        assert code == 0 and not packages & (HEAVY | READS_SCENES)
 
 
-def test_help_imports_no_library(pytestconfig):
-    assert not imported(pytestconfig.rootpath, "--help") & (HEAVY | READS_SCENES)
+def test_check_imports_no_heavy_library_also_for_an_invalid_scene(imported):
+    assert [code for code, _ in imported[1]] == [0, 0, 0, 2]
+    for _, packages in imported[1]:
+        assert packages >= READS_SCENES and not packages & HEAVY
 
 
-def test_simulation_imports_no_table_or_mesh_library(pytestconfig):
-    program = (
-        "import sys, granflow.simulation; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
-    )
-    process = subprocess.run(
-        [sys.executable, "-c", program], cwd=pytestconfig.rootpath, capture_output=True, text=True
-    )
-    packages = set(process.stdout.split())
+def test_simulation_imports_no_table_or_mesh_library(imported):
+    packages = imported[2][1]
     assert "taichi" in packages
     assert not packages & {"scipy", "meshio", "jinja2", "pandas", "matplotlib", "pyvista"}

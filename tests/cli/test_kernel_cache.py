@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from granflow.cli.main import main
 from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 from granflow.engine.kernel_cache import LOCKS
 from granflow.kernel_language import KERNELS as LANGUAGE
@@ -52,19 +53,14 @@ def test_two_processes_share_a_cache(filled_cache):
     assert kernels(folder)
 
 
-def test_second_run_compiles_nothing(filled_cache):
+def test_second_run_compiles_nothing_and_removes_a_stale_lock(filled_cache):
     folder, output = filled_cache
     before = kernels(folder)
-    assert granflow(folder, *COLLISION) == output[0]
-    assert kernels(folder) == before
-
-
-def test_stale_lock_is_removed(filled_cache):
-    folder, output = filled_cache
     lock = folder / LOCKS[LANGUAGE]
     lock.touch()
     os.utime(lock, (time.time() - 3600.0,) * 2)
     assert granflow(folder, *COLLISION) == output[0]
+    assert kernels(folder) == before
     assert not lock.exists()
 
 
@@ -85,13 +81,21 @@ def test_unwritable_cache_is_reported_once(filled_cache, tmp_path):
     assert len(errors.splitlines()) == 1
 
 
-def test_cache_is_listed_and_cleared_without_other_files(tmp_path):
+def test_cache_is_listed_and_cleared_without_other_files(tmp_path, monkeypatch, capsys):
+    def cache(*options):
+        assert main(["cache", *options]) == 0
+        return capsys.readouterr().out
+
+    monkeypatch.setenv("GRANFLOW_CACHE", str(tmp_path))
     (tmp_path / "one.tic").write_bytes(b"x" * 600_000)
     (tmp_path / "ticache.tcb").write_bytes(b"x" * 600_000)
     (tmp_path / "notes.txt").write_text("other")
     (tmp_path / "kernel_compilation_manager").mkdir()
     (tmp_path / "kernel_compilation_manager" / "one.qdc").write_bytes(b"x" * 600_000)
-    assert f"{tmp_path}: 2 compiled kernels, 1.8 MB cached" in granflow(tmp_path, "cache")[0]
-    assert "1.8 MB deleted" in granflow(tmp_path, "cache", "--clear")[0]
+    assert f"{tmp_path}: 2 compiled kernels, 1.8 MB cached" in cache()
+    assert "1.8 MB deleted" in cache("--clear")
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["notes.txt"]
-    assert "0 compiled kernels" in granflow(tmp_path, "cache")[0]
+    assert "0 compiled kernels" in cache()
+    monkeypatch.delenv("GRANFLOW_CACHE")
+    monkeypatch.setenv("HOME", "/dev/null")
+    assert "0 compiled kernels" in cache(), "also without a directory HOME"

@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -91,13 +89,6 @@ def test_schema_is_json_with_the_blocks_of_a_scene(capsys):
     assert {"materials", "particles", "walls", "run"} <= json.loads(capsys.readouterr().out)[
         "properties"
     ].keys()
-
-
-def test_taichi_is_not_imported_for_an_invalid_scene(scene_file):
-    arguments = ["check", "two.yaml", "--set", "run.duration=-1 s"]
-    program = f"import sys, granflow.cli; print(granflow.cli.main({arguments}), 'taichi' in sys.modules)"
-    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert process.stdout.splitlines()[-1] == "2 False", process.stderr
 
 
 def test_explain_prints_the_plan(scene_file, capsys):

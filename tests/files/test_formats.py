@@ -144,17 +144,6 @@ def test_control_characters_are_escaped(capsys):
     assert capsys.readouterr().out == visible(CONTROL_CHARACTERS) + "\n"
 
 
-def test_commands_print_only_through_say():
-    """`say` escapes control characters."""
-    from pathlib import Path
-
-    import granflow.cli
-
-    folder = Path(granflow.cli.__file__).parent
-    found = [(path.name, path.read_text().count(" print(")) for path in folder.glob("*.py")]
-    assert [each for each in found if each[1]] == [("arguments.py", 1)]
-
-
 def test_log_escapes_newlines(tmp_path):
     with pytest.raises(SceneError), run_log(tmp_path) as log:
         log.info("out\nput")

@@ -115,15 +115,9 @@ def test_measured_times_move_the_cut(position):
     assert abs(np.bincount(second)[0] - 3 * COUNT // 8) <= 2
 
 
-def test_small_imbalance_does_not_move_the_cut(position):
-    contacts = np.full(COUNT, 4)
-    first, second = owner_of(position, contacts, (1.05 * SLOW_STEP, SLOW_STEP))
-    assert (first == second).all()
-
-
-def test_times_of_launches_alone_do_not_move_the_cut(position):
-    contacts = np.full(COUNT, 4)
-    first, second = owner_of(position, contacts, (2e-4, 1e-4))
+@pytest.mark.parametrize("seconds", [(1.05 * SLOW_STEP, SLOW_STEP), (2e-4, 1e-4)])
+def test_small_imbalance_and_times_of_launches_do_not_move_the_cut(position, seconds):
+    first, second = owner_of(position, np.full(COUNT, 4), seconds)
     assert (first == second).all()
 
 

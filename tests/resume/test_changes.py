@@ -72,7 +72,9 @@ def test_forbidden_changes_are_named(changed, override):
 
 def falling(**parts):
     """Four balls above a gate that vanishes after 20 ms, in two stages."""
-    return balls(**{"gate_until": 0.02, "stages": STAGES, "run": {"time_step": 1e-5, "velocity_max": 1.0}} | parts)
+    return balls(
+        **{"gate_until": 0.02, "stages": STAGES, "run": {"time_step": 1e-5, "velocity_max": 1.0}} | parts
+    )
 
 
 @pytest.fixture(scope="module")
@@ -238,7 +240,7 @@ def test_start_from_copies_the_last_state_of_another_run(checkpoint, restored):
 
 
 def test_mismatch_with_start_from_is_reported(checkpoint, tmp_path):
-    """The last run lets its particle leave the domain of 20 mm at 1 m/s in 20 ms."""
+    """The last run lets its particle leave the domain after 10 of 20 ms."""
     for directory, message in (
         (tmp_path, "contains no usable checkpoint; give the directory"),
         (tmp_path / "none", "does not exist; give the directory"),
@@ -252,7 +254,7 @@ def test_mismatch_with_start_from_is_reported(checkpoint, tmp_path):
     assert count.endswith("particles.balls.count is 1, but start_from has 4 particles.")
     assert size.endswith("diameter lies in [0.008, 0.008] m, but start_from has diameters in [0.01, 0.01] m.")
     parts = {
-        "domain": {"min": [-0.02] * 3, "max": [0.02] * 3, "on_exit": "delete"},
+        "domain": {"min": [-0.02] * 3, "max": [0.01, 0.02, 0.02], "on_exit": "delete"},
         "groups": {"ball": particle_group([0.0, 0.0, 0.01], velocity=[1.0, 0.0, 0.0])},
     }
     complete_run(tmp_path / "empty", **parts)

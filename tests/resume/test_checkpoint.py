@@ -1,16 +1,13 @@
 """Checkpoint files: complete or rejected, fallback to the previous one, readable by numpy without pickle."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, particle_group
+from resume.runs import balls
 
 import granflow as gf
 from granflow.cli.main import main
-from granflow.errors import GranflowError
 from granflow.io import checkpoint as format_of
 from granflow.io.checkpoint import (
     CheckpointError,
@@ -20,7 +17,6 @@ from granflow.io.checkpoint import (
     remove_old_checkpoints,
     write_checkpoint,
 )
-from granflow.io.lock import locked
 from granflow.runs.run_directory import CheckpointWriter
 from granflow.scene.blocks.output import Checkpoints
 
@@ -77,30 +73,14 @@ def test_only_the_newest_checkpoints_are_kept(tmp_path):
     ]
 
 
-def test_lock_is_exclusive_and_ends_with_its_process(tmp_path):
-    holder = "import sys, time; from pathlib import Path; from granflow.io.lock import locked\n"
-    holder += "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(600)"
-    process = subprocess.Popen(
-        [sys.executable, "-c", holder, str(tmp_path)], stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert process.stdout.readline() == "held\n"
-        with pytest.raises(GranflowError, match="Another run is writing into"), locked(tmp_path):
-            pass
-    finally:
-        process.kill()
-        process.communicate()
-    with locked(tmp_path):
-        pass
-
-
 def test_checkpoints_are_due_by_wall_clock_and_simulated_time(tmp_path, monkeypatch):
     """Every 10 s of the monotonic clock, and every 0.5 s of simulated time."""
     now = [100.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     monkeypatch.setattr("time.time", lambda: pytest.fail("the system time must not be used"))
-    scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])})
-    writer = CheckpointWriter(tmp_path, Checkpoints(wall_clock=10.0, interval=0.5, keep=2), scene.to_yaml())
+    writer = CheckpointWriter(
+        tmp_path, Checkpoints(wall_clock=10.0, interval=0.5, keep=2), "title: A scene\n"
+    )
     writer.start(0.0)
     assert not writer.due(0.4) and writer.next_time() == 0.5 and writer.due(0.5)
     writer.write(0.5, 1, lambda _: STATE)
@@ -120,7 +100,7 @@ def test_sources_of_the_engine_exist():
 
 def test_checkpoint_of_another_engine_is_named(taichi_f64, tmp_path, monkeypatch, capsys):
     """The run continues only on request, with a warning."""
-    scene = build_scene({"ball": particle_group([[0, 0, 0]])}, run={"duration": 2e-4, "velocity_max": 1.0})
+    scene = balls(run={"duration": 2e-4, "velocity_max": 1.0})
     monkeypatch.setattr(format_of, "engine_digest", lambda: "0123456789ab")
     with gf.Simulation(scene, threads=2, out=tmp_path) as simulation:
         simulation.run(until=1e-4)

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from scene_builders import build_scene, particle_group
+from resume.runs import balls
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError, OutputError
@@ -133,9 +133,7 @@ def test_kill_at_any_file_operation_keeps_one_complete_run(tmp_path, event):
 
 
 def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
-    scene = build_scene(
-        {"ball": particle_group([0.0, 0.0, 0.0])}, run={"duration": 1e-4}, output={"interval": 5e-5}
-    )
+    scene = balls(run={"duration": 1e-4, "velocity_max": 1.0})
 
     def raise_disk_full(path, mesh, _):
         assert contents(out / "previous_run") == as_bytes(OLD), (
@@ -158,7 +156,7 @@ def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
 
 
 def test_start_from_in_the_output_directory_is_rejected(tmp_path):
-    scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, start_from=str(tmp_path))
+    scene = balls(start_from=str(tmp_path))
     write(tmp_path, OLD)
     with pytest.raises(GranflowError, match="start_from is .*, which is in the output directory"):
         Simulation(scene, out=tmp_path)

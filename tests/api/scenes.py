@@ -1,0 +1,23 @@
+"""The scene of most tests of the Python interface; all its variations have one compiled structure."""
+
+from scene_builders import build_scene, particle_group, plane
+
+
+def beads(positions=((0.0, 0.0, 0.0052), (0.02, 0.0, 0.006)), velocity=(0.0, 0.0, 0.0), groups=None, **parts):
+    """Particles of 10 mm above a floor, far from a side wall, in gravity and with friction, for 4 ms.
+
+    groups:  in place of those particles
+    """
+    groups = groups or {"beads": particle_group(positions, velocity=velocity)}
+    walls = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0]), "side": plane([0.5, 0.0, 0.0], [-1.0, 0.0, 0.0])}
+    usual = {
+        "pair": {"friction": 0.3}, "gravity": [0.0, 0.0, -9.81],
+        "run": {"duration": 0.004, "velocity_max": 1.0},
+        "output": {"interval": 1e-3, "timeseries_interval": 5e-4, "energy_budget": True},
+    }  # fmt: skip
+    return build_scene(groups, **({"walls": walls} | usual | parts))
+
+
+def flying(positions=((0.0, 0.0, 0.1), (0.0, 0.1, 0.1)), velocity=(1.0, 0.0, 0.0), **parts):
+    """Particles that fly freely without gravity."""
+    return beads(positions, velocity, **({"gravity": [0.0] * 3, "run": {"duration": 0.01}} | parts))
