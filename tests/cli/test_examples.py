@@ -39,34 +39,27 @@ def test_scene_is_copied_with_its_mesh(tmp_path, capsys):
     assert main(["example", "mixer.yaml", "--out", str(tmp_path)]) == 0  # equal files may exist
 
 
-def test_scene_of_a_subfolder_is_copied_with_its_particle_file(tmp_path):
-    assert main(["example", "verification/through_flow", "--out", str(tmp_path)]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"through_flow.yaml", "through_flow_grid.csv"}
+@pytest.mark.parametrize(
+    ("name", "files", "command"),
+    [
+        ("verification/through_flow", {"through_flow.yaml", "through_flow_grid.csv"}, "run"),
+        ("sweeps/repose_friction", {"angle_of_repose.yaml"}, "sweep"),
+        ("calibration/glass_beads", {"angle_of_repose.yaml", "flat_silo.yaml"}, "calibrate"),
+    ],
+)
+def test_files_that_an_example_needs_are_copied(tmp_path, capsys, name, files, command):
+    assert main(["example", name, "--out", str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == files
+    assert f"granflow {command} {tmp_path}" in capsys.readouterr().out
 
 
-def test_sweep_is_copied_with_its_scene(tmp_path, capsys):
-    assert main(["example", "sweeps/repose_friction", "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "angle_of_repose.yaml").is_file()
-    assert f"granflow sweep {tmp_path / 'sweeps' / 'repose_friction.yaml'}" in capsys.readouterr().out
-
-
-def test_calibration_is_copied_with_its_scenes(tmp_path):
-    assert main(["example", "calibration/glass_beads", "--out", str(tmp_path)]) == 0
-    assert {path.name for path in tmp_path.glob("*.yaml")} == {"angle_of_repose.yaml", "flat_silo.yaml"}
-
-
-def test_changed_file_is_not_overwritten(tmp_path, capsys):
+def test_wrong_names_and_changed_files_are_refused(tmp_path, capsys):
     (tmp_path / "hopper.yaml").write_text("title: mine\n")
     assert main(["example", "hopper", "--out", str(tmp_path)]) == 2
     assert "exists with other contents: remove it" in capsys.readouterr().err
     assert (tmp_path / "hopper.yaml").read_text() == "title: mine\n"
-
-
-def test_unknown_scene_is_an_error_with_a_suggestion(tmp_path, capsys):
     assert main(["example", "hoper", "--out", str(tmp_path)]) == 2
-    assert (
-        capsys.readouterr().err == "granflow: hoper is not one of the shipped scenes. Did you mean hopper?\n"
-    )
+    assert capsys.readouterr().err.endswith("hoper is not one of the shipped scenes. Did you mean hopper?\n")
 
 
 @pytest.mark.slow

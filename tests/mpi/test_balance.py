@@ -91,20 +91,13 @@ def position():
 
 
 def test_ranks_have_equal_weights_and_unequal_counts(position):
+    """Particles with contacts weigh more; without measured times nothing moves between two rebuilds."""
     contacts = np.where(position[:, 0] < 2.0, 6, 0)
     owner = owner_of(position, contacts)[0]
     weights = np.bincount(owner, PARTICLE_WEIGHT + CONTACT_WEIGHT * contacts)
     assert weights.max() < 1.002 * weights.mean()
     counts = np.bincount(owner)
     assert counts.max() > 1.4 * counts.min()
-
-
-def test_contacts_that_appear_move_the_cut(position):
-    contacts = np.zeros(COUNT, np.int64)
-    first, second = owner_of(position, contacts, (SLOW_STEP, SLOW_STEP))
-    assert (first == second).all()
-    contacts[position[:, 0] < 2.0] = 6
-    assert np.bincount(owner_of(position, contacts)[0]).min() < 0.45 * COUNT
 
 
 def test_measured_times_move_the_cut(position):
@@ -129,23 +122,6 @@ def test_costs_are_limited_and_need_the_times_of_all_ranks():
     assert relative_costs(np.array([100, 1000]), np.array([0.1, 0.01]))[0] == 2.0
 
 
-def test_cost_of_a_rank_begins_anew_after_a_migration():
-    ranks = ThreadRanks(1)
-
-    def costs(communicator):
-        balance = LoadBalance(communicator)
-        before = balance.cost
-        balance.record(0.25)
-        balance.record(0.75)
-        measured = balance.cost
-        balance.owners(np.zeros((1, 3)), np.zeros(1, np.int64))
-        return before, measured, balance.cost
-
-    before, measured, after = ranks.run(costs)[0]
-    assert (measured.step, measured.steps) == (0.5, 2)
-    assert before == after == MeasuredCost(np.inf, 0, np.inf)
-
-
 @pytest.mark.parametrize(("steps", "due"), [(39, False), (41, True)])
 def test_migration_is_due_when_waiting_has_cost_twice_its_time(steps, due):
     """Steps of 12 and 8 ms: 2 ms over the mean in each, 80 ms in 40 steps, twice the 40 ms of the slower
@@ -153,8 +129,5 @@ def test_migration_is_due_when_waiting_has_cost_twice_its_time(steps, due):
     costs = [MeasuredCost(0.012, steps, 0.03), MeasuredCost(0.008, steps, 0.04)]
     assert migration_pays(costs) is due
     assert not migration_pays([MeasuredCost(0.012, 10 * steps, 0.03), MeasuredCost(0.012, 10 * steps, 0.04)])
-
-
-def test_migration_is_not_due_before_a_step_or_for_launches_alone():
     assert not migration_pays([MeasuredCost(np.inf, 0, 0.01), MeasuredCost(np.inf, 0, 0.01)])
     assert not migration_pays([MeasuredCost(2e-4, 10**6, 0.01), MeasuredCost(1e-4, 10**6, 0.01)])

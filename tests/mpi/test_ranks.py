@@ -55,7 +55,7 @@ def session(tmp_path_factory):
     """Folder of several runs on two ranks; exit code, stdout and stderr of each rank for each command."""
     folder = tmp_path_factory.mktemp("ranks")
     scene = str(resumable().save(folder / "scene.yaml"))
-    (folder / "invalid.yaml").write_text(Path(scene).read_text().replace("duration:", "durations:"))
+    (folder / "invalid.yaml").write_text(Path(scene).read_text().replace("chunk_size:", "chunksize:"))
     for rank, e in enumerate((0.5, 0.3)):
         (folder / str(rank)).mkdir()
         own = Path(scene).read_text().replace("restitution: 0.5", f"restitution: {e}")
@@ -130,7 +130,7 @@ def test_wrong_use_is_refused_with_one_sentence(session):
     folder, ranks = session
     refused = "mpirun has started 2 processes that would all run the whole scene: add --mpi"
     assert all(each["unmarked"][0] == 2 and refused in each["unmarked"][2] for each in ranks)
-    assert ranks[0]["invalid"][0] == 2 and ranks[0]["invalid"][2].count("durations") == 1
+    assert ranks[0]["invalid"][0] == 2 and ranks[0]["invalid"][2].count("chunksize") == 1
     differs = "The scene of rank 1 differs from that of rank 0, own.yaml, in its values"
     assert ranks[0]["different"][0] == 2 and differs in ranks[0]["different"][2]
     assert ranks[1]["invalid"] == ranks[1]["different"] == [0, "", ""]

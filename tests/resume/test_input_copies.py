@@ -13,9 +13,8 @@ from granflow.load import copied_scene, load_scene
 INSERT = TEXT[TEXT.index("    count: 10\n") : TEXT.index("\ndomain:")]
 FLOOR = "  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}"
 WALLS = """\
-  first: {shape: mesh, file: ../parts/box.stl, scale: 0.02, translate: [0, 0, -0.02], material: glass}
+  first: {shape: mesh, file: PARTS/box.stl, scale: 0.02, translate: [0, 0, -0.02], material: glass}
   second: {shape: mesh, file: box.stl, scale: 0.02, translate: [0.02, 0, -0.02], material: glass}
-  third: {shape: mesh, file: OTHER/box.stl, scale: 0.02, translate: [0, 0.02, -0.02], material: glass}
   lid:
     {shape: plane, point: [0, 0, 0.03], normal: [0, 0, -1], material: glass,
      motion: {kind: table, file: ../tables/lift.csv, direction: [0, 0, 1]}}"""
@@ -25,18 +24,18 @@ ROWS = "x,y,z,r\n" + "".join(
 
 
 def scene_with_inputs(folder):
-    """A scene with three meshes of equal name, a table and particles, of which only a link is in its own
+    """A scene with two meshes of equal name, a table and particles, of which only a link is in its own
     folder."""
-    for name in ("scenes", "parts", "tables", "other", "filled"):
+    for name in ("scenes", "parts", "tables", "filled"):
         (folder / name).mkdir(parents=True)
-    for k, name in enumerate(("parts/box.stl", "parts/linked.stl", "other/box.stl")):
+    for k, name in enumerate(("parts/box.stl", "parts/linked.stl")):
         points, corners = cube()
         write(folder / name, points * [1.0, 1.0, 1.0 + 0.01 * k], corners)
     (folder / "scenes" / "box.stl").symlink_to(folder / "parts" / "linked.stl")
     (folder / "tables" / "lift.csv").write_text("time [ms],displacement [mm]\n0,0\n20,-1\n")
     (folder / "filled" / "beads.csv").write_text(ROWS)
     text = TEXT.replace(INSERT, "    insert: {kind: file, file: ../filled/beads.csv}").replace(FLOOR, WALLS)
-    text = text.replace("OTHER", str(folder / "other")).replace("duration: 50 ms", "duration: 4 ms")
+    text = text.replace("PARTS", str(folder / "parts")).replace("duration: 50 ms", "duration: 4 ms")
     path = folder / "scenes" / "beads.yaml"
     path.write_text(text.replace("interval: 10 ms", "interval: 1 ms"))
     return path
@@ -55,10 +54,21 @@ def test_run_continues_from_copies_of_input_files_outside_the_scene_folder(taich
     shutil.rmtree(tmp_path / "here")
     written = load_scene(there / "scene_as_run.yaml")
     names = [name for _, name in written.input_names()]
-    assert names == ["inputs/box.stl", "box.stl", "inputs/box_2.stl", "inputs/lift.csv", "inputs/beads.csv"]
+    assert names == ["inputs/box.stl", "box.stl", "inputs/lift.csv", "inputs/beads.csv"]
     assert copied_scene(written) is written
     assert main(["resume", str(there), "--threads", "2"]) == 0
     assert files_of(there) == files_of(whole)
+
+
+def test_copies_of_equal_names_are_numbered(tmp_path):
+    """The third mesh has an equal name, too; its copy must not replace the first."""
+    path = scene_with_inputs(tmp_path / "here")
+    (tmp_path / "other").mkdir()
+    shutil.copy(tmp_path / "here" / "parts" / "linked.stl", tmp_path / "other" / "box.stl")
+    third = "{shape: mesh, file: OTHER/box.stl, scale: 0.02, material: glass}"
+    scene = load_scene(path, [f"walls.third={third}".replace("OTHER", str(tmp_path / "other"))])
+    names = [name for _, name in copied_scene(scene).input_names()]
+    assert names[:2] == ["inputs/box.stl", "box.stl"] and "inputs/box_2.stl" in names
 
 
 def test_copies_of_results_of_another_run_keep_clear_of_those_of_the_run(taichi_f64, tmp_path):
