@@ -130,7 +130,7 @@ def position_of(function, line):
 
 def scene(**more):
     """Two particles that overlap."""
-    return flying([[0.0, 0.0, 0.1], [0.0, 0.0099, 0.1]], [0.0] * 3, **more)
+    return flying([[0.0] * 3, [0.0, 0.0099, 0.0]], [0.0] * 3, **more)
 
 
 @pytest.mark.parametrize("function", FORCES)

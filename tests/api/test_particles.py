@@ -132,9 +132,9 @@ def test_lists_and_forces_follow_a_particle_that_is_moved_away_and_back(taichi_f
 
 
 def test_an_overlap_written_by_the_user_stores_its_energy_in_the_budget(taichi_f64):
-    with gf.Simulation(flying([[0.0, 0.0, 0.1], [0.1, 0.0, 0.1]], [0.0] * 3)) as simulation:
+    with gf.Simulation(flying([[0.0] * 3, [0.1, 0.0, 0.0]], [0.0] * 3)) as simulation:
         simulation.step(5)
-        simulation.particles.position[1] = [0.0099, 0.0, 0.1]
+        simulation.particles.position[1] = [0.0099, 0.0, 0.0]
         totals = simulation.snapshot().totals
         energy = totals["elastic_energy"] + totals["plastic_dissipation"]
         assert -totals["removed_energy"] == pytest.approx(energy, rel=1e-9) and energy > 0.0
