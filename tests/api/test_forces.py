@@ -166,7 +166,7 @@ def test_budget_closes_with_contacts_and_neighbor_list_rebuilds(taichi_f64):
     """Particles bounce on a floor under drag and a field; more than one chunk and many rebuilds."""
     positions = 0.011 * np.argwhere(np.ones((5, 5, 5))) + [0.0, 0.0, 0.01]
     groups = {"beads": particle_group(positions, velocity=[0.3, 0.2, -1.0])}
-    scene = beads(groups=groups, gravity=[0.0] * 3, numerics={"chunk_size": 16})
+    scene = beads(groups=groups, gravity=[0.0] * 3, pair={"friction": 0.3}, numerics={"chunk_size": 16})
     with gf.Simulation(scene, forces=[force(viscosity=1.0, acceleration=[0.0, 0.0, -30.0])]) as simulation:
         simulation.run(until=0.02)
         totals = simulation.snapshot().totals

@@ -133,7 +133,7 @@ def test_arguments_that_cannot_be_meant_are_refused(taichi_f64):
         simulation.run(until=0.001)
         simulation.run(until=simulation.time)
         with pytest.raises(
-            gf.GranflowError, match=r"until is 0.0005 s, but the simulation is at 0.00100372 s"
+            gf.GranflowError, match=r"until is 0.0005 s, but the simulation is at 0.0010\d+ s"
         ):
             simulation.run(until=0.0005)
         with pytest.raises(
@@ -144,7 +144,7 @@ def test_arguments_that_cannot_be_meant_are_refused(taichi_f64):
             simulation.save()
         simulation.walls["floor"].remove()
         with pytest.raises(
-            gf.GranflowError, match=r"walls\['floor'\] was removed at 0.00100372 s: it cannot move"
+            gf.GranflowError, match=r"walls\['floor'\] was removed at 0.0010\d+ s: it cannot move"
         ):
             simulation.walls["floor"].motion = gf.Translation(velocity=[0, 0, 1])
         with pytest.raises(
