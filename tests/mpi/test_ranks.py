@@ -119,7 +119,7 @@ def test_an_abort_has_the_message_of_a_run_without_mpi(session, taichi_f64, tmp_
         for text in (capsys.readouterr().err, ranks[0][name][2])
     )
     assert len(root) == 1
-    assert alone[0].replace(str(tmp_path), str(folder)) == root[0]
+    assert alone[0].replace(str(tmp_path), str(folder)) == root[0], (alone, root)
     assert ranks[1][name] == [0, "", ""]
     found = [newest_checkpoint(parent / name) for parent in (tmp_path, folder)]
     assert (found[0][0] is None) == (found[1][0] is None), "the last good state is a checkpoint on ranks, too"
