@@ -271,15 +271,14 @@ def test_the_command_line_refuses_a_group_of_a_program(tmp_path, monkeypatch, ca
         assert not (tmp_path / "out").exists()
 
 
-def without_pairs(groups):
-    """A scene of groups, without pairs."""
-    written = build_scene(groups).model_dump(mode="json", exclude_unset=True, by_alias=True) | {"pairs": {}}
-    return gf.Scene.from_dict(written)
+def without_pairs(**groups):
+    """A scene of groups, without pairs; a copy of the scene `flying`."""
+    return gf.Scene.from_dict(flying().to_dict() | {"particles": groups, "pairs": {}})
 
 
 def test_particles_without_constants_of_their_contact_are_refused(taichi_f64):
     """One particle touches no other, so that its scene needs no pair; a second one would."""
-    with gf.Simulation(without_pairs({"ball": particle_group([[0.0] * 3])})) as simulation:
+    with gf.Simulation(without_pairs(ball=particle_group([[0.0] * 3]))) as simulation:
         message = (
             "particles of glass can be in contact with each other now, but the scene has no pair "
             "glass-glass; "
@@ -300,9 +299,9 @@ def test_a_particle_that_is_still_to_be_inserted_needs_the_pair(taichi_f64):
     later = {
         "kind": "rain", "region": {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}}, "rate": 1.0, "start": 0.5,
     }  # fmt: skip
-    groups = {"ball": {"material": "glass", "count": 1, "diameter": 0.01, "insert": later}}
+    ball = {"material": "glass", "count": 1, "diameter": 0.01, "insert": later}
     with (
-        gf.Simulation(without_pairs(groups)) as simulation,
+        gf.Simulation(without_pairs(ball=ball)) as simulation,
         pytest.raises(gf.GranflowError, match="no pair glass-gla"),
     ):
         simulation.particles.add([0.5, 0.0, 0.0])
