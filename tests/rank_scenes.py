@@ -179,10 +179,10 @@ def conducting():
 
 
 def pair(**changes):
-    """Two particles that collide after 1 ms: the scene that compiles fastest."""
+    """Two particles that collide after 1 ms."""
     velocity = [[0.0] * 3, [0.0, 0.0, -1.0]]
     group = particle_group([[0.0, 0.0, 0.0], [0.0, 0.0, 0.011]], velocity=velocity)
-    parts = {"normal": "hertz", "run": {"duration": 0.02}, "output": {"interval": 1e-3}}
+    parts = {"run": {"duration": 0.02}, "output": {"interval": 1e-3}}
     return build_scene({"pair": group}, **(parts | changes))
 
 
