@@ -14,7 +14,7 @@ from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 from granflow.engine.kernel_cache import LOCKS
 from granflow.kernel_language import KERNELS as LANGUAGE
 
-COLLISION = "collide --law hertz --material stainless_316 --diameter 25.4mm --velocity 0.5 --json".split()
+COLLISION = "collide --law hertz --restitution 0.8 --material stainless_316 --diameter 25.4mm --velocity 0.5 --json".split()
 
 
 def start(cache, *arguments):
