@@ -14,7 +14,8 @@ from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 from granflow.engine.kernel_cache import LOCKS
 from granflow.kernel_language import KERNELS as LANGUAGE
 
-COLLISION = "collide --law hertz --restitution 0.8 --material stainless_316 --diameter 25.4mm --velocity 0.5 --json".split()
+PAIR = "--law hertz --restitution 0.8 --material stainless_316 --diameter 25.4mm --velocity 0.5"
+COLLISION = ("collide", *PAIR.split(), "--json")
 
 
 def start(cache, *arguments):
