@@ -97,8 +97,6 @@ def test_run_continues_from_the_directory_of_the_message(tmp_path, whole, freque
     assert f"granflow resume {found} continues from" in message
     if "another" in loss:
         assert files_of(tmp_path / "out") == files_of(whole), "the files of the other run are as they were"
-    if not is_whole:
-        assert resume(found) == 2, "rows are missing"
     assert resume(found, "--allow-changes") == 0
     last = sorted(path.name for path in whole.glob("particles_*.vtu"))[-1]
     assert (found / last).read_bytes() == (whole / last).read_bytes()
@@ -215,6 +213,20 @@ def test_damaged_run_continues_with_the_same_bits(tmp_path, whole, half, capsys,
     assert warning in (error := capsys.readouterr().err) and (warning or "damaged" not in error)
     assert files_of(out) == files_of(whole)
     assert not list(out.glob(".*.part"))
+
+
+@pytest.mark.parametrize("size", [None, 0, 100])
+def test_missing_rows_of_the_time_series_need_a_flag(tmp_path, half, capsys, size):
+    """The file is deleted, empty or too short."""
+    out = tmp_path / "out"
+    shutil.copytree(half, out)
+    series = out / "timeseries.csv"
+    series.unlink() if size is None else os.truncate(series, size)
+    before = files_of(out)
+    assert resume(out) == 2
+    assert "timeseries.csv lacks rows that were written before the checkpoint" in capsys.readouterr().err
+    assert files_of(out) == before
+    assert resume(out, "--allow-changes") == 0
 
 
 def test_scene_that_cannot_be_read_is_named_and_nothing_is_changed(tmp_path, half, capsys):
