@@ -139,18 +139,9 @@ ODD: list[Any] = [
 KEYS = sorted({path[-1] for scene in SCENES for path in paths_in(scene) if isinstance(path[-1], str)})
 
 NOISE = [
-    b"\0",
-    b"\xff",
-    b"\xfe\xff",
-    b"\xef\xbb\xbf",
-    b"\t",
-    b"\r",
-    b"\x1b[2J",
-    b"\n\n",
-    b"---\n",
-    b"...\n",
-    b"%TAG !\n",
-]
+    b"\0", b"\xff", b"\xfe\xff", b"\xef\xbb\xbf", b"\t", b"\r", b"\x1b[2J", b"\n\n", b"---\n", b"...\n",
+    b"%TAG !\n"
+]  # fmt: skip
 
 
 def at(tree: Any, path: tuple[Any, ...]) -> Any:
@@ -183,22 +174,10 @@ def changed_once(tree: Any, rng: random.Random) -> None:
     parent = at(tree, path[:-1])
     key = path[-1]
     value = at(tree, path)
-    change = rng.choice(
-        [
-            replaced_by_odd_value,
-            replaced_by_odd_value,
-            replaced_by_odd_value,
-            scaled,
-            scaled,
-            replaced_from_scene,
-            replaced_from_scene,
-            deleted,
-            renamed,
-            doubled,
-            wrapped,
-            swapped,
-        ]
-    )
+    change = rng.choice([
+        replaced_by_odd_value, replaced_by_odd_value, replaced_by_odd_value, scaled, scaled,
+        replaced_from_scene, replaced_from_scene, deleted, renamed, doubled, wrapped, swapped
+    ])  # fmt: skip
     change(parent, key, value, rng)
 
 
@@ -248,13 +227,9 @@ def renamed(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
         return
     del parent[key]
     names = [
-        str(key)[:-1],
-        str(key) * 2,
-        "",
-        str(key).upper(),
-        rng.choice(paths_in(rng.choice(SCENES)))[-1],
-        "é-é",
-    ]
+        str(key)[:-1], str(key) * 2, "", str(key).upper(), rng.choice(paths_in(rng.choice(SCENES)))[-1],
+        "é-é"
+    ]  # fmt: skip
     parent[rng.choice(names)] = value
 
 
@@ -326,17 +301,13 @@ def scalar(value: Any) -> str:
 def noisy(raw: bytes, rng: random.Random) -> bytes:
     """The bytes with an insertion, a deletion, a truncation, other line endings or another encoding."""
     offset = rng.randrange(len(raw) + 1)
-    return rng.choice(
-        [
-            raw[:offset] + rng.choice(NOISE) + raw[offset:],
-            raw[:offset] + raw[offset + rng.randrange(20) :],
-            raw[:offset],
-            raw + raw,
-            raw.decode("utf-8", "replace").encode(rng.choice(["utf-16", "utf-16-le", "utf-32", "utf-8-sig"])),
-            bytes(rng.randrange(256) for _ in range(200)),
-            raw.replace(b"\n", rng.choice([b"\r\n", b"\r", b"\n\t", b"\n "])),
-        ]
-    )
+    return rng.choice([
+        raw[:offset] + rng.choice(NOISE) + raw[offset:], raw[:offset] + raw[offset + rng.randrange(20) :],
+        raw[:offset], raw + raw,
+        raw.decode("utf-8", "replace").encode(rng.choice(["utf-16", "utf-16-le", "utf-32", "utf-8-sig"])),
+        bytes(rng.randrange(256) for _ in range(200)),
+        raw.replace(b"\n", rng.choice([b"\r\n", b"\r", b"\n\t", b"\n "]))
+    ])  # fmt: skip
 
 
 def structure():
@@ -373,12 +344,9 @@ def drawn(files, count):
 
     @seed(6)
     @settings(
-        max_examples=count,
-        database=None,
-        deadline=None,
-        phases=[Phase.generate],
-        suppress_health_check=HealthCheck,
-    )
+        max_examples=count, database=None, deadline=None, phases=[Phase.generate],
+        suppress_health_check=HealthCheck
+    )  # fmt: skip
     @given(files)
     def collect(raw):
         found.append(raw)

@@ -110,37 +110,20 @@ io/   NAME.py of contact/normal/NAME.py, granflow.io.lock.locked
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "exists"),
-    [
-        ("granflow/io/lock.py", True),
-        ("io/lock.py", True),
-        ("lock.py", True),
-        ("tests/test_architecture.py", True),
-        ("contact/normal/NAME.py", True),
-        ("contact/absent/NAME.py", False),
-        ("io/absent.py", False),
-        ("absent.py", False),
-        ("io/", True),
-        ("cohesion/", True),
-        ("absent/", False),
-    ],
-)
+@pytest.mark.parametrize(("name", "exists"), [
+    ("granflow/io/lock.py", True), ("io/lock.py", True), ("lock.py", True),
+    ("tests/test_architecture.py", True), ("contact/normal/NAME.py", True),
+    ("contact/absent/NAME.py", False), ("io/absent.py", False), ("absent.py", False), ("io/", True),
+    ("cohesion/", True), ("absent/", False)
+])  # fmt: skip
 def test_paths_are_searched_in_the_repository_and_in_the_package(name, exists):
     assert path_exists(name) == exists
 
 
-@pytest.mark.parametrize(
-    ("name", "exists"),
-    [
-        ("granflow.io", True),
-        ("granflow.io.lock", True),
-        ("granflow.io.lock.locked", True),
-        ("granflow.Simulation", True),
-        ("granflow.io.absent", False),
-        ("granflow.io.lock.absent", False),
-    ],
-)
+@pytest.mark.parametrize(("name", "exists"), [
+    ("granflow.io", True), ("granflow.io.lock", True), ("granflow.io.lock.locked", True),
+    ("granflow.Simulation", True), ("granflow.io.absent", False), ("granflow.io.lock.absent", False)
+])  # fmt: skip
 def test_modules_and_their_definitions_are_found(name, exists):
     assert module_exists(name) == exists
 
@@ -148,11 +131,7 @@ def test_modules_and_their_definitions_are_found(name, exists):
 def test_names_are_those_in_code():
     names = names_in(SAMPLE)
     assert names[PATH] == [
-        "NAME.py",
-        "contact/normal/NAME.py",
-        "granflow/simulation.py",
-        "io/files.py",
-        "io/lock.py",
-    ]
+        "NAME.py", "contact/normal/NAME.py", "granflow/simulation.py", "io/files.py", "io/lock.py"
+    ]  # fmt: skip
     assert names[FOLDER] == ["io/", "run/"]
     assert names[MODULE] == ["granflow.io.lock.locked"]

@@ -10,33 +10,10 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "granflow"
 LAYERS = (
-    "errors",
-    "arguments",
-    "taichi_patches",
-    "kernel_language",
-    "device_functions",
-    "visible_text",
-    "units",
-    "fields",
-    "snapshot",
-    "schema",
-    "io",
-    "geometry",
-    "contact",
-    "scene",
-    "particles",
-    "load",
-    "plan",
-    "engine",
-    "parallel",
-    "observers",
-    "runs",
-    "live",
-    "simulation",
-    "studies",
-    "cli",
-    "__main__",
-)
+    "errors", "arguments", "taichi_patches", "kernel_language", "device_functions", "visible_text", "units",
+    "fields", "snapshot", "schema", "io", "geometry", "contact", "scene", "particles", "load", "plan",
+    "engine", "parallel", "observers", "runs", "live", "simulation", "studies", "cli", "__main__"
+)  # fmt: skip
 """From the lowest layer to the highest. The __init__ of the package re-exports names of all layers."""
 TAICHI_LAYERS = {"device_functions", "contact", "geometry", "scene", "engine"}
 VAGUE_NAMES = {"util", "utils", "core", "manager", "managers", "helpers", "misc", "common"}
@@ -45,23 +22,11 @@ TOP_LEVEL = {
     *("pyproject.toml", "constraints.txt", "README.md", "ARCHITECTURE.md", "LICENSE", "CHANGELOG.md"),
 }
 STUDIES_IMPORT = {
-    "granflow",
-    "granflow.arguments",
-    "granflow.contact.material",
-    "granflow.contact.registry",
-    "granflow.contact.theory",
-    "granflow.errors",
-    "granflow.fields",
-    "granflow.geometry.sphere",
-    "granflow.load",
-    "granflow.scene.reader",
-    "granflow.schema.faults",
-    "granflow.schema.messages",
-    "granflow.schema.model",
-    "granflow.schema.quantities",
-    "granflow.units",
-    "granflow.visible_text",
-}
+    "granflow", "granflow.arguments", "granflow.contact.material", "granflow.contact.registry",
+    "granflow.contact.theory", "granflow.errors", "granflow.fields", "granflow.geometry.sphere",
+    "granflow.load", "granflow.scene.reader", "granflow.schema.faults", "granflow.schema.messages",
+    "granflow.schema.model", "granflow.schema.quantities", "granflow.units", "granflow.visible_text"
+}  # fmt: skip
 """Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and
 `granflow.scene.blocks`."""
 FUNCTION_NODES = (ast.FunctionDef, ast.AsyncFunctionDef)

@@ -50,11 +50,9 @@ def run(command, folder):
 def test_code_in_tutorials_is_not_wider_than_the_page():
     """The column of text at 1400 px shows 95 characters."""
     lines = [
-        (path.name, line)
-        for path in sorted((PAGES / "tutorials").glob("*.md"))
-        for _, text in blocks(path.relative_to(PAGES))
-        for line in text.splitlines()
-    ]
+        (path.name, line) for path in sorted((PAGES / "tutorials").glob("*.md")) for _,
+        text in blocks(path.relative_to(PAGES)) for line in text.splitlines()
+    ]  # fmt: skip
     assert len(lines) > 100 and [each for each in lines if len(each[1]) > 95] == []
 
 
@@ -154,13 +152,9 @@ def test_scene_of_a_guide_has_no_problems(name, text, tmp_path, monkeypatch, cap
 
 
 def test_every_compared_code_has_a_converted_scene():
-    assert [name.split("_")[0] for name, _ in guide_scenes("other_codes")] == [
-        "liggghts",
-        "lammps",
-        "yade",
-        "mercury",
-        "edem",
-    ]
+    assert [
+        name.split("_")[0] for name, _ in guide_scenes("other_codes")
+    ] == ["liggghts", "lammps", "yade", "mercury", "edem"]  # fmt: skip
 
 
 def test_guides_and_tutorials_are_in_the_navigation():
@@ -172,14 +166,8 @@ def test_guides_and_tutorials_are_in_the_navigation():
 def build(folder):
     """Build a copy of the documentation into `folder`/out/site."""
     command = [
-        sys.executable,
-        "-m",
-        "mkdocs",
-        "build",
-        "--strict",
-        "-f",
-        str(folder / "docs" / "mkdocs.yml"),
-    ]
+        sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(folder / "docs" / "mkdocs.yml")
+    ]  # fmt: skip
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1200)
 
 

@@ -104,12 +104,7 @@ def test_contact_inside_a_faceted_tube_has_one_owner():
 def test_concave_corner_has_two_contacts_and_convex_edge_has_one():
     """Two plates at 90 degrees: two contacts inside the corner, one contact with the edge outside."""
     points = [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1], [0, 1, 1]]
-    corners = [
-        [0, 2, 1],
-        [2, 3, 1],
-        [0, 1, 4],
-        [1, 5, 4],
-    ]
+    corners = [[0, 2, 1], [2, 3, 1], [0, 1, 4], [1, 5, 4]]
     gap, _, _ = contacts(mesh(points, corners), np.array([[0.2, 0.45, 0.3], [-0.3, 0.45, -0.4]]))
     assert sorted(gap[0])[:2] == [0.2, 0.3]
     assert np.sum(gap[0] < FAR_AWAY) == 2

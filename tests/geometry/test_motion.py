@@ -41,11 +41,9 @@ def test_vibration_follows_the_formulas_of_the_schema():
     times = start + np.linspace(0.0, 0.1, 51)
     for phase in (0.0, 0.7, pi / 2):
         known = {
-            "amplitude": amplitude,
-            "angular_frequency": angular_frequency,
-            "phase": phase,
-            "t": times - start,
-        }
+            "amplitude": amplitude, "angular_frequency": angular_frequency, "phase": phase,
+            "t": times - start
+        }  # fmt: skip
         expected = {name: eval(formulas[name], {"sin": np.sin, "cos": np.cos, **known}) for name in formulas}
         found = poses_at(
             [vibration((0, 0, 1), amplitude, angular_frequency, phase=phase, start=start)], times

@@ -21,16 +21,13 @@ def test_triangle_corners_lie_on_the_surface(name):
     assert set(faces.ravel()) == set(range(len(points)))
 
 
-@pytest.mark.parametrize(
-    ("shape", "expected"),
-    [
-        (half_space([0, 0, 5], [1, 1, 0]), 1.0),
-        (rectangle([0, 0, 0], [2, 0, 0], [0, 3, 0]), 6.0),
-        (cylinder([0, 0, 0], [0, 2, 0], 0.5), 2 * np.pi * 0.5 * 2),
-        (cone([0, 0, 0], [0, 0, 4], 0.0, 3.0), np.pi * 3 * 5),
-        (disc([0, 0, 0], [1, 0, 1], 1.0, 0.5), np.pi * 0.75),
-    ],
-)
+@pytest.mark.parametrize(("shape", "expected"), [
+    (half_space([0, 0, 5], [1, 1, 0]), 1.0),
+    (rectangle([0, 0, 0], [2, 0, 0], [0, 3, 0]), 6.0),
+    (cylinder([0, 0, 0], [0, 2, 0], 0.5), 2 * np.pi * 0.5 * 2),
+    (cone([0, 0, 0], [0, 0, 4], 0.0, 3.0), np.pi * 3 * 5),
+    (disc([0, 0, 0], [1, 0, 1], 1.0, 0.5), np.pi * 0.75)
+])  # fmt: skip
 def test_triangles_cover_the_area_of_the_shape(shape, expected):
     points, faces = shape.triangles(CENTER, 0.5)
     corner = points[faces[:, 0]]

@@ -50,22 +50,16 @@ def test_invalid_scene_gives_its_messages(case, tmp_path):
 
 FILES = [
     (b"", ":1:1: the file is empty, but a scene is a mapping of keys to values, such as title: My scene."),
-    (
-        b"# nothing\n",
-        ":1:1: the file is empty, but a scene is a mapping of keys to values, such as title: My scene.",
-    ),
-    (
-        b"- a\n",
-        ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene.",
-    ),
-    (
-        b"hopper",
-        ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene.",
-    ),
+    (b"# nothing\n",
+     ":1:1: the file is empty, but a scene is a mapping of keys to values, such as title: My scene."),
+    (b"- a\n",
+     ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene."),
+    (b"hopper",
+     ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene."),
     ("title: x\n".encode("utf-16"), ":1:1: the file is encoded in UTF-16; save it as UTF-8."),
     (b"title: x\nseed: \xff\n", ":2:7: the file is not valid UTF-8 text; save it as UTF-8."),
-    (b"title: x\0\n", ": the file is binary; a scene is UTF-8 text."),
-]
+    (b"title: x\0\n", ": the file is binary; a scene is UTF-8 text.")
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("raw", "sentence"), FILES)
@@ -108,27 +102,17 @@ def test_byte_order_mark_is_ignored(tmp_path):
 def test_all_problems_are_reported_in_the_order_of_the_file(tmp_path):
     changes = {
         "  - {quantity: mass_flow.outlet,": "  - {quantity: mass_flow.outlets,",
-        "density: 8030": "density: heavy",
-        "material: steel}\n  tube": "material: steal}\n  tube",
-        "radius: 5 cm\n": "radus: 5 cm\n",
-        "hole_radius: 1 cm": "hole_radius: 3 cm",
-        "count: 8000": "count: 0",
-        "name: discharge": "name: fill",
-        "friction: 0.4, ": "",
-    }
+        "density: 8030": "density: heavy", "material: steel}\n  tube": "material: steal}\n  tube",
+        "radius: 5 cm\n": "radus: 5 cm\n", "hole_radius: 1 cm": "hole_radius: 3 cm",
+        "count: 8000": "count: 0", "name: discharge": "name: fill", "friction: 0.4, ": ""
+    }  # fmt: skip
     path = tmp_path / "scene.yaml"
     path.write_text(changed(changes), encoding="utf-8")
     found = [sentence.removeprefix(f"{path}:") for sentence in sentences(path, "run.precision=f63")]
     assert [sentence.split()[1] for sentence in found[:-1]] == [
-        "materials.steel.density",
-        "pairs.glass-glass.friction",
-        "walls.floor.material",
-        "walls.tube.radus",
-        "walls.gate.hole_radius",
-        "particles.beads.count",
-        "stages.2.name",
-        "expect.0.quantity",
-    ]
+        "materials.steel.density", "pairs.glass-glass.friction", "walls.floor.material", "walls.tube.radus",
+        "walls.gate.hole_radius", "particles.beads.count", "stages.2.name", "expect.0.quantity"
+    ]  # fmt: skip
     lines = [int(sentence.split(":")[0]) for sentence in found[:-1]]
     assert lines == sorted(lines)
     assert found[-1].startswith("--set run.precision=f63: run.precision is f63, but it must be one of")
@@ -143,26 +127,20 @@ OVERRIDES = [
     ("runn.precision=f32", "runn is not a known key. Did you mean run?"),
     ("walls.tube.radus=3 cm", "walls.tube.radus is not a known key. Did you mean radius?"),
     ("walls.tub.radius=3 cm", "walls.tub is not in the scene. Did you mean tube?"),
-    (
-        "walls.tube.radius=3 Pa",
-        "walls.tube.radius is 3 Pa, but Pa is a unit of pressure and a length is expected, such as 4 mm.",
-    ),
+    ("walls.tube.radius=3 Pa",
+     "walls.tube.radius is 3 Pa, but Pa is a unit of pressure and a length is expected, such as 4 mm."),
     ("stages.5.duration=3", "stages is a list of items 0 to 2, so the index 5 is invalid."),
     ("stages.first.duration=3", "stages is a list of items 0 to 2, so the index first is invalid."),
-    (
-        "contact.normal.restitution_at=peak",
-        "contact.normal.restitution_at is peak, but it must be one of impact, max_overlap, constant. "
-        "Did you mean max_overlap?",
-    ),
+    ("contact.normal.restitution_at=peak",
+     "contact.normal.restitution_at is peak, but it must be one of impact, max_overlap, constant. "
+     "Did you mean max_overlap?"),
     ("run.precision.bits=3", "run.precision is f64, which has no keys; set run.precision as a whole."),
     ("gravity=[0, 0", "the [ that opens here is not closed by ], or a comma is missing in it."),
     ("seed=!!python/name:os 3", "the tag !!python/name:os is not supported in scenes; remove it."),
-    (
-        "pairs.steel-glass.friction=-1",
-        "pairs.glass-steel.friction is -1, but a friction coefficient must be at least 0.",
-    ),
-    (f"{DEEPEST_KEY}=-1", f"{DEEPEST_KEY} is -1, but a fraction must be at least 0."),
-]
+    ("pairs.steel-glass.friction=-1",
+     "pairs.glass-steel.friction is -1, but a friction coefficient must be at least 0."),
+    (f"{DEEPEST_KEY}=-1", f"{DEEPEST_KEY} is -1, but a fraction must be at least 0.")
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("override", "sentence"), OVERRIDES, ids=lambda text: text.split("=")[0])

@@ -13,10 +13,8 @@ FLOOR = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}
 def plan_of(walls=FLOOR, **output):
     """A plan with a flow meter, and other keys of the output block."""
     block = {
-        "interval": 0.01,
-        "flow_meters": {"outlet": {"point": [0, 0, 0], "normal": [0, 0, -1]}},
-        **output,
-    }
+        "interval": 0.01, "flow_meters": {"outlet": {"point": [0, 0, 0], "normal": [0, 0, -1]}}, **output
+    }  # fmt: skip
     return plan_for(build_scene({"ball": particle_group([0, 0, 0])}, walls=walls, output=block))
 
 

@@ -58,12 +58,9 @@ def test_the_grid_integrates_to_the_totals(count):
     }
     for name, (field, total) in expected.items():
         np.testing.assert_allclose(
-            grid.cell_volume * field.sum(axis=0),
-            total,
-            rtol=1e-12,
-            atol=1e-12 * np.abs(total).max(),
-            err_msg=name,
-        )
+            grid.cell_volume * field.sum(axis=0), total, rtol=1e-12, atol=1e-12 * np.abs(total).max(),
+            err_msg=name
+        )  # fmt: skip
     assert np.nanmax(np.abs(fields["fabric"][:, [0, 4, 8]].sum(axis=1) - 1.0)) < 1e-9
 
 
@@ -127,11 +124,8 @@ def test_stress_of_a_column_at_rest_is_the_weight_above():
     mass = np.linspace(1.0, 2.0, count)
     position = np.column_stack([np.zeros(count), np.zeros(count), height])
     particles |= {
-        "position": position,
-        "mass": mass,
-        "velocity": 0.0 * position,
-        "radius": np.full(count, radius),
-    }
+        "position": position, "mass": mass, "velocity": 0.0 * position, "radius": np.full(count, radius)
+    }  # fmt: skip
     particles["fixed"] = np.zeros(count)
     load = GRAVITY * np.cumsum(mass[::-1])[::-1]
     partner_height = np.append(0.0, height[:-1])

@@ -325,12 +325,9 @@ def test_upward_direction_is_opposite_to_gravity():
     scene = scene_with(heap={"kind": "repose", "surface": "plane"})
     count = int(selected.sum())
     particles = particles_of(
-        count,
-        position=turned,
-        radius=radius[selected],
-        fixed=np.zeros(count),
-        coordination_number=np.full(count, 4),
-    )
+        count, position=turned, radius=radius[selected], fixed=np.zeros(count),
+        coordination_number=np.full(count, 4)
+    )  # fmt: skip
     meter = metric_meters(plan_for(scene))["heap"]
     meter.update(snapshot_of(particles=particles))
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))

@@ -29,18 +29,10 @@ def test_each_name_has_the_same_unit_in_all_tables():
             assert units.setdefault(name, quantity.unit) == quantity.unit
 
 
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("kinetic_energy", "J"),
-        ("mass_flow.outlet", "kg/s"),
-        ("flow_count.outlet", ""),
-        ("timings.neighbor_list", "s"),
-        ("time_step", "s"),
-        ("particle_count", ""),
-        ("own_number", ""),
-    ],
-)
+@pytest.mark.parametrize(("name", "unit"), [
+    ("kinetic_energy", "J"), ("mass_flow.outlet", "kg/s"), ("flow_count.outlet", ""),
+    ("timings.neighbor_list", "s"), ("time_step", "s"), ("particle_count", ""), ("own_number", "")
+])  # fmt: skip
 def test_unit_of_a_result_number(name, unit):
     assert unit_of(name) == unit
 

@@ -46,20 +46,15 @@ def registered():
 def falling_beads(metrics, expect=()):
     """Two beads at rest at the heights 0.1 m and 0.2 m that fall freely for 10 ms."""
     insertion = {"kind": "positions", "positions": [[0.0, 0.0, 0.1], [0.05, 0.0, 0.2]]}
-    return gf.Scene.from_dict(
-        {
-            "title": "Falling beads",
-            "gravity": [0.0, 0.0, -10.0],
-            "domain": {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 0.3], "on_exit": "error"},
-            "materials": {"glass": SOFT},
-            "pairs": {"glass-glass": {"restitution": 0.8, "friction": 0.0}},
-            "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "none"},
-            "particles": {"beads": {"material": "glass", "diameter": 0.01, "insert": insertion}},
-            "run": {"duration": 0.01, "precision": "f64"},
-            "output": {"interval": 0.005, "metrics": metrics},
-            "expect": list(expect),
-        }
-    )
+    return gf.Scene.from_dict({
+        "title": "Falling beads", "gravity": [0.0, 0.0, -10.0],
+        "domain": {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 0.3], "on_exit": "error"},
+        "materials": {"glass": SOFT}, "pairs": {"glass-glass": {"restitution": 0.8, "friction": 0.0}},
+        "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "none"},
+        "particles": {"beads": {"material": "glass", "diameter": 0.01, "insert": insertion}},
+        "run": {"duration": 0.01, "precision": "f64"}, "output": {"interval": 0.005, "metrics": metrics},
+        "expect": list(expect)
+    })  # fmt: skip
 
 
 def test_a_registered_metric_is_written_and_evaluated(registered, tmp_path, taichi_f64):
@@ -109,38 +104,27 @@ def changed(**values):
     return type("Changed", (Height,), {"__module__": __name__, **values})
 
 
-@pytest.mark.parametrize(
-    ("metric", "message"),
-    [
-        (5, "metric is 5, but must be a subclass of granflow.scene.blocks.metrics.Metric"),
-        (gf.LaceyMetric, "metric LaceyMetric: a metric of the kind lacey exists"),
-        (type("NoKind", (Metric,), {"__module__": __name__}), "metric NoKind: it needs a field kind"),
-        (changed(quantities=()), "metric Changed: it needs quantities"),
-        (
-            changed(quantities=(Quantity("mean height", "", "m", "x"),)),
-            "its quantity 'mean height' must have",
-        ),
-        (
-            changed(quantities=(Quantity("mass_flow", "", "kg/s", "x"),)),
-            "the quantity mass_flow exists with another meaning",
-        ),
-        (changed(measure=Metric.measure), r"it must define measure\(snapshot, scene\)"),
-    ],
-)
+@pytest.mark.parametrize(("metric", "message"), [
+    (5, "metric is 5, but must be a subclass of granflow.scene.blocks.metrics.Metric"),
+    (gf.LaceyMetric, "metric LaceyMetric: a metric of the kind lacey exists"),
+    (type("NoKind", (Metric,), {"__module__": __name__}), "metric NoKind: it needs a field kind"),
+    (changed(quantities=()), "metric Changed: it needs quantities"),
+    (changed(quantities=(Quantity("mean height", "", "m", "x"),)), "its quantity 'mean height' must have"),
+    (changed(quantities=(Quantity("mass_flow", "", "kg/s", "x"),)),
+     "the quantity mass_flow exists with another meaning"),
+    (changed(measure=Metric.measure), r"it must define measure\(snapshot, scene\)")
+])  # fmt: skip
 def test_invalid_metrics_are_refused(metric, message):
     with pytest.raises(gf.GranflowError, match=message):
         gf.register_metric(metric)
     assert metric is gf.LaceyMetric or metric not in METRICS
 
 
-@pytest.mark.parametrize(
-    ("reading", "message"),
-    [
-        (lambda: 1 / 0, "The metric fall failed at 0.005[0-9]* s: ZeroDivisionError: division by zero"),
-        (lambda: 0.5, "The metric fall returned 0.5, but measure must return a Reading with the numbers "),
-        (lambda: Reading({"mean_heigth": 0.0}), "a Reading with the numbers mean_height, share_above"),
-    ],
-)
+@pytest.mark.parametrize(("reading", "message"), [
+    (lambda: 1 / 0, "The metric fall failed at 0.005[0-9]* s: ZeroDivisionError: division by zero"),
+    (lambda: 0.5, "The metric fall returned 0.5, but measure must return a Reading with the numbers "),
+    (lambda: Reading({"mean_heigth": 0.0}), "a Reading with the numbers mean_height, share_above")
+])  # fmt: skip
 def test_a_metric_that_fails_is_named_and_the_state_is_saved(
     registered, monkeypatch, tmp_path, taichi_f64, reading, message
 ):

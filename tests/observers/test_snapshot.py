@@ -11,12 +11,8 @@ def test_every_array_is_read_only():
     snapshot = snapshot_of(contacts=contacts_of(4), walls={"gate": turned(0.5)})
     pose = snapshot.walls["gate"]
     arrays = [
-        *snapshot.particles.values(),
-        *snapshot.contacts.values(),
-        pose.offset,
-        pose.rotation,
-        pose.pivot,
-    ]
+        *snapshot.particles.values(), *snapshot.contacts.values(), pose.offset, pose.rotation, pose.pivot
+    ]  # fmt: skip
     for values in arrays:
         with pytest.raises(ValueError, match="read-only"):
             values[0] = 1

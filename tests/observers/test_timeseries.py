@@ -54,11 +54,8 @@ def test_flow_meters_have_columns(tmp_path):
     series.finish()
     header, first, last = rows_of(series.path)
     names = [
-        "flow_mass.outlet [kg]",
-        "flow_count.outlet",
-        "mass_flow.outlet [kg/s]",
-        "residence_time.outlet [s]",
-    ]
+        "flow_mass.outlet [kg]", "flow_count.outlet", "mass_flow.outlet [kg/s]", "residence_time.outlet [s]"
+    ]  # fmt: skip
     assert header[2:] == names
     assert first[2:] == ["0.0", "0", "0.0", "nan"]
     assert last[2:] == ["3.0", "1", "6.0", "0.125"]

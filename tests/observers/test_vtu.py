@@ -250,13 +250,11 @@ def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, free_bytes):
         (lambda path: ParticleFrames(path, 0.1), snapshot_of(particles=particles_of(0))),
         (lambda path: ContactFrames(path, 0.1), snapshot_of(contacts=contacts_of(0))),
         (lambda path: ContactFrames(path, 0.1), snapshot_of(contacts=None)),
-        (
-            lambda path: WallFrames(path, 0.1, {"lid": SQUARE}),
-            snapshot_of(walls={"lid": turned(0, present=False)}),
-        ),
+        (lambda path: WallFrames(path, 0.1, {"lid": SQUARE}),
+         snapshot_of(walls={"lid": turned(0, present=False)}))
     ],
-    ids=["particles", "contacts", "no contacts", "walls"],
-)
+    ids=["particles", "contacts", "no contacts", "walls"]
+)  # fmt: skip
 def test_empty_frame_is_a_valid_file_without_points(tmp_path, make, snapshot):
     """meshio cannot read a VTU file without cells: the file has a polygon without corners, which granflow
     ignores."""

@@ -10,11 +10,8 @@ GRAVITY = 9.81
 HARD = {"glass": SOFT | {"young_modulus": 1e10}}
 FLOOR = {"floor": plane([0, 0, 0.1], [0, 0, 1])}
 RECTANGLE = {
-    "shape": "rectangle",
-    "corner": [0, 0, -0.2],
-    "sides": [[0.1, 0, 0], [0, 0.1, 0]],
-    "material": "glass",
-}
+    "shape": "rectangle", "corner": [0, 0, -0.2], "sides": [[0.1, 0, 0], [0, 0.1, 0]], "material": "glass"
+}  # fmt: skip
 BOX = {"box": {"min": [0.0, 0.0, 0.2], "max": [0.1, 0.1, 0.4]}}
 TUBE = {"cylinder": {"from": [0, 0, 0.3], "to": [0.1, 0, 0.3], "radius": 0.05}}
 SHAKING = {"motion": {"kind": "vibration", "direction": [0, 0, 1], "gamma": 3, "frequency": 20.0}}
@@ -26,11 +23,8 @@ def scene(walls, insert=None, velocity=(0.0, 0.0, 0.0), gravity=(0.0, 0.0, -GRAV
     group = particle_group([[0.0, 0.0, 0.3], [0.0, 0.0, 0.2]], 0.01, velocity=list(velocity))
     if insert is not None:
         group = {
-            "material": "glass",
-            "count": 10,
-            "diameter": 0.01,
-            "insert": {"kind": "pack", "region": insert},
-        }
+            "material": "glass", "count": 10, "diameter": 0.01, "insert": {"kind": "pack", "region": insert}
+        }  # fmt: skip
     return build_scene({"balls": group}, walls=walls, gravity=list(gravity), materials=HARD, **parts)
 
 
@@ -41,15 +35,12 @@ def fall(height, initial=0.0):
 CASES = {
     "floor": (scene(FLOOR), fall(0.2)),
     "initial speed": (scene(FLOOR, velocity=(3.0, 0.0, 0.0)), fall(0.2, 3.0)),
-    "lowest wall": (scene({"plate": RECTANGLE}), fall(0.5)),
-    "end of the domain": (scene({}), fall(1.3)),
-    "box": (scene(FLOOR, BOX), fall(0.3)),
-    "cylinder": (scene(FLOOR, TUBE), fall(0.25)),
+    "lowest wall": (scene({"plate": RECTANGLE}), fall(0.5)), "end of the domain": (scene({}), fall(1.3)),
+    "box": (scene(FLOOR, BOX), fall(0.3)), "cylinder": (scene(FLOOR, TUBE), fall(0.25)),
     "floor that vanishes": (
-        scene({"floor": FLOOR["floor"] | {"vanishes_at": 0.1}, "plate": RECTANGLE}),
-        fall(1.3),
-    ),
-}
+        scene({"floor": FLOOR["floor"] | {"vanishes_at": 0.1}, "plate": RECTANGLE}), fall(1.3)
+    )
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", CASES)

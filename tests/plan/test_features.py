@@ -24,58 +24,24 @@ def test_only_required_features_are_enabled(tmp_path):
     ] == ["one_material"]
 
 
-@pytest.mark.parametrize(
-    ("change", "feature", "setting", "why", "line"),
-    [
-        ((), "friction", "off", "every pair has friction 0", None),
-        ((), "walls", "on", "floor", "walls:"),
-        ((), "moving_walls", "off", "no wall has a motion", None),
-        ((), "one_material", "on", "all particles are of the material glass", None),
-        (
-            (),
-            "rate_dependent",
-            "off",
-            "contact.normal.damping_ratio is 0, and rest_damping acts only on contacts that reload (",
-            "normal",
-        ),
-        (
-            ("friction: 0,", "friction: 0.4,"),
-            "friction",
-            "on",
-            "pairs.glass-glass.friction is 0.4",
-            "glass-glass",
-        ),
-        (
-            ("friction: 0,", "friction: 0.4,"),
-            "rotation",
-            "on",
-            "required by friction, rolling friction or twisting friction",
-            None,
-        ),
-        (
-            ("interval: 10 ms", "interval: 10 ms\n  energy_budget: true"),
-            "energy_budget",
-            "on",
-            "output.energy_budget is on",
-            "energy",
-        ),
-        (
-            ("interval: 10 ms", "interval: 10 ms\n  wall_forces: true"),
-            "wall_forces",
-            "on",
-            "output.wall_forces selects floor",
-            "wall_forces",
-        ),
-        ((FLOOR, MOVING_FLOOR), "moving_walls", "on", "motion of floor", "floor"),
-        (
-            ("normal: zhou", "normal: hertz"),
-            "rate_dependent",
-            "on",
-            "the hertz contact model obtains",
-            "normal",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "feature", "setting", "why", "line"), [
+    ((), "friction", "off", "every pair has friction 0", None),
+    ((), "walls", "on", "floor", "walls:"),
+    ((), "moving_walls", "off", "no wall has a motion", None),
+    ((), "one_material", "on", "all particles are of the material glass", None),
+    ((), "rate_dependent", "off",
+     "contact.normal.damping_ratio is 0, and rest_damping acts only on contacts that reload (", "normal"),
+    (("friction: 0,", "friction: 0.4,"), "friction", "on", "pairs.glass-glass.friction is 0.4",
+     "glass-glass"),
+    (("friction: 0,", "friction: 0.4,"), "rotation", "on",
+     "required by friction, rolling friction or twisting friction", None),
+    (("interval: 10 ms", "interval: 10 ms\n  energy_budget: true"), "energy_budget", "on",
+     "output.energy_budget is on", "energy"),
+    (("interval: 10 ms", "interval: 10 ms\n  wall_forces: true"), "wall_forces", "on",
+     "output.wall_forces selects floor", "wall_forces"),
+    ((FLOOR, MOVING_FLOOR), "moving_walls", "on", "motion of floor", "floor"),
+    (("normal: zhou", "normal: hertz"), "rate_dependent", "on", "the hertz contact model obtains", "normal")
+])  # fmt: skip
 def test_reason_states_setting_cause_and_line(tmp_path, change, feature, setting, why, line):
     text = TEXT.replace(*change, 1) if change else TEXT
     found, message = reasons(scene_of(tmp_path, text=text))[feature]

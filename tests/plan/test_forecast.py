@@ -109,18 +109,13 @@ def bed(modulus, **more):
     glass = {"glass": {"young_modulus": modulus, "poisson_ratio": 0.25, "density": 2500.0}}
     region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.024, 0.024, 0.095]}}
     group = {
-        "material": "glass",
-        "count": 300,
-        "diameter": 0.004,
-        "insert": {"kind": "pack", "region": region},
-    }
+        "material": "glass", "count": 300, "diameter": 0.004, "insert": {"kind": "pack", "region": region}
+    }  # fmt: skip
     domain = {"min": [-0.001] * 3, "max": [0.025, 0.025, 0.11], "on_exit": "delete"}
     parts = {
-        "gravity": [0.0, 0.0, -9.81],
-        "normal": "hertz",
-        "run": {"duration": 0.1, "velocity_max": 0.15},
-        "domain": domain,
-    }
+        "gravity": [0.0, 0.0, -9.81], "normal": "hertz", "run": {"duration": 0.1, "velocity_max": 0.15},
+        "domain": domain
+    }  # fmt: skip
     walls = {"floor": plane([0, 0, 0], [0, 0, 1])} | more.pop("walls", {})
     return build_scene({"beads": group}, walls=walls, materials=glass, **parts | more)
 
@@ -153,11 +148,8 @@ def large_on_small(modulus, ratio=20.0, count=1500, normal="zhou"):
     glass = {"glass": {"young_modulus": modulus, "poisson_ratio": 0.25, "density": 2500.0}}
     region = {"box": {"min": [-0.012, -0.012, 0.0], "max": [0.012, 0.012, 0.006]}}
     small = {
-        "material": "glass",
-        "count": count,
-        "diameter": 0.001,
-        "insert": {"kind": "pack", "region": region},
-    }
+        "material": "glass", "count": count, "diameter": 0.001, "insert": {"kind": "pack", "region": region}
+    }  # fmt: skip
     large = particle_group([[0.0, 0.0, 0.0005 * ratio + 0.007]], 0.001 * ratio)
     return build_scene(
         {"small": small, "large": large}, walls={"floor": plane([0, 0, 0], [0, 0, 1])}, materials=glass,
@@ -204,13 +196,10 @@ def lid(height=0.1, pressure=1e4, **more):
     sides = [[0.024, 0, 0], [0, 0.024, 0]]
     return {
         "lid": {
-            "shape": "rectangle",
-            "corner": [0, 0, height],
-            "sides": sides,
-            "material": "glass",
-            "motion": motion,
+            "shape": "rectangle", "corner": [0, 0, height], "sides": sides, "material": "glass",
+            "motion": motion
         }
-    }
+    }  # fmt: skip
 
 
 def test_pressing_wall_is_named_with_its_pressure():
@@ -413,30 +402,19 @@ def test_servos_of_different_stages_do_not_add_their_speeds():
     assert surface_speed(bed(1e9, walls=walls, **stages)) == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ("materials.glass.density=2.5", "materials.glass.density .* is 2.5 kg/m3, less than light foams"),
-        (
-            "materials={glass: {young_modulus: 50e6 N/mm2, poisson_ratio: 0.2, density: 2500}, "
-            "steel: {young_modulus: 2e6 GPa, poisson_ratio: 0.3, density: 7800}}",
-            "young_modulus .* is 5e[+]04 GPa, more than that of diamond",
-        ),
-        (
-            "pairs.glass-glass.work_of_adhesion=0.1",
-            "pairs.glass-glass.work_of_adhesion .* is not used, because contact.cohesion is none; dmt or jkr",
-        ),
-        ("pairs.glass-glass.friction=30", "pairs.glass-glass.friction .* is 30: it is a coefficient"),
-        (
-            "particles.ball={material: glass, diameter: 4, insert: {kind: positions, positions: [[0, 0, 0]]}}",
-            "particles.ball.diameter .* is 4 m, 100 times the longest side of the domain",
-        ),
-        (
-            "expect=[{quantity: angle_of_repose.heap, between: [20, 30]}]",
-            "angle_of_repose.heap is in rad, and the bound is 30",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("changes", "sentence"), [
+    ("materials.glass.density=2.5", "materials.glass.density .* is 2.5 kg/m3, less than light foams"),
+    ("materials={glass: {young_modulus: 50e6 N/mm2, poisson_ratio: 0.2, density: 2500}, "
+     "steel: {young_modulus: 2e6 GPa, poisson_ratio: 0.3, density: 7800}}",
+     "young_modulus .* is 5e[+]04 GPa, more than that of diamond"),
+    ("pairs.glass-glass.work_of_adhesion=0.1",
+     "pairs.glass-glass.work_of_adhesion .* is not used, because contact.cohesion is none; dmt or jkr"),
+    ("pairs.glass-glass.friction=30", "pairs.glass-glass.friction .* is 30: it is a coefficient"),
+    ("particles.ball={material: glass, diameter: 4, insert: {kind: positions, positions: [[0, 0, 0]]}}",
+     "particles.ball.diameter .* is 4 m, 100 times the longest side of the domain"),
+    ("expect=[{quantity: angle_of_repose.heap, between: [20, 30]}]",
+     "angle_of_repose.heap is in rad, and the bound is 30")
+])  # fmt: skip
 def test_values_with_a_probably_wrong_unit_are_reported(tmp_path, changes, sentence):
     heap = "output.metrics={heap: {kind: repose, surface: cone}}"
     assert any(re.search(sentence, each) for each in warnings_of(scene_of(tmp_path, heap, changes)))

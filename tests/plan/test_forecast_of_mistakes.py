@@ -20,17 +20,14 @@ def warnings_of(scene):
     [
         ("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius: 22", "radius", 22.0),
         ("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 22], radius: 22 mm", "to", 22.0),
-        (
-            "cone, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius_from: 2 mm, radius_to: 9",
-            "radius_to",
-            9.0,
-        ),
+        ("cone, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius_from: 2 mm, radius_to: 9",
+         "radius_to", 9.0),
         ("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25", "radius", 25.0),
         ("rectangle, corner: [0, 0, 0], sides: [[20, 0, 0], [0, 2 cm, 0]]", "sides", 20.0),
-        ("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25 cm", None, 0.25),
+        ("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25 cm", None, 0.25)
     ],
-    ids=["radius", "axis", "cone", "disc", "rectangle", "large floor"],
-)
+    ids=["radius", "axis", "cone", "disc", "rectangle", "large floor"]
+)  # fmt: skip
 def test_wall_that_is_much_larger_than_the_domain_is_reported(tmp_path, shape, key, length):
     """The longest side of the domain is 40 mm; a floor of 25 cm is no mistake."""
     text = TEXT.replace("particles:\n", f"  part: {{shape: {shape}, material: glass}}\nparticles:\n")
@@ -70,10 +67,7 @@ def test_wrong_unit_of_a_diameter_is_reported_before_the_errors_that_follow_from
 VIBRATION = "{kind: vibration, direction: [0, 0, 1], amplitude: 0.1 mm, frequency: 25 Hz}"
 
 
-@pytest.mark.parametrize(
-    ("interval", "halves"),
-    [(20, 1), (60.2, 3), (40, None), (20.5, None)],
-)
+@pytest.mark.parametrize(("interval", "halves"), [(20, 1), (60.2, 3), (40, None), (20.5, None)])
 @pytest.mark.parametrize("key", ["interval", "timeseries_interval"])
 def test_interval_of_half_a_period_is_reported(tmp_path, key, interval, halves):
     """25 Hz: 40 ms. At odd multiples of 20 ms, sin(w t) is 0 in all frames, within 1 % of the period."""
@@ -167,13 +161,7 @@ def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_t
     assert_limits_the_rate(inlet_scene(tmp_path, radius), is_too_small, largest_ratio=3.0, tolerance=0.01)
 
 
-@pytest.mark.parametrize(
-    ("region", "is_too_small"),
-    [
-        (BOX % (6, 6), True),
-        (DISC % 10, False),
-    ],
-)
+@pytest.mark.parametrize(("region", "is_too_small"), [(BOX % (6, 6), True), (DISC % 10, False)])
 def test_region_of_rain_that_is_too_small_for_its_rate_is_reported(tmp_path, region, is_too_small):
     """The forecast is an upper bound of the rate of the inserter, at most four times as large."""
     scene = flow_scene(tmp_path, f"{{kind: rain, rate: 1200 1/s, region: {region}}}")
@@ -200,22 +188,19 @@ DISC_UP = "{disc: {center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 15 mm}}"
 DISC_ACROSS = "{disc: {center: [0, 1 cm, 1 cm], normal: [1, 0, 0], radius: 8 mm}}"
 
 
-@pytest.mark.parametrize(
-    ("face", "velocity", "gravity", "fault", "proposed"),
-    [
-        (DISC_DOWN, "[0, 0, 0.3]", -9.81, "is [0, 0, 0.3] m/s, but particles enter through", "[0, 0, -0.3]"),
-        (RECTANGLE_DOWN, "[0.1, 0, 0.3]", -9.81, "points against it", "[0.1, 0, -0.3]"),
-        (DISC_UP, "[0, 0, 0]", -9.81, "gravity moves them backward", "[0, 0, "),
-        (DISC_UP, "[0.3, 0, 0]", -9.81, "gravity moves them backward", "[0.3, 0, "),
-        (DISC_ACROSS, "[0, 0, -0.3]", -9.81, "do not leave the face", ", 0, -0.3]"),
-        (DISC_DOWN, "[0, 0, 0]", 0.0, "do not leave the face", "[0, 0, -"),
-        (DISC_DOWN, "[0, 0, 0]", -9.81, None, None),
-        (DISC_DOWN, "[0.3, 0, 0]", -9.81, None, None),
-        (DISC_DOWN, "[0.3, 0, -0.01]", 0.0, None, None),
-        (DISC_UP, "[0, 0, 0.3]", -9.81, None, None),
-        (DISC_ACROSS, "[0, 0, 0]", -9.81, None, None),
-    ],
-)
+@pytest.mark.parametrize(("face", "velocity", "gravity", "fault", "proposed"), [
+    (DISC_DOWN, "[0, 0, 0.3]", -9.81, "is [0, 0, 0.3] m/s, but particles enter through", "[0, 0, -0.3]"),
+    (RECTANGLE_DOWN, "[0.1, 0, 0.3]", -9.81, "points against it", "[0.1, 0, -0.3]"),
+    (DISC_UP, "[0, 0, 0]", -9.81, "gravity moves them backward", "[0, 0, "),
+    (DISC_UP, "[0.3, 0, 0]", -9.81, "gravity moves them backward", "[0.3, 0, "),
+    (DISC_ACROSS, "[0, 0, -0.3]", -9.81, "do not leave the face", ", 0, -0.3]"),
+    (DISC_DOWN, "[0, 0, 0]", 0.0, "do not leave the face", "[0, 0, -"),
+    (DISC_DOWN, "[0, 0, 0]", -9.81, None, None),
+    (DISC_DOWN, "[0.3, 0, 0]", -9.81, None, None),
+    (DISC_DOWN, "[0.3, 0, -0.01]", 0.0, None, None),
+    (DISC_UP, "[0, 0, 0.3]", -9.81, None, None),
+    (DISC_ACROSS, "[0, 0, 0]", -9.81, None, None)
+])  # fmt: skip
 def test_inlet_that_particles_leave_backward_or_not_at_all_is_reported(
     tmp_path, face, velocity, gravity, fault, proposed
 ):
@@ -242,16 +227,14 @@ def test_inlet_that_particles_leave_backward_or_not_at_all_is_reported(
 @pytest.mark.parametrize(
     ("last", "fault"),
     [
-        (
-            "{position: [2 mm, 1e-13, 0], radius: 2 mm}",
-            "the same sphere as spheres.1: its contacts count twice",
-        ),
+        ("{position: [2 mm, 1e-13, 0], radius: 2 mm}",
+         "the same sphere as spheres.1: its contacts count twice"),
         ("{position: [6.5 mm, 0, 0], radius: 2 mm}", "0.0005 m away from the surface of spheres.1"),
         ("{position: [2 mm, 0, 0], radius: 1.9 mm}", None),
-        ("{position: [6 mm, 0, 0], radius: 2 mm}", None),
+        ("{position: [6 mm, 0, 0], radius: 2 mm}", None)
     ],
-    ids=["coincident", "disjoint", "concentric", "touching"],
-)
+    ids=["coincident", "disjoint", "concentric", "touching"]
+)  # fmt: skip
 def test_clumps_with_a_sphere_twice_or_a_gap_are_reported(tmp_path, last, fault):
     def clump_warnings(last):
         lines = ["{position: [0, 0, 0], radius: 2 mm}", "{position: [2 mm, 0, 0], radius: 2 mm}", last]

@@ -106,10 +106,8 @@ def test_mass_of_a_group_gives_the_number_of_clumps():
     """The mass of a clump is density times the volume of the union of its spheres."""
     mass = SOFT["density"] * clump_body(tuple(map(tuple, ROD)), (0.002,) * len(ROD)).volume
     packed = clump_group([[0, 0, 0]]) | {
-        "count": None,
-        "mass": 37.2 * mass,
-        "insert": {"kind": "pack", "region": REGION},
-    }
+        "count": None, "mass": 37.2 * mass, "insert": {"kind": "pack", "region": REGION}
+    }  # fmt: skip
     scene = build_scene({"rods": {key: value for key, value in packed.items() if value is not None}})
     assert scene.particles["rods"].count == 37
     plan = plan_for(scene)

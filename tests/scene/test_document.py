@@ -7,31 +7,11 @@ import pytest
 from granflow.schema.document import DocumentError, parse
 
 SCALARS = [
-    ("012", 12),
-    ("0o14", 12),
-    ("0x1F", 31),
-    ("1e-5", 1e-5),
-    ("1E5", 1e5),
-    (".5", 0.5),
-    ("-4.", -4.0),
-    ("+3", 3),
-    ("true", True),
-    ("False", False),
-    ("yes", "yes"),
-    ("no", "no"),
-    ("on", "on"),
-    ("null", None),
-    ("~", None),
-    ("none", "none"),
-    ("1:30", "1:30"),
-    ("1_000", "1_000"),
-    ("2020-01-01", "2020-01-01"),
-    ("'1e-5'", "1e-5"),
-    (".inf", math.inf),
-    ("-.INF", -math.inf),
-    ("4 mm", "4 mm"),
-    ("1" * 500, math.inf),
-]
+    ("012", 12), ("0o14", 12), ("0x1F", 31), ("1e-5", 1e-5), ("1E5", 1e5), (".5", 0.5), ("-4.", -4.0),
+    ("+3", 3), ("true", True), ("False", False), ("yes", "yes"), ("no", "no"), ("on", "on"), ("null", None),
+    ("~", None), ("none", "none"), ("1:30", "1:30"), ("1_000", "1_000"), ("2020-01-01", "2020-01-01"),
+    ("'1e-5'", "1e-5"), (".inf", math.inf), ("-.INF", -math.inf), ("4 mm", "4 mm"), ("1" * 500, math.inf)
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "value"), SCALARS, ids=lambda value: str(value)[:20])

@@ -31,24 +31,17 @@ def test_every_key_is_found_by_its_path():
         )
 
 
-@pytest.mark.parametrize(
-    ("path", "texts"),
-    [
-        (
-            "run.time_step",
-            ["run.time_step\n", "number [s] or word", "above 0; auto, adaptive", "default  auto"],
-        ),
-        (
-            "walls.plane.point",
-            ["walls.NAME.point\n", "list of 3: number [m]", "a point on the plane [m]", "required"],
-        ),
-        ("walls.belt.motion.surface_velocity.velocity", ["velocity [m/s], after the ramp"]),
-        ("walls.belt.motion.0.servo.gain", ["default  from stiffness and time step"]),
-        ("stages[].until.hold", ["number [s]", "at least 0", "example  hold:"]),
-        ("poisson_ratio", ["materials.NAME.poisson_ratio\n", "above -1 and at most 0.5"]),
-        ("output.wall_forces", ["true or false", "default  false"]),
-    ],
-)
+@pytest.mark.parametrize(("path", "texts"), [
+    ("run.time_step",
+     ["run.time_step\n", "number [s] or word", "above 0; auto, adaptive", "default  auto"]),
+    ("walls.plane.point",
+     ["walls.NAME.point\n", "list of 3: number [m]", "a point on the plane [m]", "required"]),
+    ("walls.belt.motion.surface_velocity.velocity", ["velocity [m/s], after the ramp"]),
+    ("walls.belt.motion.0.servo.gain", ["default  from stiffness and time step"]),
+    ("stages[].until.hold", ["number [s]", "at least 0", "example  hold:"]),
+    ("poisson_ratio", ["materials.NAME.poisson_ratio\n", "above -1 and at most 0.5"]),
+    ("output.wall_forces", ["true or false", "default  false"])
+])  # fmt: skip
 def test_a_key_has_type_unit_range_default_example_and_meaning(path, texts):
     found = reference_of(path)
     assert all(text in found for text in texts), found
@@ -135,15 +128,12 @@ def test_the_command_prints_the_reference_or_the_json_schema(capsys):
     assert json.loads(capsys.readouterr().out)["properties"]["run"]
 
 
-@pytest.mark.parametrize(
-    ("path", "hint"),
-    [
-        ("run.timestep", "Did you mean time_step?"),
-        ("walls.floor.frction", "Did you mean friction?"),
-        ("materials.glass.youngs_modulus", "Did you mean young_modulus?"),
-        ("xyzzy.qqq", "List the blocks with granflow schema scene."),
-    ],
-)
+@pytest.mark.parametrize(("path", "hint"), [
+    ("run.timestep", "Did you mean time_step?"),
+    ("walls.floor.frction", "Did you mean friction?"),
+    ("materials.glass.youngs_modulus", "Did you mean young_modulus?"),
+    ("xyzzy.qqq", "List the blocks with granflow schema scene.")
+])  # fmt: skip
 def test_an_unknown_key_gets_a_suggestion(path, hint, capsys):
     assert main(["schema", path]) == 2
     assert capsys.readouterr().err == f"granflow: {path} is not a key of a scene. {hint}\n"

@@ -73,14 +73,11 @@ def test_pair_does_not_depend_on_the_order_of_materials(scene):
         scene.pair("steel", "steel")
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"amplitude": 0.001, "frequency": 25},
-        {"frequency": 25, "gamma": 2.5151},
-        {"amplitude": 1e-3, "gamma": 2.5151},
-    ],
-)
+@pytest.mark.parametrize("given", [
+    {"amplitude": 0.001, "frequency": 25},
+    {"frequency": 25, "gamma": 2.5151},
+    {"amplitude": 1e-3, "gamma": 2.5151}
+])  # fmt: skip
 def test_two_of_amplitude_frequency_and_gamma_define_a_vibration(given):
     vibration = Vibration(kind="vibration", direction=[0, 0, 1], **given)
     amplitude, omega = vibration.amplitude_and_angular_frequency((0.0, 0.0, -9.81))
@@ -104,25 +101,10 @@ def test_text_of_a_scene_is_read_back_as_an_equal_scene(scene, tmp_path):
     assert again.to_yaml() == scene.to_yaml()
 
 
-@pytest.mark.parametrize(
-    "title",
-    [
-        "a: b",
-        "1e-5",
-        "true",
-        "",
-        "'",
-        '"',
-        "{x}",
-        "# no",
-        "ü\n\t\\",
-        "- a",
-        "null",
-        "012",
-        "\U00010000",
-        "\x00\x85",
-    ],
-)
+@pytest.mark.parametrize("title", [
+    "a: b", "1e-5", "true", "", "'", '"', "{x}", "# no", "ü\n\t\\", "- a", "null", "012", "\U00010000",
+    "\x00\x85"
+])  # fmt: skip
 def test_every_title_is_read_back_unchanged(title, scene, tmp_path):
     path = tmp_path / "again.yaml"
     path.write_text(scene.model_copy(update={"title": title}).to_yaml(), encoding="utf-8")
@@ -134,19 +116,11 @@ def test_different_scenes_are_not_equal(scene):
 
 
 def test_overrides_replace_values_of_the_file():
-    scene = load_scene(
-        GOOD,
-        [
-            "run.precision=f32",
-            "numerics.chunk_size=64",
-            "walls.tube.radius=6 cm",
-            "stages.2.duration=5 s",
-            "pairs.steel-glass.friction=0",
-            "contact.normal={law: zhou, restitution_at: max_overlap}",
-            "output.flow_meters.inlet={point: [0, 0, 1], normal: [0, 0, -1]}",
-            "title=a = b",
-        ],
-    )
+    scene = load_scene(GOOD, [
+        "run.precision=f32", "numerics.chunk_size=64", "walls.tube.radius=6 cm", "stages.2.duration=5 s",
+        "pairs.steel-glass.friction=0", "contact.normal={law: zhou, restitution_at: max_overlap}",
+        "output.flow_meters.inlet={point: [0, 0, 1], normal: [0, 0, -1]}", "title=a = b"
+    ])  # fmt: skip
     assert (scene.run.precision, scene.numerics.chunk_size, scene.walls["tube"].radius) == ("f32", 64, 0.06)
     assert scene.stages[2].duration == 5.0 and scene.pairs["glass-steel"].friction == 0.0
     assert scene.contact.normal.restitution_at == "max_overlap" and list(scene.output.flow_meters) == [
@@ -183,14 +157,8 @@ def test_json_schema_contains_required_keys_and_alternatives():
     schema = json_schema()
     definitions = schema["$defs"]
     assert set(schema["required"]) >= {
-        "title",
-        "gravity",
-        "materials",
-        "pairs",
-        "contact",
-        "particles",
-        "output",
-    }
+        "title", "gravity", "materials", "pairs", "contact", "particles", "output"
+    }  # fmt: skip
     assert schema["additionalProperties"] is False
     assert {"enum": ["zhou", "hertz"]} in definitions["Contact"]["properties"]["normal"]["anyOf"]
     assert {"required": ["preset"]} in definitions["Material"]["anyOf"]

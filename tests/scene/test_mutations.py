@@ -18,43 +18,14 @@ TOKENS = (
 )
 ODD = [
     *(
-        "",
-        "~",
-        "true",
-        "-1",
-        "0",
-        "1e308",
-        ".nan",
-        "-.inf",
-        "[]",
-        "{}",
-        "[1, 2, 3]",
-        "{a: 1}",
-        "'",
-        '"',
-        ":",
-        "- ",
-        "&a ",
-        "*a",
+        "", "~", "true", "-1", "0", "1e308", ".nan", "-.inf", "[]", "{}", "[1, 2, 3]", "{a: 1}", "'", '"',
+        ":", "- ", "&a ", "*a"
     ),
     *(
-        "\t",
-        "!!int ",
-        "4 Pa",
-        "4 furlong",
-        "1" * 400,
-        "<x>",
-        "[key]",
-        "\x07",
-        "\u2028",
-        "é",
-        "%",
-        "? ",
-        "|",
-        "null: ",
-        "<<: ",
-    ),
-]
+        "\t", "!!int ", "4 Pa", "4 furlong", "1" * 400, "<x>", "[key]", "\x07", "\u2028", "é", "%", "? ",
+        "|", "null: ", "<<: "
+    )
+]  # fmt: skip
 QUICK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
@@ -104,21 +75,9 @@ def test_replaced_characters_give_a_scene_or_messages(tmp_path, at, text, delete
 
 
 KEYS = [
-    "walls",
-    "tube",
-    "radius",
-    "stages",
-    "0",
-    "name",
-    "gravity",
-    "2",
-    "particles",
-    "grit",
-    "diameter",
-    "classes",
-    "x",
-    "",
-]
+    "walls", "tube", "radius", "stages", "0", "name", "gravity", "2", "particles", "grit", "diameter",
+    "classes", "x", ""
+]  # fmt: skip
 
 
 @QUICK

@@ -79,15 +79,12 @@ def test_radius_is_half_the_diameter(tmp_path):
     assert listed.sizes == GivenSizes((0.002, 0.004))
 
 
-@pytest.mark.parametrize(
-    ("sizes", "insertion", "problem"),
-    [
-        ("radius: 2 mm\n    diameter: 4 mm", "kind: pack", "radius is 2 mm, but diameter is given too"),
-        ("radius: -2 mm", "kind: pack", "radius is -2 mm, but a radius must be above 0"),
-        ("radius: [1 mm, 2 mm]", "kind: pack", "radius is a list, which requires insert: {kind: positions}"),
-        ("", "kind: pack", "diameter is missing"),
-    ],
-)
+@pytest.mark.parametrize(("sizes", "insertion", "problem"), [
+    ("radius: 2 mm\n    diameter: 4 mm", "kind: pack", "radius is 2 mm, but diameter is given too"),
+    ("radius: -2 mm", "kind: pack", "radius is -2 mm, but a radius must be above 0"),
+    ("radius: [1 mm, 2 mm]", "kind: pack", "radius is a list, which requires insert: {kind: positions}"),
+    ("", "kind: pack", "diameter is missing")
+])  # fmt: skip
 def test_sizes_are_given_once(tmp_path, sizes, insertion, problem):
     with pytest.raises(SceneError, match=re.escape(problem)):
         scene_with(tmp_path, f"    count: 9\n    {sizes}\n    insert: {{{insertion}, {REGION}}}\n")
@@ -127,11 +124,9 @@ def test_file_defines_count_diameters_and_velocities(tmp_path):
     """Two particles of radius 2 mm overlap by 0.5 mm; the largest speed is 5 m/s."""
     scene = scene_with(tmp_path, FILE, "run.velocity_max=null", start=ROWS)
     group = scene.particles["beads"]
-    assert (group.count, group.insert.found.diameter_min, group.insert.found.diameter_max) == (
-        3,
-        0.002,
-        0.004,
-    )
+    assert (
+        group.count, group.insert.found.diameter_min, group.insert.found.diameter_max
+    ) == (3, 0.002, 0.004)  # fmt: skip
     assert group.insert.found.overlap_max == pytest.approx(0.25)
     assert group.insert.found.overlap_rows == "lines 2 and 3"
     assert max_impact_velocity(scene).value == pytest.approx(10.0)

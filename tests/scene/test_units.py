@@ -7,27 +7,16 @@ import pytest
 from granflow.units import DIMENSIONS, UnitError, to_si
 
 GOOD = [
-    ("4 mm", "length", 0.004),
-    ("25.4mm", "length", 0.0254),
-    ("  1e-5  ", "length", 1e-5),
-    ("7 µm", "length", 7e-6),
-    ("1 GPa", "pressure", 1e9),
-    ("0.31 GPa", "pressure", 0.31e9),
+    ("4 mm", "length", 0.004), ("25.4mm", "length", 0.0254), ("  1e-5  ", "length", 1e-5),
+    ("7 µm", "length", 7e-6), ("1 GPa", "pressure", 1e9), ("0.31 GPa", "pressure", 0.31e9),
     ("25 Hz", "frequency", 25.0),
-    ("30 rpm", "angular_velocity", math.pi),
-    ("180 deg", "angle", math.pi),
-    ("36 km/h", "velocity", 10.0),
-    ("2.5 g/cm3", "density", 2500.0),
-    ("3.6 t/h", "mass_flow", 1.0),
-    ("3.6 t/h", "any", 1.0),
-    ("10 %", "number", 0.1),
-    ("1 nJ", "energy", 1e-9),
-    ("1e-400 m", "length", 0.0),
+    ("30 rpm", "angular_velocity", math.pi), ("180 deg", "angle", math.pi), ("36 km/h", "velocity", 10.0),
+    ("2.5 g/cm3", "density", 2500.0), ("3.6 t/h", "mass_flow", 1.0), ("3.6 t/h", "any", 1.0),
+    ("10 %", "number", 0.1), ("1 nJ", "energy", 1e-9), ("1e-400 m", "length", 0.0),
     ("1e400 m", "length", math.inf),
-    ("-1e308 km", "length", -math.inf),
-    ("1" * 5000, "length", math.inf),
-    ("0." + "3" * 5000 + " m", "length", 1 / 3),
-]
+    ("-1e308 km", "length", -math.inf), ("1" * 5000, "length", math.inf),
+    ("0." + "3" * 5000 + " m", "length", 1 / 3)
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "dimension", "value"), GOOD, ids=lambda value: str(value)[:20])

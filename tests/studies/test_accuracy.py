@@ -56,20 +56,14 @@ def solved(force, speed, mass):
 
     contact_ends.terminal = True
     course = solve_ivp(
-        slope,
-        (0.0, 9.0),
-        (0.0, 1.0),
-        events=(contact_ends, maximum_overlap_is_reached),
-        rtol=1e-11,
-        atol=1e-13,
-    )
+        slope, (0.0, 9.0), (0.0, 1.0), events=(contact_ends, maximum_overlap_is_reached), rtol=1e-11,
+        atol=1e-13
+    )  # fmt: skip
     top = course.y_events[1][0]
     return (
-        -course.y_events[0][0][1],
-        course.t_events[0][0] * time,
-        course.t_events[1][0] * time,
-        top[0] * length,
-    )
+        -course.y_events[0][0][1], course.t_events[0][0] * time, course.t_events[1][0] * time,
+        top[0] * length
+    )  # fmt: skip
 
 
 def damping(e):
@@ -221,15 +215,12 @@ def test_files_without_and_with_matplotlib(lines, tmp_path, monkeypatch):
     assert study.recommendation in page and "hertz with 5 steps" in page and "<img" not in page
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--target", "2"], "--target is 2, but must be between 0 and 1"),
-        (["--set", "seed=2"], "--set requires a SCENE"),
-        (["--all-particles"], "--all-particles requires a SCENE"),
-        (["nowhere.yaml"], "nowhere.yaml: there is no such file"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--target", "2"], "--target is 2, but must be between 0 and 1"),
+    (["--set", "seed=2"], "--set requires a SCENE"),
+    (["--all-particles"], "--all-particles requires a SCENE"),
+    (["nowhere.yaml"], "nowhere.yaml: there is no such file")
+])  # fmt: skip
 def test_invalid_arguments_are_rejected(arguments, message, capsys):
     assert main(["accuracy", *arguments]) == 2
     assert message in capsys.readouterr().err

@@ -11,11 +11,9 @@ from granflow.cli.main import main
 from granflow.simulation import Simulation
 
 METRICS = {
-    "mix": {"kind": "lacey", "cell": 0.02, "at_least": 2, "groups": ["red"]},
-    "web": {"kind": "fabric"},
-    "bed": {"kind": "coordination"},
-    "heap": {"kind": "repose", "surface": "plane"},
-}
+    "mix": {"kind": "lacey", "cell": 0.02, "at_least": 2, "groups": ["red"]}, "web": {"kind": "fabric"},
+    "bed": {"kind": "coordination"}, "heap": {"kind": "repose", "surface": "plane"}
+}  # fmt: skip
 FIELDS = {"bed": {"cells": [2, 2, 2], "region": {"min": [0.0] * 3, "max": [0.04] * 3}, "stages": ["last"]}}
 
 

@@ -50,64 +50,29 @@ def written(folder, text=CALIBRATION):
     return folder / "calibration.yaml"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (
-            "tolerance",
-            "tolerence",
-            "calibration.yaml:6:64: targets.energy.tolerence is not a known key. Did you mean",
-        ),
-        (
-            "scene: pair,",
-            "scene: piar,",
-            "calibration.yaml:6:19: targets.energy.scene is piar, but there is no such",
-        ),
-        ("value: 1 mJ, ", "", "calibration.yaml:6:3: targets.energy.value is missing"),
-        ("from: 0.3", "from: 0.95", "restitution.to is 0.9, but it must be larger than from, 0.95."),
-        (
-            "spheres.yaml",
-            "sphere.yaml",
-            "calibration.yaml:1:24: scenes.pair.scene is sphere.yaml, but there is no file",
-        ),
-        ("value: 1 mJ", "curve: a.csv", "calibration.yaml:6:58: curve is a.csv, but "),
-        (
-            "value: 1 mJ",
-            "value: 1 mm",
-            "targets.energy.tolerance is 10 uJ, but mm and uJ are units of different",
-        ),
-        (
-            "1 mJ, tolerance: 10 uJ",
-            "1 g, tolerance: 1 mg",
-            "value is 1 g, but g is ambiguous; give the value in SI",
-        ),
-        (
-            "1 mJ, tolerance: 10 uJ",
-            "1 mm, tolerance: 1 mm",
-            "value is 1 mm, but kinetic_energy is in J, and mm is no",
-        ),
-        (
-            "tolerance: 10 uJ",
-            "tolerance: 0.1",
-            "tolerance is 0.1, but 0.1 has no unit; give all values in mJ",
-        ),
-        (
-            "from: 0.3, to: 0.9",
-            "from: 30 deg, to: 10 deg",
-            "to is 10 deg, but it must be larger than from, 30 deg.",
-        ),
-        (
-            "from: 0.3, to: 0.9",
-            "from: 0.3 rad, to: 0.9",
-            "0.9 has no unit; give all values in rad, or all in SI units.",
-        ),
-        (
-            "[pairs.steel-steel.restitution]",
-            "pairs.steel-steel.friction",
-            "which parameters.friction sets too",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("tolerance", "tolerence",
+     "calibration.yaml:6:64: targets.energy.tolerence is not a known key. Did you mean"),
+    ("scene: pair,", "scene: piar,",
+     "calibration.yaml:6:19: targets.energy.scene is piar, but there is no such"),
+    ("value: 1 mJ, ", "", "calibration.yaml:6:3: targets.energy.value is missing"),
+    ("from: 0.3", "from: 0.95", "restitution.to is 0.9, but it must be larger than from, 0.95."),
+    ("spheres.yaml", "sphere.yaml",
+     "calibration.yaml:1:24: scenes.pair.scene is sphere.yaml, but there is no file"),
+    ("value: 1 mJ", "curve: a.csv", "calibration.yaml:6:58: curve is a.csv, but "),
+    ("value: 1 mJ", "value: 1 mm",
+     "targets.energy.tolerance is 10 uJ, but mm and uJ are units of different"),
+    ("1 mJ, tolerance: 10 uJ", "1 g, tolerance: 1 mg",
+     "value is 1 g, but g is ambiguous; give the value in SI"),
+    ("1 mJ, tolerance: 10 uJ", "1 mm, tolerance: 1 mm",
+     "value is 1 mm, but kinetic_energy is in J, and mm is no"),
+    ("tolerance: 10 uJ", "tolerance: 0.1", "tolerance is 0.1, but 0.1 has no unit; give all values in mJ"),
+    ("from: 0.3, to: 0.9", "from: 30 deg, to: 10 deg",
+     "to is 10 deg, but it must be larger than from, 30 deg."),
+    ("from: 0.3, to: 0.9", "from: 0.3 rad, to: 0.9",
+     "0.9 has no unit; give all values in rad, or all in SI units."),
+    ("[pairs.steel-steel.restitution]", "pairs.steel-steel.friction", "which parameters.friction sets too")
+])  # fmt: skip
 def test_problems_are_reported_with_position(tmp_path, old, new, words):
     with pytest.raises(FileError) as caught:
         read_calibration(written(tmp_path, CALIBRATION.replace(old, new)))
@@ -151,13 +116,10 @@ def test_journal_of_another_calibration_is_refused(tmp_path):
 CURVE = CALIBRATION.replace("value: 1 mJ", "curve: energy.csv")
 
 
-@pytest.mark.parametrize(
-    ("name", "old", "new", "words"),
-    [
-        ("spheres.yaml", "8000", "9000", r"another content of the scene pair \(spheres.yaml\): it, a file"),
-        ("energy.csv", "2,0.5", "2,0.6", r"another content of the curve of energy \(energy.csv\)"),
-    ],
-)
+@pytest.mark.parametrize(("name", "old", "new", "words"), [
+    ("spheres.yaml", "8000", "9000", r"another content of the scene pair \(spheres.yaml\): it, a file"),
+    ("energy.csv", "2,0.5", "2,0.6", r"another content of the curve of energy \(energy.csv\)")
+])  # fmt: skip
 def test_trials_with_another_content_of_a_scene_or_a_curve_are_refused(tmp_path, name, old, new, words):
     (tmp_path / "energy.csv").write_text("time,value\n1,0.4\n2,0.5\n")
     runner(tmp_path, CURVE).check()
@@ -322,32 +284,23 @@ def test_curve_is_compared_from_the_beginning_of_its_stage(tmp_path):
     assert partial_loss(measured, tmp_path) == pytest.approx(9.0)
 
 
-@pytest.mark.parametrize(
-    ("head", "rows", "time", "value"),
-    [
-        ("time [ms],value [g]", "0,1\n500,6\n", [0.0, 0.5], [1e-3, 6e-3]),
-        ("time(min),value", "0,1\n2,6\n", [0.0, 120.0], [1.0, 6.0]),
-        ("value [t],time [s]", "1,0\n6,2\n", [0.0, 2.0], [1e3, 6e3]),
-    ],
-)
+@pytest.mark.parametrize(("head", "rows", "time", "value"), [
+    ("time [ms],value [g]", "0,1\n500,6\n", [0.0, 0.5], [1e-3, 6e-3]),
+    ("time(min),value", "0,1\n2,6\n", [0.0, 120.0], [1.0, 6.0]),
+    ("value [t],time [s]", "1,0\n6,2\n", [0.0, 2.0], [1e3, 6e3])
+])  # fmt: skip
 def test_a_curve_is_converted_by_the_units_of_its_columns(tmp_path, head, rows, time, value):
     (tmp_path / "flow.csv").write_text(f"{head}\n{rows}")
     measured = target(tmp_path, curve="flow.csv")
     assert measured.time == pytest.approx(time) and measured.value == pytest.approx(value)
 
 
-@pytest.mark.parametrize(
-    ("head", "message"),
-    [
-        ("time [mm],value", "flow.csv:1: time is in s, and mm is no unit of it; give s, ms, us, ns, min, h."),
-        (
-            "time,value [mJ]",
-            "flow.csv:1: flow_mass.out is in kg, and mJ is no unit of it; give kg, g, mg, t.",
-        ),
-        ("time,value,Value", "flow.csv:1: the header has both value and Value; keep one of the columns."),
-        ("time [s],value,time [ms]", "flow.csv:1: the header has both time [s] and time [ms]; keep one"),
-    ],
-)
+@pytest.mark.parametrize(("head", "message"), [
+    ("time [mm],value", "flow.csv:1: time is in s, and mm is no unit of it; give s, ms, us, ns, min, h."),
+    ("time,value [mJ]", "flow.csv:1: flow_mass.out is in kg, and mJ is no unit of it; give kg, g, mg, t."),
+    ("time,value,Value", "flow.csv:1: the header has both value and Value; keep one of the columns."),
+    ("time [s],value,time [ms]", "flow.csv:1: the header has both time [s] and time [ms]; keep one")
+])  # fmt: skip
 def test_a_curve_with_columns_that_do_not_fit_is_refused(tmp_path, head, message):
     (tmp_path / "flow.csv").write_text(f"{head}\n0,1,0\n1,2,1\n")
     with pytest.raises(FileError) as error:

@@ -154,11 +154,8 @@ def test_page_without_figures_is_self_contained_and_gives_the_reason(found):
         assert text in html
     assert not re.findall(r'(?:src|href)="(?:http|//)', html)
     assert {path.name for path in out.glob("*.csv")} == {
-        "compare.csv",
-        "heights.csv",
-        "forces.csv",
-        "durations.csv",
-    }
+        "compare.csv", "heights.csv", "forces.csv", "durations.csv"
+    }  # fmt: skip
     for run in comparison.runs:
         assert (out / run.variant.key / "particles.pvd").exists()
 
@@ -179,15 +176,11 @@ def test_matplotlib_figures_are_written(found, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"course.png", "energies.png", "contacts.png"}
 
 
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ("zhou,hertzz", "Unknown contact model hertzz. Did you mean hertz?"),
-        ("zhou,xyz", "Unknown contact model xyz. The contact models are zhou, hertz, linear"),
-        ("zhou, zhou", "The contact model zhou is repeated: give each once."),
-        (",", "--laws is empty"),
-    ],
-)
+@pytest.mark.parametrize(("given", "sentence"), [
+    ("zhou,hertzz", "Unknown contact model hertzz. Did you mean hertz?"),
+    ("zhou,xyz", "Unknown contact model xyz. The contact models are zhou, hertz, linear"),
+    ("zhou, zhou", "The contact model zhou is repeated: give each once."), (",", "--laws is empty")
+])  # fmt: skip
 def test_invalid_lists_of_contact_models_raise_one_sentence(given, sentence):
     with pytest.raises(GranflowError, match=re.escape(sentence)):
         law_names(given)

@@ -60,21 +60,17 @@ def test_limit_velocity_from_materials_is_equation_11():
 @pytest.mark.parametrize(
     ("make_data", "limit", "expected"),
     [
-        (lambda: synthetic_measurements(SOFT, 8.0, count=2), 12.0, "needs at least 3 rows, but there are 2"),
-        (lambda: synthetic_measurements(SOFT, 8.0), 5.0, "The limit velocity is 5 m/s, but the restitution"),
-        (
-            lambda: Measurements(np.full(5, 2.0), np.full(5, 0.5), np.ones(5), False),
-            12.0,
-            "at 1 different velocities",
-        ),
-        (
-            lambda: synthetic_measurements(STEEL, 0.5, noise=0.01, seed=1),
-            None,
-            "do not determine the limit velocity",
-        ),
+        (lambda: synthetic_measurements(SOFT, 8.0, count=2), 12.0,
+         "needs at least 3 rows, but there are 2"),
+        (lambda: synthetic_measurements(SOFT, 8.0), 5.0,
+         "The limit velocity is 5 m/s, but the restitution"),
+        (lambda: Measurements(np.full(5, 2.0), np.full(5, 0.5), np.ones(5), False), 12.0,
+         "at 1 different velocities"),
+        (lambda: synthetic_measurements(STEEL, 0.5, noise=0.01, seed=1), None,
+         "do not determine the limit velocity")
     ],
-    ids=["few", "above the limit", "one velocity", "far below"],
-)
+    ids=["few", "above the limit", "one velocity", "far below"]
+)  # fmt: skip
 def test_insufficient_data_are_rejected(make_data, limit, expected):
     with pytest.raises(GranflowError, match=expected):
         fit(make_data(), limit)
@@ -148,21 +144,16 @@ def test_each_invalid_row_is_reported_with_the_expected_value(tmp_path):
     assert list(error.value.problems) == [f"{path}{each}" for each in expected]
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("", "the file has no rows"),
-        ("v,e\n", "no measurements below the header"),
-        ("1,0.8\n2,0.7\n", ":1: the header is 1, 0.8, which does not name velocity and restitution"),
-        ("v,e,std,weight\n1,1,1,1\n", "both deviation and weight"),
-        ("v,e,restitution\n1,0.8,0.8\n", ":1: the header has 2 columns for restitution"),
-        (
-            "v [mm],e\n1,0.8\n",
-            ":1: the column of velocity is in mm, but mm is a unit of length and a velocity is expected",
-        ),
-        ("v,e\n1,0,8\n", ":2: the row has 3 values, but the header has 2 columns"),
-    ],
-)
+@pytest.mark.parametrize(("text", "expected"), [
+    ("", "the file has no rows"),
+    ("v,e\n", "no measurements below the header"),
+    ("1,0.8\n2,0.7\n", ":1: the header is 1, 0.8, which does not name velocity and restitution"),
+    ("v,e,std,weight\n1,1,1,1\n", "both deviation and weight"),
+    ("v,e,restitution\n1,0.8,0.8\n", ":1: the header has 2 columns for restitution"),
+    ("v [mm],e\n1,0.8\n",
+     ":1: the column of velocity is in mm, but mm is a unit of length and a velocity is expected"),
+    ("v,e\n1,0,8\n", ":2: the row has 3 values, but the header has 2 columns")
+])  # fmt: skip
 def test_unusable_tables_are_rejected(tmp_path, text, expected):
     with pytest.raises(FileError) as error:
         read_measurements(written(tmp_path, text))

@@ -50,12 +50,9 @@ class BalanceParser(HTMLParser):
 def page_with(folder, name="a.png", **content):
     (folder / name).write_bytes(TINY)
     defaults = {
-        "lead": "Lead.",
-        "text": "Text <i>\x1b.",
-        "content": TABLE,
-        "figures": {name: 44.1},
-        "folder": folder,
-    }
+        "lead": "Lead.", "text": "Text <i>\x1b.", "content": TABLE, "figures": {name: 44.1},
+        "folder": folder
+    }  # fmt: skip
     return page_text(environment().from_string(TEMPLATE), **{"name": name} | defaults | content)
 
 
@@ -89,12 +86,8 @@ def test_study_files_are_written_to_a_new_directory(tmp_path):
     pytest.importorskip("matplotlib")
     out = tmp_path / "a" / "b"
     content = {
-        "headline": "h",
-        "accurate": 0.01,
-        "silent_limit": 0.5,
-        "summary": PageTable((), ()),
-        "families": (),
-    }
+        "headline": "h", "accurate": 0.01, "silent_limit": 0.5, "summary": PageTable((), ()), "families": ()
+    }  # fmt: skip
     figures = {"stability.png": Drawing(lambda figure: figure.subplots(), 1.0)}
     assert not write_study(
         out / "p.html", "stability.html", {"t.csv": {"x": np.array([0.1])}}, figures, **content

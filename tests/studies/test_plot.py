@@ -37,17 +37,13 @@ def value(run, text):
     return quantity_of(read_series(run / "timeseries.csv"), text, "timeseries.csv")
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("wall_displacement.lid / 0.05", [0.0, 0.02, 0.08]),
-        ("-(wall_displacement.lid - 1e-3)*2", [0.002, 0.0, -0.006]),
-        ("wall_force_x.lid / wall_force_z.lid", [0.1, 0.1, 0.1]),
-        ("sqrt(time**2 + 0 * wall_pressure.lid)", [0.0, 1.0, 2.0]),
-        ("abs(1 - time)", [1.0, 0.0, 1.0]),
-        ("3", [3.0, 3.0, 3.0]),
-    ],
-)
+@pytest.mark.parametrize(("text", "expected"), [
+    ("wall_displacement.lid / 0.05", [0.0, 0.02, 0.08]),
+    ("-(wall_displacement.lid - 1e-3)*2", [0.002, 0.0, -0.006]),
+    ("wall_force_x.lid / wall_force_z.lid", [0.1, 0.1, 0.1]),
+    ("sqrt(time**2 + 0 * wall_pressure.lid)", [0.0, 1.0, 2.0]),
+    ("abs(1 - time)", [1.0, 0.0, 1.0]), ("3", [3.0, 3.0, 3.0])
+])  # fmt: skip
 def test_expressions_of_columns(run, text, expected):
     found = value(run, text)
     assert found.values == pytest.approx(expected) and found.unit == ""
@@ -77,16 +73,13 @@ def test_foreign_columns_are_in_si_by_their_units(tmp_path):
     assert columns["mass"] == ("g", [2.0, 4.0]) and columns["torque"] == ("Nmm", [3.0, 6.0])
 
 
-@pytest.mark.parametrize(
-    ("text", "line", "parts"),
-    [
-        ("time [ms,a [kPa]\n0,1\n", 1, ["'time [ms,a [kPa]'", "only one of the brackets []"]),
-        ("time [s];a [mm]\n0;1\n", 1, ["'time [s];a [mm]'", "separated by semicolons"]),
-        ("time [s] a [mm]\n0 1\n", 1, ["'time [s] a [mm]' does not end with its unit"]),
-        ("time [s],a [m]\n1,2\n2,3\n3,5\n4\n5,x\n", 5, ["the row '4' has 1 value, but the header has 2."]),
-        ("time [s],a [m]\n1,2\n2,x\n3,5\n4\n5,6\n", 3, ["a [m] is x, but a number is expected"]),
-    ],
-)
+@pytest.mark.parametrize(("text", "line", "parts"), [
+    ("time [ms,a [kPa]\n0,1\n", 1, ["'time [ms,a [kPa]'", "only one of the brackets []"]),
+    ("time [s];a [mm]\n0;1\n", 1, ["'time [s];a [mm]'", "separated by semicolons"]),
+    ("time [s] a [mm]\n0 1\n", 1, ["'time [s] a [mm]' does not end with its unit"]),
+    ("time [s],a [m]\n1,2\n2,3\n3,5\n4\n5,x\n", 5, ["the row '4' has 1 value, but the header has 2."]),
+    ("time [s],a [m]\n1,2\n2,x\n3,5\n4\n5,6\n", 3, ["a [m] is x, but a number is expected"])
+])  # fmt: skip
 def test_damaged_headers_and_rows_are_refused_with_their_line(tmp_path, capsys, text, line, parts):
     path = tmp_path / "scope.csv"
     path.write_text(text)
@@ -112,31 +105,25 @@ def test_a_column_has_its_unit_and_an_angle_is_in_degrees(run):
     assert slope.unit == "deg" and slope.values == pytest.approx(np.degrees([0.5, 0.25, 0.0]))
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("wall_presure.lid", "has no column wall_presure.lid. Did you mean wall_pressure.lid?"),
-        ("time / wall_presure.lid", "has no column wall_presure.lid. Did you mean wall_pressure.lid?"),
-        ("__import__('os')", "has no column __import__"),
-        ("nonsense", "has no column nonsense. The columns are time, "),
-        ("time +", "neither a column of timeseries.csv nor an arithmetic expression"),
-        ("-" * 100_000 + "1", "neither a column"),
-        ("(" * 500 + "time" + ")" * 500, "neither a column"),
-    ],
-)
+@pytest.mark.parametrize(("text", "sentence"), [
+    ("wall_presure.lid", "has no column wall_presure.lid. Did you mean wall_pressure.lid?"),
+    ("time / wall_presure.lid", "has no column wall_presure.lid. Did you mean wall_pressure.lid?"),
+    ("__import__('os')", "has no column __import__"),
+    ("nonsense", "has no column nonsense. The columns are time, "),
+    ("time +", "neither a column of timeseries.csv nor an arithmetic expression"),
+    ("-" * 100_000 + "1", "neither a column"),
+    ("(" * 500 + "time" + ")" * 500, "neither a column")
+])  # fmt: skip
 def test_text_that_is_no_quantity_is_refused_with_one_sentence(run, text, sentence):
     with pytest.raises(GranflowError, match=re.escape(sentence)):
         value(run, text)
 
 
-@pytest.mark.parametrize(
-    ("y", "sentence"),
-    [
-        ("(-8)**0.5", "'(-8)**0.5' over 'time' has no finite value"),
-        ("wall_pressure.lid / 0", "has no finite value"),
-        ("8e307 * time", "reach 1.6e+308, but at most 1e+250 can be drawn: divide them"),
-    ],
-)
+@pytest.mark.parametrize(("y", "sentence"), [
+    ("(-8)**0.5", "'(-8)**0.5' over 'time' has no finite value"),
+    ("wall_pressure.lid / 0", "has no finite value"),
+    ("8e307 * time", "reach 1.6e+308, but at most 1e+250 can be drawn: divide them")
+])  # fmt: skip
 def test_a_quantity_that_cannot_be_drawn_is_refused_with_one_sentence(run, capsys, y, sentence):
     assert main(["plot", str(run), "--y", "wall_pressure.lid", y]) == 2
     assert sentence in capsys.readouterr().err
@@ -144,11 +131,9 @@ def test_a_quantity_that_cannot_be_drawn_is_refused_with_one_sentence(run, capsy
 
 
 def test_quantities_of_one_unit_share_a_panel_and_runs_are_named_by_their_directories(run):
-    panels = panels_of(
-        [run, run.parent / "dense" / "timeseries.csv"],
-        "time",
-        ["wall_force_x.lid", "wall_pressure.lid", "wall_force_z.lid"],
-    )
+    panels = panels_of([run, run.parent / "dense" / "timeseries.csv"], "time", [
+        "wall_force_x.lid", "wall_pressure.lid", "wall_force_z.lid"
+    ])  # fmt: skip
     assert [panel.y_title for panel in panels] == ["wall force (N)", "wall pressure, lid (Pa)"]
     assert [curve.name for curve in panels[1].curves] == [
         "dense, wall pressure, lid",
@@ -168,17 +153,9 @@ def test_the_page_contains_the_points_and_titles(run, tmp_path):
     pytest.importorskip("plotly")
     page = tmp_path / "new" / "curve.html"
     arguments = [
-        "--x",
-        "wall_displacement.lid / 0.05",
-        "--y",
-        "wall_pressure.lid",
-        "--log",
-        "y",
-        "--out",
-        str(page),
-        "--y-label",
-        "stress (Pa)",
-    ]
+        "--x", "wall_displacement.lid / 0.05", "--y", "wall_pressure.lid", "--log", "y", "--out", str(page),
+        "--y-label", "stress (Pa)"
+    ]  # fmt: skip
     assert main(["plot", str(run), *arguments]) == 0
     figure = json.loads(
         re.search(r'<script type="application/json">(.*?)</script>', page.read_text(), re.DOTALL)[1]
@@ -234,19 +211,15 @@ def test_distribution_of_collisions_over_energy_is_that_at_the_end(collisions):
     assert panel.curves[0].x == pytest.approx([np.nan, 1e-5, 1e-3, np.nan], nan_ok=True)
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        (",".join(COLLISION_COLUMNS) + "\n", "has no complete rows yet."),
-        (",".join(COLLISION_COLUMNS) + "\n0,1,particle,0,1e-6,2,2\n", "has no complete rows yet."),
-        ("time [s],speed [m/s]\n", "has no complete rows yet."),
-        ("energy [J],number\n1,2\n", (
-            "has neither a column time nor the columns of collision_energies.csv; its columns are: energy, "
-            "number."
-        )),
-        ("", "its columns are: none."),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "sentence"), [
+    (",".join(COLLISION_COLUMNS) + "\n", "has no complete rows yet."),
+    (",".join(COLLISION_COLUMNS) + "\n0,1,particle,0,1e-6,2,2\n", "has no complete rows yet."),
+    ("time [s],speed [m/s]\n", "has no complete rows yet."),
+    ("energy [J],number\n1,2\n",
+     "has neither a column time nor the columns of collision_energies.csv; its columns are: energy, "
+     "number."),
+    ("", "its columns are: none.")
+])  # fmt: skip
 def test_file_without_known_columns_or_rows(tmp_path, text, sentence):
     (tmp_path / "table.csv").write_text(text)
     with pytest.raises(GranflowError, match=re.escape(sentence)):

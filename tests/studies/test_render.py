@@ -47,11 +47,9 @@ def run(tmp_path):
     )
     for k in range(4):
         snapshot = snapshot_of(
-            time=INTERVAL * k,
-            particles=particles_of(COUNT if k else 0, seed=k),
-            contacts=contacts_of(7),
-            walls={"floor": turned(0)},
-        )
+            time=INTERVAL * k, particles=particles_of(COUNT if k else 0, seed=k), contacts=contacts_of(7),
+            walls={"floor": turned(0)}
+        )  # fmt: skip
         for writer in writers:
             writer.observe(snapshot)
     return tmp_path
@@ -86,33 +84,20 @@ def test_planes_are_clipped_to_the_particles_except_along_their_normal(run):
     assert np.isinf(drawn_box(floor, np.zeros((0, 3)))).all()
 
 
-@pytest.mark.parametrize(
-    ("text", "numbers"),
-    [
-        ("last", [3]),
-        ("first", [0]),
-        ("2", [2]),
-        ("0.45s", [2]),
-        ("240 ms", [1]),
-        ("0.6", [2]),
-        ("all", [0, 1, 2, 3]),
-        ("1,last", [1, 3]),
-    ],
-)
+@pytest.mark.parametrize(("text", "numbers"), [
+    ("last", [3]), ("first", [0]), ("2", [2]), ("0.45s", [2]), ("240 ms", [1]), ("0.6", [2]),
+    ("all", [0, 1, 2, 3]), ("1,last", [1, 3])
+])  # fmt: skip
 def test_frames_are_selected_by_position_number_or_time(run, text, numbers):
     assert [frame.number for frame in selected_frames(frames_of(run), text)] == numbers
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("9s", "--frame 9s: the frames are from 0 s to "),
-        ("-1 s", "give a time between them"),
-        ("7", "no such frame; the frames are 0 to 3"),
-        ("soon", "a time is expected"),
-        ("3 mm", "give last, first, all"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("9s", "--frame 9s: the frames are from 0 s to "),
+    ("-1 s", "give a time between them"),
+    ("7", "no such frame; the frames are 0 to 3"), ("soon", "a time is expected"),
+    ("3 mm", "give last, first, all")
+])  # fmt: skip
 def test_absent_frames_are_rejected(run, text, message):
     with pytest.raises(GranflowError, match=message):
         selected_frames(frames_of(run), text)
@@ -132,15 +117,10 @@ def test_truncated_frame_is_rejected(run):
         read_particles(frames_of(run)[-1])
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        *(["--size", text] for text in ("1600", "9x9", "100000x100000")),
-        ["--range=2,1"],
-        ["--zoom", "0"],
-        ["--fps", "-1"],
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    *(["--size", text] for text in ("1600", "9x9", "100000x100000")), ["--range=2,1"], ["--zoom", "0"],
+    ["--fps", "-1"]
+])  # fmt: skip
 def test_invalid_arguments_are_rejected_with_the_expected_form(run, arguments, capsys):
     with pytest.raises(SystemExit):
         main(["render", str(run), *arguments])
@@ -222,14 +202,10 @@ def test_invalid_views_are_rejected(text):
 
 def test_time_label_has_enough_digits_to_distinguish_frames():
     assert [
-        decimals_of(times) for times in ([0, 0.02, 0.04], [0, 1e-4, 2e-4, 3.1e-4], [5.0], [0.0], [0, 60, 120])
-    ] == [
-        2,
-        4,
-        0,
-        1,
-        0,
-    ]
+        decimals_of(times) for times in (
+            [0, 0.02, 0.04], [0, 1e-4, 2e-4, 3.1e-4], [5.0], [0.0], [0, 60, 120]
+        )
+    ] == [2, 4, 0, 1, 0]  # fmt: skip
 
 
 def test_speed_of_a_film_is_stated_as_a_ratio():
@@ -280,17 +256,9 @@ def test_pictures_are_written(run, arguments):
 
     out = run / "a.png"
     command = [
-        sys.executable,
-        "-m",
-        "granflow",
-        "render",
-        str(run),
-        "--out",
-        str(out),
-        "--size",
-        "640x480",
-        *arguments,
-    ]
+        sys.executable, "-m", "granflow", "render", str(run), "--out", str(out), "--size", "640x480",
+        *arguments
+    ]  # fmt: skip
     process = subprocess.run(command, capture_output=True, text=True, timeout=250)
     assert process.returncode == 0, process.stderr[-2000:]
     picture = np.asarray(Image.open(out))
@@ -305,17 +273,8 @@ def test_film_contains_every_frame(run):
     import imageio_ffmpeg
 
     command = [
-        sys.executable,
-        "-m",
-        "granflow",
-        "render",
-        str(run),
-        "--film",
-        "--size",
-        "640x480",
-        "--fps",
-        "4",
-    ]
+        sys.executable, "-m", "granflow", "render", str(run), "--film", "--size", "640x480", "--fps", "4"
+    ]  # fmt: skip
     process = subprocess.run(command, capture_output=True, text=True, timeout=250)
     assert process.returncode == 0, process.stderr[-2000:]
     film = run / "pictures" / "film_velocity_iso.mp4"

@@ -37,25 +37,20 @@ PLAN = "Two <beads> (two.yaml)\n  friction  off  every pair has friction 0"
 VERSIONS = "granflow 0.1.0, taichi 1.7.4, Python 3.11"
 RECORD = [
     RecordEntry(
-        "2026-01-02 03:04:05",
-        "INFO",
-        VERSIONS,
-        SessionFacts(VERSIONS, "cpu", "f64", 2, 1.5, "", 0.0, PLAN),
+        "2026-01-02 03:04:05", "INFO", VERSIONS, SessionFacts(VERSIONS, "cpu", "f64", 2, 1.5, "", 0.0, PLAN)
     ),
     RecordEntry("2026-01-02 03:04:06", "WARNING", "too fast"),
     RecordEntry("2026-01-02 03:04:07", "WARNING", "too fast"),
     RecordEntry(
         "2026-01-02 03:04:08", "ERROR", "ended by RunError: it burst\nat the seams", ended_by="RunError"
-    ),
-]
+    )
+]  # fmt: skip
 RESUMED = [
     RecordEntry(
-        "2026-01-02 04:00:00",
-        "INFO",
-        "granflow 0.2.0, taichi 1.7.4, Python 3.11",
-        SessionFacts("granflow 0.2.0", "cuda", "f32", None, 2.5, "checkpoint_1.npz", 0.1, ""),
+        "2026-01-02 04:00:00", "INFO", "granflow 0.2.0, taichi 1.7.4, Python 3.11",
+        SessionFacts("granflow 0.2.0", "cuda", "f32", None, 2.5, "checkpoint_1.npz", 0.1, "")
     )
-]
+]  # fmt: skip
 
 
 def lines_of(entries):
@@ -125,10 +120,8 @@ def test_page_of_a_complete_run_contains_all_results(run):
 
 def test_timings_add_up_to_the_wall_clock(run):
     assert [row[:3] for row in report_module.timings(read_run(run)).rows] == [
-        ("forces", "6.00", "60%"),
-        ("compile", "3.00", "30%"),
-        ("other", "1.00", "10%"),
-    ]
+        ("forces", "6.00", "60%"), ("compile", "3.00", "30%"), ("other", "1.00", "10%")
+    ]  # fmt: skip
 
 
 def test_page_of_an_interrupted_run_states_reason_and_time(run):
@@ -173,23 +166,15 @@ def test_columns_of_one_quantity_and_unit_share_a_plot():
     found = groups_of(
         columns(
             *(
-                "kinetic_energy J",
-                "elastic_energy J",
-                "wall_work J",
-                "overlap_mean",
-                "overlap_largest",
-                "count",
+                "kinetic_energy J", "elastic_energy J", "wall_work J", "overlap_mean", "overlap_largest",
+                "count"
             ),
             *(
-                "force_z.floor N",
-                "force_z.lid N",
-                "force_x.lid N",
-                "pressure.lid Pa",
-                "mean_count",
-                "temperature K",
-            ),
+                "force_z.floor N", "force_z.lid N", "force_x.lid N", "pressure.lid Pa", "mean_count",
+                "temperature K"
+            )
         )
-    )
+    )  # fmt: skip
     assert [(group.title, group.unit, [column.name for column in group.columns]) for group in found] == [
         ("energy", "J", ["kinetic_energy", "elastic_energy"]),
         ("wall work", "J", ["wall_work"]),

@@ -28,11 +28,9 @@ def test_section_shows_the_collisions_since_the_start(tmp_path):
     (topic,) = collision_topics(tmp_path, True)
     (table,) = topic.folded
     assert table.rows == [
-        ("0 to 1e-06 J", "0", "3"),
-        ("1e-06 to 0.0001 J", "5", "0"),
-        ("0.0001 to 0.01 J", "7", "0"),
-        ("0.01 to inf J", "1", "0"),
-    ]
+        ("0 to 1e-06 J", "0", "3"), ("1e-06 to 0.0001 J", "5", "0"), ("0.0001 to 0.01 J", "7", "0"),
+        ("0.01 to inf J", "1", "0")
+    ]  # fmt: skip
     particle, wall = topic.plots[0].figure["data"]
     assert particle["x"] == pytest.approx([1e-5, 1e-3], rel=1e-5) and particle["y"] == [5, 7]
     assert wall["y"] == [None, None], "a logarithmic axis has no 0"

@@ -55,12 +55,9 @@ def test_pairings_contain_each_possible_material_pair_with_its_smallest_radii():
     scene = two_materials()
     found = {(name_of(each), each.radius, each.other_radius) for each in pairings(plan_for(scene))}
     assert found == {
-        ("steel-steel", 0.002, 0.002),
-        ("steel-glass", 0.002, 0.003),
-        ("glass-glass", 0.003, 0.003),
-        ("steel-steel wall", 0.002, None),
-        ("glass-steel wall", 0.003, None),
-    }
+        ("steel-steel", 0.002, 0.002), ("steel-glass", 0.002, 0.003), ("glass-glass", 0.003, 0.003),
+        ("steel-steel wall", 0.002, None), ("glass-steel wall", 0.003, None)
+    }  # fmt: skip
 
 
 def test_small_time_steps_reach_the_given_restitution(taichi_f64):
@@ -141,14 +138,12 @@ def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
         assert bool(flag) == (abs(float(percent)) > 1.0)
 
 
-@pytest.mark.parametrize(
-    ("law", "restitution", "fraction", "largest"),
-    [
-        ("zhou", 0.5, 0.05, 0.25), ("zhou", 0.95, 0.05, 0.25), ("zhou", 0.95, 0.2, 0.32), ("zhou", 0.8, 0.3, 0.8),
-        ("hertz", 0.5, 0.05, 0.26), ("hertz", 0.5, 0.1, 1.1), ("hertz", 0.8, 0.05, 0.25), ("hertz", 0.8, 0.2, 1.7),
-        ({"law": "linear", "stiffness": "onset"}, 0.8, 0.05, 0.25),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("law", "restitution", "fraction", "largest"), [
+    ("zhou", 0.5, 0.05, 0.25), ("zhou", 0.95, 0.05, 0.25), ("zhou", 0.95, 0.2, 0.32),
+    ("zhou", 0.8, 0.3, 0.8), ("hertz", 0.5, 0.05, 0.26), ("hertz", 0.5, 0.1, 1.1),
+    ("hertz", 0.8, 0.05, 0.25), ("hertz", 0.8, 0.2, 1.7),
+    ({"law": "linear", "stiffness": "onset"}, 0.8, 0.05, 0.25)
+])  # fmt: skip
 def test_restitution_error_of_a_time_step_fraction_is_as_documented(law, restitution, fraction, largest):
     """accuracy.md: largest deviation [%] of a collision over the phases of first contact, and not far below
     it."""

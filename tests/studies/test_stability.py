@@ -35,18 +35,16 @@ def raising(error):
     raise error
 
 
-@pytest.mark.parametrize(
-    ("work", "kind", "text"),
-    [
-        (lambda: finding(0.503, 0.003), "accurate", "stable and accurate"),
-        (lambda: finding(0.52, 0.02), "error", "stable, error 2 % (restitution 0.52 for 0.5)"),
-        (lambda: finding(0.9, 0.4, "x"), "error", "stable, error 40 % (restitution 0.9 for 0.5), warning: x"),
-        (lambda: finding(0.9, 0.4), "defect", "defect: silent error 40 % (restitution 0.9 for 0.5)"),
-        (lambda: finding(math.nan, 0.0), "defect", "defect: restitution is not finite, and the run did not abort"),
-        (lambda: raising(GranflowError("Too soft.\nRaise it.")), "refused", "refused: Too soft. Raise it."),
-        (lambda: raising(IndexError("off the end")), "defect", "defect: IndexError: off the end"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("work", "kind", "text"), [
+    (lambda: finding(0.503, 0.003), "accurate", "stable and accurate"),
+    (lambda: finding(0.52, 0.02), "error", "stable, error 2 % (restitution 0.52 for 0.5)"),
+    (lambda: finding(0.9, 0.4, "x"), "error", "stable, error 40 % (restitution 0.9 for 0.5), warning: x"),
+    (lambda: finding(0.9, 0.4), "defect", "defect: silent error 40 % (restitution 0.9 for 0.5)"),
+    (lambda: finding(math.nan, 0.0), "defect",
+     "defect: restitution is not finite, and the run did not abort"),
+    (lambda: raising(GranflowError("Too soft.\nRaise it.")), "refused", "refused: Too soft. Raise it."),
+    (lambda: raising(IndexError("off the end")), "defect", "defect: IndexError: off the end")
+])  # fmt: skip
 def test_cases_are_classified(work, kind, text):
     outcome = run_case(case_of(work))
     assert (outcome.kind, outcome.assessment) == (kind, text)
@@ -59,12 +57,9 @@ def test_pairs_reach_the_given_or_the_smallest_stable_restitution(taichi_f64):
     A restitution of 0 needs no tangent: the contact stops the pair in one step.
     """
     pairs = (
-        ParticlePair(restitution=0.005),
-        ParticlePair(restitution=0.5),
-        ParticlePair(restitution=1.0),
-        ParticlePair(restitution=0.5, radius_ratio=5.0),
-        ParticlePair(restitution=0.0),
-    )
+        ParticlePair(restitution=0.005), ParticlePair(restitution=0.5), ParticlePair(restitution=1.0),
+        ParticlePair(restitution=0.5, radius_ratio=5.0), ParticlePair(restitution=0.0)
+    )  # fmt: skip
     found = rebound(pairs)
     assert found.restitution[1:] == pytest.approx([0.5, 1.0, 0.5, 0.0], abs=2e-3)
     assert abs(found.restitution[4]) < 1e-12

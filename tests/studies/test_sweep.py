@@ -3,6 +3,7 @@ once."""
 
 import csv
 import json
+import re
 from concurrent.futures import Future
 from threading import Event
 
@@ -57,66 +58,42 @@ def test_all_problems_are_reported_with_position_and_suggestion(tmp_path):
     ]
 
 
-@pytest.mark.parametrize(
-    ("vary", "words"),
-    [
-        ("{a: {from: 0.2, to: 0.1, count: 2}}", "vary.a.to is 0.1, but it must be larger than from, 0.2."),
-        ("{a: {from: 0.1, to: 0.2}}", "vary.a.count is missing"),
-        ("{a: 5}", "a list of values or a range is expected"),
-        ("{a: [1], b: {values: [2], keys: a}}", "vary.b sets a, which vary.a sets too"),
-        ("{a: {values: [1, 2], with: {b: [1]}}}", "it needs 2 values, one for each value of the parameter."),
-        ("{a: {from: 0, to: 1, count: 2, scale: log}}", "it must be above 0 on a logarithmic scale"),
-        ("{}", "vary is missing: at least one parameter"),
-    ],
-)
-def test_invalid_parameters_are_refused(tmp_path, vary, words):
-    problem = problems_of(tmp_path, f"scene: spheres.yaml\nvary: {vary}\nread: kinetic_energy\n")
-    assert any(words in each and each.startswith("sweep.yaml:2:") for each in problem), problem
+@pytest.mark.parametrize(("text", "words"), [
+    ("vary: {a: {from: 0.2, to: 0.1, count: 2}}", "vary.a.to is 0.1, but it must be larger than from, 0.2."),
+    ("vary: {a: {from: 0.1, to: 0.2}}", "vary.a.count is missing"),
+    ("vary: {a: 5}", "a list of values or a range is expected"),
+    ("vary: {a: [1], b: {values: [2], keys: a}}", "vary.b sets a, which vary.a sets too"),
+    ("vary: {a: {values: [1, 2], with: {b: [1]}}}", "it needs 2 values, one for each value of the parameter."),
+    ("vary: {a: {from: 0, to: 1, count: 2, scale: log}}", "it must be above 0 on a logarithmic scale"),
+    ("vary: {}", "vary is missing: at least one parameter"),
+    ("vary: {a: {from: 30 deg, to: 10 deg, count: 2}}", "it must be larger than from, 30 deg."),
+    ("vary: {a: {from: 10 deg, to: 30, count: 2}}", "30 has no unit; give all values in deg, or all in SI units."),
+    ("vary: {a: {from: 10 mm, to: 1 s, count: 2}}", "mm and s are units of different dimensions."),
+    ("vary: {a: [10 deg, 20]}", "vary.a is [10 deg, 20], but 20 has no unit"),
+    ("vary: {a: {from: 0, to: 1, count: 1000000000}}", "vary gives 1000000000 runs, but a sweep has"),
+    ("vary: {a: [1, 2]}\nrepeat: {seeds: 1000}\nsampling: {kind: sobol, count: 1024}",
+     "count gives 3072000 runs"),
+    ("vary: {a: {from: 0, to: 1}}\nsampling: {kind: latin_hypercube, count: 1000000000}",
+     "sweep.yaml:3:35: sampling.count gives 1000000000 runs, but a sweep has at most 100000; give fewer values."),
+])  # fmt: skip
+def test_invalid_parameters_are_refused(tmp_path, text, words):
+    problem = problems_of(tmp_path, f"scene: spheres.yaml\n{text}\nread: kinetic_energy\n")
+    assert any(words in each and each.startswith("sweep.yaml:") for each in problem), problem
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (
-            "vary: {a: {from: 0, to: 1, count: 1000000000}}",
-            "sweep.yaml:2:1: vary gives 1000000000 runs, but a sweep has",
-        ),
-        (
-            "vary: {a: {from: 0, to: 1, count: 100000}, b: {from: 0, to: 1, count: 100000}}",
-            "vary gives 10000000000 runs",
-        ),
-        (
-            "vary: {a: [1, 2]}\nrepeat: {seeds: 1000}\nsampling: {kind: sobol, count: 1024}",
-            "count gives 3072000 runs",
-        ),
-        (
-            "vary: {a: {from: 0, to: 1}}\nsampling: {kind: latin_hypercube, count: 1000000000}",
-            "sweep.yaml:3:35: sampling.count gives 1000000000 runs, but a sweep has at most 100000; give "
-            "fewer values.",
-        ),
-    ],
-)
-def test_too_many_runs_are_refused_before_any_is_checked(tmp_path, text, words):
-    (problem,) = problems_of(tmp_path, f"scene: spheres.yaml\n{text}\nread: kinetic_energy\n")
-    assert words in problem
+FRICTION = "pairs.steel-steel.friction: {from: 0.1, to: 0.4, count: 4}"
 
 
-def test_misspelt_key_of_the_scene_is_reported_at_its_line_of_the_sweep(tmp_path):
-    sweep = read_sweep(write_sweep(tmp_path, SWEEP.replace("steel.friction", "steel.frction")))
-    with pytest.raises(FileError) as caught:
-        checked_points(sweep, settings(tmp_path))
-    assert (
-        f"{tmp_path}/sweep.yaml:4:3: pairs.steel-steel.frction is not a known key. Did you mean friction?"
-        in str(caught.value)
-    )
-
-
-def test_unknown_quantity_is_refused_with_the_closest_name(tmp_path):
-    sweep = read_sweep(write_sweep(tmp_path, SWEEP.replace("rotational_energy]", "kinetik_energy]")))
-    with pytest.raises(
-        FileError,
-        match=r"sweep.yaml:5:24: kinetik_energy is not a number of a run.*Did you mean kinetic_energy\?",
-    ):
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("steel.friction", "steel.frction",
+     "sweep.yaml:4:3: pairs.steel-steel.frction is not a known key. Did you mean friction?"),
+    ("rotational_energy]", "kinetik_energy]", "sweep.yaml:5:24: kinetik_energy is not a number of a run"),
+    (FRICTION, "pairs.steel-steel.friction: [10 mm, 20 mm]", "sweep.yaml:4:3: pairs.steel-steel.friction is"),
+])  # fmt: skip
+def test_problems_with_the_scene_are_reported_at_the_line_of_the_sweep(tmp_path, old, new, words):
+    """Also a unit of another dimension, whose number 0.01 would be a valid friction."""
+    sweep = read_sweep(write_sweep(tmp_path, SWEEP.replace(old, new)))
+    with pytest.raises(FileError, match=re.escape(f"{tmp_path}/{words}")):
         checked_points(sweep, settings(tmp_path))
 
 
@@ -154,17 +131,20 @@ def test_directory_of_a_run_changes_with_the_contents_of_its_inputs_and_the_vers
     found = [names_of_runs(tmp_path)]
     source_run(tmp_path / "source", 0.0, 34.0)
     assert names_of_runs(tmp_path) == found[0]
+    edited = {
+        tmp_path / "lid.stl": MESH.format(x=2),
+        tmp_path / "lid.csv": "time,displacement\n0,0\n1,0.02\n",
+    }
     source_run(tmp_path / "source", 1e-9, 34.0)
     found.append(names_of_runs(tmp_path))
-    (tmp_path / "lid.stl").write_text(MESH.format(x=2))
-    found.append(names_of_runs(tmp_path))
-    (tmp_path / "lid.csv").write_text("time,displacement\n0,0\n1,0.02\n")
-    found.append(names_of_runs(tmp_path))
+    for path, text in edited.items():
+        path.write_text(text)
+        found.append(names_of_runs(tmp_path))
     monkeypatch.setattr("granflow.load.version_of", lambda _: "99.0")
     found.append(names_of_runs(tmp_path))
     monkeypatch.setattr("granflow.load.engine_digest", lambda: "another engine")
     found.append(names_of_runs(tmp_path))
-    assert len({name for names in found for name in names}) == 2 * len(found)
+    assert len({name for names in found for name in names}) == 2 * len(found) == 12
 
 
 def sweep_of(**parts):
@@ -178,6 +158,10 @@ def test_grid_contains_all_combinations_in_si_units_and_the_scene_gets_the_given
         (length, number) for length in (0.009, 0.01) for number in (1.0, pytest.approx(10.0), 100.0)
     ]  # fmt: skip
     assert points[3].settings == {"d": "2 ms", "a.b": "1 cm", "c": 1.0}
+    listed = design_points(sweep_of(vary={"wall.angle": ["0 deg", "10 deg", "20 deg", "30 deg"]}))
+    ranged = design_points(sweep_of(vary={"wall.angle": {"from": 0, "to": "30 deg", "count": 4}}))
+    assert [point.values for point in ranged] == [point.values for point in listed]
+    assert ranged[3].settings["wall.angle"] == "0.5235987755982988 rad"
 
 
 def test_sobol_design_gives_the_indices_of_the_ishigami_function():
@@ -281,17 +265,26 @@ def test_ended_runs_are_not_repeated(tmp_path):
     assert found["aborted"] == final_outcome(aborted.directory) == Outcome(ABORTED, "overlap", 3.0)
 
 
-def test_table_states_why_a_quantity_is_nan(tmp_path):
-    done = run(tmp_path, "a")
-    warning = "output.metrics.left: the angle of repose is NaN: the surface has 3 points."
-    content = {
-        "expect": [], "run": {"wall_clock": 1.0}, "metrics": {"left": {"angle_of_repose": None}},
-        "warnings": [warning, "output.metrics.right: another one."],
-    }  # fmt: skip
-    (done.directory / "result.json").write_text(json.dumps(content))
+def ended(folder, name, **result):
+    """A run with a result."""
+    made = run(folder, name)
+    content = {"expect": [], "run": {"wall_clock": 1.0}} | result
+    (made.directory / "result.json").write_text(json.dumps(content))
+    return made
+
+
+def table_of_one_point(runs, *quantities):
+    """The table of one point, a = 3 mm, with these runs."""
     (point,) = design_points(sweep_of(vary={"a": ["3 mm"]}))
-    outcomes = {done.request.directory: final_outcome(done.directory)}
-    table = table_of(("a",), ("angle_of_repose.left", "angle_of_repose.right"), [(point, [done])], outcomes)
+    outcomes = {each.request.directory: final_outcome(each.directory) for each in runs}
+    return table_of(("a",), quantities, [(point, runs)], outcomes)
+
+
+def test_table_states_why_a_quantity_is_nan(tmp_path):
+    warning = "output.metrics.left: the angle of repose is NaN: the surface has 3 points."
+    done = ended(tmp_path, "a", metrics={"left": {"angle_of_repose": None}},
+                 warnings=[warning, "output.metrics.right: another one."])  # fmt: skip
+    table = table_of_one_point([done], "angle_of_repose.left", "angle_of_repose.right")
     assert table.columns()["status"] == ["done"]
     assert table.columns()["reason"] == [
         f"runs/a: angle_of_repose.left is NaN. {warning} runs/a: angle_of_repose.right is missing."
@@ -300,14 +293,11 @@ def test_table_states_why_a_quantity_is_nan(tmp_path):
 
 def test_table_has_mean_and_standard_error_over_seeds(tmp_path):
     """Values 1, 2 and 6: mean 3, sample variance 7, standard error sqrt(7/3)."""
-    runs = [run(tmp_path, name) for name in "abc"]
-    for each, value in zip(runs, (1.0, 2.0, 6.0), strict=True):
-        content = {"expect": [], "run": {"wall_clock": 1.0}, "flow_meters": {"out": {"mass_flow": value}}}
-        (each.directory / "result.json").write_text(json.dumps(content))
-    (point,) = design_points(sweep_of(vary={"a": ["3 mm"]}))
-    outcomes = {each.request.directory: final_outcome(each.directory) for each in runs}
-    table = table_of(("a",), ("mass_flow.out",), [(point, runs)], outcomes)
-    write_tables(tmp_path, table)
+    values = {"a": 1.0, "b": 2.0, "c": 6.0}
+    runs = [
+        ended(tmp_path, name, flow_meters={"out": {"mass_flow": value}}) for name, value in values.items()
+    ]
+    write_tables(tmp_path, table_of_one_point(runs, "mass_flow.out"))
     with open(tmp_path / "sweep.csv", newline="") as file:
         (row,) = csv.DictReader(file)
     assert (row["a"], row["status"], row["seconds"], row["runs"]) == ("0.003", "done", "3.0", "a b c")
@@ -321,29 +311,24 @@ def test_table_has_mean_and_standard_error_over_seeds(tmp_path):
 ])  # fmt: skip
 def test_table_has_the_standard_errors_of_the_runs(tmp_path, values, errors, expected):
     """One run: its own error. Several: sqrt(sum e^2) / n, or the scatter between seeds if it is larger."""
-    runs = [run(tmp_path, name) for name in "ab"[: len(values)]]
-    for k, each in enumerate(runs):
-        metric = {"angle_of_repose": values[k]} | ({"angle_of_repose_error": errors[k]} if errors else {})
-        content = {"expect": [], "run": {"wall_clock": 1.0}, "metrics": {"left": metric}}
-        (each.directory / "result.json").write_text(json.dumps(content))
-    (point,) = design_points(sweep_of(vary={"a": ["3 mm"]}))
-    outcomes = {each.request.directory: final_outcome(each.directory) for each in runs}
-    table = table_of(("a",), ("angle_of_repose.left",), [(point, runs)], outcomes)
-    found = table.columns().get("standard_error.angle_of_repose.left [rad]")
-    assert found == (None if expected is None else [pytest.approx(expected)])
+    runs = []
+    for k, value in enumerate(values):
+        metric = {"angle_of_repose": value} | ({"angle_of_repose_error": errors[k]} if errors else {})
+        runs.append(ended(tmp_path, "ab"[k], metrics={"left": metric}))
+    found = table_of_one_point(runs, "angle_of_repose.left").columns()
+    assert found.get("standard_error.angle_of_repose.left [rad]") == (
+        None if expected is None else [pytest.approx(expected)]
+    )
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["sweep", "none.yaml"], "none.yaml: there is no such file"),
-        (["sweep", "sweep.yaml", "--jobs", "0"], "give a whole number of at least 1"),
-        (["sweep", "sweep.yaml", "--jobs", "5000"], "5 000 runs of 1 thread need 5 000 cores"),
-        (["sweep", "sweep.yaml", "--threads", "4000"], "1 run of 4 000 threads needs 4 000 cores"),
-        (["sweep", "sweep.yaml", "--scheduler-file", "none.json"], "none.json: there is no such file"),
-        (["sweep", "sweep.yaml", "--slurm", "sweep.yaml"], "cores is missing"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["sweep", "none.yaml"], "none.yaml: there is no such file"),
+    (["sweep", "sweep.yaml", "--jobs", "0"], "give a whole number of at least 1"),
+    (["sweep", "sweep.yaml", "--jobs", "5000"], "5 000 runs of 1 thread need 5 000 cores"),
+    (["sweep", "sweep.yaml", "--threads", "4000"], "1 run of 4 000 threads needs 4 000 cores"),
+    (["sweep", "sweep.yaml", "--scheduler-file", "none.json"], "none.json: there is no such file"),
+    (["sweep", "sweep.yaml", "--slurm", "sweep.yaml"], "cores is missing")
+])  # fmt: skip
 def test_invalid_requests_have_a_message_and_exit_code_2(tmp_path, monkeypatch, capsys, arguments, words):
     write_sweep(tmp_path)
     monkeypatch.chdir(tmp_path)

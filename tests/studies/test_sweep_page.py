@@ -27,7 +27,8 @@ def finished(folder, name, value, aborts=False):
     if aborts:
         write_outcome(made.directory, Outcome(ABORTED, "overlap above the limit", 2.0))
         return made
-    content = {"expect": [], "run": {"wall_clock": 1.0}, "flow_meters": {"out": {"mass_flow": value}}}
+    content = {"expect": [], "run": {"wall_clock": 1.0}, "warnings": ["x has never touched."],
+               "flow_meters": {"out": {"mass_flow": value}}}  # fmt: skip
     (made.directory / "result.json").write_text(json.dumps(content))
     rows = [f"{0.1 * k},run,{value * 0.1 * k},{value}" for k in range(20)]
     heads = "time [s],stage,flow_mass.out [kg],mass_flow.out [kg/s]"
@@ -39,10 +40,8 @@ def swept(folder, aborts=(), function=ishigami, **parts):
     """A sweep, by default of three parameters, whose runs have a function of them as their mass flow rate."""
     bounds = {"from": -pi, "to": pi} | ({} if "sampling" in parts else {"count": 3})
     content = {
-        "scene": "a.yaml",
-        "vary": dict.fromkeys(("a.x", "a.y", "b.z"), bounds),
-        "read": ["mass_flow.out"],
-    }
+        "scene": "a.yaml", "vary": dict.fromkeys(("a.x", "a.y", "b.z"), bounds), "read": ["mass_flow.out"]
+    }  # fmt: skip
     sweep = SweepInput.model_validate(content | parts)
     points = [
         (point, [finished(folder, f"run{k}", function(*point.values.values()), k in aborts)])
@@ -66,15 +65,12 @@ GRID = ["scatter"] + 3 * ["histogram2d"] + ["parcoords", "splom", "scatter", "sc
 SOBOL = ["scatter", "parcoords", "splom", "bar", "scatter", "scatter"]
 
 
-@pytest.mark.parametrize(
-    ("parts", "kinds", "words"),
-    [
-        ({"aborts": (4,)}, GRID, ("overlap above the limit", ">Two parameters</h2>")),
-        ({"sampling": {"kind": "sobol", "count": 16}}, SOBOL, (">Sobol indices</h2>", ">run79<")),
-        ({"vary": TEXTS, "function": lambda name, y: y}, ["scatter", "histogram2d", "parcoords", "splom",
-         "scatter", "scatter"], ("y [deg]", "&lt;b&gt;x")),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("parts", "kinds", "words"), [
+    ({"aborts": (4,)}, GRID, ("overlap above the limit", ">Two parameters</h2>", ">warnings</th>")),
+    ({"sampling": {"kind": "sobol", "count": 16}}, SOBOL, (">Sobol indices</h2>", ">run79<")),
+    ({"vary": TEXTS, "function": lambda name, y: y},
+     ["scatter", "histogram2d", "parcoords", "splom", "scatter", "scatter"], ("y [deg]", "&lt;b&gt;x")),
+])  # fmt: skip
 def test_page_of_a_sweep_has_its_plots(tmp_path, parts, kinds, words):
     """Names and values are no markup in plots: they have no tags but line breaks."""
     pytest.importorskip("plotly")
@@ -96,24 +92,6 @@ def test_mean_over_a_parameter():
     assert mean_over(few, "x", "q", False).values.tolist() == [["b", 2.5], ["a", 2.0]]
     many = pandas.DataFrame({"x": np.geomspace(0.01, 1.0, 16), "q": np.arange(16.0)})
     np.testing.assert_allclose(mean_over(many, "x", "q", True)["q"], np.arange(0.5, 16.0, 2.0))
-
-
-def test_tables_of_a_sweep_have_the_warnings_of_its_runs(tmp_path):
-    sweep, table = swept(tmp_path)
-    warned = table.rows[3].runs[0].run.directory / "result.json"
-    warned.write_text(
-        json.dumps(json.loads(warned.read_text()) | {"warnings": ["walls.lid has never touched."]})
-    )
-    outcomes = {each.run.request.directory: each.outcome for row in table.rows for each in row.runs}
-    points = [(row.point, [each.run for each in row.runs]) for row in table.rows]
-    table = table_of(table.parameters, table.quantities, points, outcomes)
-    for columns in (table.columns(), table.run_columns()):
-        assert [
-            k for k, text in enumerate(columns["warnings"]) if text == "walls.lid has never touched."
-        ] == [3]
-    write_sweep_page(tmp_path, sweep, table)
-    page = (tmp_path / "sweep.html").read_text()
-    assert ">warnings</th>" in page and "walls.lid has never touched." in page
 
 
 @pytest.mark.parametrize(

@@ -148,11 +148,9 @@ def test_failed_run_is_reported_with_its_error():
 def points(**rates):
     common = {"case": "bed 10", "count": 10, "threads": 1}
     return [
-        {"round": number, "code": code.split("_")[0], "law": law, "rate": rate, **common}
-        for code, values in rates.items()
-        for law in [code.split("_")[1]]
-        for number, rate in enumerate(values, 1)
-    ]
+        {"round": number, "code": code.split("_")[0], "law": law, "rate": rate, **common} for code,
+        values in rates.items() for law in [code.split("_")[1]] for number, rate in enumerate(values, 1)
+    ]  # fmt: skip
 
 
 def test_ratios_are_computed_within_a_round():

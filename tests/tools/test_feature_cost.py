@@ -35,11 +35,8 @@ run: {duration: 30 ms, velocity_max: 1 m/s}
 output: {interval: 10 ms, energy_budget: true}
 """
 IN_CONTACT_NEIGHBORS = (
-    "contact.rolling=none",
-    "contact.normal=hertz",
-    "output.energy_budget=false",
-    "walls={}",
-)
+    "contact.rolling=none", "contact.normal=hertz", "output.energy_budget=false", "walls={}"
+)  # fmt: skip
 SMOOTH = tuple(
     f"pairs.{pair}={{restitution: 0.7, friction: 0}}"
     for pair in ("glass-glass", "glass-steel", "steel-steel")
@@ -58,30 +55,21 @@ def plans(directory, *overrides):
     return {variant.name: variant.plan(base, on_gpu=False) for variant in variants_of(scene, base)}
 
 
-@pytest.mark.parametrize(
-    ("name", "saved", "changed"),
-    [
-        ("without friction", {"rotation": True, "rolling": "epsd"}, {"friction": False}),
-        ("without rolling friction", {"rotation": True, "friction": True}, {"rolling": "none"}),
-        ("without rotation", {"walls": True}, {"rotation": False, "friction": False, "rolling": "none"}),
-        ("without walls", {"friction": True}, {"walls": False}),
-        ("without energy budget", {"friction": True}, {"energy_budget": False}),
-        ("with several materials", {"friction": True}, {"one_material": False}),
-        ("with moving walls", {"walls": True}, {"moving_walls": True}),
-        ("without any history", {"rotation": True}, {"friction": False, "rolling": "none"}),
-        (
-            "without all of these",
-            {"one_material": True},
-            {
-                "friction": False,
-                "rotation": False,
-                "walls": False,
-                "energy_budget": False,
-                "rate_dependent": False,
-            },
-        ),
-    ],
-)
+@pytest.mark.parametrize(("name", "saved", "changed"), [
+    ("without friction", {"rotation": True, "rolling": "epsd"}, {"friction": False}),
+    ("without rolling friction", {"rotation": True, "friction": True}, {"rolling": "none"}),
+    ("without rotation", {"walls": True}, {"rotation": False, "friction": False, "rolling": "none"}),
+    ("without walls", {"friction": True}, {"walls": False}),
+    ("without energy budget", {"friction": True}, {"energy_budget": False}),
+    ("with several materials", {"friction": True}, {"one_material": False}),
+    ("with moving walls", {"walls": True}, {"moving_walls": True}),
+    ("without any history", {"rotation": True}, {"friction": False, "rolling": "none"}),
+    ("without all of these", {"one_material": True},
+     {
+         "friction": False, "rotation": False, "walls": False, "energy_budget": False,
+         "rate_dependent": False
+     })
+])  # fmt: skip
 def test_a_variant_changes_its_feature_only(tmp_path, name, saved, changed):
     found = plans(tmp_path)
     baseline = switches(found["baseline"])
@@ -164,10 +152,8 @@ def measured(directory):
     scene = load_scene(path)
     found = features.feature_costs(scene, until=0.02, rounds=2, only=("baseline", "without walls"))
     return {
-        "rows": features.cost_rows(found),
-        "positions": positions,
-        "text": features.text(found, scene.title),
-    }
+        "rows": features.cost_rows(found), "positions": positions, "text": features.text(found, scene.title)
+    }  # fmt: skip
 
 
 @pytest.mark.slow

@@ -45,11 +45,8 @@ def trajectory(path, offset):
     rng = np.random.default_rng(1)
     position, velocity = rng.normal(size=(2, 10, 3))
     scalars = {
-        "steps": 1000,
-        "kinetic_energy": 1.0 + offset,
-        "overlap_largest": 0.01 + offset,
-        "contact_count": 20,
-    }
+        "steps": 1000, "kinetic_energy": 1.0 + offset, "overlap_largest": 0.01 + offset, "contact_count": 20
+    }  # fmt: skip
     np.savez(path, position=position + offset, velocity=velocity + offset, radius=np.ones(10), **scalars)
     return path
 
@@ -71,13 +68,8 @@ def run_of(tmp_path, answers, **requested):
     """A Run whose jobs return the entries of `answers`, or raise them if they are exceptions."""
     check = module("gpu_check")
     defaults = {
-        "arch": "cpu",
-        "part": "all",
-        "precisions": ["f64"],
-        "sizes": [1000],
-        "seconds": 1.0,
-        "quick": True,
-    }
+        "arch": "cpu", "part": "all", "precisions": ["f64"], "sizes": [1000], "seconds": 1.0, "quick": True
+    }  # fmt: skip
     options = argparse.Namespace(**defaults | {"out": tmp_path / "found.json"} | requested)
     result = {"checks": [], "points": [], "profiles": [], "left_out": []}
     result["device"] = {"name": "host", "driver": None, "memory_free": 10**9, "largest_buffer": 10**8}
@@ -106,10 +98,8 @@ def test_failed_job_counts_as_failed_check(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(check.checks, "agreement", lambda *_: [good])
     vibrated_box = {"digest": "a", "checks": [good]}
     answers = {
-        "collisions": check.Failed("it ended with code 1"),
-        "momentum": [good],
-        "vibrated box": vibrated_box,
-    }
+        "collisions": check.Failed("it ended with code 1"), "momentum": [good], "vibrated box": vibrated_box
+    }  # fmt: skip
     answers |= {"scenes": [good], "trajectory": None}
     run = run_of(tmp_path, answers, part="correctness")
     assert check.carry_out(run) == 1

@@ -16,17 +16,10 @@ def case(value, **more):
     return ValidationCase("kind", "name", 2.0, "source", value, "m", 0.01, "reason", **more)
 
 
-@pytest.mark.parametrize(
-    ("value", "status"),
-    [
-        (2.0, "pass"),
-        (2.019, "pass"),
-        (1.981, "pass"),
-        (2.021, "fail"),
-        (1.979, "fail"),
-        (float("nan"), "fail"),
-    ],
-)
+@pytest.mark.parametrize(("value", "status"), [
+    (2.0, "pass"), (2.019, "pass"), (1.981, "pass"), (2.021, "fail"), (1.979, "fail"),
+    (float("nan"), "fail")
+])  # fmt: skip
 def test_status_depends_on_the_allowed_deviation(value, status):
     assert case(value).status == status
 

@@ -119,12 +119,10 @@ def flying(times, count=100, velocity=(0.0, 0.0, 0.0), position=(0.0, 0.0, 0.05)
     ones = np.ones((count, 1))
     return {
         round(float(time), 6): Particles(
-            ones * (np.array(position) + np.array(velocity) * time),
-            ones * np.array(velocity),
-            np.full(count, 4e-3),
-        )
-        for time in times
-    }
+            ones * (np.array(position) + np.array(velocity) * time), ones * np.array(velocity),
+            np.full(count, 4e-3)
+        ) for time in times
+    }  # fmt: skip
 
 
 def test_figures_of_the_shaken_box():
