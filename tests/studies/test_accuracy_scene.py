@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from granflow.errors import GranflowError, SceneError
+from granflow.errors import GranflowError
 from granflow.load import load_scene
 from granflow.particles.insertion import initial_particles
 from granflow.studies.accuracy import scene as scene_runs
@@ -25,7 +25,6 @@ from granflow.studies.accuracy.scene import (
     noise_sentence,
     phase_of,
     reduced_counts,
-    restitution_error,
     run_task,
     scene_heads,
     scene_recommendation,
@@ -205,17 +204,3 @@ def test_files_without_matplotlib(tmp_path, monkeypatch):
     assert [float(row["share"]) for row in rows] == [0.9, 0.4, 0.2, 0.1, 0.05]
     assert rows[0]["stopped"] == "not stable"
     assert scene_recommendation(study) in (tmp_path / "accuracy.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-def test_the_hopper_scene_is_accurate_to_one_percent(taichi_f64):
-    """Four times its time step is less accurate than one percent or unstable: the time step is not too
-    fine."""
-    task = SceneTask(SCENES / "hopper.yaml", (), None)
-    phase, own = phase_of(task.scene())
-    assert restitution_error(task) <= 0.01
-    coarse = task.with_overrides(*STEP_FAMILIES[0].overrides(4.0 * own, phase))
-    try:
-        assert restitution_error(coarse) > 0.01
-    except SceneError as error:
-        assert "above the stability limit" in str(error)

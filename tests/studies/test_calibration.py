@@ -10,7 +10,6 @@ from studies.sweep_files import SCENE
 
 from granflow.errors import FileError, GranflowError, OutputError
 from granflow.studies.calibration.calibrate import read_calibration, run_calibration
-from granflow.studies.calibration.response import fit_response
 from granflow.studies.calibration.schema import (
     Parameter,
     Target,
@@ -87,22 +86,15 @@ def runner(folder, text=CALIBRATION):
     return TrialRunner(search, study.scenes, study.targets, study.positions, common, lambda: False)
 
 
-def test_misspelt_key_is_reported_at_its_parameter(tmp_path):
-    found = runner(
-        tmp_path, CALIBRATION.replace("keys: pairs.steel-steel.friction", "keys: pairs.steel-steel.frction")
-    )
-    with pytest.raises(
-        FileError, match=r"calibration.yaml:3:3: .*frction is not a known key. Did you mean friction?"
-    ):
-        found.check()
-
-
-def test_unknown_quantity_is_reported_at_its_target(tmp_path):
-    found = runner(tmp_path, CALIBRATION.replace("quantity: kinetic_energy", "quantity: kinetik_energy"))
-    with pytest.raises(
-        FileError, match=r"calibration.yaml:6:35: kinetik_energy is not a number .* kinetic_energy\?"
-    ):
-        found.check()
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("keys: pairs.steel-steel.friction", "keys: pairs.steel-steel.frction",
+     r"calibration.yaml:3:3: .*frction is not a known key. Did you mean friction\?"),
+    ("quantity: kinetic_energy", "quantity: kinetik_energy",
+     r"calibration.yaml:6:35: kinetik_energy is not a number .* kinetic_energy\?"),
+])  # fmt: skip
+def test_problems_with_the_scene_are_reported_at_their_parameter_or_target(tmp_path, old, new, words):
+    with pytest.raises(FileError, match=words):
+        runner(tmp_path, CALIBRATION.replace(old, new)).check()
 
 
 def test_journal_of_another_calibration_is_refused(tmp_path):
@@ -143,15 +135,14 @@ def full_disk(*_):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize("damage", [b'{"op_code":6,"wor'])
-def test_a_journal_with_a_damaged_line_is_read_without_it(tmp_path, damage):
+def test_a_journal_with_a_damaged_line_is_read_without_it(tmp_path):
     """Earlier programs wrote the next operation behind half a line."""
     search = runner(tmp_path).search
     finished_trial(search, 4.0)
     path = tmp_path / JOURNAL
     middle = path.read_bytes()
     finished_trial(search, 3.0)
-    path.write_bytes(middle + damage + path.read_bytes()[len(middle) :])
+    path.write_bytes(middle + b'{"op_code":6,"wor' + path.read_bytes()[len(middle) :])
     assert [trial.value for trial in runner(tmp_path).search.completed()] == [4.0, 3.0]
 
 
@@ -306,14 +297,6 @@ def test_a_curve_with_columns_that_do_not_fit_is_refused(tmp_path, head, message
     with pytest.raises(FileError) as error:
         target(tmp_path, curve="flow.csv")
     assert message in str(error.value)
-
-
-def test_response_recovers_the_optimum_of_linear_residuals():
-    """Residuals 20 (u - 0.3) and 5 (v - 0.6)."""
-    u = np.random.default_rng(1).uniform(size=(40, 2))
-    found = np.column_stack([20.0 * (u[:, 0] - 0.3), 5.0 * (u[:, 1] - 0.6)])
-    best = int(np.argmin((found**2).sum(axis=1)))
-    assert fit_response(u, found, best).optimum(u[best]) == pytest.approx([0.3, 0.6], abs=1e-6)
 
 
 ANGLE = {"angle_of_repose": np.radians(26.0), "angle_of_repose_error": 0.2}

@@ -3,26 +3,11 @@
 import numpy as np
 import pytest
 
-from granflow.contact.registry import models
 from granflow.errors import GranflowError
 from granflow.studies.bench import CollisionBench
 from granflow.studies.collide import collide
 
 STEEL = {"material": "stainless_316", "diameter": 0.0254, "velocity": 0.5}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", models("normal"))
-def test_collision_matches_the_closed_forms(taichi_f64, law):
-    """At 200 steps: e within 0.1 % (0.2 % if the damping force starts with a jump), other quantities within
-    0.5 %."""
-    needed = models("normal")[law].restitution != "nothing"
-    found = collide(law, restitution=0.7 if needed else None, steps_per_contact=200, **STEEL)
-    assert found["restitution"] == pytest.approx(
-        found["restitution_asked"], rel=2e-3 if law == "linear" else 1e-3
-    )
-    for name in ("duration", "overlap_max", "force_max"):
-        assert found[name] == pytest.approx(found[f"{name}_theory"], rel=5e-3), name
 
 
 def test_dashpot_of_a_collision_that_begins_with_touching_surfaces_acts_from_the_first_contact(taichi_f64):
@@ -51,9 +36,7 @@ def test_rounding_of_a_dashpot_that_cancels_the_elastic_force_does_not_prolong_a
     taichi_f64, monkeypatch
 ):
     """A GPU in float32 leaves residues of some ulps where a CPU has exactly 0: 2^-24 of the elastic force."""
-    arguments = {
-        "law": "linear", "material": "stainless_316", "diameter": 4e-3, "velocity": 0.5, "restitution": 0.5
-    }  # fmt: skip
+    arguments = {"law": "hertz", "restitution": 0.05, **STEEL}
     exact = collide(**arguments)
     run = CollisionBench.run
 

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
-from granflow.studies.paper import figures, report
+from granflow.studies.paper import figures
 from granflow.studies.paper.figures import PAPER_CASES, thornton_restitution
 
 RESTITUTIONS = np.array([0.1, 0.2, 0.5, 0.7, 0.9, 1.0])
@@ -149,15 +149,3 @@ def test_thornton_restitution_follows_from_the_energies(ratio):
     rebound = (force / np.sqrt(flattened)) ** (2.0 / 3.0)
     expected = np.sqrt(0.4 * force * rebound / energy)
     assert thornton_restitution(np.array([ratio]), 1.0)[0] == pytest.approx(expected, rel=1e-12)
-
-
-@pytest.mark.slow
-def test_every_contact_model_reaches_the_restitution_of_equation_12(taichi_f64):
-    """At the reference velocity every contact model of the catalog has the restitution of Eq. 12 for both
-    steels."""
-    found = report.compare(np.array([report.REFERENCE_VELOCITY]))
-    assert not found.refused
-    wanted = [np.exp(-3.0432 / (np.sqrt(0.93e9 / 8030.0) - 1.0) ** 0.54),
-              np.exp(-0.1418 / (np.sqrt(6.09e9 / 7830.0) - 1.0) ** 0.3114)]  # fmt: skip
-    for name, (_, outcomes) in found.ran.items():
-        assert outcomes.restitution == pytest.approx(wanted, rel=1e-3), name

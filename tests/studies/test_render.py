@@ -1,6 +1,5 @@
-"""Pictures of a run: frame selection, colors, camera. Tests that draw with VTK are slow."""
+"""Pictures of a run: frame selection, colors, camera, and what VTK draws."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -215,11 +214,11 @@ def test_speed_of_a_film_is_stated_as_a_ratio():
 
 
 # Runs in a separate process: if no picture can be drawn, VTK aborts instead of raising.
-AREAS = """
+PICTURES = """
 import sys
 import numpy as np
-from granflow.studies.frames import camera_for, view_of
-from granflow.studies.frames import FrameParticles
+from granflow.cli.main import main
+from granflow.studies.frames import FrameParticles, camera_for, view_of
 from granflow.studies.render import Renderer
 for name in ("front", "iso"):
     for radius in (0.07, 0.4):
@@ -233,75 +232,46 @@ for name in ("front", "iso"):
         seen = np.tan(np.arcsin(radius / distance)) / np.tan(np.radians(12))
         slope = seen if view.perspective else radius / camera.half_height
         print(share / (np.pi / 4 * slope**2))
+for name, more in (("chains", ["--chains"]), ("cut", ["--view", "top", "--cut", "--color", "velocity.z"])):
+    assert main(["render", sys.argv[1], "--out", f"{sys.argv[1]}/{name}.png", "--size", "640x480", *more]) == 0
+assert main(["render", sys.argv[1], "--film", "--size", "640x480", "--fps", "4"]) == 0
 """
 
 
-@pytest.mark.slow
-@needs_plot
-def test_spheres_cover_their_projected_area():
-    """A sphere covers a disc of half angle asin(R / distance) in perspective, of radius R in a parallel
-    projection."""
-    run = subprocess.run([sys.executable, "-c", AREAS], capture_output=True, text=True, timeout=250)
-    assert run.returncode == 0, run.stderr[-2000:]
-    np.testing.assert_allclose([float(line) for line in run.stdout.split()], 1.0, atol=0.02)
-
-
-@pytest.mark.slow
-@needs_plot
-@pytest.mark.parametrize(
-    "arguments", [("--color", "group"), ("--chains",), ("--view", "top", "--cut", "--color", "velocity.z")]
-)
-def test_pictures_are_written(run, arguments):
-    from PIL import Image
-
-    out = run / "a.png"
-    command = [
-        sys.executable, "-m", "granflow", "render", str(run), "--out", str(out), "--size", "640x480",
-        *arguments
-    ]  # fmt: skip
-    process = subprocess.run(command, capture_output=True, text=True, timeout=250)
-    assert process.returncode == 0, process.stderr[-2000:]
-    picture = np.asarray(Image.open(out))
-    assert picture.shape == (480, 640, 3)
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100, "the picture is blank"
-
-
-@pytest.mark.slow
 @needs_plot
 @pytest.mark.skipif(find_spec("imageio_ffmpeg") is None, reason="needs the plot extra")
-def test_film_contains_every_frame(run):
+def test_pictures_and_film(run):
+    """A sphere covers a disc of half angle asin(R / distance) in perspective, of radius R in a parallel
+    projection; a film has all frames."""
     import imageio_ffmpeg
+    from PIL import Image
 
-    command = [
-        sys.executable, "-m", "granflow", "render", str(run), "--film", "--size", "640x480", "--fps", "4"
-    ]  # fmt: skip
-    process = subprocess.run(command, capture_output=True, text=True, timeout=250)
-    assert process.returncode == 0, process.stderr[-2000:]
+    done = subprocess.run(
+        [sys.executable, "-c", PICTURES, str(run)], capture_output=True, text=True, timeout=250
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    shares = [float(line) for line in done.stdout.split("\n")[:4]]
+    np.testing.assert_allclose(shares, 1.0, atol=0.02)
+    for name in ("chains", "cut"):
+        picture = np.asarray(Image.open(run / f"{name}.png"))
+        assert picture.shape == (480, 640, 3)
+        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100, "the picture is blank"
     film = run / "pictures" / "film_velocity_iso.mp4"
     assert imageio_ffmpeg.count_frames_and_secs(str(film)) == (4, pytest.approx(1.0, abs=0.05))
 
 
-@pytest.mark.slow
-@needs_plot
-@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_stopped_film_leaves_no_file(run):
-    number = signal.SIGINT
+def test_stopped_film_leaves_no_file(run, monkeypatch, capsys):
+    """SIGINT while the second of four pictures is drawn."""
     pytest.importorskip("imageio_ffmpeg")
-    listing = run / "particles.pvd"
-    lines = listing.read_text().splitlines()
-    (last,) = [line for line in lines if "particles_0003" in line]
-    more = [last.replace('"0.75"', f'"{0.75 + 0.01 * k}"') for k in range(1, 400)]
-    assert len(set(more)) == 399
-    listing.write_text("\n".join([*lines[:-2], *more, *lines[-2:]]))
-    command = [sys.executable, "-m", "granflow", "render", str(run), "--film", "--size", "640x480"]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
-    first = process.stdout.readline()
-    assert first.startswith("3 of 403 frames, about ") and first.endswith(" s remaining\n")
-    process.send_signal(number)
-    _, message = process.communicate(timeout=60)
-    assert process.returncode == 128 + number
-    assert "granflow: stopped after " in message and " of 403 frames; no animation is written." in message
-    assert "checkpoint" not in message and not list((run / "pictures").iterdir())
+
+    def blank(*_):
+        for number in range(4):
+            if number == 1:
+                signal.raise_signal(signal.SIGINT)
+            yield np.zeros((480, 640, 3), np.uint8)
+
+    monkeypatch.setattr("granflow.studies.render.pictures", blank)
+    assert main(["render", str(run), "--film", "--size", "640x480"]) == 128 + signal.SIGINT
+    message = capsys.readouterr().err
+    assert "stopped after 1 of 4 frames; no animation is written." in message
+    assert not list((run / "pictures").iterdir())

@@ -16,9 +16,12 @@ from granflow.cli.main import main
 from granflow.io.log import RecordEntry, SessionFacts, read_record, sessions, warnings_and_errors
 from granflow.io.tables import SeriesColumn, TimeSeriesTable
 from granflow.io.vtu import VtuMesh, write_vtu
+from granflow.observers.timeseries import CollisionEnergies
+from granflow.snapshot import Snapshot
 from granflow.studies import report as report_module
 from granflow.studies.interactive_plots import MOST_POINTS, groups_of, plot_of, thinned
 from granflow.studies.report import (
+    collision_topics,
     field_content,
     report_text,
 )
@@ -99,26 +102,11 @@ def test_page_of_a_complete_run_contains_all_results(run):
     text = text_of(run)
     for fragment in (
         *("The run is complete.", "1 of 2 expectations", "it is <2>.", "too fast (2 times)", "12 345"),
-        *(
-            "Two <beads> (two.yaml)",
-            "every pair has friction 0",
-            "granflow 0.1.0, taichi 1.7.4",
-            "solid fraction",
-            "40 321",
-            "wall force (N)",
-            "7.5",
-        ),
-        *(
-            "not a scene: at all",
-            "This version cannot read the scene",
-            "Always zero: idle",
-            "it burst\nat the seams",
-        ),
+        *("Two <beads> (two.yaml)", "every pair has friction 0", "granflow 0.1.0, taichi 1.7.4"),
+        *("solid fraction", "40 321", "wall force (N)", "7.5", "not a scene: at all"),
+        *("This version cannot read the scene", "Always zero: idle", "it burst\nat the seams"),
     ):
         assert fragment in text, fragment
-
-
-def test_timings_add_up_to_the_wall_clock(run):
     assert [row[:3] for row in report_module.timings(read_run(run)).rows] == [
         ("forces", "6.00", "60%"), ("compile", "3.00", "30%"), ("other", "1.00", "10%")
     ]  # fmt: skip
@@ -134,12 +122,6 @@ def test_page_of_an_interrupted_run_states_reason_and_time(run):
     assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), (
         "the last row replaces the result"
     )
-
-
-def test_page_of_a_resumed_run_lists_its_sessions(run):
-    (run / "run.jsonl").write_text(lines_of(RECORD + RESUMED))
-    text = text_of(run)
-    assert "resumed (2 sessions)" in text and "cuda" in text and "resumed from checkpoint_1.npz" in text
 
 
 def test_directories_without_a_run_are_rejected(tmp_path, capsys):
@@ -251,6 +233,8 @@ def test_record_yields_sessions_warnings_and_explanations(run):
         ("08", "error"),
     ]
     assert first.explanation.splitlines()[1].startswith("  friction") and not second.explanation
+    text = text_of(run)
+    assert "resumed (2 sessions)" in text and "cuda" in text and "resumed from checkpoint_1.npz" in text
 
 
 def write_fields(directory, cells):
@@ -281,3 +265,28 @@ def test_fields_of_a_row_of_cells_are_profiles(tmp_path):
     (curve,) = plots[0].figure["data"]
     assert curve["x"] == [0.5, 1.5, 2.5] and curve["y"] == [0.0, 1.0, 2.0] and curve["name"] == "0.5 s"
     assert len(field_content(tmp_path, with_plots=False)[0]) == 1
+
+
+def test_collisions_by_impact_energy_since_the_start(run):
+    observer = CollisionEnergies(run, 1.0, np.array([1e-6, 1e-4, 1e-2]))
+    for time, particle, wall in (
+        (0.0, [0] * 4, [0] * 4),
+        (1.0, [0, 1, 2, 0], [0] * 4),
+        (2.0, [0, 5, 7, 1], [3, 0, 0, 0]),
+    ):
+        observer.observe(
+            Snapshot(
+                time, 0, "run", {}, None, {}, {}, {}, {"particle": np.array(particle), "wall": np.array(wall)}
+            )
+        )
+    observer.finish()
+    (topic,) = collision_topics(run, True)
+    (table,) = topic.folded
+    assert table.rows == [
+        ("0 to 1e-06 J", "0", "3"), ("1e-06 to 0.0001 J", "5", "0"), ("0.0001 to 0.01 J", "7", "0"),
+        ("0.01 to inf J", "1", "0")
+    ]  # fmt: skip
+    particle, wall = topic.plots[0].figure["data"]
+    assert particle["x"] == pytest.approx([1e-5, 1e-3], rel=1e-5) and particle["y"] == [5, 7]
+    assert wall["y"] == [None, None], "a logarithmic axis has no 0"
+    assert topic.title in text_of(run)

@@ -115,12 +115,3 @@ def test_missing_matplotlib_omits_only_the_figure(monkeypatch, tmp_path, capsys)
     ]
     assert "What it is." in (tmp_path / "stability.html").read_text(encoding="utf-8")
     assert not (tmp_path / "stability.png").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_no_case_is_a_defect(tmp_path):
-    pytest.importorskip("matplotlib")
-    outcomes, missing = report.stability(tmp_path, False, lambda each: None)
-    assert not report.defects(outcomes)
-    assert not missing and (tmp_path / "stability.png").exists()
