@@ -30,38 +30,21 @@ def down(radius=None):
     return FlowCounter(FlowMeter(point=(0, 0, 1), normal=(0, 0, -3), radius=radius))
 
 
-def test_repeated_crossings_change_the_count_by_their_direction():
-    meter = down()
-    assert measured(meter, {0: (0, 0, 2), 1: (0, 0, 3)}, {0: (0, 0, 0.5), 1: (0, 0, 2)}) == (1.0, 1)
-    assert measured(meter, {0: (0, 0, 1.5), 1: (0, 0, 0)}) == (2.0, 1)
-    assert measured(meter, {0: (0, 0, 0.9), 1: (0, 0, 0)}) == (3.0, 2)
+UP, DOWN, FAR = (0, 0, 2), (0, 0, 0), (0, 0, 5)
 
 
-def test_particle_deleted_upstream_counts_as_crossed():
-    assert measured(down(), {0: (0, 0, 1.1), 1: (0, 0, 5)}, {1: (0, 0, 5)}) == (1.0, 1)
-
-
-def test_particle_deleted_after_crossing_is_counted_once():
-    assert measured(down(), {0: (0, 0, 1.1)}, {0: (0, 0, 0.5)}, {}) == (1.0, 1)
-
-
-def test_particle_deleted_outside_the_disc_is_not_counted():
-    assert measured(down(radius=1), {0: (5, 0, 1.1)}, {}) == (0.0, 0)
-
-
-def test_particles_first_sampled_beyond_the_plane_are_not_counted():
-    assert measured(
-        down(), {0: (0, 0, 0)}, {0: (0, 0, -1), 3: (0, 0, 0.5)}, {0: (0, 0, -2), 3: (0, 0, 0)}
-    ) == (0.0, 0)
-
-
-def test_only_crossings_within_the_radius_count_for_any_end_point():
-    # Straight paths: 0 crosses the plane at x = 0.5, 1 at x = 1.5; both end at x = 1.
-    assert measured(down(radius=1), {0: (0, 0, 2), 1: (2, 0, 2)}, {0: (1, 0, 0), 1: (1, 0, 0)}) == (1.0, 1)
-
-
-def test_meter_without_particles_is_zero():
-    assert measured(down(), {}, {}) == (0.0, 0)
+@pytest.mark.parametrize(("radius", "samples", "expected"), [
+    (None, [{0: UP, 1: (0, 0, 3)}, {0: (0, 0, 0.5), 1: UP}], (1.0, 1)),
+    (None, [{0: DOWN, 1: UP}, {0: UP, 1: UP}, {0: UP, 1: DOWN}], (1.0, 0)),  # backward, then forward
+    (None, [{0: (0, 0, 1.1), 1: FAR}, {1: FAR}], (1.0, 1)),  # deleted upstream
+    (None, [{0: (0, 0, 1.1)}, {0: (0, 0, 0.5)}, {}], (1.0, 1)),  # deleted after its crossing
+    (1, [{0: (5, 0, 1.1)}, {}], (0.0, 0)),  # deleted outside of the disc
+    (None, [{0: DOWN}, {0: DOWN, 3: (0, 0, 0.5)}, {0: DOWN, 3: DOWN}], (0.0, 0)),  # first sampled beyond
+    (1, [{0: UP, 1: (2, 0, 2)}, {0: (1, 0, 0), 1: (1, 0, 0)}], (1.0, 1)),  # at x = 0.5, and at 1.5
+    (None, [{}, {}], (0.0, 0)),
+])  # fmt: skip
+def test_crossings_are_counted_by_their_direction_within_the_radius(radius, samples, expected):
+    assert measured(down(radius), *samples) == expected
 
 
 def test_mass_flow_is_the_difference_between_samples():
@@ -80,17 +63,13 @@ def test_steady_flow_ignores_start_end_and_other_stages():
     assert steady_flow(filling + flowing + resting) == pytest.approx(4.0)
 
 
-def test_steady_flow_of_a_reversed_flow_is_negative():
-    assert steady_flow([(0.0, "run", 0.0), (1.0, "run", -1.0), (2.0, "run", -2.0)]) == pytest.approx(-1.0)
-
-
-@pytest.mark.parametrize("history", [[], [(0.0, "run", 0.0)], [(0.0, "run", 0.0), (1.0, "run", 0.0)]])
-def test_steady_flow_is_zero_without_flow(history):
-    assert steady_flow(history) == 0.0
-
-
-def test_steady_flow_counts_crossings_between_the_samples_of_two_stages():
-    assert steady_flow([(0.0, "fill", 0.0), (1.0, "open", 1.0)]) == pytest.approx(1.0)
+@pytest.mark.parametrize(("history", "flow"), [
+    ([], 0.0), ([(0.0, "run", 0.0)], 0.0), ([(0.0, "run", 0.0), (1.0, "run", 0.0)], 0.0),
+    ([(0.0, "run", 0.0), (1.0, "run", -1.0), (2.0, "run", -2.0)], -1.0),
+    ([(0.0, "fill", 0.0), (1.0, "open", 1.0)], 1.0),
+])  # fmt: skip
+def test_steady_flow_of_few_samples_reversed_and_between_stages(history, flow):
+    assert steady_flow(history) == pytest.approx(flow)
 
 
 def test_rectangle_counts_particles_within_its_sides():

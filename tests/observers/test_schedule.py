@@ -10,39 +10,28 @@ from granflow.errors import GranflowError
 from granflow.observers.observer import Schedule, on_interval
 
 
-@pytest.mark.parametrize("interval", [0.001, 0.01, 1 / 3, 7e-5])
-def test_a_million_intervals_stay_within_one_rounding_of_the_exact_time(interval):
+@pytest.mark.parametrize("interval", [0.01, 1 / 3])
+def test_many_intervals_stay_within_one_rounding_of_the_exact_time(interval):
     schedule = Schedule(interval, start=0.25)
-    for k in range(1_000_000):
+    for k in range(200_000):
         due = schedule.next_time()
-        if k % 99_991 == 0 or k == 999_999:
+        if k % 9_991 == 0 or k == 199_999:
             exact = Fraction(0.25) + k * Fraction(interval)
             assert abs(Fraction(due) - exact) <= Fraction(np.spacing(due))
         schedule.mark_done(due)
 
 
-def test_times_skipped_in_one_step_are_due_once():
-    schedule = Schedule(0.1)
-    assert schedule.mark_done(0.55)
-    assert schedule.next_time() == pytest.approx(0.6)
-
-
-def test_the_same_time_is_due_once():
-    schedule = Schedule(0.1)
-    assert schedule.mark_done(0.1)
-    assert not schedule.mark_done(0.1)
-
-
-def test_time_rounded_down_counts_as_the_due_time():
-    schedule = Schedule(0.1)
-    schedule.mark_done(np.nextafter(0.3, 0))
-    assert schedule.next_time() == pytest.approx(0.4)
-
-
-def test_time_before_the_due_time_keeps_the_due_time():
+def test_due_times():
+    """Skipped times are due once, as is the same time; a time rounded down is the due time, an earlier one is
+    not."""
     schedule = Schedule(0.1)
     schedule.mark_done(0.05)
     assert schedule.next_time() == pytest.approx(0.1)
+    assert schedule.mark_done(0.1) and not schedule.mark_done(0.1)
+    schedule.mark_done(np.nextafter(0.3, 0))
+    assert schedule.next_time() == pytest.approx(0.4)
+    assert schedule.mark_done(0.55)
+    assert schedule.next_time() == pytest.approx(0.6)
 
 
 @pytest.mark.parametrize("interval", [0.0, -1.0, float("inf"), float("nan")])

@@ -26,7 +26,7 @@ def listed(path):
     return [(float(row.get("timestep")), row.get("file")) for row in rows]
 
 
-@pytest.mark.parametrize("count", [1, 7, 5000])
+@pytest.mark.parametrize("count", [1, 5000])
 def test_particles_are_read_back_exactly(tmp_path, count):
     snapshot = snapshot_of(particles=particles_of(count))
     ParticleFrames(tmp_path, 0.1).observe(snapshot)
@@ -71,22 +71,21 @@ for path in sys.argv[1:]:
 """
 
 
-@pytest.mark.parametrize("compression", ["zlib", "none"])
-def test_meshio_writes_what_paraview_reads_with_units_and_any_name(tmp_path, compression):
+def test_paraview_reads_what_meshio_writes_with_units_and_any_name(tmp_path):
     """Names are not restricted to letters: they come from contact models of other packages."""
     pytest.importorskip("pyvista")
     points = np.array([[0, 0.5, 1], [2, 0, 0]], np.float32)
-    expected = []
-    for count in (2, 0):
+    expected, files = [], []
+    for compression, count in (("zlib", 2), ("none", 2), ("zlib", 0)):
         arrays = {"id": np.arange(count), "velocity": points[:count], 'a<b&"é': np.ones(count, np.float32)}
         units = {"velocity": "m/s", 'a<b&"é': "N/µm^1.5", "absent": "m"}
-        write_vtu(tmp_path / f"{count}.vtu", VtuMesh.of_points(points[:count], arrays, units), compression)
+        files.append(str(tmp_path / f"{compression}{count}.vtu"))
+        write_vtu(tmp_path / files[-1], VtuMesh.of_points(points[:count], arrays, units), compression)
         stated = sorted(["velocity [m/s]", 'a<b&"é [N/µm^1.5]'])
         values = {name: array.tolist() for name, array in arrays.items()}
         expected.append((count, max(count, 1), points[:count].tolist(), values, stated))
-    raw = (tmp_path / "2.vtu").read_bytes()
-    assert b"created by meshio" in raw and (b"vtkZLibDataCompressor" in raw) == (compression == "zlib")
-    files = [str(tmp_path / f"{count}.vtu") for count in (2, 0)]
+        raw = (tmp_path / files[-1]).read_bytes()
+        assert b"created by meshio" in raw and (b"vtkZLibDataCompressor" in raw) == (compression == "zlib")
     done = subprocess.run(
         [sys.executable, "-c", READ_BY_PYVISTA, *files], capture_output=True, text=True, check=True
     )
@@ -162,11 +161,11 @@ def test_frame_that_cannot_be_written_leaves_the_series_unchanged(tmp_path, monk
 POINT = VtuMesh.of_points(np.zeros((1, 3)), {})
 
 
-def bytes_written_per_frame(directory, monkeypatch, frame_count):
-    """Bytes written to the PVD file per frame, and the series; the frames themselves are not written."""
+def test_frame_adds_one_write_of_constant_size_to_the_pvd_file(tmp_path, monkeypatch):
+    """The frames themselves are not written; the file is valid after each frame, and not replaced."""
     monkeypatch.setattr("granflow.io.frames.write_vtu", lambda path, *_: path.touch())
     written = []
-    series = FrameSeries(directory, "particles")
+    series = FrameSeries(tmp_path, "particles")
 
     class Counted(FileIO):
         def write(self, data):
@@ -174,19 +173,13 @@ def bytes_written_per_frame(directory, monkeypatch, frame_count):
             return super().write(data)
 
     monkeypatch.setattr("granflow.io.frames.FileIO", Counted)
-    for index in range(frame_count):
+    inodes = set()
+    for index in range(100):
         series.write(POINT, 0.1 * index)
-        assert listed(series.listing) == series.frames, "the file is valid after each frame"
-    return written, series
-
-
-def test_frame_adds_one_write_of_constant_size_to_the_pvd_file(tmp_path, monkeypatch):
-    written, series = bytes_written_per_frame(tmp_path, monkeypatch, 300)
-    inode = series.listing.stat().st_ino
-    series.write(POINT, 30.0)
-    assert series.listing.stat().st_ino == inode, "the file is not replaced"
-    assert len(written) == 300 and max(written) < 150, "one write of an entry and the closing tags per frame"
-    assert len(listed(series.listing)) == 301
+        assert listed(series.listing) == series.frames and len(series.frames) == index + 1
+        inodes.add(series.listing.stat().st_ino)
+    assert len(inodes) == 1
+    assert len(written) == 100 and max(written) < 150, "one write of an entry and the closing tags per frame"
 
 
 def test_truncated_and_continued_pvd_file_equals_that_of_an_uninterrupted_run(tmp_path):
@@ -217,7 +210,7 @@ def test_modified_pvd_file_is_rewritten(tmp_path, damage):
     assert listed(series.listing) == series.frames and len(series.frames) == 5
 
 
-@pytest.mark.parametrize("free_bytes", [0, 1, 40, 80])
+@pytest.mark.parametrize("free_bytes", [0, 40])
 def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, free_bytes):
     """The disk accepts `free_bytes` bytes of an entry and its closing tags; before the next frame, space is
     freed."""

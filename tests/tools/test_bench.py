@@ -1,15 +1,12 @@
 """tools/bench.py: generated beds, logs of other codes, ratios, byte and operation counts, messages."""
 
-import argparse
 import importlib
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from subprocess_runner import in_subprocess
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
@@ -54,19 +51,6 @@ def test_written_data_file_is_read_exactly(tmp_path):
     np.testing.assert_allclose(read.diameter, bed.diameter, rtol=1e-11)
     assert read.sides == bed.sides
     assert cases.find_beds(tmp_path) == {3: tmp_path / "bed3.data"}
-
-
-def test_hopper_mesh_has_the_area_of_cone_and_tube(tmp_path):
-    cases = module("cases")
-    cases.write_hopper_mesh(tmp_path / "hopper.stl", segments=512)
-    lines = [line.split() for line in (tmp_path / "hopper.stl").read_text().splitlines()]
-    corners = np.array([row[1:] for row in lines if row[0] == "vertex"], float).reshape(-1, 3, 3)
-    edges = corners[:, 1:] - corners[:, :1]
-    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum()
-    # pi (r + R) slant for the cone, slant = 40 mm / sin 30 deg; 2 pi R h for the tube.
-    cone = np.pi * (0.02 + 0.06) * 0.04 / 0.5
-    tube = 2 * np.pi * 0.06 * (0.33 - 0.04 / np.tan(np.pi / 6))
-    assert area == pytest.approx(cone + tube, rel=1e-4)
 
 
 def test_lammps_damping_gives_the_restitution():
@@ -127,22 +111,17 @@ def hopper_job(threads):
 
 
 def test_log_of_lammps_is_parsed():
-    found = module("codes").read_log(LOG, hopper_job(2))
+    codes = module("codes")
+    found = codes.read_log(LOG, hopper_job(2))
     assert found["version"] == "29 Sep 2021 - Update 2"
     assert found["rate"] == pytest.approx(3 * 200 / 0.5)
     assert found["contacts"] == pytest.approx(4.2 / 2)
     assert found["rebuilds"] == pytest.approx(3 / 200 * 1000)
     assert found["mass_flow"] == pytest.approx(0.25 / (200 * 1e-5))
-
-
-def test_wrong_number_of_ranks_is_reported():
-    with pytest.raises(module("codes").Failed, match=r"ran on 2 rank\(s\) for 4"):
-        module("codes").read_log(LOG, hopper_job(4))
-
-
-def test_failed_run_is_reported_with_its_error():
-    with pytest.raises(module("codes").Failed, match="Lost atoms"):
-        module("codes").read_log(LOG[:300] + "\nERROR: Lost atoms\n", hopper_job(2))
+    with pytest.raises(codes.Failed, match=r"ran on 2 rank\(s\) for 4"):
+        codes.read_log(LOG, hopper_job(4))
+    with pytest.raises(codes.Failed, match="Lost atoms"):
+        codes.read_log(LOG[:300] + "\nERROR: Lost atoms\n", hopper_job(2))
 
 
 def points(**rates):
@@ -223,12 +202,6 @@ def test_page_is_that_of_the_newest_results_in_double_precision(tmp_path):
     assert page.newest(tmp_path, "phases", "") is None
 
 
-def test_default_names_differ_by_precision():
-    bench = importlib.import_module("bench")
-    names = [bench.default_name(argparse.Namespace(precision=each)) for each in ("f64", "mixed", "f32")]
-    assert names[1:] == [f"{names[0]}-mixed", f"{names[0]}-f32"]
-
-
 def test_table_of_the_guide_contains_the_measurements_on_ranks(tmp_path):
     ranks_page = module("ranks_page")
     machine = module("machine")
@@ -257,27 +230,3 @@ def test_the_guide_contains_the_newest_measurements_on_ranks(tmp_path):
     guide.write_text(ranks_page.GUIDE.read_text(encoding="utf-8"), encoding="utf-8")
     written = ranks_page.write(bench / "results", guide)
     assert written.read_text(encoding="utf-8") == ranks_page.GUIDE.read_text(encoding="utf-8")
-
-
-def test_missing_results_are_reported_in_one_sentence(tmp_path):
-    with pytest.raises(SystemExit, match="There are no results"):
-        module("page").write(tmp_path, "")
-
-
-def measured_in_subprocess(tools, path):
-    sys.path.insert(0, tools)
-    from benchmark import ours
-
-    return ours.measure(path, "hertz", "f64", 1, "0.2 mm", 5, 20)
-
-
-def test_measurement_of_a_bed_counts_contacts_and_bytes(tmp_path):
-    path = tmp_path / "case.npz"
-    # Two particles at a distance of 3.999 mm are in contact for about 60 steps; the others have no contact.
-    position = np.array([[2.0, 2.0, 2.0], [5.999, 2.0, 2.0], [12.0, 2.0, 2.0], [2.0, 12.0, 2.0]]) * 1e-3
-    module("cases").Case("bed 4", "bed", np.full(4, 4e-3), position, (0.02, 0.02)).save(path)
-    found = in_subprocess(measured_in_subprocess, str(TOOLS), str(path))
-    assert found["contacts"] == pytest.approx(1 / 4)
-    assert found["rate"] > 0 and found["mass_flow"] is None
-    # At least position, velocity, force, angular velocity, torque, and a copy of the sorted fields.
-    assert found["field_bytes"] > 8 * 3 * (5 + 3)

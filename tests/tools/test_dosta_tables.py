@@ -2,7 +2,6 @@
 available."""
 
 import importlib
-import os
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,6 @@ from granflow import load_scene
 from granflow.particles.insertion import initial_particles
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
-REFERENCE = (
-    Path(os.environ.get("GRANFLOW_REFERENCE", TOOLS.parent.parent / "shared" / "reference")) / "dosta2024"
-)
 HEAD = "Radius[m] PosX[m] PosY[m] PosZ[m]\n"
 
 
@@ -44,23 +40,3 @@ def test_particles_have_the_positions_of_the_tables(tables, tmp_path, monkeypatc
     # The published drum has twice the size of the shipped scene: radius 0.1 m, length 0.06 m.
     shell = scenes["drum"].walls["shell"]
     assert shell.radius == pytest.approx(0.1) and shell.to[1] - shell.from_[1] == pytest.approx(0.06)
-
-
-@pytest.mark.skipif(
-    not REFERENCE.exists(), reason="requires the published tables (GRANFLOW_REFERENCE: their folder)"
-)
-def test_published_particles_lie_inside_the_walls(tables, tmp_path, monkeypatch):
-    scenes = written_scenes(tables, REFERENCE, tmp_path, monkeypatch)
-    assert {name: group.count for name, group in scenes["drum"].particles.items()} == {
-        "large": 8000,
-        "small": 30000,
-    }
-    drum = initial_particles(scenes["drum"])
-    outer_radius = np.hypot(drum.position[:, 0], drum.position[:, 2]) + drum.radius
-    assert outer_radius.max() < 0.1 * (1 + 1e-3) and (
-        np.abs(drum.position[:, 1]) + drum.radius
-    ).max() < 0.03 * (1 + 1e-3)
-    # At rest on the floor: overlaps are at most 1 % of the radius.
-    bed = initial_particles(scenes["penetration"])
-    floor = scenes["penetration"].walls["floor"].corner[2]
-    assert len(bed.radius) == 25000 and (bed.position[:, 2] - bed.radius).min() > floor - 1e-5

@@ -3,11 +3,9 @@
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
 import pytest
 from benchmark import features
 from benchmark.features import variants_of
-from subprocess_runner import in_subprocess
 
 from granflow.errors import SceneError
 from granflow.load import load_scene
@@ -87,13 +85,6 @@ def switches(plan):
     return asdict(plan.features) | plan.laws.names | {"friction": plan.laws.has_tangential}
 
 
-def test_variants_without_history_have_no_history_fields(tmp_path):
-    found = plans(tmp_path)
-    assert set(found["baseline"].history) == {"normal", "tangential", "rolling"}
-    assert set(found["without normal history"].history) == {"tangential", "rolling"}
-    assert found["without any history"].history == {}
-
-
 def test_variants_add_missing_features(tmp_path):
     found = plans(tmp_path, *IN_CONTACT_NEIGHBORS, *SMOOTH)
     assert found["with friction"].laws.has_tangential
@@ -126,48 +117,6 @@ def test_memory_decreases_by_the_omitted_fields(tmp_path):
     assert found["with several materials"].per_particle - whole.per_particle == material
     assert whole.per_neighbor - found["without rolling friction"].per_neighbor >= rolling_history
     assert all(memory.total <= whole.total for name, memory in found.items() if name.startswith("without"))
-
-
-def test_particle_size_is_no_feature(tmp_path):
-    one = plans(tmp_path)["baseline"]
-    spread = plans(tmp_path, "particles.beads.diameter={distribution: uniform, min: 3 mm, max: 4 mm}")[
-        "baseline"
-    ]
-    assert spread.features == one.features
-    assert estimate_memory(spread, "f64").per_particle == estimate_memory(one, "f64").per_particle
-
-
-def measured(directory):
-    """Result of a short run of the study, and the initial particle positions of every variant."""
-    path = Path(directory) / "beads.yaml"
-    path.write_text(TEXT)
-    positions = []
-    restore = features.restore
-
-    def restore_and_sample(simulation, *others):
-        restore(simulation, *others)
-        positions.append(simulation.snapshot().particles["position"].tolist())
-
-    features.restore = restore_and_sample
-    scene = load_scene(path)
-    found = features.feature_costs(scene, until=0.02, rounds=2, only=("baseline", "without walls"))
-    return {
-        "rows": features.cost_rows(found), "positions": positions, "text": features.text(found, scene.title)
-    }  # fmt: skip
-
-
-@pytest.mark.slow
-def test_every_timing_starts_from_the_same_particles(tmp_path):
-    found = in_subprocess(measured, str(tmp_path))
-    assert [row[0] for row in found["rows"]] == ["baseline", "without walls"]
-    assert found["rows"][0][2] == "1.00 (1.00-1.00)"
-    assert len(found["positions"]) == 2 * (1 + 2), "two variants, one warm-up round and two counted rounds"
-    fallen = np.array(found["positions"][0])
-    assert len(fallen) == 60 and fallen[:, 2].min() < 0.004, "some particles reach the floor within 20 ms"
-    for positions in found["positions"]:
-        np.testing.assert_array_equal(positions, fallen)
-    for row in found["rows"]:
-        assert " | ".join(row) in found["text"]
 
 
 def test_clumps_are_refused_before_the_run():

@@ -56,21 +56,6 @@ def test_six_directions_dissipate_less_than_a_maxwell_gas():
     assert cooling.six_directions() == pytest.approx(pairs.mean() / maxwell, rel=0.005)
 
 
-@pytest.mark.slow
-def test_oblique_impacts_of_soft_particles_dissipate_less(taichi_f64):
-    """The correction and the duration are proportional to E^(-2/5), apart from terms of the order of the
-    correction."""
-    soft, stiff = (cooling.softness(modulus, "zhou", 0.15, constant(0.8)) for modulus in (5e7, 5e9))
-    assert 0.96 < soft.oblique < stiff.oblique < 1.0
-    assert (1.0 - soft.oblique) / (1.0 - stiff.oblique) == pytest.approx(100**0.4, rel=0.2)
-    assert soft.duration / stiff.duration == pytest.approx(100**0.4, rel=0.03)
-
-
-@pytest.mark.slow
-def test_small_gas_follows_haffs_law(taichi_f64):
-    assert statuses(cooling.haff_cases((5e6,), 300, (1,))) == ["pass"]
-
-
 def test_evaluation_of_the_flights_of_a_vibrated_particle():
     flights = vibrated.flights_of_map(3.8)
     assert statuses(vibrated.flight_cases(3.8, flights, 400)) == ["pass", "pass"]
@@ -116,12 +101,6 @@ def test_evaluation_of_a_silo_rejects_a_wall_that_carries_too_little():
     """The wall of the lower third carries nothing."""
     record = column_record(lambda height: np.where(height < 1.0 / 3.0, 0.0, 1.0))
     assert statuses(silo.evaluate_silo([record] * 10)) == ["pass", "fail"]
-
-
-@pytest.mark.slow
-def test_small_silo_carries_its_weight(taichi_f64):
-    balance, _ = silo.janssen_cases(150)
-    assert balance.status == "pass"
 
 
 def test_evaluation_of_the_discharge_recovers_beverloos_law():
@@ -174,9 +153,3 @@ def test_evaluation_of_a_sheared_layer():
     assert statuses(rheology.shear_cases("layer", law)) == ["pass", "pass"]
     assert statuses(rheology.shear_cases("layer", rheology.Shear(0.2, 0.6, 0.5))) == ["fail", "fail"]
     assert statuses(rheology.shear_cases("layer", rheology.Shear(0.5, 0.9, 0.4))) == ["miss", "miss"]
-
-
-def test_reduced_shear_cell_gives_the_fields_of_its_cases(taichi_f64):
-    cases = rheology.cell_cases(("stages.0.duration=0.02 s", "stages.1.duration=0.01 s"))
-    assert np.isfinite([each.value for each in cases]).all()
-    assert 0.45 < cases[1].value < 0.55

@@ -4,20 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from validation import at_rest, collisions, rheology, rolling_models
+from validation import rheology, rolling_models
 from validation import theory_of_collisions as theory
 from validation.theory_of_collisions import Pair, Partner
 
-from granflow.contact import theory as theory_of_granflow
-from granflow.scene.blocks import materials
-
 GLASS = {"young_modulus": 48e9, "poisson_ratio": 0.20, "density": 2800.0}
 SPHERES = Pair(Partner(GLASS, 0.01), Partner(GLASS, 0.01))
-
-
-def statuses(cases):
-    """Statuses by case."""
-    return {each.name: each.status for each in cases}
 
 
 @pytest.mark.parametrize(
@@ -49,34 +41,6 @@ def test_limit_velocities_and_restitutions_of_both_steels():
     assert theory.zhou_limit_velocity(0.310e9, 8030.0) == pytest.approx(340.3, abs=0.1)
     assert theory.zhou_limit_velocity(2.03e9, 7830.0) == pytest.approx(881.9, abs=0.1)
     assert theory.zhou_restitution(3.0432, 0.540, 340.3, 1.0) == pytest.approx(0.877, abs=1e-3)
-
-
-def test_restitution_over_velocity_and_stated_closed_forms_pass(taichi_f64):
-    cases = collisions.steel_cases() + collisions.stated_cases()
-    assert set(statuses(cases).values()) == {"pass"} and len(cases) == 26
-
-
-def test_limit_velocity_without_its_factor_fails(taichi_f64, monkeypatch):
-    """Eq. 11 with the factor 1 instead of 3."""
-    exact = materials.limit_velocity
-    monkeypatch.setattr(materials, "limit_velocity", lambda *solids: exact(*solids) / math.sqrt(3.0))
-    found = statuses(collisions.steel_cases())
-    assert {status for name, status in found.items() if "limit velocity" in name} == {"fail"}
-
-
-@pytest.mark.parametrize(("name", "factor"), [("unloading_duration", 0.7), ("equivalent_spring", 1.25)])
-def test_wrong_closed_forms_fail(taichi_f64, monkeypatch, name, factor):
-    """Eq. 16 times 0.7, and Eq. 19 times 1.25."""
-    exact = getattr(theory_of_granflow, name)
-    monkeypatch.setattr(theory_of_granflow, name, lambda *given: factor * exact(*given))
-    assert "fail" in statuses(collisions.stated_cases()).values()
-
-
-def test_stiffness_of_a_row_passes(taichi_f64, monkeypatch):
-    """At e = 0.3 the tangent of unloading is 9.3 times that of Hertz."""
-    assert theory.zhou_tangent(0.3) == pytest.approx(9.26, abs=0.01)
-    monkeypatch.setattr(at_rest, "BED_RESTITUTIONS", (0.3,))
-    assert set(statuses(at_rest.bed_cases()).values()) == {"pass"}
 
 
 def test_prony_finds_both_of_two_damped_oscillations():

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from validation import collisions, motion, run
+from validation import run
 from validation.case import ValidationCase
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
@@ -76,15 +76,3 @@ def test_stored_cases_are_within_the_allowed_deviations():
     cases = [ValidationCase.from_dict(each) for each in stored["cases"]]
     assert len(cases) > 100 and not stored["quick"]
     assert [each.name for each in cases if each.status == "fail"] == []
-
-
-@pytest.mark.slow
-def test_elastic_collision_stack_and_incline_pass(taichi_f64):
-    cases = collisions.elastic_cases()[:3] + motion.stack_cases() + motion.incline_cases()
-    assert [each.status for each in cases] == ["pass"] * 9
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_no_case_fails(taichi_f64):
-    assert [each.name for family in run.FAMILIES.values() for each in family() if each.status == "fail"] == []
