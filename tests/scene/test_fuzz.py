@@ -70,13 +70,21 @@ def checked(path):
     code, message = check(path)
     lines = [line for line in message.splitlines() if not line.startswith("granflow: warning: ")]
     if code == 0:
-        correct = not lines
+        correct = not lines and round_trip(path)
     else:
         has_count = lines and re.fullmatch(r"\d+ problems? found\.", lines[-1])
         nan_not_in_file = "nan" in message and "nan" not in path.read_text("latin-1")
         positions = all(POSITION.fullmatch(line) for line in lines[:-1])
         correct = code == 2 and has_count and positions and not nan_not_in_file
     return code, None if correct else f"exit code {code}: {message}"
+
+
+def round_trip(path):
+    """Whether a valid scene equals the one that is read from its resolved form."""
+    scene = load_scene(path)
+    again = path.with_name("again.yaml")
+    again.write_text(scene.to_yaml(), encoding="utf-8")
+    return load_scene(again) == scene
 
 
 def set_limits():
@@ -89,67 +97,70 @@ def set_limits():
     warnings.simplefilter("error")
 
 
-def check_files(folder, files):
-    """Number of valid scenes, increase of the peak memory [bytes], and number, content and description of
-    failures."""
+def check_files(folder, sources):
+    """For each source of files, by name and number: number of valid scenes, and number, content and
+    description of failures. Finally the increase of the peak memory [bytes]."""
     path = Path(folder) / "scene.yaml"
-    failures = []
-    accepted = 0
     path.write_text(written(SCENES[0], random.Random(0)), encoding="utf-8")
     assert checked(path)[1] is None, "the first check loads modules, which do not count as memory of an input"
     set_limits()
     before = peak()
-    for number, raw in enumerate(files):
-        path.write_bytes(raw)
-        code, failure = checked(path)
-        accepted += code == 0
-        if failure:
-            failures.append([number, raw[:300].decode("latin-1"), failure])
-    return accepted, peak() - before, failures
+    found = []
+    for name, count in sources:
+        failures = []
+        accepted = 0
+        for number, raw in enumerate(SOURCES[name](count)):
+            path.write_bytes(raw)
+            code, failure = checked(path)
+            accepted += code == 0
+            if failure:
+                failures.append([number, raw[:300].decode("latin-1"), failure])
+        found.append([accepted, failures])
+    return *found, peak() - before
 
 
-def check_mutated_files(folder, first, count):
-    return check_files(
-        folder, (mutated_file(random.Random(number)) for number in range(first, first + count))
-    )
+SOURCES = {
+    "changed scenes": lambda count: (mutated_file(random.Random(number)) for number in range(count)),
+    "random trees and bytes": hypothesis_files,
+    "blocks of the JSON Schema": lambda count: drawn(scene_files(), count),
+}
 
 
-def check_hypothesis_files(folder, count):
-    return check_files(folder, hypothesis_files(count))
-
-
-def check_generated_files(folder, count):
-    return check_files(folder, drawn(scene_files(), count))
-
-
-def accepted_count(result, count):
-    """The number of valid scenes, after assertions on failures and memory."""
-    accepted, memory, failures = result
-    examples = "\n".join(f"--- input {number}\n{raw}\n--- {failure}" for number, raw, failure in failures[:3])
-    assert not failures, f"{len(failures)} of {count} inputs:\n{examples}"
+def test_fuzzed_files_are_accepted_or_rejected_with_positions(tmp_path):
+    sources = (("changed scenes", 160), ("random trees and bytes", 120), ("blocks of the JSON Schema", 15))
+    *found, memory = in_subprocess(check_files, str(tmp_path), sources)
+    for (name, count), (accepted, failures) in zip(sources, found, strict=True):
+        examples = "\n".join(
+            f"--- input {number}\n{raw}\n--- {failure}" for number, raw, failure in failures[:3]
+        )
+        assert not failures, f"{name}: {len(failures)} of {count} inputs:\n{examples}"
+        assert accepted < count
+    assert found[0][0] > 10, "some changes result in a valid scene"
     assert memory < MEMORY
-    assert accepted < count
-    return accepted
 
 
-def test_mutated_scenes_are_accepted_or_rejected_with_positions(tmp_path):
-    accepted = accepted_count(in_subprocess(check_mutated_files, str(tmp_path), 0, 200), 200)
-    assert accepted > 10, "some changes result in a valid scene"
+GOOD = Path(__file__).parents[1] / "messages" / "good.yaml"
+OVERRIDE_KEYS = "walls tube radius stages 0 name gravity 2 particles grit diameter classes x".split() + [""]
+OVERRIDE_VALUES = [
+    "", "~", "true", "-1", "0", "1e308", ".nan", "-.inf", "[]", "{}", "[1, 2, 3]", "{a: 1}", "'", '"', ":", "- ", "&a ",
+    "*a", "\t", "!!int ", "4 Pa", "4 furlong", "1" * 400, "<x>", "[key]", "\x07", "\u2028", "é", "%", "? ", "|",
+]  # fmt: skip
 
 
-def test_random_files_are_accepted_or_rejected_with_positions(tmp_path):
-    accepted_count(in_subprocess(check_hypothesis_files, str(tmp_path), 200), 200)
-
-
-def test_blocks_generated_from_the_json_schema_are_accepted_or_rejected_with_positions(tmp_path):
-    accepted_count(in_subprocess(check_generated_files, str(tmp_path), 20), 20)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-@pytest.mark.parametrize("first", range(1000, 13_000, 3000))
-def test_many_mutated_scenes_are_accepted_or_rejected_with_positions(tmp_path, first):
-    accepted_count(in_subprocess(check_mutated_files, str(tmp_path), first, 3000, seconds=3500), 3000)
+def test_random_overrides_give_a_scene_or_messages():
+    rng = random.Random(3)
+    refused = 0
+    for _ in range(100):
+        keys = rng.choices(OVERRIDE_KEYS, k=rng.randrange(6))
+        try:
+            load_scene(GOOD, [f"{'.'.join(keys)}={rng.choice(OVERRIDE_VALUES)}"])
+        except SceneError as error:
+            refused += 1
+            assert error.problems
+            for problem in error.problems:
+                assert problem.startswith((str(GOOD), "--set")) and problem.endswith((".", "?"))
+                assert "\n" not in problem
+    assert refused > 50
 
 
 def test_unreadable_paths_are_reported(tmp_path, capsys):
