@@ -74,17 +74,6 @@ def test_overlap_of_an_impact_follows_from_its_energy():
     assert warnings_of(rubber_ball(numerics={"max_overlap": 0.21})) == []
 
 
-@pytest.mark.parametrize("law", ["hertz", "linear"])
-def test_viscous_forces_lower_the_forecast_overlap(law):
-    """With the same modulus, a contact of restitution 0.3 is compressed less than an elastic one."""
-    normal = {"hertz": "hertz", "linear": {"law": "linear", "stiffness": "onset"}}[law]
-    overlaps = [
-        forecast(rubber_ball(normal=normal, pair={"restitution": e}), "overlap of impacts").overlap
-        for e in (1.0, 0.3)
-    ]
-    assert overlaps[1] < 0.9 * overlaps[0]
-
-
 def test_stiffness_given_as_a_number_is_named_instead_of_a_modulus():
     """The overlap of an elastic spring is v sqrt(m / K) = 2.5 sqrt(5.76e-4 / 1e3) = 1.9 mm, 0.38 of the
     radius."""
@@ -131,15 +120,6 @@ def test_static_overlap_of_the_weight():
     k = 4 / 3 * 1e5 / (2 * (1 - 0.25**2)) * sqrt(0.001)
     assert found.overlap == pytest.approx((force / k) ** (2 / 3) / 0.002, rel=1e-6)
     assert found.warning is None or found.overlap > 0.1
-
-
-def test_static_overlap_does_not_depend_on_the_restitution():
-    """An inelastic contact carries any load up to the loading curve."""
-    found = [
-        forecast(bed(1e5, normal="zhou", pair={"restitution": e}), "overlap under the weight")
-        for e in (0.0, 0.5)
-    ]
-    assert found[0].overlap == pytest.approx(found[1].overlap, rel=1e-9)
 
 
 def large_on_small(modulus, ratio=20.0, count=1500, normal="zhou"):

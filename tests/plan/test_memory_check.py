@@ -2,12 +2,10 @@
 
 import os
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from plan.scenes import TEXT, line_of
-from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.engine import backend as device_memory
@@ -16,7 +14,6 @@ from granflow.errors import SceneError
 from granflow.load import load_scene
 from granflow.plan import cost as memory_check
 from granflow.plan.build import plan_for
-from granflow.simulation import Simulation
 
 GIB = 2**30
 
@@ -115,10 +112,7 @@ def test_free_memory_of_cuda_is_that_of_the_first_visible_gpu(tmp_path, monkeypa
 
 
 def test_free_memory_of_vulkan_is_that_of_the_gpu(monkeypatch):
-    devices = [
-        VulkanDevice("llvmpipe", "Mesa", on_cpu=True, free=5),
-        VulkanDevice("A100", "NVIDIA", False, free=7),
-    ]
+    devices = [VulkanDevice("llvmpipe", "Mesa", True, free=5), VulkanDevice("A100", "NVIDIA", False, free=7)]
     monkeypatch.setattr(device_memory, "vulkan_devices", lambda: devices)
     assert free_device_memory("vulkan") == 7
     monkeypatch.setattr(device_memory, "vulkan_devices", lambda: [])
@@ -173,30 +167,3 @@ def test_counts_above_the_id_limit_are_rejected_on_any_machine(tmp_path, capsys)
     message, closing = capsys.readouterr().err.splitlines()
     assert "2000000000 particles are requested, but about " in message
     assert closing == "1 problem found."
-
-
-def peak_memory():
-    """Peak memory of this process [bytes]; getrusage would include the memory of its parent before the
-    fork."""
-    return 1024 * int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1])
-
-
-def growth_of_a_run(folder):
-    """Estimated memory of a run of 60 000 particles, and growth of the peak memory of its process [bytes]."""
-    text = TEXT.replace("count: 10\n", "count: 60000\n").replace(
-        "[2 cm, 2 cm, 1 cm]", "[20 cm, 20 cm, 16 cm]"
-    )
-    text = text.replace("max: [3 cm, 3 cm, 3 cm]", "max: [21 cm, 21 cm, 17 cm]").replace("50 ms", "20 us")
-    path = Path(folder) / "many.yaml"
-    path.write_text(text)
-    plan = plan_for(load_scene(path))
-    before = peak_memory()
-    Simulation(load_scene(path), out=Path(folder) / "out").run()
-    return [memory_check.required_memory(plan), peak_memory() - before]
-
-
-@pytest.mark.slow
-def test_memory_of_a_run_agrees_with_the_estimate(tmp_path):
-    """The memory used is 67 % to 110 % of the estimate; a lower estimate would let runs fail."""
-    estimated, used = in_subprocess(growth_of_a_run, str(tmp_path))
-    assert 0.67 * estimated < used < 1.1 * estimated

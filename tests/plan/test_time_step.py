@@ -155,16 +155,14 @@ def test_least_restitution_follows_from_the_unloading_stiffness_bound(step):
 
 
 def test_given_step_above_the_stable_step_is_rejected_with_its_line_and_a_valid_step(tmp_path):
-    allowed_step = plan_for(scene_of(tmp_path)).step
+    allowed = plan_for(scene_of(tmp_path)).step
     text = TEXT.replace("duration: 50 ms", "duration: 50 ms\n  time_step: 1e-3")
     with pytest.raises(SceneError) as rejection:
         plan_for(scene_of(tmp_path, text=text))
     (problem,) = rejection.value.problems
-    location, message = problem.split(": ", 1)
-    assert location.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
-    assert message == (
-        f"run.time_step is 0.001 s, above the stability limit {allowed_step.stable_below:.3g} s (beads-beads "
-        f"at 1 m/s). Lower it to {allowed_step.value:.2g} s or remove it."
+    assert problem.endswith(
+        f"beads.yaml:{line_of('duration') + 1}:14: run.time_step is 0.001 s, above the stability limit "
+        f"{allowed.stable_below:.3g} s (beads-beads at 1 m/s). Lower it to {allowed.value:.2g} s or remove it."
     )
 
 
@@ -238,29 +236,18 @@ def test_contacts_that_cannot_occur_cause_no_warning(tmp_path, overrides, pairs)
     assert [warning.split(":")[0] for warning in found] == pairs
 
 
-@pytest.mark.parametrize(
-    ("overrides", "value", "source"),
-    [
-        ((), 1.0, "run.velocity_max ("),
-        (
-            ("run.velocity_max=null",),
-            math.sqrt(2 * 9.81 * 0.04),
-            "estimated from free fall through the domain",
-        ),
-        (
-            ("run.velocity_max=null", "particles.beads.velocity=[3, 4, 0]"),
-            10.0,
-            "estimated from the fastest particle",
-        ),
-        (("run.velocity_max=null", "gravity=[0, 0, 0]"), 1.0, "assumed"),
-        (
-            ("run.velocity_max=null", "gravity=[0, 0, 0]")
-            + ("walls.floor.motion={kind: translation, velocity: [0, 0, 2]}",),
-            2.0,
-            "estimated from the fastest wall (2 m/s)",
-        ),
-    ],
-)
+AUTO = "run.velocity_max=null"
+NO_GRAVITY = "gravity=[0, 0, 0]"
+RISING = "walls.floor.motion={kind: translation, velocity: [0, 0, 2]}"
+
+
+@pytest.mark.parametrize(("overrides", "value", "source"), [
+    ((), 1.0, "run.velocity_max ("),
+    ((AUTO,), math.sqrt(2 * 9.81 * 0.04), "estimated from free fall through the domain"),
+    ((AUTO, "particles.beads.velocity=[3, 4, 0]"), 10.0, "estimated from the fastest particle"),
+    ((AUTO, NO_GRAVITY), 1.0, "assumed"),
+    ((AUTO, NO_GRAVITY, RISING), 2.0, "estimated from the fastest wall (2 m/s)"),
+])  # fmt: skip
 def test_max_impact_velocity_has_a_value_and_a_source(tmp_path, overrides, value, source):
     impact_velocity = max_impact_velocity(scene_of(tmp_path, *overrides))
     assert impact_velocity.value == pytest.approx(value)
@@ -289,3 +276,23 @@ def test_tangential_dashpot_requires_that_of_the_normal_model(tmp_path):
     ):
         plan_for(scene_of(tmp_path, *given))
     assert plan_for(scene_of(tmp_path, "contact.normal=hertz", *given)).laws.damped_slots == ("tangential",)
+
+
+VIBRATION = "{{kind: vibration, direction: [0, 0, 1], amplitude: 1 nm, frequency: {} Hz}}"
+ROTATION = "{{kind: rotation, point: [0, 0, 0], axis: [0, 0, 1], angular_velocity: {}}}"
+
+
+@pytest.mark.parametrize("motion", [
+    VIBRATION.format(9_999), ROTATION.format(2 * math.pi * 9_999),
+    VIBRATION.format(10_001), ROTATION.format(-2 * math.pi * 10_001),
+])  # fmt: skip
+def test_a_period_of_a_motion_has_at_least_ten_steps(tmp_path, motion):
+    """A step of 1e-5 s, so a period of 1e-4 s: 10 kHz or 62 832 rad/s."""
+    text = TEXT.replace("material: glass}\nparticles", f"material: glass, motion: {motion}}}\nparticles")
+    scene = scene_of(tmp_path, "run.time_step=1e-5", "run.velocity_max=1 m/s", text=text)
+    if "9999" in motion or str(2 * math.pi * 9_999) in motion:
+        assert plan_for(scene).step.value == 1e-5
+    else:
+        message = r"walls.floor.motion.0 has a period of 0.0001 s, .* to 1e-05 s or less"
+        with pytest.raises(SceneError, match=message):
+            plan_for(scene)
