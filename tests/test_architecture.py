@@ -83,20 +83,14 @@ def page():
     return PAGE.read_text(encoding="utf-8")
 
 
-def test_all_files_and_folders_of_the_page_exist():
+def test_all_names_of_the_page_exist():
     names = names_in(page())
     assert not [name for name in (*names[PATH], *names[FOLDER]) if not path_exists(name)]
+    assert not [name for name in names[MODULE] if not module_exists(name)]
 
 
-def test_all_modules_of_the_page_exist():
-    assert not [name for name in names_in(page())[MODULE] if not module_exists(name)]
-
-
-def test_page_is_short():
+def test_page_is_short_and_linked_in_the_readme():
     assert len(page().splitlines()) <= LONGEST_PAGE
-
-
-def test_readme_links_the_page():
     links = re.findall(r"\]\(([^)]*)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
     assert any(link.partition("#")[0].endswith("ARCHITECTURE.md") for link in links)
 
@@ -110,28 +104,27 @@ io/   NAME.py of contact/normal/NAME.py, granflow.io.lock.locked
 """
 
 
-@pytest.mark.parametrize(("name", "exists"), [
-    ("granflow/io/lock.py", True), ("io/lock.py", True), ("lock.py", True),
-    ("tests/test_architecture.py", True), ("contact/normal/NAME.py", True),
-    ("contact/absent/NAME.py", False), ("io/absent.py", False), ("absent.py", False), ("io/", True),
-    ("cohesion/", True), ("absent/", False)
+@pytest.mark.parametrize(("exists", "present", "absent"), [
+    (path_exists,
+     ["granflow/io/lock.py", "io/lock.py", "lock.py", "tests/test_architecture.py", "contact/normal/NAME.py", "io/",
+      "cohesion/"],
+     ["contact/absent/NAME.py", "io/absent.py", "absent.py", "absent/"]),
+    (module_exists, ["granflow.io", "granflow.io.lock", "granflow.io.lock.locked", "granflow.Simulation"],
+     ["granflow.io.absent", "granflow.io.lock.absent"]),
 ])  # fmt: skip
-def test_paths_are_searched_in_the_repository_and_in_the_package(name, exists):
-    assert path_exists(name) == exists
-
-
-@pytest.mark.parametrize(("name", "exists"), [
-    ("granflow.io", True), ("granflow.io.lock", True), ("granflow.io.lock.locked", True),
-    ("granflow.Simulation", True), ("granflow.io.absent", False), ("granflow.io.lock.absent", False)
-])  # fmt: skip
-def test_modules_and_their_definitions_are_found(name, exists):
-    assert module_exists(name) == exists
+def test_paths_and_modules_are_searched_in_the_repository_and_in_the_package(exists, present, absent):
+    assert [name for name in present if not exists(name)] == []
+    assert [name for name in absent if exists(name)] == []
 
 
 def test_names_are_those_in_code():
     names = names_in(SAMPLE)
     assert names[PATH] == [
-        "NAME.py", "contact/normal/NAME.py", "granflow/simulation.py", "io/files.py", "io/lock.py"
-    ]  # fmt: skip
+        "NAME.py",
+        "contact/normal/NAME.py",
+        "granflow/simulation.py",
+        "io/files.py",
+        "io/lock.py",
+    ]
     assert names[FOLDER] == ["io/", "run/"]
     assert names[MODULE] == ["granflow.io.lock.locked"]

@@ -48,20 +48,11 @@ def set_up(dev, verb):
     return ["venv" if "venv" in call else call[-1].removeprefix(str(dev.ROOT)) for call in dev.calls]
 
 
-def test_first_start_installs_and_second_does_not(dev):
-    assert set_up(dev, "check") == ["venv", "[dev]"]
-    assert set_up(dev, "check") == []
-
-
-def test_run_installs_no_developer_tools(dev):
+def test_first_start_installs_pinned_versions_and_developer_tools_only_if_required(dev):
     assert set_up(dev, "run") == ["venv", ""]
-    assert set_up(dev, "check") == ["[dev]"]
-    assert set_up(dev, "run") == []
-
-
-def test_versions_are_pinned(dev):
-    set_up(dev, "run")
     assert dev.calls[-1][-4:-2] == ["-c", str(dev.ROOT / "constraints.txt")]
+    assert set_up(dev, "check") == ["[dev]"]
+    assert set_up(dev, "check") == set_up(dev, "run") == []
 
 
 def test_installed_extras_are_kept_on_reinstall(dev):
@@ -86,16 +77,13 @@ def test_failed_install_is_redone_from_scratch(dev):
     assert set_up(dev, "run") == ["venv", ""]
 
 
-def test_another_python_gets_a_new_environment(dev, monkeypatch):
+@pytest.mark.parametrize("change", ["python", "folder"])
+def test_another_python_or_a_moved_checkout_gets_a_new_environment(dev, monkeypatch, change):
     set_up(dev, "run")
-    monkeypatch.setattr(sys, "version_info", (3, 13 if sys.version_info[1] != 13 else 12, 0))
-    assert set_up(dev, "run") == ["venv", ""]
-
-
-def test_moved_checkout_gets_a_new_environment(dev, tmp_path):
-    set_up(dev, "run")
-    stamp = dev.STAMP.read_text()
-    dev.STAMP.write_text(stamp.replace(str(dev.ROOT), "/elsewhere"))
+    if change == "python":
+        monkeypatch.setattr(sys, "version_info", (3, 13 if sys.version_info[1] != 13 else 12, 0))
+    else:
+        dev.STAMP.write_text(dev.STAMP.read_text().replace(str(dev.ROOT), "/elsewhere"))
     assert set_up(dev, "run") == ["venv", ""]
 
 
@@ -117,17 +105,15 @@ def test_linked_environment_of_another_checkout_keeps_its_stamp(dev, tmp_path):
     assert (other / dev.STAMP.name).read_text() == "python 3.11 in /elsewhere\n"
 
 
-@pytest.mark.parametrize("version", [(3, 9, 18), (3, 14, 0)])
-def test_unsupported_python_is_rejected_in_one_sentence(dev, monkeypatch, version):
-    monkeypatch.setattr(sys, "version_info", version)
-    with pytest.raises(SystemExit, match=r"needs Python 3\.10 to 3\.13, but this is 3\.\d+: .*\.$"):
-        set_up(dev, "run")
-
-
-def test_message_about_a_missing_venv_module_contains_the_remedy(dev, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "ensurepip" else name)
-    with pytest.raises(SystemExit, match=r"lacks its module ensurepip: .*apt install python3\.\d+-venv"):
-        set_up(dev, "run")
+def test_unsupported_python_or_a_missing_venv_module_is_rejected_in_one_sentence(dev, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(importlib.util, "find_spec", lambda name: None if name == "ensurepip" else name)
+        with pytest.raises(SystemExit, match=r"lacks its module ensurepip: .*apt install python3\.\d+-venv"):
+            set_up(dev, "run")
+    for version in ((3, 9, 18), (3, 14, 0)):
+        monkeypatch.setattr(sys, "version_info", version)
+        with pytest.raises(SystemExit, match=r"needs Python 3\.10 to 3\.13, but this is 3\.\d+: .*\.$"):
+            set_up(dev, "run")
 
 
 def test_script_parses_on_python_3_7():
