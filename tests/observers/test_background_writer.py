@@ -15,23 +15,6 @@ from granflow.io.vtu import VtuMesh
 POINT = VtuMesh.of_points(np.zeros((1, 3)), {})
 
 
-def test_tasks_run_in_order_in_another_thread():
-    writer = BackgroundWriter()
-    seen = []
-    with writer.running():
-        for number in range(50):
-            writer.submit(lambda number=number: seen.append((number, threading.current_thread())))
-    assert [number for number, _ in seen] == list(range(50))
-    assert {thread for _, thread in seen}.isdisjoint({threading.main_thread()})
-
-
-def test_task_outside_of_running_is_executed_at_once():
-    writer = BackgroundWriter()
-    seen = []
-    writer.submit(lambda: seen.append(threading.current_thread()))
-    assert seen == [threading.main_thread()]
-
-
 def test_full_queue_delays_the_submitting_thread(monkeypatch):
     monkeypatch.setattr(background_writer, "LONGEST_QUEUE", 2)
     writer = BackgroundWriter()

@@ -64,25 +64,6 @@ def test_the_grid_integrates_to_the_totals(count):
     assert np.nanmax(np.abs(fields["fabric"][:, [0, 4, 8]].sum(axis=1) - 1.0)) < 1e-9
 
 
-def test_cell_value_is_the_mean_of_the_kernel_over_the_cell():
-    """Compared with the kernel formula at 30^3 points of each cell."""
-    width = 0.3
-    cutoff = 3.0
-    center = np.array([[0.1, -0.2, 0.05]])
-    grid = CoarseGrid((-1.2,) * 3, (1.3,) * 3, (5, 4, 3))
-    kernel = GaussianKernel(0.3, 3.0)
-    found = grid.deposit(kernel, center, np.ones((1, 1)))[:, 0] / grid.cell_volume
-    steps = (np.arange(30) + 0.5) / 30 - 0.5
-    inner = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3) * grid.cell_size
-    r = grid.centers()[:, None, :] + inner - center
-    top = (np.sqrt(2.0 * np.pi) * width * erf(cutoff / np.sqrt(2.0))) ** -3
-    inside = (np.abs(r) < cutoff * width).all(axis=2)
-    expected = (top * np.exp(-0.5 * (r**2).sum(axis=2) / width**2) * inside).mean(axis=1)
-    # Midpoint rule: error of h^2 / 24 times the second derivative, and of h / 2 times the step of 1 % at the
-    # cutoff.
-    np.testing.assert_allclose(found, expected, atol=2e-3 * top)
-
-
 def test_contact_stress_is_distributed_along_the_branch_vector():
     """The stress of one contact is f b times the mean of the Gaussian along the branch vector, an error
     function."""
@@ -283,15 +264,6 @@ def test_mean_temperature_of_frames_excludes_the_bounce_of_the_bed():
     assert fields_from(up)["granular_temperature_of_frames"] == pytest.approx(
         fields_from(up)["granular_temperature"]
     )
-
-
-def test_contacts_are_not_requested_without_contact_fields(tmp_path):
-    frames = FieldFrames(
-        tmp_path, "bed", 0.1, cube(2), GaussianKernel(0.1, 3.0), ["density", "coordination_number"]
-    )
-    assert frames.wants == {"particles"}
-    frames.observe(snapshot_of(particles=cloud()[0]))
-    assert set(meshio.read(tmp_path / "fields_bed_0000.vtu").cell_data) == {"density", "coordination_number"}
 
 
 def test_intensive_fields_of_empty_cells_are_nan():

@@ -107,24 +107,6 @@ def test_segregation_intensity_in_closed_form():
     assert np.isnan(random_intensity(points, volume, np.ones(6, bool), grid))
 
 
-def test_segregation_intensity_of_separate_and_of_random_mixtures_of_two_sizes():
-    """Size ratio 2, so volumes 8 and 1; 200 random mixtures scatter about I_R, to first order in 1 / n."""
-    random = np.random.default_rng(3)
-    count = 5000
-    volume = np.where(np.arange(count) % 5 == 0, 8.0, 1.0)
-    separate = np.where(volume[:, None] > 1.0, [0.1, 0.5, 0.5], [0.9, 0.5, 0.5])
-    assert segregation_intensity(separate, volume, volume > 1.0, CUBE) == pytest.approx(1.0)
-    points = [random.uniform(0.0, 1.0, (count, 3)) for _ in range(200)]
-    ratios = [
-        segregation_intensity(each, volume, volume > 1.0, CUBE)
-        / random_intensity(each, volume, volume > 1.0, CUBE)
-        for each in points
-    ]
-    error = np.std(ratios) / np.sqrt(len(ratios))
-    # A cell contains 8 particles of the first kind: the next order is about 1 / 40 particles.
-    assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * error + 1.0 / 40.0)
-
-
 def bed(angle, shape, length=0.1, spacing=0.0026):
     """Particles of 2 mm to 3 mm at displaced lattice points, below a cone about (0.3, -0.2) or a wedge rising
     in x."""

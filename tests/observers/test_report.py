@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from granflow.io.log import read_record, run_log, write_scene_as_run
+from granflow.io.log import read_record, run_log
 from granflow.runs.result import ExpectationResult, Result, closing_table, write_result
 
 RESULT = Result(
@@ -81,8 +81,3 @@ def test_record_of_a_resumed_run_continues_after_a_line_that_was_cut_off(tmp_pat
         log.warning("second\x1b[2J")
     found = [entry.text for entry in read_record(tmp_path / "run.jsonl")]
     assert found == ["first", "second\\x1b[2J"]
-
-
-def test_resolved_scene_is_written_as_utf_8(tmp_path):
-    path = write_scene_as_run(tmp_path / "out", SimpleNamespace(to_yaml=lambda: "title: Rain ü\n"))
-    assert path.read_text(encoding="utf-8") == "title: Rain ü\n"

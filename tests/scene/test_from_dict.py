@@ -40,22 +40,19 @@ def test_an_object_that_is_no_mapping_is_refused(data):
         Scene.from_dict(data)
 
 
-def test_missing_keys_have_the_position_of_their_parent():
+def test_checks_and_amounts_are_those_of_files():
     without = {key: value for key, value in described().items() if key != "gravity"}
     with pytest.raises(SceneError, match="^scene: gravity is missing"):
         Scene.from_dict(without)
-
-
-def test_checks_across_parts_apply():
     (problem,) = problems(stages=[{"name": "fill", "duration": 1.0}])
     assert problem.startswith("run.duration is 1.0, but the stages have durations")
-
-
-def test_amounts_are_resolved():
+    region = {"box": {"min": [0, 0, 0], "max": [0.5, 0.5, 0.5]}}
     group = {
-        "material": "glass", "diameter": 0.01, "mass": "10 g",
-        "insert": {"kind": "pack", "region": {"box": {"min": [0, 0, 0], "max": [0.5, 0.5, 0.5]}}},
-    }  # fmt: skip
+        "material": "glass",
+        "diameter": 0.01,
+        "mass": "10 g",
+        "insert": {"kind": "pack", "region": region},
+    }
     assert Scene.from_dict(described(particles={"beads": group})).particles["beads"].count == 8
 
 

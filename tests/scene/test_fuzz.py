@@ -12,8 +12,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from fuzzing import SCENES, drawn, hypothesis_files, mutated_file, written
-from scene.schema_blocks import scene_files
+from fuzzing import SCENES, hypothesis_files, mutated_file, written
 from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
@@ -122,12 +121,11 @@ def check_files(folder, sources):
 SOURCES = {
     "changed scenes": lambda count: (mutated_file(random.Random(number)) for number in range(count)),
     "random trees and bytes": hypothesis_files,
-    "blocks of the JSON Schema": lambda count: drawn(scene_files(), count),
 }
 
 
 def test_fuzzed_files_are_accepted_or_rejected_with_positions(tmp_path):
-    sources = (("changed scenes", 160), ("random trees and bytes", 120), ("blocks of the JSON Schema", 15))
+    sources = (("changed scenes", 160), ("random trees and bytes", 120))
     *found, memory = in_subprocess(check_files, str(tmp_path), sources)
     for (name, count), (accepted, failures) in zip(sources, found, strict=True):
         examples = "\n".join(

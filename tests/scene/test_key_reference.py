@@ -10,9 +10,6 @@ from granflow.cli.main import main
 from granflow.contact import registry
 from granflow.scene.reference import (
     all_keys,
-    alternatives,
-    dimension_of,
-    json_schema,
     keys,
     parts,
     places,
@@ -47,40 +44,6 @@ def test_a_key_has_type_unit_range_default_example_and_meaning(path, texts):
     assert all(text in found for text in texts), found
 
 
-def units_of(schema):
-    """SI units of the numbers in a value, from their types."""
-    for each in alternatives(schema):
-        if dimension := dimension_of(each):
-            yield dimension.si_unit
-        inner = [*each.get("prefixItems", ()), *filter(None, [each.get("items")])]
-        for item in inner:
-            yield from units_of(item)
-
-
-def test_descriptions_name_the_units_of_the_types():
-    units = {(key.part, key.name): set(filter(None, units_of(key.schema))) for key in all_keys()}
-    assert sum(map(len, units.values())) > 150
-    missing = [
-        (key.part, key.name, unit)
-        for key in all_keys()
-        for unit in units[key.part, key.name]
-        if f"[{unit}]" not in key.description
-    ]
-    assert not missing
-
-
-def test_the_schema_for_editors_has_no_notes_for_the_reference():
-    assert '"x-' in json.dumps(parts()) and '"x-' not in json.dumps(json_schema())
-
-
-def test_a_name_that_several_blocks_have_lists_all_of_them():
-    assert {place.path for place in places_of("friction")} == {"pairs.NAME.friction"}
-    assert {place.path for place in places_of("angular_velocity")} >= {
-        "walls.NAME.motion.angular_velocity",
-        "particles.NAME.angular_velocity",
-    }
-
-
 def test_a_block_lists_its_keys_and_a_union_its_variants():
     block = reference_of("numerics")
     assert all(key.name in block and key.description.split()[0] in block for key in keys("Numerics"))
@@ -92,14 +55,6 @@ def test_a_block_lists_its_keys_and_a_union_its_variants():
     assert "\n  corner " in reference_of("walls.rectangle")
     first_level = reference_of("")
     assert all(f"\n  {name} " in f"\n{first_level}" for name in parts()["scene"]["properties"])
-
-
-def test_every_block_begins_with_its_path():
-    """The first line of each text, which the terminal shows above the keys."""
-    for places_of_part in places().values():
-        for place in places_of_part:
-            heading = reference_of(place).splitlines()[0]
-            assert heading.strip() and heading[0] != " ", place
 
 
 def test_words_that_are_allowed_alone_are_those_that_a_scene_accepts():

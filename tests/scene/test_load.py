@@ -40,10 +40,6 @@ def test_presets_define_missing_properties(scene):
     assert (pair.restitution.sigma, pair.restitution.psi) == (0.1418, 0.3114)
 
 
-def test_every_preset_has_a_source():
-    assert all(preset.source for preset in PRESETS.values())
-
-
 def test_omitted_keys_have_their_defaults(scene):
     assert scene.output.timeseries_interval == scene.output.interval == 0.01
     assert scene.particles["pair"].count == 2
@@ -101,20 +97,6 @@ def test_text_of_a_scene_is_read_back_as_an_equal_scene(scene, tmp_path):
     assert again.to_yaml() == scene.to_yaml()
 
 
-@pytest.mark.parametrize("title", [
-    "a: b", "1e-5", "true", "", "'", '"', "{x}", "# no", "ü\n\t\\", "- a", "null", "012", "\U00010000",
-    "\x00\x85"
-])  # fmt: skip
-def test_every_title_is_read_back_unchanged(title, scene, tmp_path):
-    path = tmp_path / "again.yaml"
-    path.write_text(scene.model_copy(update={"title": title}).to_yaml(), encoding="utf-8")
-    assert load_scene(path).title == title
-
-
-def test_different_scenes_are_not_equal(scene):
-    assert scene != load_scene(GOOD, ["seed=8"])
-
-
 def test_overrides_replace_values_of_the_file():
     scene = load_scene(GOOD, [
         "run.precision=f32", "numerics.chunk_size=64", "walls.tube.radius=6 cm", "stages.2.duration=5 s",
@@ -136,21 +118,6 @@ def test_override_changes_only_one_of_two_walls_with_a_common_anchor(tmp_path):
     path.write_text(text.replace("  tube:\n", "  floor: *base\n  tube:\n", 1), encoding="utf-8")
     scene = load_scene(path, ["walls.floor.point=[0, 0, 1]"])
     assert (scene.walls["base"].point[2], scene.walls["floor"].point[2]) == (0.0, 1.0)
-
-
-def test_scenes_are_immutable(scene):
-    with pytest.raises(AttributeError, match="immutable"):
-        scene.seed = 2
-    with pytest.raises(AttributeError, match="immutable"):
-        scene.walls["tube"].radius = 2.0
-
-
-def test_every_key_has_a_description():
-    schema = json_schema()
-    blocks = {"scene": schema, **schema["$defs"]}
-    keys = [(name, key, each) for name, block in blocks.items() for key, each in block["properties"].items()]
-    assert len(keys) > 200
-    assert not [f"{name}.{key}" for name, key, each in keys if not each.get("description")]
 
 
 def test_json_schema_contains_required_keys_and_alternatives():

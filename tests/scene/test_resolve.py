@@ -11,12 +11,9 @@ from granflow.errors import SceneError
 from granflow.load import load_scene, scene_of
 from granflow.particles.group import groups_of
 from granflow.particles.insertion import initial_particles
-from granflow.particles.resolve import scaled
 from granflow.plan.build import plan_for
 from granflow.plan.time_step import max_impact_velocity
-from granflow.scene.blocks.motions import Vibration
 from granflow.scene.blocks.sizes import GivenSizes
-from granflow.scene.blocks.walls.mesh import MeshWall
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
 """Mass [kg] of a particle of the scene."""
@@ -187,12 +184,6 @@ def test_conflicts_between_file_and_group_are_rejected(tmp_path, beads):
     ]
 
 
-def test_rows_outside_the_domain_are_rejected(tmp_path):
-    assert problems(tmp_path, FILE, start="x,y,z,r\n0,0,0,1e-3\n0,0,5,1e-3\n0,0,6,1e-3\n") == [
-        "start.csv:3: this particle and 1 more lie outside the domain."
-    ]
-
-
 def test_scale_changes_equipment_and_amounts_only(tmp_path):
     rain = f"    mass: {100 * PARTICLE!r}\n    diameter: 4 mm\n    velocity: [0, 0, -1]\n"
     rain += f"    insert: {{kind: rain, rate: 50, {REGION}}}\n"
@@ -227,12 +218,3 @@ def test_scale_changes_equipment_and_amounts_only(tmp_path):
         "--set scale=2: scale is 2, but particles.beads has given positions, which cannot be scaled; leave "
         "scale out."
     ]
-
-
-def test_scale_changes_mesh_walls_but_not_amplitudes(tmp_path):
-    """The type of a key in the schema determines its exponent."""
-    wall = MeshWall(shape="mesh", material="glass", file="a.stl", scale=0.001, translate=(1.0, 0.0, -2.0))
-    larger = scaled(wall, 3.0)
-    assert (larger.scale, larger.translate) == (0.003, (3.0, 0.0, -6.0))
-    vibration = Vibration(kind="vibration", direction=(0, 0, 1), amplitude=1e-3, frequency=25.0)
-    assert scaled(vibration, 3.0) == vibration

@@ -4,7 +4,7 @@ scenes."""
 from pathlib import Path
 
 import pytest
-from plan.scenes import TEXT, scene_of
+from plan.scenes import scene_of
 
 from granflow.errors import SceneError
 from granflow.load import Scene, load_scene
@@ -43,11 +43,6 @@ def test_names_of_other_codes_are_recognized(tmp_path, override, suggestion):
     assert suggestion in str(refused.value)
 
 
-def test_top_level_command_of_another_code_is_recognized(tmp_path):
-    with pytest.raises(SceneError, match="Did you mean walls"):
-        scene_of(tmp_path, text=TEXT.replace("walls:\n", "fix wall/gran:\n"))
-
-
 def test_synonyms_are_in_the_form_in_which_they_are_searched():
     assert all(word.isalnum() and word == word.lower() for word in SYNONYMS)
     assert (
@@ -68,8 +63,3 @@ def test_overrides_have_the_same_path_in_a_scene_and_in_its_resolved_form(tmp_pa
     first, second = (load_scene(path, [override]) for path in (SCENES / "drum.yaml", resolved))
     assert first.to_yaml() == second.to_yaml() != load_scene(SCENES / "drum.yaml").to_yaml()
     assert isinstance(first, Scene)
-
-
-def test_index_of_a_second_motion_is_refused(tmp_path):
-    with pytest.raises(SceneError, match="angular_velocity"):
-        load_scene(SCENES / "drum.yaml", ["walls.shell.motion.1.angular_velocity=2"])

@@ -19,6 +19,7 @@ from granflow.studies import run_process
 from granflow.studies.run_pool import Workers
 from granflow.studies.sweep import SweepStopped, read_sweep, run_sweep
 
+GRANFLOW = run_process.PROGRAM
 STATUSES = ["done"] * 3 + ["aborted"] + ["expectation missed"] * 3 + ["aborted"] + ["refused"] * 4
 
 
@@ -210,9 +211,10 @@ def test_workers_of_dask_give_the_same_table(home, monkeypatch):
     assert rows(home / "dask") == rows(home / "whole")
 
 
-def test_sweep_from_python_with_real_runs(tmp_path):
+def test_sweep_from_python_with_real_runs(tmp_path, monkeypatch):
     """One run misses its expectation, the other one is aborted by the overlap limit."""
     pytest.importorskip("pandas")
+    monkeypatch.setattr(run_process, "PROGRAM", GRANFLOW)
     vary = "{numerics.max_overlap: [0.1, 1e-6]}"
     path = write_sweep(
         tmp_path,

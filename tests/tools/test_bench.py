@@ -32,16 +32,6 @@ def test_tiling_appends_the_mirror_image():
     assert gap == pytest.approx(-2e-4, rel=1e-9)
 
 
-def test_each_tile_contains_all_particles():
-    tiled = module("cases").tiled(three_particle_bed(), 36)
-    assert tiled.sides == pytest.approx((0.040, 0.060)) and tiled.count == 36
-    assert (tiled.position[:, :2] > 0).all() and (tiled.position[:, :2] < tiled.sides).all()
-    # Each tile contains three particles.
-    tiles = np.floor(tiled.position[:, :2] / [0.010, 0.020]).astype(int)
-    assert {tuple(each) for each in tiles.tolist()} == {(i, j) for i in range(4) for j in range(3)}
-    assert np.bincount(tiles @ [1, 4]).tolist() == [3] * 12
-
-
 def test_written_data_file_is_read_exactly(tmp_path):
     cases = module("cases")
     bed = three_particle_bed()
@@ -143,25 +133,6 @@ def test_ratios_are_computed_within_a_round():
     assert "2.00 (2.00-2.00)" in tables.text(result)
 
 
-def test_bytes_of_integration_equal_those_of_its_fields():
-    counts = module("counts")
-    fields = dict.fromkeys(
-        ("position", "velocity", "angular_velocity", "force", "torque", "position_at_rebuild"), 24
-    )
-    load = counts.BytesMoved(10, 0, 0, fields | {"mass": 8, "radius": 8}, 0, 0, "hertz", True)
-    # Read: x, v, w, F, M, x at the last rebuild and two scalars; written: x, v, w.
-    assert counts.bytes_of(load)["motion"] == 10 * (6 * 24 + 2 * 8 + 3 * 24)
-
-
-def test_arithmetic_without_contacts_is_that_of_integration():
-    counts = module("counts")
-    load = counts.BytesMoved(1000, 0, 0, {}, 0, 0, "zhou", False)
-    operations = counts.operations_of(load)
-    limits = {"product_sum_seconds": 2e-9, "root_seconds": 3e-9, "quotient_seconds": 5e-9}
-    assert operations["forces"].seconds(limits) == 0.0
-    assert operations["motion"].seconds(limits) == pytest.approx(1000 * (35 * 1e-9 + 2 * 5e-9))
-
-
 def test_missing_peer_is_reported_with_its_package(monkeypatch):
     codes = module("codes")
     monkeypatch.setattr(codes.shutil, "which", lambda program: None)
@@ -184,42 +155,6 @@ def test_page_contains_the_measurements(tmp_path, monkeypatch):
     assert "| bed 10 | 1 | lammps | 20.00 (20.00-20.00) | 2.00 (2.00-2.00) |" in text
     assert "| bed 10 | 1 | granflow zhou | 32.00 (32.00-32.00) | 1.25 (1.25-1.25) |" in text
     assert "- yade is skipped." in text and "(results/one.json)" in text
-
-
-def test_page_is_that_of_the_newest_results_in_double_precision(tmp_path):
-    """Three results of one day, the newest in mixed precision, and older ones of another name."""
-    page = module("page")
-    runs = {"b.json": ("10:00", "f64"), "a.json": ("11:00", "f64"), "a-mixed.json": ("12:00", "mixed")}
-    for name, (time, precision) in runs.items():
-        result = {
-            "kind": "peers",
-            "machine": {"date": f"2026-01-02 {time} UTC"},
-            "points": [{"precision": precision}],
-        }
-        (tmp_path / name).write_text(json.dumps(result))
-    assert page.newest(tmp_path, "peers", "").name == "a.json"
-    assert page.newest(tmp_path, "peers", "a-mixed").name == "a-mixed.json"
-    assert page.newest(tmp_path, "phases", "") is None
-
-
-def test_table_of_the_guide_contains_the_measurements_on_ranks(tmp_path):
-    ranks_page = module("ranks_page")
-    machine = module("machine")
-    guide = tmp_path / "parallel.md"
-    guide.write_text(f"# Ranks\n\n{ranks_page.BEGIN}old\n{ranks_page.END}\nLimits\n")
-    assert ranks_page.write(tmp_path, guide) is None
-    result = {"kind": "ranks", "machine": machine.machine(), "notes": []}
-    result["points"] = points(granflow_hertz=[40e6, 42e6], liggghts_hertz=[20e6])
-    measured = {"rebuilds": 9.5, "exchange": 0.041, "waiting": 0.022, "memory": 3e8}
-    result["points"].append(
-        points(granflow_hertz=[36e6])[0] | measured | {"code": "granflow --mpi", "threads": 2}
-    )
-    (tmp_path / "ranks.json").write_text(json.dumps(result))
-    text = ranks_page.write(tmp_path, guide).read_text()
-    assert text.startswith("# Ranks\n") and text.endswith("Limits\n") and "old" not in text
-    assert "| 10 | granflow, 2 ranks | 36.00 (36.00-36.00) | 4.1 % | 2.2 % | 9.5 | 300 |" in text
-    assert "| 10 | granflow, 1 thread | 41.00 (40.00-42.00) |" in text
-    assert "| 10 | liggghts, 1 rank | 20.00" in text
 
 
 def test_the_guide_contains_the_newest_measurements_on_ranks(tmp_path):

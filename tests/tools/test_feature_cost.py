@@ -39,9 +39,6 @@ SMOOTH = tuple(
     f"pairs.{pair}={{restitution: 0.7, friction: 0}}"
     for pair in ("glass-glass", "glass-steel", "steel-steel")
 )
-MIXED = (
-    "particles.more={material: steel, diameter: 4 mm, insert: {kind: positions, positions: [[0, 0, 25 mm]]}}"
-)
 
 
 def plans(directory, *overrides):
@@ -91,18 +88,6 @@ def test_variants_add_missing_features(tmp_path):
     assert found["with rolling friction"].laws.names["rolling"] == "epsd"
     assert found["with energy budget"].features.energy_budget
     assert "without damping" in found and not {"without walls", "without friction"} & set(found)
-
-
-def test_one_material_is_the_most_frequent_one(tmp_path):
-    found = plans(tmp_path, MIXED)
-    assert not found["baseline"].features.one_material
-    assert found["with one material"].features.one_material
-    assert found["with one material"].materials[0] == "glass"
-
-
-def test_all_variants_have_equal_time_step_skin_and_capacity(tmp_path):
-    found = plans(tmp_path)
-    assert len({(plan.time_step, plan.skin, plan.particle_capacity) for plan in found.values()}) == 1
 
 
 def test_memory_decreases_by_the_omitted_fields(tmp_path):

@@ -1,4 +1,4 @@
-"""tools/gpu_check.py without a GPU: messages, result file, failing checks, and one speed measurement."""
+"""tools/gpu_check.py without a GPU: failing checks, and one speed measurement."""
 
 import argparse
 import importlib.util
@@ -12,7 +12,6 @@ import pytest
 from subprocess_runner import in_subprocess
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
-SCRIPT = TOOLS / "gpu_check.py"
 
 
 def module(name):
@@ -71,12 +70,6 @@ def run_of(tmp_path, answers, **requested):
     return run
 
 
-POINT = {
-    "count": 1000, "rate": 2e6, "bandwidth_share": 0.5, "copy_bandwidth": 1e10, "bytes_per_particle_step": 600.0,
-    "coordination_number": 5.0, "search_seconds": 1e-3,
-}  # fmt: skip
-
-
 def test_failed_job_counts_as_failed_check(tmp_path, monkeypatch, capsys):
     check = module("gpu_check")
     good = module("gpu_checks.checks").record("good", 0.0, 1.0)
@@ -92,24 +85,6 @@ def test_failed_job_counts_as_failed_check(tmp_path, monkeypatch, capsys):
     found = json.loads(run.options.out.read_text())
     assert found["finished"] and [each["passed"] for each in found["checks"]] == [False, *[True] * 5]
     assert "collisions did not run" in capsys.readouterr().out
-
-
-def test_results_are_written_before_a_later_measurement_is_skipped(tmp_path, monkeypatch):
-    check = module("gpu_check")
-    monkeypatch.setattr(check.speed, "bytes_needed", lambda bed, size, *_: (100 * size, 11 * size))
-    run = run_of(tmp_path, {"measure": POINT}, part="bench", sizes=[1000, 10**7])
-    check.bench(run, 1000, "f64", {})
-    assert json.loads(run.options.out.read_text())["points"] == [{"precision": "f64"} | POINT]
-    check.bench(run, 10**7, "f64", {})
-    check.bench(run, 8 * 10**6, "f64", {})
-    assert run.result["left_out"] == [
-        "10000000 particles in f64: a field of 0.1 GB exceeds the largest buffer of 0.1 GB",
-        "8000000 particles in f64: fields of 0.8 GB exceed 70% of the free 1.0 GB",
-    ]
-    # 50 s for 1000 particles, of which 1 s is measured: 49 s per thousand exceed 600 s for 100 000.
-    check.bench(run, 100_000, "f64", {"f64": (1000, 50.0)})
-    assert run.result["left_out"][-1].startswith("100000 particles in f64: requires about 4901 s")
-    assert len(run.result["points"]) == 1
 
 
 def measured_in_subprocess(tools, path):

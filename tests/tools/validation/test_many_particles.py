@@ -39,23 +39,6 @@ def test_restitution_of_viscoelastic_spheres_follows_the_series():
     assert restitution(np.array([1.0]))[0] == pytest.approx(0.97, abs=1e-6)
 
 
-def test_extrapolation_to_rigid_spheres_finds_the_limit():
-    softness = np.array([1.0, 0.4, 0.16])
-    points = np.stack([softness, 1.0 - 0.1 * softness, np.full(3, 0.01)], axis=1)
-    found = cooling.rigid_case(points)
-    assert (found.value, found.status) == (pytest.approx(1.0, abs=1e-12), "pass")
-    points[:, 1] -= 0.05
-    assert cooling.rigid_case(points).status == "fail"
-
-
-def test_six_directions_dissipate_less_than_a_maxwell_gas():
-    velocity = np.random.default_rng(1).standard_normal((2, 10**6, 3)) / np.sqrt(3.0)
-    maxwell = np.mean(np.linalg.norm(velocity[0] - velocity[1], axis=1) ** 3)
-    directions = np.concatenate([np.eye(3), -np.eye(3)])
-    pairs = np.linalg.norm(directions[:, None] - directions, axis=2) ** 3
-    assert cooling.six_directions() == pytest.approx(pairs.mean() / maxwell, rel=0.005)
-
-
 def test_evaluation_of_the_flights_of_a_vibrated_particle():
     flights = vibrated.flights_of_map(3.8)
     assert statuses(vibrated.flight_cases(3.8, flights, 400)) == ["pass", "pass"]
@@ -112,15 +95,6 @@ def test_evaluation_of_the_discharge_recovers_beverloos_law():
 def test_a_wrong_flow_fails_in_a_wide_silo_and_misses_in_narrow_ones():
     cases = silo.discharge_cases(flows_of=lambda radius, _: [2.0 * silo.beverloo_flow(2.0 * radius)] * 3)
     assert statuses(cases) == ["miss"] * 5 + ["fail"] + ["pass"] * 2
-
-
-def test_the_scatter_of_the_fillings_is_part_of_the_allowed_deviation():
-    """Flows of 0.94, 1 and 1.06 of the law have a standard deviation of 0.06; C and k have 10 % each."""
-    law = silo.beverloo_flow(0.028)
-    case = silo.discharge_case(0.028, 0.148, [0.94 * law, law, 1.06 * law])
-    share = 2.5 * silo.K * silo.DIAMETER / (0.028 - silo.K * silo.DIAMETER)
-    assert case.value == pytest.approx(law)
-    assert case.allowed == pytest.approx(3.0 * 0.06 / 3.0**0.5 + 0.1 * (1.0 + share**2) ** 0.5)
 
 
 @pytest.mark.parametrize(("orifice", "width", "expected"), [(0.028, 0.148, True), (0.028, 0.147, False),
