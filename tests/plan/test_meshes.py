@@ -87,38 +87,29 @@ def test_meshes_are_scaled_then_rotated_then_translated(tmp_path):
 def test_invalid_mesh_files_are_rejected(tmp_path):
     points, corners = cube()
     triangles = points[corners]
-    assert problem(tmp_path, "none.stl") == "is missing: there is no such file."
     (tmp_path / "empty.stl").write_bytes(b"")
-    assert problem(tmp_path, "empty.stl") == "is empty."
-    binary_stl(tmp_path / "lies.stl", triangles, count=2**32 - 1)
-    assert problem(tmp_path, "lies.stl") == (
-        "declares 4294967295 triangles, but its size allows 12: it is truncated or damaged."
-    )
     (tmp_path / "short.stl").write_bytes(b"\0" * 50)
-    assert (
-        problem(tmp_path, "short.stl")
-        == "is truncated: it has 50 bytes, fewer than the header of an STL file."
-    )
+    binary_stl(tmp_path / "lies.stl", triangles, count=2**32 - 1)
     binary_stl(tmp_path / "nan.stl", np.where(triangles == 1.0, np.nan, triangles))
-    assert problem(tmp_path, "nan.stl") == "has 12 triangles with coordinates that are not finite."
     binary_stl(tmp_path / "flat.stl", triangles * [1, 0, 0])
-    assert problem(tmp_path, "flat.stl") == "has no triangle with nonzero area."
     (tmp_path / "mesh.step").write_text("ISO-10303-21")
-    assert problem(tmp_path, "mesh.step") == (
-        "has an unsupported format; the supported formats are stl, obj, ply, vtk, vtu."
-    )
     meshio.write(tmp_path / "solid.vtu", meshio.Mesh(points, [("tetra", [[0, 1, 2, 4]])]))
-    assert problem(tmp_path, "solid.vtu") == (
-        "contains 1 tetra, but a wall consists of triangles; export the surface only."
-    )
-    for name in ("cube.ply", "cube.vtu", "cube.vtk", "cube.obj"):
-        write(tmp_path / name, points, corners)
-        whole = (tmp_path / name).read_bytes()
-        (tmp_path / name).write_bytes(whole[: len(whole) // 2])
-    assert problem(tmp_path, "cube.vtu").startswith("cannot be read as VTU: ")
-    assert problem(tmp_path, "cube.ply").startswith("cannot be read as PLY: ")
-    assert problem(tmp_path, "cube.vtk").startswith("cannot be read as VTK: ")
-    assert problem(tmp_path, "cube.obj").startswith("cannot be read as OBJ: ")
+    for name, message in {
+        "none.stl": "is missing: there is no such file.",
+        "empty.stl": "is empty.",
+        "lies.stl": "declares 4294967295 triangles, but its size allows 12: it is truncated or damaged.",
+        "short.stl": "is truncated: it has 50 bytes, fewer than the header of an STL file.",
+        "nan.stl": "has 12 triangles with coordinates that are not finite.",
+        "flat.stl": "has no triangle with nonzero area.",
+        "mesh.step": "has an unsupported format; the supported formats are stl, obj, ply, vtk, vtu.",
+        "solid.vtu": "contains 1 tetra, but a wall consists of triangles; export the surface only.",
+    }.items():
+        assert problem(tmp_path, name) == message
+    for kind in ("ply", "vtu", "vtk", "obj"):
+        write(tmp_path / f"cube.{kind}", points, corners)
+        whole = (tmp_path / f"cube.{kind}").read_bytes()
+        (tmp_path / f"cube.{kind}").write_bytes(whole[: len(whole) // 2])
+        assert problem(tmp_path, f"cube.{kind}").startswith(f"cannot be read as {kind.upper()}: ")
 
 
 def test_mesh_files_outside_the_scene_folder_are_read(tmp_path):

@@ -10,7 +10,6 @@ from benchmark.features import variants_of
 from granflow.errors import SceneError
 from granflow.load import load_scene
 from granflow.plan.build import plan_for
-from granflow.plan.cost import estimate_memory
 
 TEXT = """\
 title: Beads on a floor
@@ -32,13 +31,6 @@ domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], on_exit: error}
 run: {duration: 30 ms, velocity_max: 1 m/s}
 output: {interval: 10 ms, energy_budget: true}
 """
-IN_CONTACT_NEIGHBORS = (
-    "contact.rolling=none", "contact.normal=hertz", "output.energy_budget=false", "walls={}"
-)  # fmt: skip
-SMOOTH = tuple(
-    f"pairs.{pair}={{restitution: 0.7, friction: 0}}"
-    for pair in ("glass-glass", "glass-steel", "steel-steel")
-)
 
 
 def plans(directory, *overrides):
@@ -80,28 +72,6 @@ def test_a_variant_changes_its_feature_only(tmp_path, name, saved, changed):
 def switches(plan):
     """Features and contact models of a plan by name."""
     return asdict(plan.features) | plan.laws.names | {"friction": plan.laws.has_tangential}
-
-
-def test_variants_add_missing_features(tmp_path):
-    found = plans(tmp_path, *IN_CONTACT_NEIGHBORS, *SMOOTH)
-    assert found["with friction"].laws.has_tangential
-    assert found["with rolling friction"].laws.names["rolling"] == "epsd"
-    assert found["with energy budget"].features.energy_budget
-    assert "without damping" in found and not {"without walls", "without friction"} & set(found)
-
-
-def test_memory_decreases_by_the_omitted_fields(tmp_path):
-    """A vector of 3 float64 is 24 bytes; a neighbor-list entry holds the contact history and a 4-byte
-    flag."""
-    found = {name: estimate_memory(plan, "f64") for name, plan in plans(tmp_path).items()}
-    whole = found["baseline"]
-    angular_velocity_and_torque = 2 * 24
-    material = 4
-    rolling_history = 24
-    assert whole.per_particle - found["without rotation"].per_particle == angular_velocity_and_torque
-    assert found["with several materials"].per_particle - whole.per_particle == material
-    assert whole.per_neighbor - found["without rolling friction"].per_neighbor >= rolling_history
-    assert all(memory.total <= whole.total for name, memory in found.items() if name.startswith("without"))
 
 
 def test_clumps_are_refused_before_the_run():
