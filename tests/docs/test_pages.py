@@ -50,9 +50,11 @@ def run(command, folder):
 def test_code_in_tutorials_is_not_wider_than_the_page():
     """The column of text at 1400 px shows 95 characters."""
     lines = [
-        (path.name, line) for path in sorted((PAGES / "tutorials").glob("*.md")) for _,
-        text in blocks(path.relative_to(PAGES)) for line in text.splitlines()
-    ]  # fmt: skip
+        (path.name, line)
+        for path in sorted((PAGES / "tutorials").glob("*.md"))
+        for _, text in blocks(path.relative_to(PAGES))
+        for line in text.splitlines()
+    ]
     assert len(lines) > 100 and [each for each in lines if len(each[1]) > 95] == []
 
 
@@ -165,9 +167,7 @@ def test_guides_and_tutorials_are_in_the_navigation():
 
 def build(folder):
     """Build a copy of the documentation into `folder`/out/site."""
-    command = [
-        sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(folder / "docs" / "mkdocs.yml")
-    ]  # fmt: skip
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(folder / "docs" / "mkdocs.yml")]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1200)
 
 

@@ -60,6 +60,8 @@ def test_overlap_of_an_impact_follows_from_its_energy():
     overlap = (1.25 * pi * 1100.0 * 2.5**2 / modulus_eff) ** 0.4
     found = forecast(rubber_ball(), "overlap of impacts")
     assert found.overlap == pytest.approx(overlap, rel=1e-3) and overlap == pytest.approx(0.147, abs=5e-4)
+    damped = forecast(rubber_ball(pair={"restitution": 0.3}), "overlap of impacts").overlap
+    assert damped < 0.9 * overlap, "viscous forces lower the overlap"
     enough = 5e6 * (overlap / 0.1) ** 2.5
     advised = float(found.warning.split("young_modulus to ")[1].split(" MPa")[0]) * 1e6
     assert enough < advised < 1.2 * enough

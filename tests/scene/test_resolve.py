@@ -11,9 +11,11 @@ from granflow.errors import SceneError
 from granflow.load import load_scene, scene_of
 from granflow.particles.group import groups_of
 from granflow.particles.insertion import initial_particles
+from granflow.particles.resolve import scaled
 from granflow.plan.build import plan_for
 from granflow.plan.time_step import max_impact_velocity
 from granflow.scene.blocks.sizes import GivenSizes
+from granflow.scene.blocks.walls.mesh import MeshWall
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
 """Mass [kg] of a particle of the scene."""
@@ -214,6 +216,8 @@ def test_scale_changes_equipment_and_amounts_only(tmp_path):
         "scale 2: 1 expectations apply to scale 1 only and are not evaluated.",
     )
     assert scene_of(two.to_yaml(), "as run") == two, "resolving is idempotent"
+    mesh = MeshWall(shape="mesh", material="glass", file="a.stl", scale=0.001, translate=(1.0, 0.0, -2.0))
+    assert (scaled(mesh, 3.0).scale, scaled(mesh, 3.0).translate) == (0.003, (3.0, 0.0, -6.0))
     assert problems(tmp_path, FILE, "scale=2", start=ROWS) == [
         "--set scale=2: scale is 2, but particles.beads has given positions, which cannot be scaled; leave "
         "scale out."

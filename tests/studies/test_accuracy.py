@@ -55,15 +55,10 @@ def solved(force, speed, mass):
         return state[1]
 
     contact_ends.terminal = True
-    course = solve_ivp(
-        slope, (0.0, 9.0), (0.0, 1.0), events=(contact_ends, maximum_overlap_is_reached), rtol=1e-11,
-        atol=1e-13
-    )  # fmt: skip
-    top = course.y_events[1][0]
-    return (
-        -course.y_events[0][0][1], course.t_events[0][0] * time, course.t_events[1][0] * time,
-        top[0] * length
-    )  # fmt: skip
+    events = (contact_ends, maximum_overlap_is_reached)
+    course = solve_ivp(slope, (0.0, 9.0), (0.0, 1.0), events=events, rtol=1e-11, atol=1e-13)
+    end, top = (times[0] * time for times in course.t_events)
+    return -course.y_events[0][0][1], end, top, course.y_events[1][0][0] * length
 
 
 def damping(e):

@@ -11,30 +11,18 @@ import pytest
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
 PLANTED = {
-    "identifier": (
-        "granflow/probe.py", "count = 1\nneighbour_count = 2\n",
-        "granflow/probe.py:2: 'neighbour' is not used here; write: neighbor"
-    ),
-    "camel case": (
-        "tests/probe.py", "class ReversedTwins:\n    pass\n",
-        "tests/probe.py:1: 'twins' is not used here; write: references"
-    ),
-    "docstring": (
-        "tools/probe.py", '"""Reads a table.\n\nThe run is gone\n    on with later.\n"""\n',
-        "tools/probe.py:3: 'gone on with' is not used here; write: resumed, continued"
-    ),
-    "comment": (
-        "granflow/probe.py", "mass = 1.0  # Grains have unit mass\n",
-        "granflow/probe.py:1: 'grains' is not used here; write: particles"
-    ),
-    "scene": (
-        "scenes/probe.yaml", "title: Probe\nseed: 7  # drawn anew\n",
-        "scenes/probe.yaml:2: 'anew' is not used here; write: again"
-    ),
-    "page": (
-        "docs/probe.md", "# Walls\n\nA contact at a rim has one owner.\n",
-        "docs/probe.md:3: 'rim' is not used here; write: shared edge"
-    )
+    "identifier": ("granflow/probe.py", "count = 1\nneighbour_count = 2\n",
+                   "granflow/probe.py:2: 'neighbour' is not used here; write: neighbor"),
+    "camel case": ("tests/probe.py", "class ReversedTwins:\n    pass\n",
+                   "tests/probe.py:1: 'twins' is not used here; write: references"),
+    "docstring": ("tools/probe.py", '"""Reads a table.\n\nThe run is gone\n    on with later.\n"""\n',
+                  "tools/probe.py:3: 'gone on with' is not used here; write: resumed, continued"),
+    "comment": ("granflow/probe.py", "mass = 1.0  # Grains have unit mass\n",
+                "granflow/probe.py:1: 'grains' is not used here; write: particles"),
+    "scene": ("scenes/probe.yaml", "title: Probe\nseed: 7  # drawn anew\n",
+              "scenes/probe.yaml:2: 'anew' is not used here; write: again"),
+    "page": ("docs/probe.md", "# Walls\n\nA contact at a rim has one owner.\n",
+             "docs/probe.md:3: 'rim' is not used here; write: shared edge")
 }  # fmt: skip
 CLEAN = {
     "README.md": "# Particles\n\nNeighbors of a particle are in its neighbor list; see `primer.md`.\n",

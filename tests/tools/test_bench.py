@@ -115,11 +115,15 @@ def test_log_of_lammps_is_parsed():
 
 
 def points(**rates):
+    """Measurements of 10 particles on one thread; names are CODE_LAW, values the rates of the rounds."""
     common = {"case": "bed 10", "count": 10, "threads": 1}
-    return [
-        {"round": number, "code": code.split("_")[0], "law": law, "rate": rate, **common} for code,
-        values in rates.items() for law in [code.split("_")[1]] for number, rate in enumerate(values, 1)
-    ]  # fmt: skip
+    found = []
+    for name, values in rates.items():
+        code, law = name.split("_")
+        found += [
+            {"round": n, "code": code, "law": law, "rate": rate} | common for n, rate in enumerate(values, 1)
+        ]
+    return found
 
 
 def test_ratios_are_computed_within_a_round():
