@@ -103,6 +103,8 @@ def test_segregation_intensity_in_closed_form():
     assert segregation_intensity(points, volume, is_first, grid) == pytest.approx(0.5)
     # v_a = (1 + 4/4) / 3 = 2/3 and v_b = 3: I_R = 2 (3/2 + 1/3) / 6.
     assert random_intensity(points, volume, is_first, grid) == pytest.approx(2.0 * (1.5 + 1.0 / 3.0) / 6.0)
+    # The first particle alone: c = 1/6, v_a = 1 and v_b = (3^2 + 4/4) / 5 = 2: I_R = 2 (2/6 + 5/6) / 6.
+    assert random_intensity(points, volume, np.arange(6) == 0, grid) == pytest.approx(7.0 / 18.0)
     assert np.isnan(segregation_intensity(points, volume, np.ones(6, bool), grid))
     assert np.isnan(random_intensity(points, volume, np.ones(6, bool), grid))
 

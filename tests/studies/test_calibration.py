@@ -149,12 +149,11 @@ def test_a_journal_with_a_damaged_line_is_read_without_it(tmp_path):
 def test_a_full_disk_ends_a_calibration_with_one_sentence(tmp_path, stand_in, monkeypatch):
     pytest.importorskip("optuna")
     study = read_calibration(written(tmp_path))
-    monkeypatch.setattr("granflow.studies.calibration.search.os.fsync", full_disk)
-    with pytest.raises(
-        OutputError, match=r"out cannot be written or read: No space left on device. The trials that"
-    ):
-        run_calibration(study, tmp_path / "out", jobs=1)
-    monkeypatch.undo()
+    with monkeypatch.context() as patch:
+        patch.setattr("granflow.studies.calibration.search.os.fsync", full_disk)
+        message = r"out cannot be written or read: No space left on device. The trials that"
+        with pytest.raises(OutputError, match=message):
+            run_calibration(study, tmp_path / "out", jobs=1)
     assert run_calibration(study, tmp_path / "out", jobs=1) is not None
 
 
