@@ -151,6 +151,19 @@ def test_large_particle_compresses_supported_small_ones(normal):
     assert warnings_of(large_on_small(advised, normal=normal)) == []
 
 
+def test_small_particles_that_are_not_supported_are_hit_in_binary_collisions():
+    """A bed that is deep for the size of the large particle, and a few small particles do not support it.
+
+    In a run with the ratio 5, the largest overlap is 0.06 of the radius.
+    """
+    for scene in (
+        large_on_small(1e7, ratio=5.0),
+        large_on_small(1e7, count=5000),
+        large_on_small(1e7, count=3),
+    ):
+        assert warnings_of(scene) == []
+
+
 def lid(height=0.1, pressure=1e4, **more):
     motion = {"kind": "servo", "direction": [0, 0, -1], "pressure": pressure, "velocity_max": 0.5} | more
     sides = [[0.024, 0, 0], [0, 0.024, 0]]
