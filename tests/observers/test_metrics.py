@@ -1,7 +1,5 @@
 """Metrics of synthetic beds with known values."""
 
-import json
-
 import numpy as np
 import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of
@@ -25,7 +23,6 @@ from granflow.scene.blocks.metrics import (
     slope_of_cone,
     slope_of_plane,
 )
-from granflow.simulation import Simulation
 
 CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))
 
@@ -346,16 +343,3 @@ def test_probe_follows_one_particle_by_its_id():
         assert list(meter.readings().values()) == pytest.approx(expected)
     meter.update(snapshot_of(particles=particles_of(10, position=numbers, id=np.arange(10) + 5, **moving)))
     assert np.isnan(list(meter.readings().values())).all()
-
-
-def test_undefined_angle_of_repose_is_reported_at_the_end_of_the_run(tmp_path, taichi_f64):
-    """A single particle is not a heap: null in result.json, with the reason in its warnings."""
-    scene = build_scene(
-        {"ball": particle_group([[0.0, 0.0, 0.1]])}, gravity=[0.0, 0.0, -9.81], run={"duration": 1e-3},
-        output={"interval": 1e-3, "metrics": {"heap": {"kind": "repose", "surface": "cone"}}},
-    )  # fmt: skip
-    Simulation(scene, out=tmp_path / "run").run()
-    result = json.loads((tmp_path / "run" / "result.json").read_text())
-    assert result["metrics"]["heap"]["angle_of_repose"] is None
-    reason = "there are no particles with enough contacts in the region"
-    assert result["warnings"].count(f"output.metrics.heap: the angle of repose is NaN: {reason}.") == 1

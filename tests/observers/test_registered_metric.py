@@ -61,7 +61,7 @@ def test_a_registered_metric_is_written_and_evaluated(registered, tmp_path, taic
     """Free fall from the mean height 0.15 m: z = 0.15 m - g t^2 / 2, which velocity Verlet integrates
     exactly."""
     scene = falling_beads(
-        {"fall": {"kind": "height", "level": 0.15}},
+        {"fall": {"kind": "height", "level": 0.15}, "heap": {"kind": "repose", "surface": "cone"}},
         [{"quantity": "mean_height.fall", "between": [-0.000501, -0.000499]}],
     )
     with gf.Simulation(scene, out=tmp_path / "out", threads=2) as simulation:
@@ -80,6 +80,9 @@ def test_a_registered_metric_is_written_and_evaluated(registered, tmp_path, taic
         np.mean([float(row["mean_height.fall [m]"]) for row in rows]), abs=1e-9
     )
     assert [each["met"] for each in result["expect"]] == [True]
+    assert result["metrics"]["heap"]["angle_of_repose"] is None, "beads without contacts are no heap"
+    reason = "there are no particles with enough contacts in the region"
+    assert result["warnings"].count(f"output.metrics.heap: the angle of repose is NaN: {reason}.") == 1
 
 
 def test_checks_of_a_registered_metric_are_those_of_built_in_ones(registered):

@@ -26,44 +26,26 @@ def problems(group=None, cohesion=None, **parts):
     return []
 
 
-CASES = {
-    "content missing": (
-        {"group": {"liquid_content": None}},
-        "particles.wet.liquid_content is missing: contact.cohesion is capillary_transfer; give the volume of "
-        "the film",
-    ),
-    "content negative": (
-        {"group": {"liquid_content": -0.1}},
-        "particles.wet.liquid_content is -0.1, but a fraction must be at least 0",
-    ),
-    "content without films": (
-        {"cohesion": "sjkr"},
-        "particles.wet.liquid_content is 0.01, but contact.cohesion is sjkr; remove liquid_content, or "
-        "choose capillary_transfer",
-    ),
-    "volume missing": (
-        {"cohesion": {"law": "capillary_transfer"}},
-        "contact.cohesion.max_bridge_volume is missing: largest volume of a bridge [m3]",
-    ),
-    "clumps": (
-        {"group": clump_group([[0, 0, 0], [0, 0, 0.1]]) | {"diameter": None}},
-        "particles.wet.clump cannot be combined with contact.cohesion: capillary_transfer",
-    ),
-    "earlier run": (
-        {"start_from": "out/earlier"},
-        "start_from cannot be combined with contact.cohesion: capillary_transfer: it reads no liquid",
-    ),
-    "precision": (
-        {"run": {"duration": 1.0, "precision": "f32"}},
-        "run.precision is f32, but contact.cohesion: capillary_transfer conserves liquid in f64 only; write "
-        "f64.",
-    ),
-}
+CASES = [
+    ({"group": {"liquid_content": None}}, "particles.wet.liquid_content is missing: contact.cohesion is "
+     "capillary_transfer; give the volume of the film"),
+    ({"group": {"liquid_content": -0.1}},
+     "particles.wet.liquid_content is -0.1, but a fraction must be at least 0"),
+    ({"cohesion": "sjkr"}, "particles.wet.liquid_content is 0.01, but contact.cohesion is sjkr; remove "
+     "liquid_content, or choose capillary_transfer"),
+    ({"cohesion": {"law": "capillary_transfer"}},
+     "contact.cohesion.max_bridge_volume is missing: largest volume of a bridge [m3]"),
+    ({"group": clump_group([[0, 0, 0], [0, 0, 0.1]]) | {"diameter": None}},
+     "particles.wet.clump cannot be combined with contact.cohesion: capillary_transfer"),
+    ({"start_from": "out/earlier"},
+     "start_from cannot be combined with contact.cohesion: capillary_transfer: it reads no liquid"),
+    ({"run": {"duration": 1.0, "precision": "f32"}}, "run.precision is f32, but contact.cohesion: "
+     "capillary_transfer conserves liquid in f64 only; write f64."),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_invalid_liquid_has_its_message(name):
-    change, sentence = CASES[name]
+@pytest.mark.parametrize(("change", "sentence"), CASES)
+def test_invalid_liquid_has_its_message(change, sentence):
     found = problems(**change)
     assert any(sentence in each for each in found), found
 
