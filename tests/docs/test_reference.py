@@ -130,23 +130,16 @@ def test_every_command_and_its_options_are_in_the_reference():
             assert all(option in page for option in options)
 
 
-def test_every_public_name_is_in_the_reference():
-    pages = docsite("api_page").page() + docsite("api_page").blocks_page()
-    assert all(pages.count(f"\n### {name}\n") == 1 for name in granflow.__all__)
-
-
-def test_parts_of_simulations_and_bases_of_contact_models_are_in_the_reference():
+def test_public_names_their_members_and_keys_are_in_the_reference_of_python():
     page = docsite("api_page").page()
+    blocks = docsite("api_page").blocks_page()
+    assert all((page + blocks).count(f"\n### {name}\n") == 1 for name in granflow.__all__)
     for member in ("LiveParticles.velocity", "LiveWall.motion", "NormalLaw.force", "TangentialLaw.limit"):
         assert f"\n#### {member}\n" in page
-    assert "overlap_rate [m/s], positive during approach" in " ".join(page.split()), (
-        "the members of the structs"
-    )
-
-
-def test_keys_of_blocks_link_to_the_reference_of_scenes():
+    members = "overlap_rate [m/s], positive during approach"
+    assert members in " ".join(page.split()), "the members of the structs"
     scene = docsite("scene_reference").page()
-    links = re.findall(r"\(scene\.md#([\w-]+)\)", docsite("api_page").blocks_page())
+    links = re.findall(r"\(scene\.md#([\w-]+)\)", blocks)
     assert len(links) > 150 and all(f'<span id="{link}"></span>' in scene for link in links)
 
 

@@ -29,7 +29,7 @@ from granflow.studies.frames import (
     selected_frames,
     view_of,
 )
-from granflow.studies.render import decimals_of, prefixed, scale_for, values_of
+from granflow.studies.render import prefixed, scale_for, values_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -192,14 +192,6 @@ def test_view_directions_match_their_names():
 def test_invalid_views_are_rejected(text):
     with pytest.raises(GranflowError, match="--view"):
         view_of(text)
-
-
-def test_time_label_has_enough_digits_to_distinguish_frames():
-    assert [
-        decimals_of(times) for times in (
-            [0, 0.02, 0.04], [0, 1e-4, 2e-4, 3.1e-4], [5.0], [0.0], [0, 60, 120]
-        )
-    ] == [2, 4, 0, 1, 0]  # fmt: skip
 
 
 # Runs in a separate process: if no picture can be drawn, VTK aborts instead of raising.

@@ -137,16 +137,6 @@ def test_ratios_are_computed_within_a_round():
     assert "2.00 (2.00-2.00)" in tables.text(result)
 
 
-def test_missing_peer_is_reported_with_its_package(monkeypatch):
-    codes = module("codes")
-    monkeypatch.setattr(codes.shutil, "which", lambda program: None)
-    for name, package in (("liggghts", "liggghts"), ("lammps", "lammps"), ("yade", "yade")):
-        assert f"install the Debian package {package}" in codes.missing(name, [1])
-    monkeypatch.setattr(codes.shutil, "which", lambda program: None if program == "mpirun" else program)
-    assert "openmpi-bin" in codes.missing("lammps", [1, 2])
-    assert codes.missing("lammps", [1]) is None and codes.missing("yade", [2]) is None
-
-
 def test_page_contains_the_measurements(tmp_path, monkeypatch):
     page = module("page")
     machine = module("machine")

@@ -19,15 +19,6 @@ def test_edge_of_a_single_layer_disc():
     assert edge == pytest.approx(0.030, abs=1.5e-3)
 
 
-def test_distant_particles_do_not_change_the_edge():
-    random = np.random.default_rng(1)
-    bed = np.column_stack([random.uniform(-0.02, 0.02, (4000, 2)), np.zeros(4000)])
-    distant = np.array([[0.07, 0.0, 0.0], [0.0, 0.08, 0.0]])
-    numbers = module("scene_numbers")
-    radius = np.full(4002, 1e-3)
-    assert numbers.edge_of(np.vstack([bed, distant]), radius) == numbers.edge_of(bed, radius[:-2]) < 0.03
-
-
 def test_quadrants_are_counted_in_the_plane_of_rotation():
     position = np.array(
         [[-1, 5, 1], [1, -5, 1], [1, 0, 2], [-1, 0, -1], [-2, 0, -1], [-3, 0, -1], [1, 0, -1.0]]
@@ -72,8 +63,3 @@ def test_changed_number_changes_the_page(monkeypatch, tmp_path):
         line for line in table.written(page).splitlines() if line.startswith("| `mixer` | `energy_error`")
     ]
     assert row.endswith("| 0.00123 | 2030-01-01, abc |")
-
-
-def test_page_without_markers_is_rejected():
-    with pytest.raises(ValueError, match="lacks the markers of the table comparisons"):
-        module("scene_table").written("# Scenes\n")

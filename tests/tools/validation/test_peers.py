@@ -1,10 +1,8 @@
 """Comparison with LIGGGHTS and LAMMPS: initial states, stored figures, inputs, runs of the programs and
 evaluation."""
 
-import json
 import math
 import re
-import stat
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +19,7 @@ from validation.peers import (
     shaken,
     silo,
 )
-from validation.peers.state import DENSITY, GRAVITY, LARGEST, Particles
+from validation.peers.state import DENSITY, GRAVITY, Particles
 
 from granflow.contact.theory import damping_ratio_for
 
@@ -205,60 +203,3 @@ def test_frames_of_a_dump_are_ordered_by_id(tmp_path):
     np.testing.assert_array_equal(frames[0.1].position, [[1, 2, 3], [4, 5, 6]])
     np.testing.assert_array_equal(frames[0.1].velocity[0], [7, 8, 9])
     np.testing.assert_array_equal(frames[0.1].diameter, [0.1, 0.2])
-
-
-def stand_in(folder, program, script):
-    """An executable of that name which runs a script of the shell."""
-    path = folder / program
-    path.write_text(f"#!/bin/sh\n{script}\n")
-    path.chmod(path.stat().st_mode | stat.S_IEXEC)
-
-
-SMALL = replace(
-    silo.SILO, times=(0.0,), repeats=2,
-    figures=lambda frames: {"sum of x [m]": float(frames[0.0].position[:, 0].sum())},
-)  # fmt: skip
-"""A case whose figure is known from the dump of the stand-in."""
-
-
-def test_validate_with_peers_runs_the_installed_code_and_shows_the_stored_figures_of_the_other(
-    tmp_path, monkeypatch
-):
-    dump = (FRAME.format(0) + ROWS).replace("\n", "\\n")
-    run = f'echo "$@" > called; printf "{dump}" > frames.txt'
-    script = f'if [ "$1" = -h ]; then echo "LIGGGHTS-PUBLIC 9.9.9"; else {run}; fi'
-    stand_in(tmp_path, "liggghts", script)
-    monkeypatch.setenv(
-        "PATH", f"{tmp_path}:/bin:/usr/bin" if not (programs.shutil.which("lmp")) else str(tmp_path)
-    )
-    monkeypatch.setattr(
-        programs.shutil, "which", lambda name: str(tmp_path / name) if name == "liggghts" else None
-    )
-    monkeypatch.setattr(compare, "CASES", {SMALL.name: SMALL})
-    found = compare.run_peers(tmp_path / "out", cases={SMALL.name: SMALL})
-    run = found["LIGGGHTS"][SMALL.name]
-    assert run["version"] == "LIGGGHTS-PUBLIC 9.9.9" and run["figures"] == {"sum of x [m]": [5.0, 5.0]}
-    assert json.loads((tmp_path / "out" / "figures.json").read_text()) == found
-    folder = tmp_path / "out" / "liggghts" / "flat_silo_with_a_slot" / "1"
-    assert f"-var e {SMALL.restitution['LIGGGHTS']:.10g}" in (folder / "called").read_text()
-    assert (folder / "run.data").exists() and (folder / "floor.stl").exists()
-
-
-def test_cases_contain_figures_of_peers_that_ran(tmp_path, monkeypatch):
-    """Runs of the programs replace stored figures, which remain for the others."""
-    run = {SMALL.name: {"version": "of today", "date": "2030-01-01", "figures": {"sum of x [m]": [1.0, 2.0]}}}
-    stored = {code: {SMALL.name: {**run[SMALL.name], "version": "stored"}} for code in CODES}
-    monkeypatch.setattr(validation, "FAMILIES", {})
-    monkeypatch.setattr(validation, "CASES", {SMALL.name: SMALL})
-    monkeypatch.setattr(compare, "CASES", {SMALL.name: SMALL})
-    monkeypatch.setattr(compare, "stored_figures", lambda: stored)
-    monkeypatch.setattr(
-        compare, "our_frames", lambda each, repeat: flying((0.0,), count=2 + repeat, position=(0.5, 0, 0))
-    )
-    monkeypatch.setattr(validation, "run_peers", lambda folder, report: {"LAMMPS": run})
-    cases = validation.simulated_cases(False, True, tmp_path)
-    assert [(each.name, each.source.split(",")[0]) for each in cases] == [
-        ("LIGGGHTS: sum of x", "stored"), ("LAMMPS: sum of x", "of today")
-    ]  # fmt: skip
-    assert [each.value for each in cases] == [1.25, 1.25]
-    assert LARGEST > 4e-3
