@@ -125,7 +125,7 @@ SOURCES = {
 
 
 def test_fuzzed_files_are_accepted_or_rejected_with_positions(tmp_path):
-    sources = (("changed scenes", 160), ("random trees and bytes", 120))
+    sources = (("changed scenes", 120), ("random trees and bytes", 60))
     *found, memory = in_subprocess(check_files, str(tmp_path), sources)
     for (name, count), (accepted, failures) in zip(sources, found, strict=True):
         examples = "\n".join(

@@ -213,8 +213,8 @@ for name in ("front", "iso"):
         seen = np.tan(np.arcsin(radius / distance)) / np.tan(np.radians(12))
         slope = seen if view.perspective else radius / camera.half_height
         print(share / (np.pi / 4 * slope**2))
-for name, more in (("chains", ["--chains"]), ("cut", ["--view", "top", "--cut", "--color", "velocity.z"])):
-    assert main(["render", sys.argv[1], "--out", f"{sys.argv[1]}/{name}.png", "--size", "640x480", *more]) == 0
+picture = ["--chains", "--view", "top", "--cut", "--color", "velocity.z"]
+assert main(["render", sys.argv[1], "--out", f"{sys.argv[1]}/a.png", "--size", "640x480", *picture]) == 0
 assert main(["render", sys.argv[1], "--film", "--size", "320x240", "--fps", "4"]) == 0
 """
 
@@ -233,10 +233,9 @@ def test_pictures_and_film(run):
     assert done.returncode == 0, done.stderr[-2000:]
     shares = [float(line) for line in done.stdout.split("\n")[:4]]
     np.testing.assert_allclose(shares, 1.0, atol=0.02)
-    for name in ("chains", "cut"):
-        picture = np.asarray(Image.open(run / f"{name}.png"))
-        assert picture.shape == (480, 640, 3)
-        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100, "the picture is blank"
+    picture = np.asarray(Image.open(run / "a.png"))
+    assert picture.shape == (480, 640, 3)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100, "the picture is blank"
     film = run / "pictures" / "film_velocity_iso.mp4"
     assert imageio_ffmpeg.count_frames_and_secs(str(film)) == (4, pytest.approx(1.0, abs=0.05))
 

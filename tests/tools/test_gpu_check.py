@@ -99,6 +99,7 @@ def measured_in_subprocess(tools, path):
     }  # kernels for the GPU must compile on the CPU
 
 
+@pytest.mark.slow
 def test_speed_measurement_of_four_particles(tmp_path):
     """Four particles above the floor, two of which overlap by 0.1 mm; with the profiler of kernels."""
     position = np.array([[2.0, 2.0, 9.0], [5.9, 2.0, 9.0], [12.0, 2.0, 9.0], [2.0, 12.0, 9.0]]) * 1e-3
