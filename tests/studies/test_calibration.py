@@ -146,17 +146,6 @@ def test_a_journal_with_a_damaged_line_is_read_without_it(tmp_path):
     assert [trial.value for trial in runner(tmp_path).search.completed()] == [4.0, 3.0]
 
 
-def test_a_full_disk_ends_a_calibration_with_one_sentence(tmp_path, stand_in, monkeypatch):
-    pytest.importorskip("optuna")
-    study = read_calibration(written(tmp_path))
-    with monkeypatch.context() as patch:
-        patch.setattr("granflow.studies.calibration.search.os.fsync", full_disk)
-        message = r"out cannot be written or read: No space left on device. The trials that"
-        with pytest.raises(OutputError, match=message):
-            run_calibration(study, tmp_path / "out", jobs=1)
-    assert run_calibration(study, tmp_path / "out", jobs=1) is not None
-
-
 def test_trials_of_a_killed_process_are_repeated(tmp_path):
     """The process of a running trial is gone: its directory is not locked. Its parameters are the next
     ones."""
@@ -228,7 +217,9 @@ def test_two_workers_find_planted_values_and_continue(tmp_path, stand_in):
     assert len(lines) == 30 and again.parameters == result.parameters
 
 
-def test_conflicting_targets_are_reported(tmp_path, stand_in):
+def test_calibration_continues_after_a_full_disk_and_reports_conflicting_targets(
+    tmp_path, stand_in, monkeypatch
+):
     """The sum cannot be 0.6 and 0.9 at the same time."""
     pytest.importorskip("optuna")
     text = CALIBRATION.replace("value: 1 mJ, tolerance: 10 uJ", "value: 0.6, tolerance: 0.1")
@@ -236,6 +227,11 @@ def test_conflicting_targets_are_reported(tmp_path, stand_in):
         "search:", "  other: {scene: pair, quantity: kinetic_energy, value: 0.9, tolerance: 0.1}\nsearch:"
     )
     study = read_calibration(written(tmp_path, text.replace("trials: 12", "trials: 40")))
+    with monkeypatch.context() as patch:
+        patch.setattr("granflow.studies.calibration.search.os.fsync", full_disk)
+        message = r"out cannot be written or read: No space left on device. The trials that"
+        with pytest.raises(OutputError, match=message):
+            run_calibration(study, tmp_path / "out", jobs=1)
     result = run_calibration(study, tmp_path / "out", jobs=1)
     assert not result.is_met
     (sentence,) = result.conflicts
