@@ -21,6 +21,7 @@ from granflow.plan.overlaps import (
     required_moduli,
     touching_pairs,
 )
+from granflow.plan.walls import surface_speed
 
 SCENES = list(scene_paths().values())
 RUBBER = {"rubber": {"young_modulus": 5e6, "poisson_ratio": 0.48, "density": 1100.0}}
@@ -350,6 +351,29 @@ def test_servo_that_its_gain_slows_down_is_reported():
     seconds = float(warning.split("give it ")[1].split(" s")[0])
     longer = {"duration": seconds, "velocity_max": 0.15}
     assert warnings_of(bed(1e9, walls=lid(gain=1e-3, velocity_max=2.0), run=longer)) == []
+
+
+@pytest.mark.parametrize("direction", [[0, 0, -1], [1, 0, 0]])
+@pytest.mark.parametrize("is_lowered", [True, False])
+def test_servos_across_gravity_or_after_another_motion_have_no_forecast(direction, is_lowered):
+    walls = lid(velocity_max=0.1, direction=direction)
+    servo = walls["lid"]["motion"]
+    lowering = {"kind": "translation", "velocity": [0, 0, -0.5], "end": 0.05}
+    walls["lid"]["motion"] = [lowering, servo] if is_lowered else [servo]
+    is_forecast = direction == [0, 0, -1] and not is_lowered
+    assert any("the bed is about" in each for each in warnings_of(bed(1e9, walls=walls))) == is_forecast
+
+
+def test_servos_of_different_stages_do_not_add_their_speeds():
+    slow, fast = (
+        {"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": v} for v in (0.1, 0.3)
+    )
+    walls = lid()
+    stages = {"stages": [{"name": name, "duration": 0.1} for name in ("seat", "press")]}
+    walls["lid"]["motion"] = [slow | {"stages": ["seat"]}, fast | {"stages": ["press"]}]
+    assert surface_speed(bed(1e9, walls=walls, **stages)) == 0.3
+    walls["lid"]["motion"] = [slow, fast]
+    assert surface_speed(bed(1e9, walls=walls, **stages)) == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize(("changes", "sentence"), [

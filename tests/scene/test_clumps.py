@@ -1,5 +1,7 @@
 """Groups of clumps: counts and masses, orientations, messages about invalid combinations, `explain`."""
 
+import re
+
 import numpy as np
 import pytest
 from clumps import ROD, about, clump_group
@@ -167,3 +169,20 @@ def test_only_rods_whose_spheres_are_inside_a_wall_are_reported():
         [[0.0, 0.0, 2.5e-3], [0.02, 0.0, 2.5e-3]], orientation=[about([0, 1, 0], a) for a in (0.0, 90.0)]
     )
     assert "1 of 2 particles" in floored(both, 0.0)[0]
+
+
+@pytest.mark.parametrize(("degrees", "share"), [(0.0, 0.0), (90.0, 0.28)])
+def test_share_of_positions_inside_a_wall_refers_to_the_spheres_of_clumps(degrees, share):
+    """Centers of rods are 5 to 15 mm above the bottom of the region, 2 to 12 mm above the floor.
+
+    Overlaps above 0.1 R start at 1.8 mm: none of the lying rods, and the standing ones up to 3 + 1.8 mm, 28
+    %.
+    """
+    group = clump_group([[0.0, 0.0, 0.0]], orientation=about([0, 1, 0], degrees)) | {"count": 3}
+    region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.04, 0.04, 0.02]}}
+    found = floored(group | {"insert": {"kind": "pack", "region": region}}, 3e-3)
+    assert len(found) == (share > 0.0)
+    if found:
+        assert float(re.search(r"([0-9.]+) % of the positions", found[0])[1]) == pytest.approx(
+            100.0 * share, abs=3.0
+        )

@@ -29,7 +29,7 @@ from granflow.studies.frames import (
     selected_frames,
     view_of,
 )
-from granflow.studies.render import prefixed, scale_for, values_of
+from granflow.studies.render import prefixed, scale_for, speed_of, values_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -192,6 +192,12 @@ def test_view_directions_match_their_names():
 def test_invalid_views_are_rejected(text):
     with pytest.raises(GranflowError, match="--view"):
         view_of(text)
+
+
+def test_speed_of_a_film_is_stated_as_a_ratio():
+    times = np.arange(101) * 0.01
+    assert [speed_of(times, rate) for rate in (25.0, 100.0, 400.0)] == ["4x slower", "real time", "4x faster"]
+    assert speed_of([0.5], 25.0) == ""
 
 
 # Runs in a separate process: if no picture can be drawn, VTK aborts instead of raising.

@@ -8,6 +8,7 @@ import numpy as np
 from observers.snapshots import particles_of, snapshot_of
 
 from granflow import read_run
+from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ParticleFrames
 from granflow.studies import report_view
 from granflow.studies.frames import FrameWalls, frames_of, read_particles
@@ -24,6 +25,16 @@ def write_run(directory, frame_count=3, particle_count=50):
         writer.observe(snapshot_of(time=0.1 * k, particles=particles_of(particle_count, seed=k)))
     (directory / "scene_as_run.yaml").write_text("title: spheres\n")
     return read_run(directory)
+
+
+def write_walls(directory, points):
+    """Walls of the first frame: the faces of a cube with these corners."""
+    write_vtu(
+        directory / "walls_0000.vtu", VtuMesh.of_cells("quad", points, FACES, {"wall": np.zeros(6, np.int32)})
+    )
+    (directory / "walls.pvd").write_text(
+        (directory / "particles.pvd").read_text().replace("particles_", "walls_")
+    )
 
 
 def array(data, reference, width=1):
@@ -80,6 +91,15 @@ def test_edges_of_a_cube_are_its_twelve_sides():
         assert len(found.points) == 8 and len(found.triangles) == 12 and len(found.edges) == 12
         lengths = np.linalg.norm(np.diff(found.points[found.edges], axis=1), axis=2)
         np.testing.assert_array_equal(lengths, 1.0)
+
+
+def test_camera_shows_particles_and_walls(tmp_path):
+    record = write_run(tmp_path)
+    low, high = np.array(interactive_view(record).header["extent"])
+    write_walls(tmp_path, 3.0 * CUBE)
+    with_walls = np.array(interactive_view(record).header["extent"])
+    np.testing.assert_allclose(with_walls, [np.minimum(low, 0.0), np.maximum(high, 3.0)])
+    assert (low > -1.0).all() and (high < 3.0).all()
 
 
 def test_planes_are_cut_around_the_particles():
