@@ -26,10 +26,7 @@ def test_output_block_selects_the_observers(tmp_path):
     assert kinds(plan_of(), tmp_path) == [TimeSeries, ParticleFrames, WallFrames]
     assert kinds(plan_of({}, contacts=True, particles=False), tmp_path) == [TimeSeries, ContactFrames]
     assert not list(tmp_path.iterdir()), "nothing is written before the first snapshot"
-
-
-def test_without_directory_only_meters_are_observed():
-    assert kinds(plan_of(), None) == [TimeSeries]
+    assert kinds(plan_of(), None) == [TimeSeries], "without a directory only meters are observed"
     assert kinds(plan_of(flow_meters={}), None) == []
 
 

@@ -133,6 +133,8 @@ def test_slope_of_a_cone_of_known_angle(degrees):
 def test_slope_of_a_plane_of_known_angle(degrees):
     points, radius = bed(np.radians(degrees), "wedge")
     above = points[points[:, 0] < 0.3], radius[points[:, 0] < 0.3]
+    assert np.isnan(slope_of_plane(np.zeros((0, 3)), np.zeros(0), 0.01).angle), "without a heap"
+    assert np.isnan(slope_of_cone(np.zeros((1, 3)), np.ones(1), 0.01).angle)
     slope = slope_of_plane(*above, 0.006)
     assert slope.angle == pytest.approx(np.radians(degrees), abs=np.radians(0.5) + 3.0 * slope.error)
 
@@ -145,12 +147,6 @@ def test_slope_does_not_depend_on_a_region_that_cuts_columns():
     slope = slope_of_plane(points[here], radius[here], 0.006)
     assert slope.angle == pytest.approx(np.radians(24.0), abs=np.radians(0.5) + 3.0 * slope.error)
     assert slope.error < np.radians(2.0)
-
-
-def test_slope_without_a_heap_is_nan():
-    for slope_of in (slope_of_cone, slope_of_plane):
-        assert np.isnan(slope_of(np.zeros((0, 3)), np.zeros(0), 0.01).angle)
-        assert np.isnan(slope_of(np.zeros((1, 3)), np.ones(1), 0.01).angle)
 
 
 @pytest.mark.parametrize(("columns", "share"), [(4, 0.05), (10, 0.016), (100, 4e-4)])
@@ -226,12 +222,8 @@ def test_mechanical_coordination_number_excludes_rattlers():
         "wall_coordination_number": 0.0, "rattler_share": pytest.approx(2 / 6),
     }  # fmt: skip
     assert np.isnan(coordination(np.array([0, 1]), np.zeros(2, int))["mechanical_coordination_number"])
-
-
-def test_contacts_with_walls_are_counted_separately():
-    """A particle with one neighbor that rests on a wall carries a load; Zm counts its neighbor only."""
-    result = coordination(np.array([1, 2, 0]), np.array([1, 0, 1]))
-    assert result == {
+    # A particle with one neighbor that rests on a wall carries a load; Zm counts its neighbor only.
+    assert coordination(np.array([1, 2, 0]), np.array([1, 0, 1])) == {
         "coordination_number": 1.0, "mechanical_coordination_number": 1.5, "wall_coordination_number": 2 / 3,
         "rattler_share": pytest.approx(1 / 3),
     }  # fmt: skip

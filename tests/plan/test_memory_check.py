@@ -37,30 +37,24 @@ def machine(tmp_path, monkeypatch):
     return build
 
 
-def test_free_memory_without_group_limits_is_that_of_the_machine(machine):
-    machine(
-        3 * GIB, "0::/me", me__memory_of_max="max", me__memory_of_current=GIB, me__memory_of_stat="file 0"
-    )
-    assert memory_check.available_memory() == 3 * GIB
-
-
-def test_parent_groups_limit_the_free_memory_and_cached_files_count_as_free(machine):
-    machine(
-        8 * GIB, "1:cpu:/x\n0::/job/step",
-        job__step__memory_of_max=6 * GIB, job__step__memory_of_current=GIB, job__step__memory_of_stat="inactive_file 0",
-        job__memory_of_max=4 * GIB, job__memory_of_current=3 * GIB, job__memory_of_stat=f"inactive_file {GIB // 2}",
-    )  # fmt: skip
-    assert memory_check.available_memory() == 4 * GIB - 3 * GIB + GIB // 2
-
-
-def test_free_memory_of_cgroup_v1(machine):
-    files = {
-        "memory__a__memory_of_limit_in_bytes": 2 * GIB,
-        "memory__a__memory_of_usage_in_bytes": GIB,
-        "memory__a__memory_of_stat": "cache 5\ntotal_inactive_file 4096",
-    }
-    machine(8 * GIB, "9:pids:/\n4:cpu,memory:/a", **files)
-    assert memory_check.available_memory() == GIB + 4096
+@pytest.mark.parametrize(("available", "membership", "files", "expected"), [
+    (3 * GIB, "0::/me",
+     {"me__memory_of_max": "max", "me__memory_of_current": GIB, "me__memory_of_stat": "file 0"}, 3 * GIB),
+    (8 * GIB, "1:cpu:/x\n0::/job/step",
+     {"job__step__memory_of_max": 6 * GIB, "job__step__memory_of_current": GIB,
+      "job__step__memory_of_stat": "inactive_file 0", "job__memory_of_max": 4 * GIB,
+      "job__memory_of_current": 3 * GIB, "job__memory_of_stat": f"inactive_file {GIB // 2}"},
+     4 * GIB - 3 * GIB + GIB // 2),
+    (8 * GIB, "9:pids:/\n4:cpu,memory:/a",
+     {"memory__a__memory_of_limit_in_bytes": 2 * GIB, "memory__a__memory_of_usage_in_bytes": GIB,
+      "memory__a__memory_of_stat": "cache 5\ntotal_inactive_file 4096"}, GIB + 4096),
+], ids=["without limits", "limit of the parent", "version 1"])  # fmt: skip
+def test_free_memory_is_that_of_the_machine_and_of_its_control_groups(
+    machine, available, membership, files, expected
+):
+    """Cached files of a group count as free."""
+    machine(available, membership, **files)
+    assert memory_check.available_memory() == expected
 
 
 def lattice(folder, count):

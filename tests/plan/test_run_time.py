@@ -26,18 +26,12 @@ def rejection(scene, allow_long=False):
     return ""
 
 
-def test_duration_below_one_step_is_rejected():
+def test_duration_of_a_run_or_stage_below_one_step_is_rejected():
     assert not rejection(scene(run={"duration": STEP}))
     message = rejection(scene(run={"duration": 0.99 * STEP}))
     assert "run.duration is 9.9e-07 s, shorter than one time step of 1e-06 s (given in the scene)" in message
-
-
-def test_stage_below_one_step_is_rejected():
-    stages = [
-        {"name": "fill", "duration": 1.0},
-        {"name": "rest", "kinetic_energy_below": 1e-9, "max_duration": 0.5 * STEP},
-    ]
-    message = rejection(scene(run={"duration": None}, stages=stages))
+    rest = {"name": "rest", "kinetic_energy_below": 1e-9, "max_duration": 0.5 * STEP}
+    message = rejection(scene(run={"duration": None}, stages=[{"name": "fill", "duration": 1.0}, rest]))
     assert "stages.1.max_duration is 5e-07 s, shorter than one time step" in message
 
 
