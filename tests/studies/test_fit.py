@@ -30,9 +30,7 @@ def test_fit_to_exact_data_recovers_the_curve(limit):
     assert found.r_squared == pytest.approx(1.0, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("truth", "fastest", "fitted_limit"), [(STEEL, 30.0, False), (SOFT, 6.0, False), (SOFT, 9.0, True)]
-)
+@pytest.mark.parametrize(("truth", "fastest", "fitted_limit"), [(STEEL, 30.0, False), (SOFT, 9.0, True)])
 def test_coverage_of_one_standard_error_matches_student_t(truth, fastest, fitted_limit):
     """About two thirds of the fits: Student's t with (rows - parameters) degrees of freedom."""
     sample_count = 100
@@ -52,9 +50,10 @@ def test_coverage_of_one_standard_error_matches_student_t(truth, fastest, fitted
 
 
 def test_limit_velocity_from_materials_is_equation_11():
-    assert limit_from_materials("stainless_316") == pytest.approx(np.sqrt(3.0 * 0.310e9 / 8030.0), rel=1e-12)
-    # the smaller yield strength, of 316, determines the limit
-    assert limit_from_materials("chrome_52100", "stainless_316") == limit_from_materials("stainless_316")
+    """The smaller yield strength, of 316, determines the limit."""
+    limit = np.sqrt(3.0 * 0.310e9 / 8030.0)
+    assert limit_from_materials("stainless_316") == pytest.approx(limit, rel=1e-12)
+    assert limit_from_materials("chrome_52100", "stainless_316") == pytest.approx(limit, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -161,9 +160,8 @@ def test_unusable_tables_are_rejected(tmp_path, text, expected):
 
 
 def test_file_that_is_not_utf8_is_rejected(tmp_path):
-    path = written(tmp_path, "v,e\n1,0.8 Größe\n", "latin-1")
     with pytest.raises(GranflowError, match="is not UTF-8 text"):
-        read_measurements(path)
+        read_measurements(written(tmp_path, "v,e\n1,0.8 Größe\n", "latin-1"))
 
 
 # ---------------------------------------------------------------- command line
@@ -184,20 +182,17 @@ output: {{interval: 1 ms}}
 
 def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
     data = synthetic_measurements(STEEL, 30.0)
-    table = "\n".join(
-        f"{v!r},{e!r}" for v, e in zip(data.velocity.tolist(), data.restitution.tolist(), strict=True)
-    )
-    path = written(tmp_path, f"velocity,restitution\n{table}\n")
+    rows = zip(data.velocity.tolist(), data.restitution.tolist(), strict=True)
+    path = written(tmp_path, "velocity,restitution\n" + "".join(f"{v!r},{e!r}\n" for v, e in rows))
     out = tmp_path / "out"
     assert main(["fit", str(path), "--limit-velocity", "340.3 m/s", "--out", str(out)]) == 0
-    message = capsys.readouterr().out
-    snippet = next(line.strip() for line in message.splitlines() if line.strip().startswith("restitution: {"))
+    lines = capsys.readouterr().out.splitlines()
+    snippet = next(line.strip() for line in lines if line.strip().startswith("restitution: {"))
     scene = tmp_path / "scene.yaml"
     scene.write_text(SCENE.format(snippet=snippet), encoding="utf-8")
     pasted = load_scene(scene).pairs["steel-steel"].restitution
-    assert (pasted.sigma, pasted.psi, pasted.limit_velocity) == pytest.approx(
-        (3.0432, 0.540, 340.3), rel=1e-5
-    )
+    found = (pasted.sigma, pasted.psi, pasted.limit_velocity)
+    assert found == pytest.approx((3.0432, 0.540, 340.3), rel=1e-5)
     assert (out / "fit.csv").read_text(encoding="utf-8").startswith("velocity,measured,fitted,residual\n")
 
 

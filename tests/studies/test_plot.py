@@ -47,6 +47,9 @@ def value(run, text):
 def test_expressions_of_columns(run, text, expected):
     found = value(run, text)
     assert found.values == pytest.approx(expected) and found.unit == ""
+    assert value(run, "wall_pressure.lid").unit == "Pa"
+    slope = value(run, "slope")
+    assert slope.unit == "deg" and slope.values == pytest.approx(np.degrees([0.5, 0.25, 0.0]))
 
 
 def test_foreign_columns_are_in_si_by_their_units(tmp_path):
@@ -97,12 +100,6 @@ def test_empty_cells_and_a_last_line_that_is_being_written_are_accepted(tmp_path
     path.write_text(f"time [s],stage,mass [kg],remark\n0,load,1,a\n1,load,,\n2,hold,nan,b\n{last}")
     (panel,) = panels_of([path], "time", ["mass"])
     assert panel.curves[0].y == pytest.approx([1.0, np.nan, np.nan], nan_ok=True)
-
-
-def test_a_column_has_its_unit_and_an_angle_is_in_degrees(run):
-    assert value(run, "wall_pressure.lid").unit == "Pa"
-    slope = value(run, "slope")
-    assert slope.unit == "deg" and slope.values == pytest.approx(np.degrees([0.5, 0.25, 0.0]))
 
 
 @pytest.mark.parametrize(("text", "sentence"), [
@@ -197,14 +194,11 @@ def collisions(tmp_path):
     return path
 
 
-def test_numbers_of_collisions_over_time(collisions):
+def test_numbers_of_collisions_over_time_and_over_energy_at_the_end(collisions):
     names = ["count.particle", "count_total.particle", "count.wall", "count.particle_0.0001_to_0.01_J"]
     (panel,) = panels_of([collisions], "time", names)
     assert [curve.x.tolist() for curve in panel.curves] == [[1.0, 2.0]] * 4
     assert [curve.y.tolist() for curve in panel.curves] == [[5, 6], [5, 11], [1, 5], [3, 1]]
-
-
-def test_distribution_of_collisions_over_energy_is_that_at_the_end(collisions):
     (panel,) = panels_of([collisions], "energy", ["count_total.particle", "count.wall"])
     assert panel.x_title == "energy (J)"
     assert [curve.y.tolist() for curve in panel.curves] == [[0, 3, 4, 4], [0, 5, 0, 0]]
