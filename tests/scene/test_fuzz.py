@@ -69,7 +69,7 @@ def checked(path):
     code, message = check(path)
     lines = [line for line in message.splitlines() if not line.startswith("granflow: warning: ")]
     if code == 0:
-        correct = not lines and round_trip(path)
+        correct = not lines and is_read_back_equal(path)
     else:
         has_count = lines and re.fullmatch(r"\d+ problems? found\.", lines[-1])
         nan_not_in_file = "nan" in message and "nan" not in path.read_text("latin-1")
@@ -78,7 +78,7 @@ def checked(path):
     return code, None if correct else f"exit code {code}: {message}"
 
 
-def round_trip(path):
+def is_read_back_equal(path):
     """Whether a valid scene equals the one that is read from its resolved form."""
     scene = load_scene(path)
     again = path.with_name("again.yaml")
