@@ -188,7 +188,7 @@ def test_files_without_and_with_matplotlib(lines, tmp_path, monkeypatch):
     with (tmp_path / "accuracy.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [each.name for each in fields(StudyPoint)]
-    kinds = 3 * len(VELOCITIES)  # restitutions 0.2, 0.5 and 0.9, or those of the study
+    kinds = 3 * len(VELOCITIES)  # three restitutions
     assert len(rows) == kinds * len(FEW_STEPS)
     page = (tmp_path / "accuracy.html").read_text(encoding="utf-8")
     assert study.recommendation in page and "hertz with 5 steps" in page and "<img" not in page
