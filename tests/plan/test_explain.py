@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from plan.scenes import scene_of
-from subprocess_runner import each_in_subprocess
+from subprocess_runner import in_subprocess
 
 from granflow.plan.build import plan_for
 from granflow.plan.cost import estimate_memory
@@ -86,34 +86,37 @@ def test_simulated_time_of_stages_is_an_upper_bound(tmp_path):
 
 
 def allocated(directory, overrides, precision):
-    """Bytes of all fields of a state that scale with the scene, and the estimate of the plan."""
+    """Bytes of all fields of a State that scale with the scene, and the estimate of the plan."""
     import numpy as np
 
-    import granflow as gf
+    from granflow.engine import backend
+    from granflow.engine.state import State
     from granflow.plan.arrays import sum_arrays
 
-    simulation = gf.Simulation(scene_of(Path(directory), *overrides, f"run.precision={precision}"), threads=1)
-    state = simulation.engine.state
-    groups = (state.particles, state.neighbors, state.cell_sort)
-    found = [field for group in groups for field in vars(group).values()]
-    found += [*state.neighbors.history.values(), *state.neighbors.saved.values()]
-    found += [getattr(state.control, array.name) for array in sum_arrays(state.plan)]
-    arrays = [np.asarray(field.to_numpy()) for field in found if hasattr(field, "to_numpy")]
-    estimate = estimate_memory(state.plan, precision).total
-    simulation.free()
-    return sum(array.nbytes for array in arrays), estimate
+    plan = plan_for(scene_of(Path(directory), *overrides))
+    state = State(plan, backend.start("cpu", precision, 1))
+    fields = [
+        field
+        for group in (state.particles, state.neighbors, state.cell_sort)
+        for field in vars(group).values()
+    ]
+    fields += [*state.neighbors.history.values(), *state.neighbors.saved.values()]
+    fields += [getattr(state.control, array.name) for array in sum_arrays(plan)]
+    arrays = [np.asarray(field.to_numpy()) for field in fields if hasattr(field, "to_numpy")]
+    return sum(array.nbytes for array in arrays), estimate_memory(plan, precision).total
 
 
 MANY = ("particles.beads.count=3000", "particles.beads.diameter=0.5 mm")
 FRICTION = ("pairs.glass-glass.friction=0.4",)
 
 
-def test_memory_estimate_equals_the_allocated_memory(tmp_path):
-    cases = ((MANY, "f64"), (MANY + FRICTION, "mixed"), ((*MANY, "contact.normal=hertz"), "f32"))
-    for allocated_bytes, estimate in each_in_subprocess(
-        allocated, [(str(tmp_path), *case) for case in cases]
-    ):
-        assert estimate == allocated_bytes
+@pytest.mark.parametrize(
+    ("overrides", "precision"),
+    [(MANY, "f64"), (MANY + FRICTION, "mixed"), ((*MANY, "contact.normal=hertz"), "f32")],
+)
+def test_memory_estimate_equals_the_allocated_memory(tmp_path, overrides, precision):
+    allocated_bytes, estimate = in_subprocess(allocated, str(tmp_path), overrides, precision)
+    assert estimate == allocated_bytes
 
 
 @pytest.mark.parametrize(
