@@ -47,30 +47,18 @@ def listed():
     )
 
 
-def test_both_sides_of_a_pair_in_one_list():
+def test_histories_of_selected_particles_contain_both_sides_of_a_pair_in_one_list():
     found = listed().of(np.arange(3))
     assert found.count.tolist() == [1, 2, 2]
     assert found.partner.tolist() == [3, 9, 7, 3, WALL]
     # The first component is one of a vector, which has the other sign for the partner.
-    assert found.values["slot"].tolist() == [
-        [1.0, 10.0],
-        [2.0, 20.0],
-        [-1.0, 10.0],
-        [-2.0, 20.0],
-        [4.0, 40.0],
-    ]
-
-
-def test_selected_particles_have_the_same_histories_as_among_all():
+    slots = [[1.0, 10.0], [2.0, 20.0], [-1.0, 10.0], [-2.0, 20.0], [4.0, 40.0]]
+    assert found.values["slot"].tolist() == slots
     rows = np.array([2, 1])
-    found = listed().of(rows)
-    expected = listed().of(np.arange(3)).of(rows)
-    assert found.count.tolist() == expected.count.tolist() == [2, 2]
-    assert found.partner.tolist() == expected.partner.tolist()
-    assert found.values["slot"].tolist() == expected.values["slot"].tolist()
-
-
-def test_no_particle_has_no_history():
+    selected, expected = listed().of(rows), found.of(rows)
+    assert selected.count.tolist() == expected.count.tolist() == [2, 2]
+    assert selected.partner.tolist() == expected.partner.tolist()
+    assert selected.values["slot"].tolist() == expected.values["slot"].tolist()
     none = listed().of(np.zeros(0, np.int64))
     assert none.count.tolist() == none.partner.tolist() == []
     joined = joined_histories([none, listed().of(np.array([0]))])

@@ -35,27 +35,15 @@ def numbered(shape):
     return np.arange(np.prod(shape)).reshape(shape)
 
 
-def test_host_reads_what_kernels_write(block):
-    matrices = block[1]["matrices"]
+def test_host_reads_what_kernels_write_and_kernels_read_what_the_host_writes(block):
+    _, fields = block
+    matrices, scalar, vector, table = (fields[name] for name in ("matrices", "first", "second", "table"))
 
     @ti.kernel
     def write():
         for i, j in matrices:
             for row, column in ti.static(ti.ndrange(3, 3)):
                 matrices[i, j][row, column] = 9 * (3 * i + j) + 3 * row + column
-
-    write()
-    assert np.array_equal(matrices.to_numpy(), numbered(SHAPES["matrices"]))
-
-
-def test_kernels_read_what_the_host_writes(block):
-    _, fields = block
-    for field in fields.values():
-        field.from_numpy(1 + numbered(memory_of(field).shape).astype(memory_of(field).dtype))
-    scalar = fields["first"]
-    vector = fields["second"]
-    table = fields["table"]
-    found = np.zeros((9, 3)), np.zeros((4, 6), np.int64)
 
     @ti.kernel
     def read(interleaved: ti.types.ndarray(), numbers: ti.types.ndarray()):
@@ -64,6 +52,11 @@ def test_kernels_read_what_the_host_writes(block):
         for i, j in table:
             numbers[i, j] = table[i, j]
 
+    write()
+    assert np.array_equal(matrices.to_numpy(), numbered(SHAPES["matrices"]))
+    for field in fields.values():
+        field.from_numpy(1 + numbered(memory_of(field).shape).astype(memory_of(field).dtype))
+    found = np.zeros((9, 3)), np.zeros((4, 6), np.int64)
     read(*found)
     expected = [1 + numbered((9,)), 1 + numbered((9, 2))]
     assert np.array_equal(found[0], np.column_stack(expected))
@@ -72,23 +65,15 @@ def test_kernels_read_what_the_host_writes(block):
         assert np.array_equal(fields[name].to_numpy(), 1 + numbered(shape)), name
 
 
-def test_single_entries_of_fields(block):
-    _, fields = block
+def test_single_entries_are_written_and_arrays_of_another_shape_refused(block):
+    held, fields = block
     fields["number"][3] = 5
     fields["vector"][2] = [1.0, 2.0, 3.0]
     assert fields["number"][3] == 5 and type(fields["number"][3]) is int
     assert fields["vector"][2][1] == 2.0
     assert fields["vector"].to_numpy()[2].tolist() == [1.0, 2.0, 3.0]
-
-
-def test_cleared_block_is_zero_and_freed_fields_have_no_view(block):
-    held, fields = block
-    fields["table"].fill(3)
+    with pytest.raises(ValueError, match=r"shape \(1,\), but the field has \(7,\)"):
+        fields["number"].from_numpy(np.ones(1, np.int32))
     assert held.clear() and not any(field.to_numpy().any() for field in fields.values())
     held.free()
     assert all(memory_of(field) is None for field in fields.values())
-
-
-def test_array_of_another_shape_is_refused(block):
-    with pytest.raises(ValueError, match=r"shape \(1,\), but the field has \(7,\)"):
-        block[1]["number"].from_numpy(np.ones(1, np.int32))

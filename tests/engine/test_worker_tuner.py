@@ -35,33 +35,19 @@ def test_all_workers_are_used_if_they_are_faster():
     assert mean_rate(time_by_size, IDLE) > 0.98 * IDLE[4], "launches that test fewer workers are rare"
 
 
-@pytest.mark.parametrize("launch", [0.002, 0.01, 0.05])
-def test_contention_reduces_the_workers_within_a_second(launch):
-    """Two cores, each shared with another process: two workers wait for each other at most barriers."""
-    tuner = WorkerTuner(2)
-    shared = {1: 1.0, 2: 0.3}
-    launches(tuner, {1: 1.0, 2: 1.9}, 30.0, launch=launch)
+@pytest.mark.parametrize("launch", [0.002, 0.05])
+@pytest.mark.parametrize("shared", [{1: 1.0, 2: 0.3}, {1: 1.0, 2: 0.7, 4: 0.3}])
+def test_contention_reduces_the_workers_within_a_second_and_they_return_when_it_ends(launch, shared):
+    """Cores, each shared with another process: workers wait for each other at most barriers."""
+    tuner = WorkerTuner(max(shared))
+    launches(tuner, IDLE, 30.0, launch=launch)
     launches(tuner, shared, 1.0, contended_above=1, launch=launch)
+    assert tuner.size == 1
     time_by_size = launches(tuner, shared, 5.0, contended_above=1, launch=launch)
     assert tuner.size == 1
     assert mean_rate(time_by_size, shared) > 0.9 * shared[1]
-
-
-def test_contention_reduces_four_workers_to_one_within_a_second():
-    tuner = WorkerTuner(4)
-    shared = {1: 1.0, 2: 0.7, 4: 0.3}
-    launches(tuner, IDLE, 30.0)
-    launches(tuner, shared, 1.0, contended_above=1)
-    assert tuner.size == 1
-
-
-@pytest.mark.parametrize("max_size", [2, 4])
-def test_workers_return_when_the_contention_ends(max_size):
-    tuner = WorkerTuner(max_size)
-    launches(tuner, {1: 1.0, 2: 0.4, 4: 0.2}, 5.0, contended_above=1)
-    assert tuner.size == 1
-    launches(tuner, IDLE, 2.0)
-    assert tuner.size == max_size
+    launches(tuner, IDLE, 2.0, launch=launch)
+    assert tuner.size == max(shared)
 
 
 def test_fewer_workers_are_used_if_more_are_slower_without_contention():
@@ -70,20 +56,17 @@ def test_fewer_workers_are_used_if_more_are_slower_without_contention():
     assert tuner.size == 1
 
 
-def test_rare_contention_keeps_two_workers_if_they_are_faster():
-    tuner = WorkerTuner(2)
-    speed = {1: 1.0, 2: 1.6}
-    for number in range(2_000):
-        size = tuner.next_size
-        tuner.record(LAUNCH * speed[size], LAUNCH, contended=size == 2 and number % 3 == 0)
-    assert tuner.size == 2
-
-
-def test_short_launches_are_evaluated_together():
-    """The rate of one launch of 1 ms scatters by a factor of ten; twenty launches together have the mean
-    rate."""
+@pytest.mark.parametrize(
+    ("speed", "launch", "slower", "contended"),
+    [
+        ({1: 1.0, 2: 1.6}, LAUNCH, (1.0, 1.0), 3),  # every third launch is contended
+        ({1: 1.0, 2: 1.9}, 1e-3, (1.9, 0.1), 0),  # rates of short launches scatter: 20 together have the mean
+    ],
+)
+def test_rare_contention_and_scattered_rates_keep_two_workers(speed, launch, slower, contended):
     tuner = WorkerTuner(2)
     for number in range(4_000):
-        speed = {1: 1.0, 2: 1.9}[tuner.next_size]
-        tuner.record(1e-3 * speed * (0.1 if number % 2 else 1.9), 1e-3, contended=False)
+        size = tuner.next_size
+        is_contended = bool(contended) and size == 2 and number % contended == 0
+        tuner.record(launch * speed[size] * slower[number % 2], launch, contended=is_contended)
     assert tuner.size == 2

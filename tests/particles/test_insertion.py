@@ -84,7 +84,10 @@ def test_insertion_is_reproducible_and_depends_on_the_seed():
         assert now == then
         np.testing.assert_array_equal(particles.position, duplicate.position)
         np.testing.assert_array_equal(particles.radius, duplicate.radius)
-    assert not np.any(first[0][1].position == other[0][1].position)
+    particles = first[0][1]
+    assert not np.any(particles.position == other[0][1].position)
+    assert np.all(particles.velocity == [0, 0, -0.5])
+    assert set(particles.group) == {1} and set(particles.material) == {1}
 
 
 def test_a_position_is_clear_from_the_sum_of_both_radii():
@@ -124,19 +127,6 @@ def test_insertion_stops_in_a_full_region():
         radius = np.concatenate([radius, particles.radius])
     assert smallest_gap(position, radius) >= -1e-12
     assert rain.remaining == 4000 - len(radius) > 0
-
-
-def test_inserted_particles_have_the_velocity_group_and_material_of_the_scene():
-    particles = rain_of(count=5).insert_due(0.0, np.empty((0, 3)), np.empty(0))
-    assert len(particles) == 1
-    np.testing.assert_array_equal(particles.velocity, [[0, 0, -0.5]])
-    assert particles.group.tolist() == [1] and particles.material.tolist() == [1]
-
-
-def test_slow_rain_inserts_single_particles_at_the_rate():
-    batches = insert_all(rain_of(count=10, rate=20.0))
-    np.testing.assert_allclose([now for now, _ in batches], np.arange(10) / 20, atol=1e-12)
-    assert [len(particles) for _, particles in batches] == [1] * 10
 
 
 def test_particles_larger_than_the_region_are_rejected():

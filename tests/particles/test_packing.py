@@ -26,7 +26,6 @@ CASES = {
     "lattice in a tube": group("lattice", 1000, UNIFORM, TUBE, jitter=1.0),
     "lattice of many sizes": group("lattice", 3000, UNIFORM, jitter=0.5),
     "lattice of one": group("lattice", 1, 0.09),
-    "full lattice": group("lattice", 25 * 25 * 50),
     "pack": group("pack", 1000),
     "pack in a tube": group("pack", 6000, UNIFORM, TUBE),
     "dense pack": group("pack", 3500, 0.008, {"box": {"min": [0, 0, 0], "max": [0.1, 0.1, 0.19]}}),
@@ -41,7 +40,6 @@ CASES = {
     ),
     "pack of one": group("pack", 1, 0.1),
 }
-CASES["dense pack"]["count"] = 3500
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -67,9 +65,6 @@ def test_packing_is_reproducible_and_depends_on_the_seed():
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     other = initial_particles(scene_with({"beads": CASES["pack"]}, seed=2))
     assert not np.any(first.position[:1000] == other.position)
-
-
-def test_sizes_of_a_group_do_not_depend_on_other_groups():
     one_group = initial_particles(scene_with({"beads": group("pack", 100, UNIFORM)}))
     two_groups = initial_particles(
         scene_with({"beads": group("pack", 100, UNIFORM), "more": group("lattice", 5)})
@@ -113,11 +108,7 @@ def test_given_positions_are_used_unchanged():
     np.testing.assert_array_equal(particles.angular_velocity, [[0, 0, 3], [0, 0, 3]])
     np.testing.assert_array_equal(particles.material, np.array([0, 0], dtype=np.int32))
     np.testing.assert_array_equal(particles.group, np.array([1, 1], dtype=np.int32))
-
-
-def test_scene_with_rain_only_has_no_initial_particles():
-    particles = initial_particles(scene_with({"rain": group("rain", 5, rate=10)}))
-    assert len(particles) == 0 and particles.position.shape == (0, 3) and particles.group.dtype == np.int32
+    assert len(initial_particles(scene_with({"rain": group("rain", 5, rate=10)}))) == 0
 
 
 @pytest.mark.parametrize(
