@@ -1,9 +1,10 @@
-"""Taichi gets the same source of device functions as from `inspect`."""
+"""Patches of Taichi: it gets the same source of device functions as from `inspect`, and trees are used again."""
 
 import ast
 import inspect
 import re
 import textwrap
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from pkgutil import walk_packages
@@ -14,6 +15,7 @@ import pytest
 
 import granflow.contact
 import granflow.engine
+from granflow import taichi_patches
 from granflow.kernel_language import KERNELS, ti
 from granflow.taichi_patches import (
     TreePool,
@@ -127,3 +129,25 @@ def test_structs_with_equal_members_share_a_class():
     second.b = 2.0
     assert (first.a, first.b, second.b, other.c) == (1.0, 1.0, 2.0, 1.0)
     assert ti.Struct._register_members is set_member_class
+
+
+class Kernel:
+    """Stands for a kernel; its id is used again after it is deleted."""
+
+
+def test_each_kernel_is_compiled_once_in_the_context_also_if_an_id_is_used_again(monkeypatch):
+    entered = []
+
+    @contextmanager
+    def around():
+        entered.append(True)
+        yield
+
+    monkeypatch.setattr(taichi_patches, "around", around)
+    compile_kernel = taichi_patches.guarded(lambda program, configuration, capabilities, kernel: None)
+    for count in (1, 2, 3):
+        kernel = Kernel()
+        for _ in range(2):
+            compile_kernel(None, None, None, kernel)
+        assert len(entered) == count
+        del kernel

@@ -53,25 +53,20 @@ def test_cgroup_v1_quota_limits_the_cores(write_system_files, folder, quota, cor
     assert quota_cores({}) == cores
 
 
-@pytest.mark.parametrize(
-    ("value", "cores"), [("3", 3), ("0", None), ("-2", None), ("many", None), ("", None)]
-)
-def test_slurm_limits_the_cores(write_system_files, value, cores):
+SLURM = [("3", 3), ("0", None), ("-2", None), ("many", None), ("", None)]
+
+
+@pytest.mark.parametrize(("value", "cores"), SLURM)
+def test_slurm_limits_the_cores_and_the_smaller_limit_applies(write_system_files, value, cores):
     assert quota_cores({"SLURM_CPUS_PER_TASK": value}) == cores
-
-
-def test_the_smaller_of_quota_and_slurm_applies(write_system_files):
     write_system_files(V2, {"cpu.max": "200000 100000"})
-    assert quota_cores({"SLURM_CPUS_PER_TASK": "7"}) == 2
+    assert quota_cores({"SLURM_CPUS_PER_TASK": value}) == 2
     assert quota_cores({"SLURM_CPUS_PER_TASK": "1"}) == 1
 
 
-@pytest.mark.parametrize(("affinity", "quota", "count"), [(8, 3, 3), (2, 5, 2), (4, 4, 4)])
-def test_default_is_the_smaller_of_affinity_and_quota(affinity, quota, count):
-    assert worker_count(None, affinity, quota) == (count, "")
-
-
-def test_threads_above_the_cores_are_reduced_with_a_warning():
+def test_threads_are_the_smaller_of_affinity_and_quota_and_more_are_reduced_with_a_warning():
+    for affinity, quota, count in ((8, 3, 3), (2, 5, 2), (4, 4, 4)):
+        assert worker_count(None, affinity, quota) == (count, "")
     count, warning = worker_count(8, affinity=2, quota=1)
     assert count == 2
     assert warning == "--threads 8: this process can use 2 cores, so granflow uses 2."

@@ -201,3 +201,31 @@ def powers(arch):
 def test_powers_without_those_of_vulkan_are_exact_to_2_ulp(vulkan):
     """Numpy itself is exact to 1 ulp."""
     assert max(in_subprocess(powers, "vulkan")) <= 3.0
+
+
+def copies_of_a_long_field():
+    """Message of the kernel language where it copies a field with more entries than threads of a dispatch,
+    65 535 groups of 128, and the number of entries that differ after they are written and read again."""
+    import numpy as np
+
+    from granflow import start
+    from granflow.engine.fields import read_field, write_field
+    from granflow.kernel_language import ti
+
+    start("vulkan", "f32")
+    field = ti.field(ti.i32, 65_535 * 128 + 100_000)
+    values = np.arange(1, field.shape[0] - 6, dtype=np.int32)
+    write_field(field, values)
+    found = read_field(field)
+    wrong = int((found[: len(values)] != values).sum()) + int(np.count_nonzero(found[len(values) :]))
+    try:
+        field.to_numpy()
+    except RuntimeError as error:
+        return str(error), wrong
+    return "", wrong
+
+
+def test_long_fields_are_copied_by_granflow_and_not_by_the_kernel_language(vulkan):
+    """If only the first part fails, `read_field` and `write_field` may be replaced."""
+    message, wrong = in_subprocess(copies_of_a_long_field)
+    assert "Dispatch error" in message and wrong == 0

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from granflow.cli.main import main
 from granflow.engine import backend
 from granflow.engine.backend import VulkanDevice
 from granflow.errors import GranflowError
@@ -20,26 +21,23 @@ CARD_32_BIT = VulkanDevice(
 )
 
 
-def refusal(monkeypatch, language, *devices):
+REFUSED = {
+    "taichi": ("taichi", (CARD,), ["pip install 'quadrants<1.4'", "GRANFLOW_KERNELS=quadrants"]),
+    "old llvmpipe": ("quadrants", (OLD,), ["Mesa 22.3.6 (LLVM 15.0.6) returns wrong results"]),
+    "no 64-bit numbers": (
+        "quadrants", (NEW, CARD_32_BIT), ["Intel Arc has no 64-bit numbers", "in every precision, f32 too"]
+    ),
+}  # fmt: skip
+"""Kernel language, devices, and words of the message."""
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_unreliable_devices_are_refused_in_one_line_with_a_remedy(monkeypatch, case):
+    language, devices, words = REFUSED[case]
     monkeypatch.setattr(backend, "KERNELS", language)
     with pytest.raises(GranflowError) as error:
         backend.refuse_unreliable_vulkan(devices)
-    assert "\n" not in str(error.value)
-    return str(error.value)
-
-
-def test_taichi_on_vulkan_is_refused_with_the_remedy(monkeypatch):
-    message = refusal(monkeypatch, "taichi", CARD)
-    assert "pip install 'quadrants<1.4'" in message and "GRANFLOW_KERNELS=quadrants" in message
-
-
-def test_old_llvmpipe_is_refused(monkeypatch):
-    assert "Mesa 22.3.6 (LLVM 15.0.6) returns wrong results" in refusal(monkeypatch, "quadrants", OLD)
-
-
-def test_device_without_64_bit_numbers_is_refused_by_name(monkeypatch):
-    message = refusal(monkeypatch, "quadrants", NEW, CARD_32_BIT)
-    assert message.startswith("Intel Arc has no 64-bit numbers") and "in every precision, f32 too" in message
+    assert all(each in str(error.value) for each in words) and "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("devices", [(NEW,), (OLD, CARD), ()])
@@ -48,20 +46,13 @@ def test_reliable_devices_are_accepted(monkeypatch, devices):
     backend.refuse_unreliable_vulkan(devices)
 
 
-def granflow(*arguments, **environment):
-    """Exit code and stderr of the command line."""
-    command = [sys.executable, "-m", "granflow", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=os.environ | environment)
-    return done.returncode, done.stderr
-
-
-def test_metal_is_no_choice():
-    code, message = granflow("run", "scene.yaml", "--arch", "metal")
-    assert code == 2 and "invalid choice: 'metal'" in message
-
-
-def test_unknown_kernel_language_is_refused_in_one_sentence():
-    code, message = granflow("check", "scene.yaml", GRANFLOW_KERNELS="numba")
-    assert code == 2
-    assert message.strip().endswith("the kernel languages are taichi (default) and quadrants.")
-    assert len(message.strip().splitlines()) == 1
+def test_metal_and_unknown_kernel_languages_are_refused(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["run", "scene.yaml", "--arch", "metal"])
+    assert stopped.value.code == 2 and "invalid choice: 'metal'" in capsys.readouterr().err
+    command = [sys.executable, "-m", "granflow", "check", "scene.yaml"]
+    environment = os.environ | {"GRANFLOW_KERNELS": "numba"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
+    (sentence,) = done.stderr.strip().splitlines()
+    assert done.returncode == 2
+    assert sentence.endswith("the kernel languages are taichi (default) and quadrants.")
