@@ -1,5 +1,7 @@
-"""Clumps in the engine: one sphere, threads, code path of a GPU, precision, periodic box, outlets, energy
-budget."""
+"""Clumps in the engine: one sphere, threads, code path of a GPU, periodic box, outlets, energy budget.
+
+All scenes but the periodic ones have one compiled structure. Clumps in mixed precision: `test_precisions`.
+"""
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from granflow.particles.group import ParticleData
 from granflow.simulation import Simulation
 
 FRICTION = {"friction": 0.4, "restitution": 0.4}
+OUT = {"out": {"box": {"min": [-1.0, -1.0, -1.0], "max": [1.0, 1.0, -0.1]}}}
 TRIANGLE = [[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.8e-3, 1.8e-3, 0.0]]
 
 
@@ -33,7 +36,7 @@ def falling_clumps(duration=0.03, **changes):
         "insert": {"kind": "rain", "region": region, "rate": 1500.0},
     }  # fmt: skip
     parts = {
-        "pair": FRICTION, "gravity": [0.0, 0.0, -100.0], "numerics": {"chunk_size": 16, "max_overlap": 0.2},
+        "pair": FRICTION, "outlets": OUT, "gravity": [0.0, 0.0, -100.0], "numerics": {"chunk_size": 16, "max_overlap": 0.2},
         "run": {"duration": duration, "velocity_max": 4.0, "time_step": 4e-6},
         "output": {"interval": 0.004, "energy_budget": True, "checkpoint": {"interval": 0.002, "keep": 100}},
     }  # fmt: skip
@@ -70,91 +73,125 @@ def test_results_are_bit_identical_for_any_thread_count_and_on_the_gpu_code_path
         assert in_subprocess(fingerprint, 2, precision, True, seconds=600)[1:] == one[1:]
 
 
-def drifting_rod():
-    """Distance of a rod at 1 m/s from its position at the start [m], simulated time, number of rebuilds."""
-    scene = build_scene(
-        {"rod": clump_group([[0.1, 0.0, 0.0]], velocity=[[1.0, 0.0, 0.0]])},
-        run={"duration": 1.0, "velocity_max": 1.0, "time_step": 2.0**-16, "precision": "mixed"},
-        domain={"min": [-1.0] * 3, "max": [2.0] * 3, "on_exit": "error"},
-    )
-    simulation = Simulation(scene, threads=1)
-    simulation.step(3 * 2**12 + 1)
-    last = simulation.snapshot()
-    return last.particles["clump_position"][0, 0] - 0.1, last.time, simulation.engine.timing.rebuild_count
+def small_scene(groups, floor=-0.9, **parts):
+    """A scene of the structure of `falling_clumps`: walls that meet, outlet, budget, friction, two
+    materials."""
+    walls = {"floor": plane([0, 0, floor], [0, 0, 1]), "side": plane([-0.9, 0, 0], [1, 0, 0])}
+    parts = {"pair": FRICTION, "outlets": OUT, "output": {"interval": 1.0, "energy_budget": True}} | parts
+    return build_scene(groups, walls, numerics={"chunk_size": 16, "max_overlap": 0.2}, **parts)
 
 
-def test_rebuilds_in_mixed_precision_do_not_round_clumps():
-    """A step moves the rod by 2^-16 m, which f64 adds without error; f32 resolves 0.1 m to 7.5e-9 m."""
-    distance, time, rebuilds = in_subprocess(drifting_rod, seconds=600)
-    assert rebuilds > 10 and distance == pytest.approx(time, abs=1e-12)
-
-
-def test_a_clump_of_one_sphere_moves_like_a_sphere(taichi_f64):
-    """Contacts, friction and mass are equal; only the rounding of the integration differs."""
-    motion = {"velocity": [0.4, 0.1, -0.5], "angular_velocity": [20.0, -30.0, 10.0]}
-    floor = {"floor": plane([0, 0, 0], [0, 0, 1])}
-    found = []
-    sphere = particle_group([[0, 0, 0.006]], 0.01)
-    clump = clump_group([[0, 0, 0.006]], [[0, 0, 0]], 5e-3)
-    for group in (sphere | motion, clump | motion):
-        scene = build_scene(
-            {"ball": group}, floor, {"friction": 0.3, "restitution": 0.7}, gravity=[0.0, 0.0, -9.81],
-            run={"duration": 0.05, "velocity_max": 1.5, "time_step": 5e-6},
-            output={"interval": 1.0, "energy_budget": True},
-        )  # fmt: skip
-        last, _ = run_to_end(scene, threads=1)
-        found.append(last)
-    sphere, clump = found
-    assert (
-        abs(sphere.particles["angular_velocity"] - motion["angular_velocity"]).max() > 10.0
-    )  # friction has acted
-    for name in ("position", "velocity", "angular_velocity", "mass"):
-        assert clump.particles[name] == pytest.approx(sphere.particles[name], rel=1e-9, abs=1e-12), name
-    for name in ("kinetic_energy", "rotational_energy", "friction_dissipation", "gravitational_energy"):
-        assert clump.totals[name] == pytest.approx(sphere.totals[name], rel=1e-9), name
-
-
-def test_spheres_of_a_clump_remain_in_place_and_do_not_collide(taichi_f64):
+def test_clumps_fall_as_rigid_bodies_and_their_energy_budget_closes(taichi_f64):
     """Distances within each clump are those of the given positions, although its spheres overlap by half."""
-    last, _ = run_to_end(falling_clumps(), threads=1)
+    snapshots = run_and_sample(falling_clumps(duration=0.04), 0.004, threads=1)
+    last = snapshots[-1]
     particles = last.particles
     expected = np.linalg.norm(np.diff(ROD, axis=0), axis=1)
-    rods = [np.flatnonzero(particles["clump"] == clump) for clump in np.unique(particles["clump"])[1:17]]
-    for rows in rods:
+    for clump in np.unique(particles["clump"])[1:17]:
+        rows = np.flatnonzero(particles["clump"] == clump)
         assert particles["id"][rows].tolist() == list(range(rows[0], rows[0] + len(ROD)))
         position = particles["position"][rows]
         assert np.linalg.norm(np.diff(position, axis=0), axis=1) == pytest.approx(expected, rel=1e-12)
         rotation = matrices(particles["orientation"][rows[:1]])[0]
         arms = particles["clump_offset"][rows] @ rotation.T
         assert position == pytest.approx(particles["clump_position"][rows] + arms, abs=1e-15)
-    assert np.ptp(particles["orientation"][rows], axis=0).max() == 0.0, "all spheres have the same copy"
+        assert np.ptp(particles["orientation"][rows], axis=0).max() == 0.0, "all spheres have the same copy"
     assert last.totals["overlap_largest"] < 0.2
     assert (particles["clump"] < 0).sum() == 9
-
-
-def test_energy_budget_of_clumps_closes(taichi_f64):
-    """Energies are those of the clumps: their sum with all losses is constant."""
-    snapshots = run_and_sample(falling_clumps(duration=0.04), 0.004, threads=1)
-    last = snapshots[-1].totals
-    assert last["friction_dissipation"] > 0.0 and last["plastic_dissipation"] > 0.0
-    assert last["inserted_count"] == 16 * 4 + 16 * 3 + 9 + 12 * 3
+    assert last.totals["inserted_count"] == 16 * 4 + 16 * 3 + 9 + 12 * 3
+    assert last.totals["friction_dissipation"] > 0.0 and last.totals["plastic_dissipation"] > 0.0
     assert max(abs(each.totals["energy_error"]) for each in snapshots) < 1e-3
+
+
+def test_a_clump_of_one_sphere_moves_like_a_sphere(taichi_f64):
+    """Contacts, friction and mass are equal; only the rounding of the integration differs."""
+    motion = {"velocity": [0.4, 0.1, -0.5], "angular_velocity": [20.0, -30.0, 10.0]}
+    groups = {
+        "sphere": particle_group([[0, 0, 0.006]], 0.01) | motion,
+        "one": clump_group([[0, 0.5, 0.006]], [[0, 0, 0]], 5e-3) | motion,
+        "rod": clump_group([[0, -0.5, 0.5]], material="steel"),
+    }
+    scene = small_scene(
+        groups, floor=0.0, gravity=[0.0, 0.0, -9.81],
+        run={"duration": 0.05, "velocity_max": 1.5, "time_step": 5e-6},
+    )  # fmt: skip
+    last, _ = run_to_end(scene, threads=1)
+    found = last.particles
+    assert abs(found["angular_velocity"][0] - motion["angular_velocity"]).max() > 10.0, "friction has acted"
+    assert found["position"][1] - [0, 0.5, 0] == pytest.approx(found["position"][0], rel=1e-9, abs=1e-12)
+    for name in ("velocity", "angular_velocity", "mass"):
+        assert found[name][1] == pytest.approx(found[name][0], rel=1e-9, abs=1e-12), name
+    speeds = [np.sum(found[name] ** 2, axis=1) for name in ("velocity", "angular_velocity")]
+    kinetic, rotational = 0.5 * found["mass"] @ speeds[0], 0.2 * found["mass"][:2] * 0.005**2 @ speeds[1][:2]
+    assert last.totals["kinetic_energy"] == pytest.approx(kinetic, rel=1e-9)
+    assert last.totals["rotational_energy"] == pytest.approx(rotational, rel=1e-9)
+    assert last.totals["friction_dissipation"] > 0.0 and abs(last.totals["energy_error"]) < 1e-3
+
+
+def test_outlets_delete_whole_clumps(taichi_f64):
+    """A clump is deleted when its center of mass is in the outlet, with all its spheres and its mass.
+
+    The energy of deleted particles is that half a step earlier: g dt / v of the kinetic energy is missing.
+    """
+    level = about([0, 1, 0], 90)
+    groups = {
+        "low": clump_group([[0.0, 0.0, 0.02]], orientation=level),
+        "high": clump_group([[0.02, 0.0, 0.05]], orientation=level, material="steel"),
+    }
+    scene = small_scene(
+        groups, gravity=[0.0, 0.0, -9.81], outlets={"out": {"box": {"min": [-1, -1, -1], "max": [1, 1, 0]}}},
+        run={"duration": 0.08, "velocity_max": 2.0},
+    )  # fmt: skip
+    snapshots = run_and_sample(scene, 0.002, threads=1)
+    counts = [each.totals["particle_count"] for each in snapshots]
+    assert sorted(set(counts), reverse=True) == [8.0, 4.0]
+    last = snapshots[-1]
+    assert last.totals["outlet_mass.out"] == pytest.approx(snapshots[0].particles["mass"][:4].sum())
+    assert last.particles["id"].tolist() == [4, 5, 6, 7]
+    step = snapshots[1].time / snapshots[1].step
+    assert abs(last.totals["energy_error"]) < 9.81 * step / np.sqrt(2 * 9.81 * 0.02)
+
+
+def test_an_abort_names_the_clumps_and_changes_from_python_are_refused(taichi_f64):
+    """Two rods of four spheres, side by side, overlap by a quarter of the radius; ids and clumps as in
+    frames."""
+    rods = {
+        f"rod_{material}": clump_group([[0.0, y, 0.0]], material=material)
+        for material, y in (("glass", 0.0), ("steel", 3.5e-3))
+    }
+    with Simulation(small_scene(rods), threads=1) as simulation:
+        message = "Changes of particles and forces from Python are not possible in a scene with clumps"
+        with pytest.raises(GranflowError, match=message):
+            simulation.particles.velocity[:] = [0.0, 0.0, 1.0]
+        with pytest.raises(GranflowError, match=message):
+            simulation.particles.remove(np.arange(8) == 0)
+        with pytest.raises(GranflowError, match="Particles from Python are not possible in a scene with clu"):
+            simulation.restart(
+                ParticleData(*np.zeros((3, 1, 3)), np.full(1, 1e-3), *np.zeros((2, 1), np.int32))
+            )
+        overlap = r"particle \d of clump [04] \(.*overlaps with particle \d of clump [04] \("
+        with pytest.raises(RunError, match=overlap):
+            simulation.run()
+
+
+def periodic_rods(positions, duration, **motion):
+    """Rods in a periodic box of 24 mm, with dashpots."""
+    domain = {"min": [0.0] * 3, "max": [0.024] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"}
+    run = {"duration": duration, "velocity_max": 5.0, "time_step": 4e-6}
+    return build_scene(
+        {"rods": clump_group(positions, **motion)}, pair={"friction": 0.3, "restitution": 0.9}, normal="hertz",
+        gravity=[0.0, 0.0, -9.81], domain=domain, run=run, output={"interval": 1.0, "energy_budget": True},
+    )  # fmt: skip
 
 
 def test_clumps_cross_a_periodic_face_as_one_body(taichi_f64):
     """Rods fall through a periodic box: the gain of potential energy at the face is boundary work."""
     positions = 0.012 * (np.argwhere(np.ones((2, 2, 2))) + 0.5)
     rng = np.random.default_rng(1)
-    rods = clump_group(
-        positions, orientation="random", velocity=rng.normal(0.0, 0.5, positions.shape),
-        angular_velocity=rng.normal(0.0, 100.0, positions.shape),
-    )  # fmt: skip
-    scene = build_scene(
-        {"rods": rods}, pair={"friction": 0.3, "restitution": 0.9}, gravity=[0.0, 0.0, -9.81],
-        domain={"min": [0.0] * 3, "max": [0.024] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"},
-        run={"duration": 0.06, "velocity_max": 2.0, "time_step": 4e-6}, output={"interval": 1.0, "energy_budget": True},
-    )  # fmt: skip
-    snapshots = run_and_sample(scene, 0.006, threads=1)
+    motion = {"velocity": rng.normal(0.0, 0.5, (8, 3)), "angular_velocity": rng.normal(0.0, 100.0, (8, 3))}
+    snapshots = run_and_sample(
+        periodic_rods(positions, 0.06, orientation="random", **motion), 0.006, threads=1
+    )
     last = snapshots[-1]
     assert abs(last.totals["boundary_work"]) > 1e-6 and last.totals["friction_dissipation"] > 0.0
     assert max(abs(each.totals["energy_error"]) for each in snapshots) < 1e-3
@@ -166,62 +203,15 @@ def test_clumps_cross_a_periodic_face_as_one_body(taichi_f64):
 
 
 def test_rate_dependent_forces_see_spheres_of_clumps_at_the_time_of_the_positions(taichi_f64):
-    """A free rod that spins: v = w x arm with the arm of the same time; one of the step before is 1 % off."""
-    rod = clump_group([0.0, 0.0, 0.0], angular_velocity=[[0.0, 0.0, 1000.0]])
-    run = {"duration": 1e-3, "velocity_max": 5.0, "time_step": 1e-5}
-    scene = build_scene({"rod": rod}, normal="hertz", pair={"restitution": 0.5, "friction": 0.0}, run=run)
-    simulation = Simulation(scene)
+    """A free rod that spins: v = w x arm with the arm of the same time; one of the step before is 0.4 % off."""
+    rate = [0.0, 0.0, 1000.0]
+    scene = periodic_rods([[0.012] * 3], 1e-3, angular_velocity=[rate])
+    simulation = Simulation(scene.model_copy(update={"gravity": (0.0, 0.0, 0.0)}), threads=1)
     simulation.run()
     last = simulation.snapshot()
     assert simulation.plan.features.rate_dependent
     particles = simulation.engine.state.particles
-    order = np.argsort(particles.id.to_numpy()[:4])
-    found = particles.velocity_synchronized.to_numpy()[:4][order]
+    found = particles.velocity_synchronized.to_numpy()[:4][np.argsort(particles.id.to_numpy()[:4])]
     arm = last.particles["position"] - last.particles["clump_position"]
-    assert found == pytest.approx(np.cross([0.0, 0.0, 1000.0], arm), abs=1e-9)
-
-
-def test_outlets_delete_whole_clumps(taichi_f64):
-    """A clump is deleted when its center of mass is in the outlet, with all its spheres and its mass.
-
-    The energy of deleted particles is that half a step earlier: g dt / v of the kinetic energy is missing.
-    """
-    rods = clump_group([[0.0, 0.0, 0.02], [0.02, 0.0, 0.05]], orientation=about([0, 1, 0], 90))
-    scene = build_scene(
-        {"rods": rods}, gravity=[0.0, 0.0, -9.81], outlets={"out": {"box": {"min": [-1, -1, -1], "max": [1, 1, 0]}}},
-        run={"duration": 0.08, "velocity_max": 2.0}, output={"interval": 1.0, "energy_budget": True},
-    )  # fmt: skip
-    snapshots = run_and_sample(scene, 0.002, threads=1)
-    counts = [each.totals["particle_count"] for each in snapshots]
-    assert sorted(set(counts), reverse=True) == [8.0, 4.0]
-    last = snapshots[-1]
-    kept = snapshots[0].particles["mass"]
-    assert last.totals["outlet_mass.out"] == pytest.approx(kept[:4].sum())
-    assert last.particles["id"].tolist() == [4, 5, 6, 7]
-    step = snapshots[1].time / snapshots[1].step
-    speed = np.sqrt(2 * 9.81 * 0.02)
-    assert abs(last.totals["energy_error"]) < 9.81 * step / speed
-
-
-def test_an_abort_names_the_clumps_of_its_spheres(taichi_f64):
-    """Two rods of four spheres, side by side, overlap by a quarter of the radius; ids and clumps as in
-    frames."""
-    rods = clump_group([[0.0, 0.0, 0.0], [0.0, 3.5e-3, 0.0]])
-    simulation = Simulation(build_scene({"rods": rods}, numerics={"max_overlap": 0.2}), threads=1)
-    with pytest.raises(
-        RunError, match=r"particle \d of clump [04] \(.*overlaps with particle \d of clump [04] \("
-    ):
-        simulation.run()
-    simulation.free()
-
-
-def test_changes_from_python_are_refused(taichi_f64):
-    simulation = Simulation(build_scene({"rods": clump_group([[0.0, 0.0, 0.0]])}), threads=1)
-    message = "Changes of particles and forces from Python are not possible in a scene with clumps"
-    with pytest.raises(GranflowError, match=message):
-        simulation.particles.velocity[:] = [0.0, 0.0, 1.0]
-    with pytest.raises(GranflowError, match=message):
-        simulation.particles.remove(np.array([True, False, False, False]))
-    with pytest.raises(GranflowError, match="Particles from Python are not possible in a scene with clumps"):
-        simulation.restart(ParticleData(*np.zeros((3, 1, 3)), np.full(1, 1e-3), *np.zeros((2, 1), np.int32)))
+    assert found == pytest.approx(np.cross(rate, arm), abs=1e-9)
     simulation.free()
