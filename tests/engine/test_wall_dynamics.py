@@ -54,8 +54,14 @@ def balls_below(servo=None, piston=None, positions=((0.0, 0.0, RADIUS),), **part
     run = {"duration": 0.03, "velocity_max": 0.3}
     output = {"interval": 1.0, "energy_budget": True, "wall_forces": True}
     defaults = {"run": run, "output": output, "gravity": [0.0, 0.0, -GRAVITY], "pair": {"restitution": 1.0}}
+    numerics = {"chunk_size": 16} | parts.pop("numerics", {})
     return build_scene(
-        {"balls": particle_group(positions)}, walls, normal="hertz", pairs=pairs, **(defaults | parts)
+        {"balls": particle_group(positions)},
+        walls,
+        normal="hertz",
+        pairs=pairs,
+        numerics=numerics,
+        **(defaults | parts),
     )
 
 
