@@ -169,6 +169,20 @@ def neighbors_of(engine):
     return found
 
 
+def assert_lists_hold(simulation, pairs):
+    """The neighbor lists contain these pairs (smaller id, larger id) of particles, and no others.
+
+    A pair within a chunk stands in one list, a pair across two chunks in both.
+    """
+    entries = [entry for entry in neighbors_of(simulation.engine) if entry[1] >= 0]
+    within = [tuple(sorted(entry[:2])) for entry in entries if entry[2]]
+    across = [entry[:2] for entry in entries if not entry[2]]
+    assert len(within) == len(set(within)) and len(across) == len(set(across))
+    assert {(j, i) for i, j in across} == set(across)
+    assert not set(within) & set(across)
+    assert set(within) | {tuple(sorted(pair)) for pair in across} == {tuple(pair) for pair in pairs}
+
+
 def prepared_simulation(scene, step=0):
     """A simulation with a built neighbor list, at the time of step number `step`."""
     simulation = Simulation(scene)
