@@ -12,6 +12,7 @@ from subprocess_runner import each_in_subprocess
 from granflow.contact import theory
 from granflow.engine import threads as workers
 from granflow.load import Scene
+from granflow.plan.build import plan_for
 from granflow.plan.time_step import (
     LEVELS_PER_DOUBLING,
     STEPS_BETWEEN_UPDATES,
@@ -60,6 +61,7 @@ def planned_step(plan, velocity):
 def test_step_equals_the_planned_step_for_the_present_velocity(taichi_f64, velocity):
     """Within one level of the table, at the present velocity times the margin."""
     step, plan = first_adapted_step(pair_at(1e-5, velocity))
+    assert plan_for(pair_at(1e-5, velocity, time_step="auto")).adaptive_time_step is None
     assert (
         planned_step(plan, VELOCITY_MARGIN * velocity * 2.0 ** (1.0 / LEVELS_PER_DOUBLING))
         <= step
@@ -131,9 +133,3 @@ def test_results_are_bit_identical_for_any_thread_count():
     one, two = each_in_subprocess(fingerprint, [(1, False), (2, True)])
     assert one[1] > 3 * STEPS_BETWEEN_UPDATES
     assert one == two
-
-
-def test_constant_time_step_has_no_level_table(taichi_f64):
-    plain, simulation = run_to_end(pair_at(1e-5, 0.4, time_step="auto", duration=1e-4))
-    assert simulation.plan.adaptive_time_step is None
-    assert plain.time == simulation.engine.step_count * simulation.plan.time_step

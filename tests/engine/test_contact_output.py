@@ -10,7 +10,7 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 EPS = np.finfo(float).eps
 
 
-def separating_block(chunk_size=512, pair=None, **parts):
+def separating_block(pair=None, **parts):
     """Scene and snapshots of spinning particles between rough walls; the block overlaps initially, then
     separates."""
     rng = np.random.default_rng(6)
@@ -23,7 +23,7 @@ def separating_block(chunk_size=512, pair=None, **parts):
     )
     scene = build_scene(
         {"balls": group}, walls=box(0.0392), pair={"friction": 0.4} | (pair or {}), gravity=GRAVITY.tolist(),
-        run={"duration": 0.002, "velocity_max": 2.0}, numerics={"chunk_size": chunk_size, "max_overlap": 0.3},
+        run={"duration": 0.002, "velocity_max": 2.0}, numerics={"chunk_size": 5, "max_overlap": 0.3},
         **parts,
     )  # fmt: skip
     return scene, run_and_sample(scene, 0.001, contacts=True)[1:]
@@ -52,18 +52,11 @@ COHESIVE = {
 }
 
 
-@pytest.fixture(
-    scope="module", params=[{}, {"chunk_size": 5}, COHESIVE], ids=["one_chunk", "chunks", "cohesive"]
-)
+@pytest.fixture(scope="module", params=[{}, COHESIVE], ids=["zhou", "cohesive"])
 def block(taichi_f64, request):
     """Scene and snapshots with friction; pairs across chunks are listed twice; the cohesive case also has
     damping."""
     return separating_block(**request.param)
-
-
-@pytest.fixture(scope="module")
-def snapshots(block):
-    return block[1]
 
 
 def test_contact_forces_and_weight_add_up_to_the_particle_force(block):
@@ -81,10 +74,10 @@ def test_contact_forces_and_weight_add_up_to_the_particle_force(block):
         assert np.all(np.linalg.norm(total - expected, axis=1) <= allowed)
 
 
-def test_contact_force_has_the_given_normal_and_tangential_parts(snapshots):
+def test_contact_force_has_the_given_normal_and_tangential_parts(block):
     """The normal force acts along the branch vector from the partner to i, the tangential force normal to
     it."""
-    contacts = snapshots[-1].contacts
+    contacts = block[1][-1].contacts
     branch = contacts["position_i"] - contacts["position_j"]
     normal = branch / np.linalg.norm(branch, axis=1)[:, None]
     normal_part = np.einsum("na,na->n", contacts["force"], normal)

@@ -3,38 +3,28 @@ motion."""
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, particle_group, plane, run_to_end
+from scene_builders import DASHPOTS, SPRINGS, build_scene, particle_group, plane, run_to_end
 
-DAMPED = {"damping": 1.0}
 MODELS = {
-    "zhou": ({"normal": "zhou"}, {}),
-    "restitution 0": ({"normal": "zhou"}, {"restitution": 0.0}),
-    "mindlin": ({"normal": "hertz", "tangential": {"law": "mindlin", **DAMPED}}, {}),
-    "linear_history": (
-        {"normal": "hertz", "tangential": {"law": "linear_history", "stiffness": 1e4, **DAMPED}},
-        {},
-    ),
-    "sds": ({"normal": "zhou", "rolling": "sds"}, {"rolling_friction": 0.1, "rolling_damping": 0.3}),
-    "marshall": ({"normal": "hertz", "twisting": {"law": "marshall", **DAMPED}}, {}),
+    "zhou": {
+        "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "none"},
+        "pair": {"friction": 0.5},
+    },
+    "dashpots": DASHPOTS,
+    "springs": SPRINGS,
 }
+"""Contact models with dashpots in all slots, and with springs of given stiffness and restitution 0."""
 
 
 def stacked(model, **parts):
     """Two rotating particles, one on the other, on a floor; they overlap from the start."""
-    contact, pair = MODELS[model]
     stack = particle_group(
         [[0.0, 0.0, 0.00495], [0.0005, 0.0, 0.0148]],
         velocity=[0.05, 0.0, -0.02],
         angular_velocity=[1.0, 5.0, 3.0],
     )
-    return build_scene(
-        {"stack": stack},
-        walls={"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])},
-        contact={"tangential": "mindlin", "rolling": "none"} | contact,
-        pair={"restitution": 0.5, "friction": 0.5} | pair,
-        gravity=[0.0, 0.0, -9.81],
-        **parts,
-    )
+    floor = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}
+    return build_scene({"stack": stack}, walls=floor, gravity=[0.0, 0.0, -9.81], **MODELS[model], **parts)
 
 
 @pytest.mark.parametrize("model", MODELS)

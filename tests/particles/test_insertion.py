@@ -1,6 +1,5 @@
 """Rain and inlets: due particles are inserted without overlap as soon as space is free, and reproducibly."""
 
-import time
 from math import inf
 
 import numpy as np
@@ -142,20 +141,6 @@ def test_each_group_has_an_inserter_with_independent_positions():
     assert [each.group_name for each in found] == ["first", "second"]
     positions = [each.insert_due(0.0, np.empty((0, 3)), np.empty(0)).position for each in found]
     assert not np.any(positions[0] == positions[1])
-
-
-def test_insertion_of_8000_particles_is_fast():
-    rain = rain_of()
-    settled = np.random.default_rng(1).uniform(-0.08, 0.08, (8000, 3))
-    spent = 0.0
-    batch_count = 0
-    while rain.remaining:
-        begin = time.perf_counter()
-        rain.insert_due(rain.next_time, settled, np.full(8000, 0.002))
-        spent += time.perf_counter() - begin
-        batch_count += 1
-    assert 100 <= batch_count <= 1100
-    assert spent < 6.0  # the requirement is 3 s; the factor of two tolerates other load on the machine
 
 
 def inserter_with(insertion, **group):
