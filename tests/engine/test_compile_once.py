@@ -70,52 +70,31 @@ def digest_of(case):
     return sha256(totals + b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
 
 
-def digests_with_cache(folder, cases):
-    """Digests of cases that run one after the other in this process, and the number of states that remain."""
+def digests_with_cache(folder, cases, by_kernels=False):
+    """Digests of cases that run one after the other in this process, kernels in the cache after the first, and
+    the number of states that remain.
+
+    by_kernels:  kernels copy and clear the fields, as on a GPU
+    """
     os.environ["GRANFLOW_CACHE"] = folder
+    if by_kernels:
+        field_block.host_block = lambda fields, on_cpu: None
     return [digest_of(case) for case in cases], len(state_cache._kept)
 
 
-def digests_with_copy_kernels(folder, cases):
-    """As `digests_with_cache`, but kernels copy and clear the fields, as on a GPU."""
-    field_block.host_block = lambda fields, on_cpu: None
-    return digests_with_cache(folder, cases)
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    """Kernel cache after a run of the base scene."""
-    folder = tmp_path_factory.mktemp("kernels")
-    in_subprocess(digests_with_cache, str(folder), [BASE])
-    assert any(folder.glob(KERNELS))
-    return folder
-
-
-@pytest.mark.parametrize("changed", [[name] for name in ("count", "threads")] + [list(CHANGES)])
-def test_changed_numbers_compile_no_kernel(cache, changed):
-    before = set(cache.glob(KERNELS))
-    in_subprocess(digests_with_cache, str(cache), [BASE | {name: CHANGES[name] for name in changed}])
-    assert set(cache.glob(KERNELS)) == before
-
-
-def test_runs_in_one_process_share_arrays_and_are_bit_identical(cache):
-    """Also if a simulation is not freed, but deleted."""
-    other = BASE | CHANGES | {"threads": 1, "free": False}
-    (alone,), _ = in_subprocess(digests_with_cache, str(cache), [other])
-    (before, after, again), state_count = in_subprocess(digests_with_cache, str(cache), [BASE, other, BASE])
-    assert after == alone
-    assert before == again != after
-    assert state_count == 1
-
-
-def test_copies_in_memory_and_by_kernels_give_the_same_bits(cache):
-    """Also after a reset, at which a kernel clears the fields."""
-    cases = [BASE, BASE | CHANGES | {"threads": 1}]
-    in_memory, by_kernels = (
-        in_subprocess(digests, str(cache), cases)
-        for digests in (digests_with_cache, digests_with_copy_kernels)
-    )
-    assert in_memory == by_kernels
+def test_changed_numbers_compile_no_kernel_and_runs_in_one_process_share_arrays(tmp_path):
+    """Also if a simulation is not freed, but deleted, and if kernels copy the fields, as on a GPU."""
+    folder = str(tmp_path)
+    other = BASE | CHANGES | {"free": False}
+    (base,), _ = in_subprocess(digests_with_cache, folder, [BASE])
+    kernels = set(tmp_path.glob(KERNELS))
+    (alone,), _ = in_subprocess(digests_with_cache, folder, [other])
+    assert kernels and set(tmp_path.glob(KERNELS)) == kernels
+    cases = [BASE, other | {"threads": 1}, BASE]
+    digests, state_count = in_subprocess(digests_with_cache, folder, cases)
+    assert digests == [base, alone, base] and base != alone
+    assert state_count == 1 and set(tmp_path.glob(KERNELS)) == kernels
+    assert in_subprocess(digests_with_cache, folder, cases, True)[0] == digests
 
 
 def test_freed_simulations_refuse_their_arrays():

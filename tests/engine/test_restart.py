@@ -5,11 +5,9 @@ import os
 from hashlib import sha256
 from pathlib import Path
 
-import pytest
 from scene_builders import build_scene, particle_group
 from subprocess_runner import in_subprocess
 
-from granflow.engine import state_cache
 from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
 from granflow.errors import GranflowError
 from granflow.kernel_language import ti
@@ -28,40 +26,40 @@ def scene_of(friction):
     )  # fmt: skip
 
 
-def run_of(friction, **settings):
-    """Digest of the positions and velocities at the end of a run."""
-    simulation = Simulation(scene_of(friction), **settings)
-    simulation.run()
-    particles = simulation.snapshot().particles
-    simulation.free()
-    return sha256(b"".join(particles[name].tobytes() for name in ("position", "velocity"))).hexdigest()
+def run_of(friction, settings=None):
+    """Digest of the positions and velocities at the end of a run, and its precision."""
+    with Simulation(scene_of(friction), **(settings or {})) as simulation:
+        simulation.run()
+        particles = simulation.snapshot().particles
+        precision = simulation.engine.state.backend.precision
+    data = b"".join(particles[name].tobytes() for name in ("position", "velocity"))
+    return sha256(data).hexdigest(), precision
 
 
-def alternating_structures(folder):
-    """Digests of each run, and kernels in the cache after it; Taichi writes them when it stops."""
+def alternating(folder):
+    """Digests of runs of alternating structures and settings, and kernels in the cache after each.
+
+    Taichi writes them when it stops.
+    """
     os.environ["GRANFLOW_CACHE"] = folder
-    return [
-        (run_of(friction), len(list(Path(folder).glob(KERNELS))))
-        for friction in (FRICTIONLESS, FRICTIONAL, FRICTIONLESS, FRICTIONAL, FRICTIONLESS)
+    one = {"precision": "f64", "threads": 1}
+    settings = [
+        (friction, one) for friction in (FRICTIONLESS, FRICTIONAL, FRICTIONLESS, FRICTIONAL, FRICTIONLESS)
     ]
+    settings += [(FRICTIONLESS, {"precision": "mixed", "threads": 1}), (FRICTIONLESS, one | {"threads": 2})]
+    settings += [(FRICTIONLESS, {"precision": "f32", "threads": 2}), (FRICTIONLESS, one)]
+    return [(run_of(*each), len(list(Path(folder).glob(KERNELS)))) for each in settings]
 
 
-def test_alternating_structures_are_compiled_once_and_keep_their_bits(tmp_path):
-    digests, kernel_counts = zip(*in_subprocess(alternating_structures, str(tmp_path)), strict=True)
+def test_alternating_structures_and_settings_are_compiled_once_and_keep_their_bits(tmp_path):
+    """In f64 and mixed with one thread, in f64 and f32 with two."""
+    found, counts = zip(*in_subprocess(alternating, str(tmp_path)), strict=True)
+    digests = [digest for digest, _ in found]
     assert digests[0] == digests[2] == digests[4] != digests[1] == digests[3]
-    assert 0 < kernel_counts[1] < kernel_counts[2] == kernel_counts[4] == len(list(tmp_path.glob(KERNELS)))
-
-
-def alternating_settings():
-    """Digests in f64 with one thread, mixed, f64 with two threads, f32, f64."""
-    settings = [("f64", 1), ("mixed", 1), ("f64", 2), ("f32", 2), ("f64", 1)]
-    return [run_of(FRICTIONAL, precision=precision, threads=threads) for precision, threads in settings]
-
-
-def test_precision_and_threads_change_in_one_process():
-    first, mixed, two_threads, single, last = in_subprocess(alternating_settings)
-    assert first == two_threads == last
-    assert len({first, mixed, single}) == 3
+    assert 0 < counts[1] < counts[2] == counts[4]
+    assert digests[6] == digests[8] == digests[0]
+    assert len({digests[0], digests[5], digests[7]}) == 3
+    assert [precision for _, precision in found[4:]] == ["f64", "mixed", "f64", "f32", "f64"]
 
 
 def error_with_fields_of_the_program():
@@ -91,17 +89,3 @@ def test_fields_of_the_program_and_simulations_in_use_survive():
     )
     assert values == [7.0] * 3
     assert 0.0 < moved < 1e-3
-
-
-def test_a_kept_structure_is_used_again_without_a_restart(taichi_f64):
-    run_of(FRICTIONLESS)
-    kept = state_cache._kept[-1]
-    run_of(FRICTIONLESS)
-    assert kept in state_cache._kept
-
-
-@pytest.mark.parametrize("precision", ["f64", "mixed"])
-def test_runs_in_this_process_have_the_requested_precision(precision):
-    simulation = Simulation(scene_of(FRICTIONAL), precision=precision)
-    assert simulation.engine.state.backend.precision == precision
-    simulation.free()
