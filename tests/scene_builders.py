@@ -172,7 +172,7 @@ def neighbors_of(engine):
 def assert_lists_hold(simulation, pairs):
     """The neighbor lists contain these pairs (smaller id, larger id) of particles, and no others.
 
-    A pair within a chunk stands in one list, a pair across two chunks in both.
+    A pair within a chunk is in one list, a pair across two chunks in both.
     """
     entries = [entry for entry in neighbors_of(simulation.engine) if entry[1] >= 0]
     within = [tuple(sorted(entry[:2])) for entry in entries if entry[2]]

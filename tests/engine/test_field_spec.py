@@ -30,7 +30,7 @@ def with_temperature(monkeypatch):
 
 
 def rain_on_a_lattice():
-    """Particles that fall, and are sorted anew, while others rain on them."""
+    """Particles that fall, and are sorted again, while others rain on them."""
     region = {"box": {"min": [0.0, 0.0, 0.03], "max": [0.042, 0.042, 0.042]}}
     rain = {
         "material": "glass", "count": 30, "diameter": 0.005,

@@ -1,0 +1,91 @@
+"""What depends on the precision, and the limits on the code path of a GPU: one process for each of them."""
+
+import pytest
+from clumps import clump_group
+from engine.test_stability_monitor import warnings_of
+from engine.test_travel import messages_about_the_limit
+from engine.test_wall_dynamics import PRESSURE, compression_scene
+from scene_builders import build_scene, particle_group
+from subprocess_runner import in_subprocess
+
+from granflow.engine import backend
+from granflow.errors import RunError
+from granflow.simulation import Simulation
+
+
+def drifting_rod():
+    """Distance of a rod at 1 m/s from its position at the start [m], simulated time, number of rebuilds."""
+    scene = build_scene(
+        {"rod": clump_group([[0.1, 0.0, 0.0]], velocity=[[1.0, 0.0, 0.0]])},
+        run={"duration": 1.0, "velocity_max": 1.0, "time_step": 2.0**-16, "precision": "mixed"},
+        domain={"min": [-1.0] * 3, "max": [2.0] * 3, "on_exit": "error"},
+    )
+    with Simulation(scene, threads=1) as simulation:
+        simulation.step(3 * 2**12 + 1)
+        last = simulation.snapshot()
+        rebuilds = simulation.engine.timing.rebuild_count
+    return last.particles["clump_position"][0, 0] - 0.1, last.time, rebuilds
+
+
+def kinds_of_warnings_at_rest(precision):
+    """Kinds of warnings for particles released at height: no motion yet, potential energies with rounding
+    errors."""
+    beads = particle_group([[0.0137 * k, 0.0, 0.731] for k in range(5)], 0.0093)
+    run = {"duration": 1e-3, "velocity_max": 1.0, "precision": precision}
+    parts = {"run": run, "numerics": {"chunk_size": 16}}
+    return list(warnings_of(build_scene({"beads": beads}, gravity=[0.0, 0.0, -9.81], **parts)))
+
+
+def pressure_of_a_servo():
+    """Mean pressure [Pa] on the lid of `compression_scene` in its last stage."""
+    with Simulation(compression_scene(), precision="mixed") as simulation:
+        return simulation.run().numbers["wall_pressure.lid"]
+
+
+def mixed_precision():
+    """Also the warnings in f64: each change of precision restarts Taichi."""
+    found = messages_about_the_limit("mixed", 80), kinds_of_warnings_at_rest("mixed")
+    return *found, drifting_rod(), pressure_of_a_servo(), kinds_of_warnings_at_rest("f64")
+
+
+def test_mixed_precision():
+    """The rod moves by 2^-16 m per step, which f64 adds without error; f32 resolves 0.1 m to 7.5e-9 m."""
+    (below, above), warnings, (distance, time, rebuilds), pressure, in_f64 = in_subprocess(mixed_precision)
+    assert below == "" and "moves 0.001 m in one step" in above
+    assert warnings == in_f64 == [], "rounding of potential energies is no error"
+    assert rebuilds > 10 and distance == pytest.approx(time, abs=1e-12)
+    assert pressure == pytest.approx(PRESSURE, rel=0.01)
+
+
+def flight(height):
+    """Message of the abort, or an empty string; a particle flies 4 m from `height` [m] and leaves an
+    expanding domain.
+
+    In f32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 = 8192 m and 0.98 mm beyond; the limit is 0.5 mm.
+    """
+    ball = particle_group([[0.0, 0.0, height]], velocity=[0.0, 0.0, 400.0])
+    domain = {"min": [-1.0, -1.0, 0.0], "max": [1.0, 1.0, height + 0.1], "on_exit": "expand"}
+    run = {"duration": 0.01, "time_step": 2e-6, "precision": "f32"}
+    try:
+        with Simulation(build_scene({"ball": ball}, domain=domain, run=run)) as simulation:
+            simulation.run()
+    except RunError as error:
+        return str(error)
+    return ""
+
+
+def single_precision_and_gpu_code_path():
+    found = kinds_of_warnings_at_rest("f32"), flight(8186.0), flight(8191.0)
+    backend.Backend.on_cpu = property(lambda self: False)
+    return *found, messages_about_the_limit("f32", 1)
+
+
+def test_single_precision_and_the_code_path_of_a_gpu():
+    warnings, near, far, (below, above) = in_subprocess(single_precision_and_gpu_code_path)
+    assert warnings == [] and near == "" and below == ""
+    assert "moves 0.001 m in one step" in above
+    assert (
+        "where f32 resolves positions only to 0.000977 m; the required resolution is 0.1 of the smallest "
+        "radius 0.005 m" in far
+    )
+    assert "particle 0 (glass, 400 m/s)" in far and "Use --precision mixed" in far
