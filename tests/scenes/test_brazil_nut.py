@@ -16,27 +16,6 @@ CUP_RADIUS = 26e-3  # [m]
 
 
 @pytest.mark.slow
-def test_reduced_brazil_nut_rises(tmp_path, taichi_f64):
-    small = (
-        "particles.nut.diameter=12 mm",
-        "particles.nut.insert.region.box={min: [-6 mm, -6 mm, 0], max: [6 mm, 6 mm, 12 mm]}",
-        "particles.beads.count=300",
-        "particles.beads.insert.region.cylinder={from: [0, 0, 0], to: [0, 0, 50 mm], radius: 18 mm}",
-        "walls.floor.radius=18 mm",
-        "walls.side.radius=18 mm",
-        "materials.glass.young_modulus=10 MPa",
-        "materials.cup.young_modulus=10 MPa",
-        "stages.0.duration=0.15 s",
-        "stages.1.duration=0.25 s",
-        "expect=[{quantity: particle_count, equals: 301, tolerance: 0}, "
-        "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
-    )
-    frames, unsatisfied = run_shipped_scene("brazil_nut", tmp_path, overrides=small)
-    assert unsatisfied == []
-    assert frames[-1].particles["position"][0, 2] > frames[0].particles["position"][0, 2] + 2e-3
-
-
-@pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_brazil_nut_rises_with_the_surrounding_particles(tmp_path, taichi_f64):
     frames, unsatisfied = run_shipped_scene("brazil_nut", tmp_path, PERIOD)

@@ -17,21 +17,6 @@ PERIOD_COUNT = 6  # number of evaluated periods at the end
 
 
 @pytest.mark.slow
-def test_reduced_surface_waves_satisfy_their_expectations(tmp_path, taichi_f64):
-    small = (
-        "materials.glass.young_modulus=5 MPa",
-        "particles.beads.count=330",
-        "particles.beads.insert.region.box={min: [-44 mm, -5 mm, 0], max: [44 mm, 5 mm, 45 mm]}",
-        "domain.min=[-44 mm, -5 mm, -30 mm]",
-        "domain.max=[44 mm, 5 mm, 200 mm]",
-        "stages.1.duration=0.3 s",
-        "expect=[{quantity: particle_count, equals: 330, tolerance: 0}, "
-        "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
-    )
-    assert run_shipped_scene("surface_waves", tmp_path, overrides=small)[1] == []
-
-
-@pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_waves_at_three_times_gravity_have_the_expected_length(tmp_path, taichi_f64):
     frames, unsatisfied = run_shipped_scene("surface_waves", tmp_path, PERIOD)
