@@ -111,11 +111,13 @@ def test_a_center_outside_any_face_of_the_domain_aborts_the_run(contacts, side):
 
 @pytest.fixture(scope="module")
 def free_particle(taichi_f64):
-    """One particle without contacts."""
+    """One particle without contacts, and a free wall."""
     run = {"duration": 1.0, "time_step": STEP, "velocity_max": 1.0}
-    simulation = prepared_simulation(
-        build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, numerics={"skin": SKIN}, run=run)
-    )
+    lid = plane([0, 0, -0.5], [0, 0, 1], motion={"kind": "free", "direction": [0, 0, 1], "mass": 1.0})
+    ball = {"ball": particle_group([0.0, 0.0, 0.0])}
+    simulation = Simulation(build_scene(ball, {"lid": lid}, numerics={"skin": SKIN}, run=run))
+    simulation.engine.set_walls([True], [[FreeWall(direction=[0, 0, 1], mass=1.0)]])
+    simulation.engine.refresh()
     yield simulation
     simulation.free()
 
@@ -166,23 +168,18 @@ def test_a_position_that_is_not_finite_aborts_the_run(free_particle, speed, limi
     assert after_one_step(free_particle, STEP * speed)[0] == limit
 
 
-def test_the_displacement_of_a_free_wall_has_the_same_limits(taichi_f64):
+def test_the_displacement_of_a_free_wall_has_the_same_limits(free_particle):
     """A free wall without forces keeps its velocity, which is set before each step."""
-    scene = build_scene(
-        {"ball": particle_group([0.0, 0.0, 0.5])},
-        walls={"lid": plane([0, 0, 0], [0, 0, 1]) | {"motion": {"kind": "free", "direction": [0, 0, 1], "mass": 1.0}}},
-        numerics={"skin": SKIN}, run={"duration": 1.0, "time_step": STEP, "velocity_max": 1.0},
-    )  # fmt: skip
-    simulation = Simulation(scene)
-    simulation.engine.set_walls([True], [[FreeWall(direction=[0, 0, 1], mass=1.0)]])
+    engine = free_particle.engine
 
     def after(displacement):
-        simulation.engine.state.wall_dynamics.velocity[0] = displacement / STEP
-        rebuilds = simulation.engine.timing.rebuild_count + 1  # that of the refresh
-        return limit_exceeded(simulation, steps=1), simulation.engine.timing.rebuild_count > rebuilds
+        engine.state.wall_dynamics.velocity[0] = displacement / STEP
+        rebuilds = engine.timing.rebuild_count + 1  # that of the refresh
+        still = np.zeros((1, 3))
+        return limit_exceeded(free_particle, still, still, steps=1), engine.timing.rebuild_count > rebuilds
 
     assert after(0.5 * SKIN * (1 - NEAR)) == (None, False)
     assert after(0.5 * SKIN * (1 + NEAR)) == (None, True)
     assert after(STEP_LIMIT * (1 - NEAR)) == (None, True)
     assert after(STEP_LIMIT * (1 + NEAR))[0] == "wall"
-    simulation.free()
+    engine.state.wall_dynamics.velocity[0] = 0.0

@@ -1,5 +1,9 @@
 """Aborted runs: the run stops at once, the message reports particle and time, and the last state is
-written."""
+written.
+
+In single precision: `test_precisions`; at walls whose velocity or force is too large: `test_travel`,
+`test_wall_dynamics`; causes of overlaps and advice: `test_overlap_causes`.
+"""
 
 import re
 
@@ -7,7 +11,6 @@ import meshio
 import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group, plane
-from subprocess_runner import each_in_subprocess
 
 from granflow.errors import RunError
 from granflow.observers.observer import on_interval
@@ -18,25 +21,32 @@ FAULTY_ID = 2
 valid."""
 
 
-def among_valid(*more):
-    return {
-        "good": particle_group([[0.3, 0.0, 0.0], [0.3, 0.1, 0.0]]),
-        **{f"bad_{number}": group for number, group in enumerate(more)},
-    }
+def among_valid(*more, **parts):
+    """Particles of two materials that move in free flight, and others; most scenes have one structure."""
+    good = {"good": particle_group([[0.3, 0, 0], [0.3, 0.1, 0]], material="steel", velocity=[1.0, 0, 0])}
+    groups = good | {f"bad_{number}": group for number, group in enumerate(more)}
+    return build_scene(groups, **({"numerics": NUMERICS, "run": {"duration": 0.01}} | parts))
 
 
+NUMERICS = {"chunk_size": 16}
 SCENES = {
-    "overlaps with": lambda: build_scene(
-        among_valid(particle_group([[0.0, 0.0, 0.0]], velocity=[40.0, 0, 0]), particle_group([[0.012, 0.0, 0.0]])),
+    "overlaps with": lambda: among_valid(
+        particle_group([[0.0, 0.0, 0.0]], velocity=[40.0, 0, 0]), particle_group([[0.012, 0.0, 0.0]]),
         run={"duration": 0.01, "velocity_max": 40.0},
     ),
-    "above the limit": lambda: build_scene(
-        among_valid(particle_group([[0.0, 0.0, 0.0]], velocity=[199.0, 0, 0])), gravity=[1e6, 0.0, 0.0],
-        run={"duration": 0.01, "velocity_max": 1.0, "time_step": 5e-6}, numerics={"skin": 1e-3},
+    "above the limit": lambda: among_valid(
+        particle_group([[0.0, 0.0, 0.0]], velocity=[199.0, 0, 0]), gravity=[1e6, 0.0, 0.0],
+        run={"duration": 0.01, "velocity_max": 1.0, "time_step": 5e-6}, numerics=NUMERICS | {"skin": 1e-3},
     ),
-    "is not a "
-    "number": lambda: build_scene(among_valid(particle_group([[0.0, 0.0, 0.0]])), run={"duration": 0.01}),
+    "is not a number": lambda: among_valid(particle_group([[0.0, 0.0, 0.0]])),
 }  # fmt: skip
+
+
+def test_valid_run_has_no_diagnosis(taichi_f64):
+    with Simulation(among_valid(particle_group([[0.0, 0.0, 0.0]]))) as simulation:
+        simulation.run()
+        assert simulation.engine.diagnosis is None
+        assert np.isfinite(simulation.snapshot().particles["position"]).all()
 
 
 @pytest.mark.parametrize("reason", SCENES)
@@ -44,9 +54,8 @@ def test_abort_reports_particle_and_time_and_writes_a_frame(taichi_f64, tmp_path
     def inject_nan(snapshot):
         if reason == "is not a number" and snapshot.time > 0.0:
             particles = simulation.engine.state.particles
-            particles.velocity[int(np.flatnonzero(particles.id.to_numpy() == FAULTY_ID)[0])] = [
-                float("nan")
-            ] * 3
+            faulty = np.flatnonzero(particles.id.to_numpy() == FAULTY_ID)[0]
+            particles.velocity[int(faulty)] = [float("nan")] * 3
 
     simulation = Simulation(SCENES[reason](), out=tmp_path, observers=[on_interval(1e-4, inject_nan)])
     with pytest.raises(RunError) as stopped:
@@ -83,8 +92,8 @@ def test_abort_before_the_first_step_writes_the_initial_state_if_finite(
 ):
     """Two particles at the same point have no contact normal: forces are not finite, so no frame is
     written."""
-    group = particle_group([[0.0, 0, 0], [distance, 0, 0]], velocity=[0.0, 3.0, 0.0])
-    simulation = Simulation(build_scene(groups(group), run={"duration": 0.01}), out=tmp_path)
+    pair = particle_group([[0.0, 0, 0], [distance, 0, 0]], velocity=[0.0, 3.0, 0.0])
+    simulation = Simulation(among_valid(pair), out=tmp_path)
     with pytest.raises(RunError, match="They overlap initially") as stopped:
         simulation.run()
     found = sorted(tmp_path.glob("particles_*.vtu"))
@@ -92,75 +101,31 @@ def test_abort_before_the_first_step_writes_the_initial_state_if_finite(
     assert ("is not written" in str(stopped.value)) == (not frames)
     assert_finite(tmp_path)
     if frames:
-        assert np.array_equal(meshio.read(found[0]).point_data["velocity"], [[0.0, 3.0, 0.0]] * 2)
+        velocity = [[1.0, 0.0, 0.0]] * 2 + [[0.0, 3.0, 0.0]] * 2
+        assert np.array_equal(meshio.read(found[0]).point_data["velocity"], velocity)
     simulation.free()
-
-
-def test_f32_run_aborts_where_positions_are_not_resolved():
-    before, message = each_in_subprocess(flight, [(8186.0,), (8191.0,)])
-    assert before == ""
-    assert "particle 0 (glass, 400 m/s)" in message
-    assert (
-        "where f32 resolves positions only to 0.000977 m; the required resolution is 0.1 of the smallest "
-        "radius 0.005 m" in message
-    )
-    assert "Use --precision mixed" in message
-
-
-def flight(height):
-    """Message of the abort, or an empty string; a particle flies 4 m from `height` [m] and leaves an
-    expanding domain.
-
-    In f32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 = 8192 m and 0.98 mm beyond; the limit is 0.5 mm.
-    """
-    ball = particle_group([[0.0, 0.0, height]], velocity=[0.0, 0.0, 400.0])
-    domain = {"min": [-1.0, -1.0, 0.0], "max": [1.0, 1.0, height + 0.1], "on_exit": "expand"}
-    run = {"duration": 0.01, "time_step": 2e-6, "precision": "f32"}
-    simulation = Simulation(build_scene({"ball": ball}, domain=domain, run=run))
-    try:
-        simulation.run()
-    except RunError as error:
-        return str(error)
-    return ""
-
-
-def test_the_limit_of_displacement_is_that_of_the_smallest_particle(taichi_f64):
-    """0 to 500 m/s at 1e6 m/s2: from 40 m/s on, 0.2 mm per step of 5 us, 0.2 radii of the small particle."""
-    scene = build_scene(
-        {"large": particle_group([[0.3, 0, 0]], 0.02), "small": particle_group([[0, 0, 0]], 0.002)}, gravity=[1e6, 0, 0],
-        run={"duration": 5e-4, "velocity_max": 1.0, "time_step": 5e-6}, numerics={"skin": 1e-2},
-    )  # fmt: skip
-    message = abort_message(scene)
-    assert number_after("at", message) == pytest.approx(4e-5, abs=1e-5)
-
-
-def test_valid_run_has_no_diagnosis(taichi_f64):
-    simulation = Simulation(
-        build_scene(
-            among_valid(particle_group([[0.0, 0.0, 0.0]], velocity=[1.0, 0, 0])), run={"duration": 0.01}
-        )
-    )
-    simulation.run()
-    assert simulation.engine.diagnosis is None
-    assert np.isfinite(simulation.snapshot().particles["position"]).all()
-    simulation.free()
-
-
-def groups(*given):
-    return {f"group_{number}": group for number, group in enumerate(given)}
 
 
 def abort_message(scene):
     """Message of a run that aborts."""
-    simulation = Simulation(scene)
-    with pytest.raises(RunError) as stopped:
+    with Simulation(scene) as simulation, pytest.raises(RunError) as stopped:
         simulation.run()
-    simulation.free()
     return str(stopped.value)
 
 
 def number_after(words, message):
     return float(message.partition(words)[2].split()[0].rstrip(".,:"))
+
+
+def test_the_limit_of_displacement_is_that_of_the_smallest_particle(taichi_f64):
+    """0 to 500 m/s at 1e6 m/s2: from 80 m/s on, 0.4 mm per step of 5 us, 0.2 radii of the small particle."""
+    message = abort_message(
+        among_valid(
+            particle_group([[-0.3, 0, 0]], 0.01), particle_group([[0, 0, 0]], 0.004), gravity=[1e6, 0, 0],
+            run={"duration": 5e-4, "velocity_max": 1.0, "time_step": 5e-6}, numerics=NUMERICS | {"skin": 1e-2},
+        )
+    )  # fmt: skip
+    assert number_after("at", message) == pytest.approx(8e-5, abs=1e-5)
 
 
 BULLET = particle_group([[0.0, 0.0, 0.0]], velocity=[40.0, 0, 0])
@@ -171,36 +136,35 @@ HERTZ = 4 / 3 * (1e8 / (2 * (1 - 0.25**2))) * np.sqrt(0.0025)
 
 
 def test_overlap_message_names_both_particles_with_material_and_speed(taichi_f64):
-    message = abort_message(build_scene(groups(BULLET, TARGET), run={"duration": 0.01, "velocity_max": 40.0}))
-    assert re.search(r"particle 0 \(glass, 39\.\d m/s\) .* with particle 1 \(steel, 0\.\d+ m/s\)", message)
+    message = abort_message(among_valid(BULLET, TARGET, run={"duration": 0.01, "velocity_max": 40.0}))
+    assert re.search(r"particle 2 \(glass, 39\.\d m/s\) .* with particle 3 \(steel, 0\.\d+ m/s\)", message)
     assert 0.1 < number_after(") by", message) < 0.2
     assert 39.0 < number_after("approach at", message) < 40.0
     assert "results from an impact at 40 m/s" in message
     assert re.search(
         r"set materials\.glass\.young_modulus to .* and materials\.steel\.young_modulus to", message
     )
+    numerics = NUMERICS | {"skin": 5e-3}
+    faster = abort_message(
+        among_valid(BULLET, TARGET, run={"duration": 0.01, "velocity_max": 1.0}, numerics=numerics)
+    )
+    assert "above the planned 1 m/s" in faster
+    assert 40.0 <= number_after("set run.velocity_max to", faster) < 60.0
 
 
 def test_overlap_in_the_first_step_is_diagnosed_as_an_impact(taichi_f64):
     near = particle_group([[0.0105, 0.0, 0.0]], material="steel")
-    given = {"run": {"duration": 0.01, "velocity_max": 40.0}, "numerics": {"max_overlap": 1e-3, "skin": 5e-3}}
-    message = abort_message(
-        build_scene(groups(particle_group([[0.0004995, 0.0, 0.0]], velocity=[40.0, 0, 0]), near), **given)
-    )
-    assert "They approach at" in message and "They overlap initially" not in message
-    overlapping = abort_message(
-        build_scene(groups(particle_group([[0.00052, 0.0, 0.0]], velocity=[40.0, 0, 0]), near), **given)
-    )
-    assert "They overlap initially" in overlapping
-
-
-def test_impact_above_the_planned_velocity_suggests_a_velocity_max(taichi_f64):
-    scene = build_scene(
-        groups(BULLET, TARGET), run={"duration": 0.01, "velocity_max": 1.0}, numerics={"skin": 5e-3}
-    )
-    message = abort_message(scene)
-    assert "above the planned 1 m/s" in message
-    assert 40.0 <= number_after("set run.velocity_max to", message) < 60.0
+    parts = {
+        "run": {"duration": 0.01, "velocity_max": 40.0},
+        "numerics": NUMERICS | {"max_overlap": 1e-3, "skin": 5e-3},
+    }
+    for x, cause, other in (
+        (4.995e-4, "They approach at", "initially"),
+        (5.2e-4, "They overlap initially", "impact"),
+    ):
+        bullet = particle_group([[x, 0, 0]], velocity=[40.0, 0, 0])
+        message = abort_message(among_valid(bullet, near, **parts))
+        assert cause in message and other not in message
 
 
 def test_step_above_the_stable_step_of_the_pair_is_diagnosed(taichi_f64):
@@ -216,9 +180,9 @@ def test_step_above_the_stable_step_of_the_pair_is_diagnosed(taichi_f64):
     step = 1.8e-4
     bullet = particle_group([[0, 0, 0]], velocity=[speed, 0, 0])
     target = particle_group([[0.014425, 0, 0]], material="steel")
-    numerics = {"skin": 5e-3, "max_overlap": 0.01}
+    numerics = NUMERICS | {"skin": 5e-3, "max_overlap": 0.01}
     run = {"duration": 0.01, "velocity_max": 1.0, "time_step": step}
-    message = abort_message(build_scene(groups(bullet, target), numerics=numerics, run=run))
+    message = abort_message(build_scene({"bullet": bullet, "target": target}, numerics=numerics, run=run))
     mass_eff = MASS / 2
     largest = (5 * mass_eff * speed**2 / (4 * HERTZ)) ** 0.4
     stable = 2 * np.sqrt(mass_eff / (1.5 * HERTZ * np.sqrt(largest)))
@@ -227,34 +191,31 @@ def test_step_above_the_stable_step_of_the_pair_is_diagnosed(taichi_f64):
     assert "lower run.time_step" in message
 
 
-def test_initial_overlap_is_diagnosed(taichi_f64):
-    message = abort_message(
-        build_scene(groups(particle_group([[0.0, 0, 0], [0.006, 0, 0]])), run={"duration": 0.01})
-    )
-    assert "particle 0 (glass, at rest) at 0 s" in message
-    assert number_after(") by", message) == pytest.approx(0.004 / 0.005, rel=1e-3)
-    assert message.endswith("They overlap initially: move them apart."), (
-        "0.8 is the largest numerics.max_overlap"
-    )
-
-
-def test_a_small_initial_overlap_may_be_accepted(taichi_f64):
-    message = abort_message(
-        build_scene(groups(particle_group([[0.0, 0, 0], [0.008, 0, 0]])), run={"duration": 0.01})
-    )
-    assert message.endswith("move them apart, or set numerics.max_overlap to 0.41 if this is intended.")
+@pytest.mark.parametrize(
+    ("distance", "advice"),
+    [
+        (0.006, "move them apart."),  # 0.8 is the largest numerics.max_overlap
+        (0.008, "move them apart, or set numerics.max_overlap to 0.41 if this is intended."),
+    ],
+)
+def test_initial_overlap_is_diagnosed(taichi_f64, distance, advice):
+    message = abort_message(among_valid(particle_group([[0.0, 0, 0], [distance, 0, 0]])))
+    assert "particle 2 (glass, at rest) at 0 s" in message
+    assert number_after(") by", message) == pytest.approx((0.01 - distance) / 0.005, rel=1e-3)
+    assert message.endswith(f"They overlap initially: {advice}")
 
 
 @pytest.mark.parametrize("moves", [False, True])
 def test_overlap_message_names_the_wall_with_its_velocity(taichi_f64, moves):
     motion = {"motion": {"kind": "translation", "velocity": [0, 0, 50.0]}} if moves else {}
     ball = particle_group([[0.0, 0.0, 0.0072]], velocity=[0.0, 0.0, 0.0 if moves else -50.0])
-    message = abort_message(
-        build_scene(
-            groups(ball), walls={"piston": plane([0, 0, 0], [0, 0, 1], "steel") | motion},
-            run={"duration": 0.01, "velocity_max": 1.0, "time_step": 1e-5}, numerics={"skin": 5e-3},
-        )
-    )  # fmt: skip
+    far = {"kind": "translation", "velocity": [0, 0, -1e-9]}
+    walls = {
+        "piston": plane([0, 0, 0], [0, 0, 1], "steel") | motion,
+        "far": plane([0, 0, 0.9], [0, 0, -1], motion=far),
+    }
+    run = {"duration": 0.01, "velocity_max": 1.0, "time_step": 1e-5}
+    message = abort_message(build_scene({"ball": ball}, walls, run=run, numerics={"skin": 5e-3}))
     assert f"with wall piston (steel, {'50 m/s' if moves else 'at rest'})" in message
     assert 0.1 < number_after(") by", message) < 0.2
     assert 48.0 < number_after("approach at", message) < 50.1
@@ -265,13 +226,13 @@ def test_displacement_message_names_the_overlapping_partner(taichi_f64):
     step = 6e-5
     overlap = 0.0039
     message = abort_message(
-        build_scene(
-            groups(particle_group([[0.0, 0, 0], [0.0061, 0, 0]])), numerics={"max_overlap": 0.8, "skin": 5e-4},
+        among_valid(
+            particle_group([[0.0, 0, 0], [0.0061, 0, 0]]), numerics=NUMERICS | {"max_overlap": 0.8, "skin": 5e-4},
             run={"duration": 0.01, "velocity_max": 20.0, "time_step": step},
         )
     )  # fmt: skip
-    assert "particle 0 (glass, " in message
-    assert "and particle 1 (glass, " in message
+    assert "particle 2 (glass, " in message
+    assert "and particle 3 (glass, " in message
     assert number_after("overlapped by", message) == pytest.approx(overlap / 0.005, rel=1e-3)
     assert number_after("moves", message) == pytest.approx(
         HERTZ * overlap**1.5 * step**2 / (2 * MASS), rel=1e-2
@@ -290,7 +251,7 @@ def test_wall_that_appears_inside_of_a_particle_is_named_with_its_stage(taichi_f
     pair = particle_group([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]])
     walls = {"floor": plane([0, 0, -0.02], [0, 0, 1]), "gate": plane([0, 0, -0.001], [0, 0, 1], **presence)}
     stages = [{"name": "fill", "duration": 1e-3}, {"name": "hold", "duration": 1e-3}]
-    message = abort_message(build_scene(groups(pair), walls=walls, stages=stages))
+    message = abort_message(build_scene({"pair": pair}, walls=walls, stages=stages))
     assert "overlaps with wall gate (glass, at rest) by 0.8 times the smaller radius" in message
     assert (
         f"Wall gate appears at this time, in stage {stage}, where the particle is. Change {key}, or let it"
@@ -301,10 +262,7 @@ def test_wall_that_appears_inside_of_a_particle_is_named_with_its_stage(taichi_f
 def test_message_of_a_particle_outside_the_domain_has_its_position(taichi_f64):
     domain = {"min": [-0.01] * 3, "max": [0.01] * 3, "on_exit": "error"}
     fast = particle_group([[0.0, 0, 0]], velocity=[3.0, 0, 0])
-    message = abort_message(
-        build_scene(
-            groups(particle_group([[0, 0.008, 0]], 0.001), fast), domain=domain, run={"duration": 0.1}
-        )
-    )
+    groups = {"slow": particle_group([[0, 0.008, 0]], 0.004, "steel"), "fast": fast}
+    message = abort_message(build_scene(groups, domain=domain, run={"duration": 0.1}, numerics=NUMERICS))
     assert re.search(r"particle 1 at 0\.003\d+ s is outside the domain", message)
     assert re.search(r"it is at \[0\.01\d+, 0, 0\] m \(glass, 3 m/s\)", message)
