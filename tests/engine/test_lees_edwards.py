@@ -4,12 +4,13 @@ import hashlib
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, neighbors_of, particle_group, prepared_simulation, run_to_end
+from engine.test_snapshot_purity import assert_equal
+from scene_builders import assert_lists_hold, build_scene, particle_group, prepared_simulation, run_to_end
 from sheared_scenes import RATE, SIZE, sheared_gas
 from subprocess_runner import each_in_subprocess
 
 from granflow.engine import threads as workers
-from granflow.engine.host import copy_to_host
+from granflow.simulation import Simulation
 
 IMAGE_VELOCITY = RATE * SIZE
 """Velocity of the image above, relative to its particle [m/s]."""
@@ -21,9 +22,11 @@ def collision(across):
     height = 0.0372 if across else 0.0172
     positions = np.array([[0.02, height, 0.02], [0.0225, height + 0.012, 0.021]])
     velocity = np.array([[0.3, 0.5, 0.1], [0.1, -0.6, 0.0]])
-    domain = {"min": [0.0] * 3, "max": [SIZE] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"}
+    shear = {"flow": "x", "gradient": "y", "rate": RATE}
+    domain = {
+        "min": [0.0] * 3, "max": [SIZE] * 3, "periodic": ["x", "y", "z"], "on_exit": "error", "lees_edwards": shear
+    }  # fmt: skip
     if across:
-        domain |= {"lees_edwards": {"flow": "x", "gradient": "y", "rate": RATE}}
         positions[1, 1] -= SIZE
         velocity[1, 0] -= IMAGE_VELOCITY
     group = particle_group(
@@ -33,7 +36,7 @@ def collision(across):
         {"balls": group},
         pair={"friction": 0.4, "restitution": 0.6},
         domain=domain,
-        numerics={"skin": 0.001},
+        numerics={"chunk_size": 16, "skin": 0.001},
         run={"duration": 0.008, "velocity_max": 2.0, "time_step": 2e-6},
         output={"interval": 1.0, "energy_budget": True},
     )
@@ -84,6 +87,18 @@ def test_result_does_not_depend_on_the_position_of_the_boundary(taichi_f64):
     assert slope == pytest.approx(RATE, rel=0.15)
 
 
+def test_sheared_run_with_additional_snapshots_is_bit_identical(taichi_f64):
+    ends = []
+    for times in (0, 2):
+        with Simulation(sheared_gas()) as simulation:
+            for _ in range(8):
+                simulation.run(simulation.time + 1e-3)
+                for _ in range(times):
+                    simulation.snapshot(contacts=True)
+            ends.append(simulation.snapshot(contacts=True))
+    assert_equal(*ends)
+
+
 @pytest.mark.parametrize(("sizes", "classes"), [((0.0076, 0.0076), "none"), ((0.004, 0.016), "2")])
 def test_neighbor_list_holds_the_candidate_pairs_of_moving_images(taichi_f64, sizes, classes):
     """Compared with a search over all pairs after the images have moved; the skin doubles across the shear
@@ -91,25 +106,15 @@ def test_neighbor_list_holds_the_candidate_pairs_of_moving_images(taichi_f64, si
     skin = 0.0005
     simulation = prepared_simulation(sheared_gas(sizes=sizes), step=2656)
     assert simulation.plan.features.size_classes == classes
-    arrays = copy_to_host(simulation.engine.state, ("id", "position", "radius"))
-    order = np.argsort(arrays["id"])
-    position = arrays["position"][order]
-    radius = arrays["radius"][order]
-    periodic_box = simulation.plan.periodic_box.at(simulation.engine.time)
+    particles = simulation.snapshot().particles
+    position, radius = particles["position"], particles["radius"]
+    periodic_box = simulation.plan.periodic_box.at(simulation.time)
     assert abs(periodic_box.offset) > 0.005
     first, second = np.triu_indices(len(radius), 1)
     separation = position[first] - periodic_box.nearest_images(position[second], position[first])
     crossed = np.abs(np.round((position[first] - position[second])[:, 1] / SIZE))
     candidates = np.linalg.norm(separation, axis=1) < radius[first] + radius[second] + skin * (1.0 + crossed)
-    entries = neighbors_of(simulation.engine)
-    within = [tuple(sorted(entry[:2])) for entry in entries if entry[2]]
-    across = [entry[:2] for entry in entries if not entry[2]]
-    assert len(within) == len(set(within))
-    assert len(across) == len(set(across))
-    assert {(j, i) for i, j in across} == set(across)
-    assert set(within) | {tuple(sorted(pair)) for pair in across} == set(
-        zip(first[candidates], second[candidates], strict=True)
-    )
+    assert_lists_hold(simulation, zip(first[candidates], second[candidates], strict=True))
     assert np.any(crossed[candidates] > 0)
     simulation.free()
 

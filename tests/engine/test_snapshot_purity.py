@@ -1,14 +1,11 @@
-"""Snapshots do not change a run: none, one or two give the same bits afterwards."""
+"""Snapshots and outputs do not change a run. In a sheared box: `test_lees_edwards`."""
 
 import numpy as np
-import pytest
 from resume.runs import complex_scene, files_of, last_state
-from sheared_scenes import sheared_gas
+from scene_builders import box, build_scene, moving_lattice
 
 from granflow.observers.observer import on_interval
 from granflow.simulation import Simulation
-
-ALL = frozenset({"particles", "contacts", "walls", "totals"})
 
 
 def run(scene, out, take):
@@ -35,15 +32,8 @@ def assert_equal(first, second):
     assert first.totals == second.totals
 
 
-@pytest.mark.parametrize("energy_budget", [True, False])
-def test_run_with_additional_snapshots_is_bit_identical(taichi_f64, tmp_path, energy_budget):
-    output = {
-        "interval": 4e-3,
-        "timeseries_interval": 1e-3,
-        "energy_budget": energy_budget,
-        "wall_forces": True,
-    }
-    scene = complex_scene(0.012, output=output)
+def test_run_with_additional_snapshots_is_bit_identical(taichi_f64, tmp_path):
+    scene = complex_scene(0.012)
     snapshots = []
 
     def twice(simulation):
@@ -57,14 +47,33 @@ def test_run_with_additional_snapshots_is_bit_identical(taichi_f64, tmp_path, en
     assert snapshots
 
 
-def test_sheared_run_with_additional_snapshots_is_bit_identical(taichi_f64, tmp_path):
-    ends = []
-    for times in (0, 2):
-        simulation = Simulation(sheared_gas())
-        for _ in range(8):
-            simulation.run(simulation.time + 1e-3)
-            for _ in range(times):
-                simulation.engine.snapshot("", ALL)
-        ends.append(simulation.snapshot(contacts=True))
-        simulation.free()
-    assert_equal(*ends)
+def test_outputs_do_not_change_the_motion(taichi_f64):
+    """Energy budget, wall forces, collision energies and snapshots are extras; without them, no arrays exist."""
+    lattice = moving_lattice((6, 6, 3), largest=0.006, speed=0.5)
+    parts = {"walls": box(0.042), "pair": {"friction": 0.4, "restitution": 0.7}, "gravity": [0.0, 0.0, -9.81]}
+    parts |= {"run": {"duration": 4e-3, "velocity_max": 4.0}, "numerics": {"chunk_size": 16}}
+    outputs = {
+        "none": {"interval": 1.0},
+        "all": {
+            "interval": 1e-3, "energy_budget": True, "wall_forces": True,
+            "collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14},
+        },
+    }  # fmt: skip
+    ends = {}
+    for name, output in outputs.items():
+        for times in (0, 2):
+            with Simulation(build_scene({"gas": lattice}, output=output, **parts)) as simulation:
+                for _ in range(4):
+                    simulation.run(simulation.time + 1e-3)
+                    for _ in range(times):
+                        simulation.snapshot(contacts=True)
+                ends[name, times] = simulation.snapshot(contacts=True)
+                assert (simulation.engine.state.control.impulses is None) == (name == "none")
+                assert simulation.engine.stability_monitor.warnings == {}
+    plain, full = ends["none", 0], ends["all", 0]
+    for name in outputs:
+        assert_equal(ends[name, 0], ends[name, 2])
+    assert plain.impulses == plain.collisions == {} and "energy_error" not in plain.totals
+    assert full.collisions["particle"].sum() > 10 and abs(full.totals["energy_error"]) < 1e-3
+    for name, values in plain.particles.items():
+        np.testing.assert_array_equal(values, full.particles[name], err_msg=name)
