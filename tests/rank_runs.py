@@ -1,9 +1,9 @@
 """Runs a scene of `rank_scenes` and writes its last state as npz: alone, or on the ranks of mpirun.
 
-python rank_runs.py SCENE FILE alone|ranks|threads|small|failing|failing_root|failing_start
+python rank_runs.py SCENE FILE alone|ranks|small|failing|failing_root|failing_start
 
-threads: ranks with two threads each; small: with arrays that must grow; failing: with a fault in all ranks
-but the root; failing_root: in the root; failing_start: at the start of all ranks but the root
+small: with arrays that must grow; failing: with a fault in all ranks but the root; failing_root: in the root;
+failing_start: at the start of all ranks but the root
 """
 
 import sys
@@ -16,7 +16,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from rank_scenes import SCENES  # noqa: E402
 
-from granflow.engine import threads as workers  # noqa: E402
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
 from granflow.engine.host import joined_particles  # noqa: E402
@@ -47,10 +46,6 @@ def main(name, path, kind):
         plan_module.neighbors_per_particle = lambda _count, _skin: 0.5
         ranks.BALANCE = 0.1
         ranks.GHOST_LAYERS = 0.0
-    threads = 1
-    if kind == "threads":
-        workers.SINGLE_WORKER_PARTICLES = 0
-        threads = 2
     rank_rebuild.MIGRATION_INTERVAL = 2  # every other rebuild keeps the particles
     communicator = Communicator()
     Recorded.rank_here = communicator.rank
@@ -58,11 +53,11 @@ def main(name, path, kind):
     rank_engine.RankEngine = engine = faulty_engine(kind) if kind.startswith("failing") else ObservedEngine
     if communicator.is_root:
         with controlling(communicator):
-            save(path, Simulation(scene, threads=threads, communicator=communicator))
+            save(path, Simulation(scene, threads=1, communicator=communicator))
     else:
         serve(
             communicator,
-            lambda: engine(plan_for(scene), start("cpu", scene.run.precision, threads), communicator),
+            lambda: engine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator),
         )
 
 

@@ -29,8 +29,9 @@ from granflow.load import Scene  # noqa: E402
 from granflow.plan import cost  # noqa: E402
 from granflow.simulation import Simulation  # noqa: E402
 
-HOST = ("one", "two", "pool", "chunks", "resumed_1", "resumed_4", "resumed_8")
-"""Executions of `host`, the reference first; `resumed_N` continues from checkpoint N of the first."""
+HOST = ("one", "two", "pool", "chunks", "begun", "resumed_1", "resumed_4", "resumed_8")
+"""Executions of `host`, the reference first; `resumed_N` continues from checkpoint N of the first,
+`begun` a run that was stopped before its first step."""
 MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
 """Number of workers that exceeds the number of threads in Taichi's pool."""
 LARGEST_BUFFER = 2**18
@@ -55,7 +56,9 @@ def on_host(name, folder):
     backend.worker_count = lambda requested: (requested, "")
     run(name, folder / "pool", row.build(), MORE_THAN_POOL)
     backend.worker_count = count
-    for execution in HOST[4:] if row.change is None else HOST[-1:]:  # a checkpoint contains earlier changes
+    if row.change is None:
+        begin(name, folder)
+    for execution in HOST[5:] if row.change is None else HOST[-1:]:  # a checkpoint contains earlier changes
         resume(name, folder, execution)
 
 
@@ -116,6 +119,17 @@ def run(name, folder, scene, workers, **options):
         change(simulation)
     simulation.run()
     save(folder / name, simulation)
+
+
+def begin(name, folder):
+    """Stop a run before its first step, and continue it."""
+    out = folder / "begun" / name
+    simulation = Simulation(SCENES[name].build(), out=out, threads=2)
+    simulation.run(until=0)
+    simulation.free()
+    simulation = Simulation(SCENES[name].build(), out=out, threads=2, resume=out)
+    simulation.run()
+    save(out, simulation)
 
 
 def resume(name, folder, execution):

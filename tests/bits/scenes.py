@@ -56,8 +56,11 @@ class Row:
 
 
 def poured() -> Scene:
-    """Rain, an inlet, fixed particles, three stages with other walls, a domain that deletes, all outputs."""
-    return complex_scene(0.012)
+    """Rain, an inlet, fixed particles, three stages with other walls, an outlet, a domain that deletes, all
+    outputs."""
+    return complex_scene(
+        0.012, outlets={"side": {"box": {"min": [0.05, 0.0, 0.0], "max": [0.07, 0.06, 0.03]}}}
+    )
 
 
 def moved_walls() -> Scene:
@@ -164,6 +167,20 @@ def with_models(normal, rolling, cohesion, options, restitution=0.5, **material)
     return complex_scene(0.006, contact=contact, pair=pair, materials=materials, run=run)
 
 
+def periodic() -> Scene:
+    """The lattice between two walls in a box that is periodic along x and y."""
+    walls = {name: wall for name, wall in box(0.042).items() if name.endswith("z")}
+    domain = {
+        "min": [0.0, 0.0, -0.01], "max": [0.042, 0.042, 0.05], "periodic": ["x", "y"], "on_exit": "error",
+    }  # fmt: skip
+    return build_scene(
+        {"lattice": moving_lattice((6, 6, 6), largest=0.0062, speed=1.0)}, walls, domain=domain,
+        rolling="epsd", pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
+        numerics={"chunk_size": 32, "skin": 2e-4}, run={"duration": 6e-3, "velocity_max": 4.0, "time_step": 2e-6},
+        output={"interval": 1e-3, "energy_budget": True, "checkpoint": {"interval": 5e-4, "keep": 100}},
+    )  # fmt: skip
+
+
 def in_precision(precision) -> Scene:
     """The poured bed in another precision."""
     return complex_scene(0.009, run={"velocity_max": 2.0, "time_step": 4e-6, "precision": precision})
@@ -172,7 +189,13 @@ def in_precision(precision) -> Scene:
 QUICK = {
     "poured": Row(
         poured,
-        ("deleted_count", "wall_work", "plastic_dissipation", "friction_dissipation", "rolling_dissipation"),
+        (
+            "outlet_count.side",
+            "wall_work",
+            "plastic_dissipation",
+            "friction_dissipation",
+            "rolling_dissipation",
+        ),
     ),
     "walls": Row(moved_walls, ("wall_displacement.high_z", "wall_displacement.high_y", "wall_work")),
     "clumps": Row(wet_clumps, ("rotational_energy", "contact_count"), on_ranks=False),
@@ -183,7 +206,10 @@ QUICK = {
 
 SLOW = {
     "disturbed": Row(lambda: complex_scene(0.009), ("wall_work",), disturb, on_ranks=False),
-    "sheared": Row(lambda: sheared_gas(duration=0.012, sizes=(0.002, 0.0065)), ("boundary_work",)),
+    "periodic": Row(periodic, ("contact_count",)),
+    "sheared": Row(
+        lambda: sheared_gas(duration=0.012, sizes=(0.002, 0.0065), output={"interval": 2e-3, "checkpoint": {"interval": 1e-3, "keep": 100}}), ("boundary_work",)
+    ),
     "adaptive": Row(lambda: complex_scene(0.006, run={"velocity_max": 2.0, "time_step": "adaptive"})),
     "mixed": Row(lambda: in_precision("mixed")),
     "f32": Row(lambda: in_precision("f32")),

@@ -15,7 +15,6 @@ from granflow.contact.normal.hertz import Hertz
 from granflow.contact.particle_equation import MaterialProperties, ParticleEquation
 from granflow.device_functions import ti
 from granflow.errors import GranflowError, RunError, SceneError
-from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
 from granflow.scene.registration import (
     unregister_contact_model,
@@ -234,18 +233,6 @@ def test_a_bed_has_the_same_bits_for_threads_and_chunks_and_conserves_its_heat(p
     temperature = np.array(found[0]["temperature"])
     assert temperature.sum() == pytest.approx(before, rel=1e-14 if precision == "f64" else 1e-8)
     assert temperature.std() > 0 and COLD <= temperature.min() and temperature.max() <= HOT
-
-
-def test_a_run_continues_from_a_checkpoint_with_the_same_bits(tmp_path):
-    output = {"interval": 1e-3, "checkpoint": {"interval": 1e-3, "keep": 5}}
-    scene = bed(16, output=output, run={"duration": 3e-3, "time_step": TIME_STEP, "velocity_max": 1.0})
-    with Simulation(scene, out=tmp_path / "run", threads=2) as simulation:
-        simulation.run()
-        whole = state_of(simulation)
-    checkpoint = sorted((tmp_path / "run").glob("checkpoint_*.npz"))[0]
-    with Simulation(scene, threads=1, resume=read_checkpoint(checkpoint)) as simulation:
-        simulation.run()
-        assert state_of(simulation) == whole
 
 
 def test_walls_are_insulated_unless_the_model_gives_them_a_value():

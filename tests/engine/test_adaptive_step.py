@@ -1,21 +1,15 @@
 """The adaptive time step: equal to the planned step at the present velocity, exact in free flight,
 bit-identical."""
 
-import hashlib
-
 import numpy as np
 import pytest
-from engine.test_bit_identity import ARRAYS, complex_scene
 from scene_builders import SOFT, build_scene, particle_group, run_to_end
-from subprocess_runner import each_in_subprocess
 
 from granflow.contact import theory
-from granflow.engine import threads as workers
 from granflow.load import Scene
 from granflow.plan.build import plan_for
 from granflow.plan.time_step import (
     LEVELS_PER_DOUBLING,
-    STEPS_BETWEEN_UPDATES,
     VELOCITY_MARGIN,
     choose_time_step,
 )
@@ -116,20 +110,3 @@ def test_collisions_with_a_changing_step_reach_their_restitution(taichi_f64):
     assert simulation.engine.time_step > 1.5 * simulation.plan.time_step
     separation_velocity = last.particles["velocity"][2:, 0] - last.particles["velocity"][:2, 0]
     np.testing.assert_allclose(separation_velocity / [3.0, 0.02], 0.8, rtol=1e-3)
-
-
-def fingerprint(threads, in_parallel):
-    """Digest, number of steps and present time step [s] of a run with many contacts."""
-    if in_parallel:
-        workers.SINGLE_WORKER_PARTICLES = 0
-    simulation = Simulation(adaptive(complex_scene(), duration=0.01), threads=threads)
-    simulation.run()
-    last = simulation.snapshot()
-    digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
-    return [digest.hexdigest(), simulation.engine.step_count, simulation.engine.time_step]
-
-
-def test_results_are_bit_identical_for_any_thread_count():
-    one, two = each_in_subprocess(fingerprint, [(1, False), (2, True)])
-    assert one[1] > 3 * STEPS_BETWEEN_UPDATES
-    assert one == two

@@ -6,12 +6,8 @@ All scenes but the periodic ones have one compiled structure. Clumps in mixed pr
 import numpy as np
 import pytest
 from clumps import ROD, about, clump_group
-from engine.test_bit_identity import MORE_THAN_POOL, digest_of
 from scene_builders import box, build_scene, particle_group, plane, run_and_sample, run_to_end
-from subprocess_runner import each_in_subprocess, in_subprocess
 
-from granflow.engine import backend
-from granflow.engine import threads as workers
 from granflow.errors import GranflowError, RunError
 from granflow.geometry.clump import matrices
 from granflow.particles.group import ParticleData
@@ -43,34 +39,6 @@ def falling_clumps(duration=0.03, **changes):
     return build_scene(
         {"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), **(parts | changes)
     )
-
-
-def fingerprint(threads, precision="f64", as_on_gpu=False):
-    """Digests of the final state, with and without the signs of zeros, totals, and number of rebuilds.
-
-    On the code path of a GPU a chunk is one particle, which changes signs of forces that are zero.
-    """
-    workers.SINGLE_WORKER_PARTICLES = 0
-    if threads == MORE_THAN_POOL:
-        backend.worker_count = lambda requested: (requested, "")
-    if as_on_gpu:
-        backend.Backend.on_cpu = property(lambda self: False)
-    changes = {"numerics": {"chunk_size": 1, "max_overlap": 0.2}} if as_on_gpu else {}
-    last, simulation = run_to_end(falling_clumps(**changes), threads=threads, precision=precision)
-    more = [last.particles[name] for name in ("orientation", "clump_position", "clump_angular_momentum")]
-    digests = [digest_of(last, *more, signed_zeros=signed) for signed in (True, False)]
-    totals = {name: last.totals[name] for name in ("rotational_energy", "energy_error", "contact_count")}
-    return [*digests, totals, simulation.engine.timing.rebuild_count]
-
-
-@pytest.mark.parametrize("precision", ["f64", pytest.param("mixed", marks=pytest.mark.slow)])
-def test_results_are_bit_identical_for_any_thread_count_and_on_the_gpu_code_path(precision):
-    calls = [(threads, precision) for threads in (1, 2, MORE_THAN_POOL)]
-    one, *others = each_in_subprocess(fingerprint, calls, seconds=600)
-    assert one[3] > 2 and one[2]["contact_count"] > 20
-    assert others == [one] * 2
-    if precision == "f64":
-        assert in_subprocess(fingerprint, 2, precision, True, seconds=600)[1:] == one[1:]
 
 
 def small_scene(groups, floor=-0.9, **parts):

@@ -23,7 +23,6 @@ from granflow.plan import plan as plan_module
 from granflow.plan.plan import Plan
 from granflow.simulation import Simulation
 
-OTHERS = [name for name in SCENES if name != "servo and free wall"]
 MOST_DISPATCHES_OF_A_REBUILD = 20
 """A phase is one dispatch, and one more if it has a serial part; with one grid and friction there are 19."""
 
@@ -78,17 +77,6 @@ def results(name, as_on_gpu, free_memory=None, largest_dispatch=dispatch.LARGEST
     return digest, json.dumps(dict(totals), sort_keys=True), counts
 
 
-def assert_same_results(name):
-    cpu = in_subprocess(results, name, False, seconds=600)
-    gpu = in_subprocess(results, name, True, seconds=600)
-    assert cpu[2][1] > 2, "the neighbor lists are rebuilt"
-    assert gpu == cpu
-
-
-def test_servo_and_free_walls_have_the_bits_of_the_cpu_code_path():
-    assert_same_results("servo and free wall")
-
-
 def test_neighbor_lists_grow_without_changing_a_bit():
     """On the device, with dispatches of 7 threads, and over the host.
 
@@ -99,13 +87,6 @@ def test_neighbor_lists_grow_without_changing_a_bit():
     cpu, on_device, over_host = (in_subprocess(results, "periodic", *each, seconds=600) for each in calls)
     assert on_device == cpu
     assert over_host == cpu
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1300)
-@pytest.mark.parametrize("name", OTHERS)
-def test_each_scene_has_the_bits_of_the_cpu_code_path(name):
-    assert_same_results(name)
 
 
 def dispatches(name):

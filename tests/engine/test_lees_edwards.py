@@ -1,15 +1,11 @@
 """Lees-Edwards boxes: images move along the shear boundary; its position does not change the result."""
 
-import hashlib
-
 import numpy as np
 import pytest
 from engine.test_snapshot_purity import assert_equal
 from scene_builders import assert_lists_hold, build_scene, particle_group, prepared_simulation, run_to_end
 from sheared_scenes import RATE, SIZE, sheared_gas
-from subprocess_runner import each_in_subprocess
 
-from granflow.engine import threads as workers
 from granflow.simulation import Simulation
 
 IMAGE_VELOCITY = RATE * SIZE
@@ -117,25 +113,3 @@ def test_neighbor_list_holds_the_candidate_pairs_of_moving_images(taichi_f64, si
     assert_lists_hold(simulation, zip(first[candidates], second[candidates], strict=True))
     assert np.any(crossed[candidates] > 0)
     simulation.free()
-
-
-def fingerprint(threads, precision):
-    """Digest of the final state, boundary work [J], and whether the energy error is below 0.5 %."""
-    if threads > 1:  # by default, a scene of this size uses one worker
-        workers.SINGLE_WORKER_PARTICLES = 0
-    scene = sheared_gas(duration=0.004, sizes=(0.002, 0.0065))
-    last, _ = run_to_end(scene, threads=threads, precision=precision)
-    values = (
-        last.particles[name] for name in ("position", "velocity", "angular_velocity", "force", "torque")
-    )
-    digest = hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in values))
-    return [digest.hexdigest(), last.totals["boundary_work"], abs(last.totals["energy_error"]) < 5e-3]
-
-
-@pytest.mark.parametrize(
-    "precision", ["f64", *(pytest.param(each, marks=pytest.mark.slow) for each in ("mixed", "f32"))]
-)
-def test_results_are_bit_identical_for_any_thread_count(precision):
-    one, two = each_in_subprocess(fingerprint, [(threads, precision) for threads in (1, 2)])
-    assert one == two
-    assert one[2]

@@ -1,15 +1,12 @@
 """Outlets delete and count the particles inserted by inlets; a resumed run keeps the counts."""
 
-import hashlib
 from math import pi
 
 import numpy as np
 import pytest
 from resume.runs import files_of, states_of
-from scene_builders import SOFT, build_scene, particle_group, run_to_end
-from subprocess_runner import each_in_subprocess
+from scene_builders import SOFT, build_scene, particle_group
 
-from granflow.engine import threads as workers
 from granflow.io.checkpoint import read_checkpoint
 from granflow.scene.blocks.outlets import outlet_of
 from granflow.simulation import Simulation
@@ -81,27 +78,6 @@ def test_outlets_delete_and_count_all_inserted_particles_also_after_restart(tmp_
     simulation.free()
     assert files_of(resumed) == files_of(whole)
     assert states_of(resumed).items() <= states_of(whole).items() and len(states_of(resumed)) > 4
-
-
-def fingerprint(threads, precision):
-    """Digest of the state at 45 ms, and the outlet counts."""
-    if threads > 1:  # by default, a scene of this size uses one worker
-        workers.SINGLE_WORKER_PARTICLES = 0
-    last, _ = run_to_end(chute(), until=0.045, threads=threads, precision=precision)
-    digest = hashlib.sha256(
-        b"".join(
-            last.particles[name].tobytes() for name in ("id", "position", "velocity", "angular_velocity")
-        )
-    )
-    return digest.hexdigest(), [last.totals[f"outlet_count.{name}"] for name in ("side", "below")]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
-def test_results_are_bit_identical_for_any_thread_count(precision):
-    one, two = each_in_subprocess(fingerprint, [(1, precision), (2, precision)])
-    assert one == two
-    assert min(one[1]) > 5
 
 
 def test_deepest_outlet_takes_a_particle_despite_rounding():

@@ -3,18 +3,15 @@ pressure."""
 
 import hashlib
 import re
-import shutil
 
 import numpy as np
 import pytest
 from scene_builders import SOFT, box, build_scene, column, particle_group, plane, run_and_sample, times
 from scipy.integrate import solve_ivp
-from subprocess_runner import each_in_subprocess
 
 from granflow.contact import theory
 from granflow.engine import threads as workers
 from granflow.errors import RunError, SceneError
-from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
@@ -275,41 +272,6 @@ def test_least_mass_of_a_free_wall_is_twice_that_of_stability_on_dashpots():
     stiffness, viscosity = largest_response(plan)
     a, b = viscosity * plan.time_step / mass, stiffness * plan.time_step**2 / mass
     assert 2.0 * a + b == pytest.approx(2.0, rel=0.05), "printed with two digits"
-
-
-@pytest.mark.parametrize("precision", ["f64", pytest.param("mixed", marks=pytest.mark.slow)])
-def test_results_are_bit_identical_for_any_thread_count(precision):
-    one, two = each_in_subprocess(wall_results, [(precision, 1, 0.0015), (precision, 2, 0.0015, True)])
-    assert one[0] > 1000.0, "the lid touches the particles"
-    assert one == two
-
-
-def test_restart_is_bit_identical(tmp_path, taichi_f64):
-    scene = compression_scene(
-        0.006,
-        output={
-            "interval": 0.006,
-            "wall_forces": True,
-            "energy_budget": True,
-            "checkpoint": {"interval": 0.002},
-        },
-    )
-    snapshots = []
-    for out in ("whole", "again"):
-        saved = None
-        if out == "again":
-            shutil.copytree(tmp_path / "whole", tmp_path / "again")
-            saved = read_checkpoint(sorted((tmp_path / out).glob("checkpoint_*.npz"))[0])
-        simulation = Simulation(scene, out=tmp_path / out, resume=saved)
-        simulation.run()
-        snapshots.append(simulation.snapshot())
-        simulation.free()
-    assert saved is not None and 0.0 < saved.time < 0.006
-    assert np.array_equal(snapshots[0].particles["position"], snapshots[1].particles["position"])
-    assert np.array_equal(snapshots[0].walls["lid"].offset, snapshots[1].walls["lid"].offset)
-    assert snapshots[0].totals == snapshots[1].totals
-    rows = [(tmp_path / out / "timeseries.csv").read_text() for out in ("whole", "again")]
-    assert rows[0] == rows[1] and "wall_displacement.lid [m]" in rows[0]
 
 
 def test_free_wall_too_fast_for_the_step_aborts_the_run(taichi_f64):

@@ -4,17 +4,38 @@ import os
 from pathlib import Path
 
 import numpy as np
-from engine.test_bit_identity import falling_lattice
 from engine.test_outlets import chute
 from engine.test_wall_dynamics import compression_scene
 from geometry.meshes import sheet, write
-from resume.test_bit_identity import LAWS
-from scene_builders import SOFT, box, build_scene, particle_group
+from scene_builders import SOFT, box, build_scene, moving_lattice, particle_group, vibrating_box
 from sheared_scenes import sheared_gas
+
+SPRING = {"stiffness": {"reference_velocity": 1.0}}
+LAWS = {
+    "zhou": {"law": "zhou", "restitution_at": "max_overlap"},
+    "hertz": {"law": "hertz"},
+    "linear": {"law": "linear", **SPRING},
+    "thornton": {"law": "thornton", "yield_ratio": 1.6},
+    "walton_braun": {"law": "walton_braun", "unloading": {"reference_velocity": 1.0}, **SPRING},
+    "luding": {"law": "luding", "plasticity_depth": 0.02, "tension": 0.3, **SPRING},
+    "kuwabara_kono": {"law": "kuwabara_kono", "reference_velocity": 1.0},
+}
+
+"""Normal contact models."""
 
 GPU_CHUNKS = {"numerics": {"chunk_size": 1}}
 COLLISIONS = {"collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14}}
 RUN = {"velocity_max": 2.0, "time_step": 4e-6}
+
+
+def falling_lattice(particles=None, **changes):
+    """A lattice of 256 particles falls into a vibrating box: friction, rolling friction, a moving wall,
+    rebuilds."""
+    lattice = moving_lattice((8, 8, 4), largest=0.006, speed=0.3)
+    return build_scene(
+        {"lattice": lattice} | (particles or {}), walls=vibrating_box(0.06), rolling="epsd", gravity=[0.0, 0.0, -9.81],
+        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1}, **changes,
+    )  # fmt: skip
 
 
 def shaken_box(duration=0.003):

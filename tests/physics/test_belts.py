@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from resume.runs import files_of, states_of
-from resume.test_bit_identity import resume_copy, run_to_end
 from scene_builders import SOFT, build_scene, few_spheres, particle_group, plane, run_and_sample
 
 import granflow as gf
@@ -160,18 +158,6 @@ def on_plane(**more):
     return few_spheres(
         {"balls": particle_group((0.0, 0.0, HEIGHT))}, {"belt": plane([0, 0, 0], [0, 0, 1], **more)}, **parts
     )
-
-
-def test_restart_on_a_ramping_belt_is_bit_identical(tmp_path, taichi_f64):
-    output = {"interval": 2e-3, "energy_budget": True, "checkpoint": {"interval": 1e-3, "keep": 100}}
-    stages = [{"name": "first", "duration": 4e-3}, {"name": "second", "duration": 8e-3}]
-    motion = belt(ramp_duration=5e-3, initial_velocity=[0.0, 0.05, 0.0], stages=["second"])
-    parts = {"output": output, "stages": stages, "run": {"velocity_max": 0.3}}
-    scene = on_plane(motion=motion, parts=parts)
-    checkpoints = run_to_end(scene, tmp_path / "whole")
-    resume_copy(scene, tmp_path / "whole", tmp_path / "parts", checkpoints[6])
-    assert files_of(tmp_path / "parts") == files_of(tmp_path / "whole")
-    assert states_of(tmp_path / "parts") == states_of(tmp_path / "whole")
 
 
 def test_a_wall_becomes_a_belt_while_the_simulation_runs(taichi_f64):

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from resume.runs import files_of, states_of
-from resume.test_bit_identity import resume_copy, run_to_end
+from resume.runs import files_of, resume_copy, run_to_end, states_of
 from scene_builders import few_spheres, particle_group, plane, run_and_sample
 
 from granflow.errors import SceneError

@@ -3,11 +3,13 @@ runs."""
 
 import hashlib
 import json
+import shutil
 
 import numpy as np
 from scene_builders import box, build_scene, particle_group, plane
 
 from granflow.io.checkpoint import newest_checkpoint, read_checkpoint
+from granflow.simulation import Simulation
 
 MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
 
@@ -151,3 +153,20 @@ def _digested(saved):
 def states_of(out):
     """Content of all checkpoints of a directory by file name, as returned by `state_of`."""
     return {path.name: state_of(path) for path in out.glob("checkpoint_*.npz")}
+
+
+def run_to_end(scene, out, threads=2):
+    """Runs the scene to its end and returns the paths of its checkpoints, at least eleven, in order of
+    time."""
+    simulation = Simulation(scene, out=out, threads=threads)
+    simulation.run()
+    simulation.free()
+    return sorted(out.glob("checkpoint_*.npz"))
+
+
+def resume_copy(scene, whole, out, path, threads=2):
+    """Resumes a finished run from one of its checkpoints, in a copy of its directory."""
+    shutil.copytree(whole, out)
+    simulation = Simulation(scene, out=out, threads=threads, resume=read_checkpoint(out / path.name))
+    simulation.run()
+    simulation.free()

@@ -4,8 +4,7 @@ import logging
 
 import numpy as np
 import pytest
-from resume.runs import files_of, states_of
-from resume.test_bit_identity import resume_copy, run_to_end
+from resume.runs import files_of, resume_copy, run_to_end, states_of
 from scene_builders import SOFT, build_scene, particle_group, plane
 
 from granflow.contact import theory
