@@ -7,7 +7,8 @@
     python3 tools/dev.py check                           lint, format, types, layers, vocabulary
     python3 tools/dev.py docs                            build the documentation site into out/site
 
-The first call installs the versions pinned in constraints.txt; later calls install nothing.
+The first call installs the versions pinned in constraints.txt, on Python 3.14 the latest ones; later calls
+install nothing.
 """
 
 import hashlib
@@ -22,7 +23,9 @@ ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv"
 STAMP = ENVIRONMENT / "granflow-installed.txt"
 UNFINISHED = "unfinished"
-OLDEST, NEWEST = (3, 10), (3, 13)
+OLDEST, NEWEST = (3, 10), (3, 14)
+NEWEST_PINNED = (3, 13)
+"""Newest Python with the versions of constraints.txt; a newer one takes the latest of all packages."""
 ALL = ("dev", "docs", "plot", "quadrants", "sweep", "cluster", "calibrate", "notebook")
 EXTRAS = {
     "run": (),
@@ -105,8 +108,9 @@ def install(extras: "tuple[str, ...]") -> None:
     STAMP.write_text(UNFINISHED + "\n")
     target = str(ROOT) + (f"[{','.join(extras)}]" if extras else "")
     pip = [str(environment_python()), "-m", "pip", "install", "--disable-pip-version-check"]
+    pinned = ["-c", str(ROOT / "constraints.txt")] if sys.version_info[:2] <= NEWEST_PINNED else []
     attempt(
-        [*pip, "-c", str(ROOT / "constraints.txt"), "-e", target],
+        [*pip, *pinned, "-e", target],
         "Installing granflow failed (is this machine online?)",
     )
     STAMP.write_text("\n".join([python, inputs, *extras]) + "\n")

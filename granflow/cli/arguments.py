@@ -7,6 +7,7 @@ raises ArgumentTypeError for a text that it refuses. Results go to stdout, error
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -89,16 +90,40 @@ PRECISIONS = ("f64", "f32", "mixed")
 def add_machine(
     parser: argparse.ArgumentParser, default_precision: str = "the precision of the scene"
 ) -> None:
-    """Add --arch and --precision; `default_precision`: text on the default of --precision."""
+    """Add --arch, --kernels and --precision; `default_precision`: text on the default of --precision."""
     parser.add_argument(
         "--arch",
         choices=ARCHITECTURES,
         default="cpu",
         help="compute device or backend; gpu selects the first available GPU backend (default: cpu)",
     )
+    add_kernels(parser)
     parser.add_argument(
         "--precision", choices=PRECISIONS, help=f"floating-point precision (default: {default_precision})"
     )
+
+
+def add_kernels(parser: argparse.ArgumentParser) -> None:
+    """Add --kernels."""
+    parser.add_argument(
+        "--kernels",
+        choices=("taichi", "quadrants"),
+        help="language of the compute kernels (default: taichi where it is installed, up to Python 3.13)",
+    )
+
+
+def select_kernels(options: argparse.Namespace) -> None:
+    """Set the environment variable of --kernels, for this process and those that it starts.
+
+    Raises GranflowError if this process already uses another kernel language.
+    """
+    name = getattr(options, "kernels", None)
+    if name is None:
+        return
+    language = sys.modules.get("granflow.kernel_language")
+    if language is not None and name != language.KERNELS:
+        raise GranflowError(f"--kernels {name}: this process already uses {language.KERNELS}.")
+    os.environ["GRANFLOW_KERNELS"] = name
 
 
 # Converters of values

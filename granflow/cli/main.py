@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import print_error, say
+from granflow.cli.arguments import print_error, say, select_kernels
 from granflow.cli.process import exit_code_of, standard_streams, stop_signals
 from granflow.cli.run import (
     add_cache,
@@ -66,6 +66,7 @@ def _run_verb(options: argparse.Namespace) -> int:
     propagate.
     """
     try:
+        select_kernels(options)
         with stop_signals():
             return options.verb(options)
     except GranflowError as error:
@@ -161,7 +162,8 @@ class ShowVersion(argparse.Action):
     """Prints the version; reads it only then, because that takes file access."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        import granflow
+        from granflow.io.log import version_of
+        from granflow.kernel_language import KERNELS
 
-        say(f"granflow {granflow.__version__}")
+        say(f"granflow {version_of('granflow')} ({KERNELS} {version_of(KERNELS)})")
         parser.exit()

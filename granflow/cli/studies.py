@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import (
     ARCHITECTURES,
+    add_kernels,
     add_machine,
     add_out,
     add_overrides,
@@ -538,6 +539,7 @@ def add_sweep(verbs: Any) -> None:
     )
     add("--threads", metavar="T", type=thread_count, default=1, help="CPU threads of each run (default: 1)")
     add("--arch", choices=ARCHITECTURES, default="cpu", help="compute device or backend (default: cpu)")
+    add_kernels(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://10.0.0.1:8786")
     where.add_argument(

@@ -27,7 +27,7 @@ from weakref import WeakSet
 from granflow.engine.kernel_cache import TEMPORARY, cache_folder, usable_folder
 from granflow.errors import GranflowError
 from granflow.io.machine import free_gpu_memory, worker_count
-from granflow.kernel_language import KERNELS, VARIABLE, ti
+from granflow.kernel_language import KERNELS, ti
 from granflow.taichi_patches import prepare_program
 
 Arch = Literal["cpu", "cuda", "vulkan", "gpu"]
@@ -350,7 +350,7 @@ def refuse_unreliable_vulkan(devices: Sequence[VulkanDevice]) -> None:
     if KERNELS == "taichi":
         raise GranflowError(
             "Taichi 1.7 overwrites fields on Vulkan and ends after some 12000 launches. Run pip install "
-            f"'quadrants<1.4' and set {VARIABLE}=quadrants, or leave out --arch to run on the CPU."
+            "quadrants and add --kernels quadrants, or leave out --arch to run on the CPU."
         )
     used = used_device(devices)
     if used is not None and used.is_wrong:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 from granflow.contact import registry
 from granflow.errors import GranflowError
-from granflow.kernel_language import KERNELS, VARIABLE
 from granflow.load import Scene
 
 SIZE_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "SLURM_STEP_NUM_TASKS")
@@ -25,14 +24,11 @@ def refuse_without_mpi_flag() -> None:
 
 
 def refuse_on_ranks(arch: str = "cpu", forces: Sequence[object] = (), scene: Scene | None = None) -> None:
-    """Raise GranflowError for other architectures and kernel languages, forces from Python, clumps and
-    films."""
+    """Raise GranflowError for other architectures, forces from Python, clumps and films."""
     if arch != "cpu":
         raise GranflowError(
             f"--arch {arch} does not work with --mpi, which runs on CPUs only: leave --arch out."
         )
-    if KERNELS != "taichi":
-        raise GranflowError(f"{VARIABLE}={KERNELS} does not work with --mpi: unset {VARIABLE}.")
     if forces:
         raise GranflowError("Forces from Python do not work on MPI ranks: run without a communicator.")
     if scene is None:
