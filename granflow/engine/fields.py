@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.backend import Backend, new_builder
-from granflow.kernel_language import KERNELS, ti
+from granflow.kernel_language import ti
 from granflow.plan.arrays import DeviceArray
 
 # Allocation
@@ -222,8 +222,7 @@ class HostBlock:
 
 
 def host_block(fields: list[Any], on_cpu: bool) -> HostBlock | None:
-    """Views of the fields of an allocated block; None on a GPU. Taichi and Quadrants have the same
-    verified."""
+    """Views of the fields of an allocated block; None on a GPU."""
     return HostBlock(fields) if on_cpu and fields else None
 
 

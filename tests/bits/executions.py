@@ -1,10 +1,11 @@
 """Executes the scenes of `scenes` in one of several ways, and saves what a run leaves behind.
 
-    python executions.py host|gpu|long|ranks FOLDER SCENE ...
+    python executions.py host|gpu|long|forked|ranks FOLDER SCENE ...
 
 host:   one thread, two threads, more threads than the pool has, other chunks, resumed from three checkpoints
 gpu:    the code path of a GPU on the CPU, with fields in several trees
 long:   with the kernels that are compiled for long runs
+forked: with the kernel language Quadrants, which `test_bits` selects
 ranks:  on the MPI ranks of mpirun
 
 FOLDER/EXECUTION/SCENE contains the files of each run and `state.npz`, its state at the end.
@@ -43,7 +44,7 @@ def main(execution, folder, names):
     for name in names:
         if execution == "ranks" and not SCENES[name].on_ranks:
             continue
-        {"host": on_host, "gpu": on_gpu, "long": for_long, "ranks": on_ranks}[execution](name, Path(folder))
+        KINDS[execution](name, Path(folder))
 
 
 def on_host(name, folder):
@@ -77,6 +78,10 @@ def on_gpu(name, folder):
 def for_long(name, folder):
     cost.OPTIMIZED_ABOVE = 0.0
     run(name, folder / "long", SCENES[name].build(), 1)
+
+
+def with_fork(name, folder):
+    run(name, folder / "forked", SCENES[name].build(), 2)
 
 
 def on_ranks(name, folder):
@@ -175,6 +180,8 @@ def own_particles(engine, _rank):
     """Particles and contact histories of one rank."""
     return engine.saved_particles()
 
+
+KINDS = {"host": on_host, "gpu": on_gpu, "long": for_long, "forked": with_fork, "ranks": on_ranks}
 
 if __name__ == "__main__":
     main(sys.argv[1], sys.argv[2], sys.argv[3:])

@@ -2,8 +2,8 @@
 
 import fcntl
 import os
-import subprocess
-import sys
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -32,17 +32,12 @@ def folder(tmp_path_factory):
 def execute(kind, folder, scenes):
     """Run scenes in one kind of execution."""
     options = (PROGRAM, kind, folder, *scenes)
-    on_ranks = rank_launcher.on_ranks
-    done = on_ranks(2, *options, seconds=900) if kind == "ranks" else alone(options)
+    with pytest.MonkeyPatch.context() as changed:
+        if kind == "forked":
+            changed.setenv("GRANFLOW_KERNELS", "quadrants")
+        run = partial(rank_launcher.on_ranks, 2) if kind == "ranks" else rank_launcher.alone
+        done = run(*options, seconds=900)
     assert done.returncode == 0, done.stderr[-3000:]
-
-
-def alone(options):
-    """The completed process of a Python program, which does not inherit the settings of the tests."""
-    command = [sys.executable, *map(str, options)]
-    return subprocess.run(
-        command, capture_output=True, text=True, timeout=900, env=rank_launcher.environment()
-    )
 
 
 def execute_on_host(folder, scenes):
@@ -124,6 +119,11 @@ def test_threads_chunks_and_resumed_runs_have_the_same_bits(folder):
 @pytest.mark.parametrize("kind", ["gpu", "long"])
 def test_other_kernels_give_the_same_bits(folder, kind):
     check_kind(folder, kind, list(QUICK))
+
+
+@pytest.mark.skipif(find_spec("quadrants") is None, reason="needs Quadrants: pip install quadrants")
+def test_quadrants_gives_the_same_bits(folder):
+    check_kind(folder, "forked", list(QUICK))
 
 
 @pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
