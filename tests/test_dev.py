@@ -110,9 +110,9 @@ def test_unsupported_python_or_a_missing_venv_module_is_rejected_in_one_sentence
         patch.setattr(importlib.util, "find_spec", lambda name: None if name == "ensurepip" else name)
         with pytest.raises(SystemExit, match=r"lacks its module ensurepip: .*apt install python3\.\d+-venv"):
             set_up(dev, "run")
-    for version in ((3, 9, 18), (3, 14, 0)):
+    for version in ((3, 9, 18), (3, 15, 0)):
         monkeypatch.setattr(sys, "version_info", version)
-        with pytest.raises(SystemExit, match=r"needs Python 3\.10 to 3\.13, but this is 3\.\d+: .*\.$"):
+        with pytest.raises(SystemExit, match=r"needs Python 3\.10 to 3\.14, but this is 3\.\d+: .*\.$"):
             set_up(dev, "run")
 
 

@@ -11,6 +11,7 @@ from granflow.cli.main import main
 from granflow.engine import backend
 from granflow.engine.backend import VulkanDevice
 from granflow.errors import GranflowError
+from granflow.kernel_language import KERNELS
 
 LLVMPIPE = "llvmpipe (LLVM 15.0.6, 256 bits)"
 OLD = VulkanDevice(LLVMPIPE, "llvmpipe Mesa 22.3.6 (LLVM 15.0.6)", on_cpu=True)
@@ -22,7 +23,7 @@ CARD_32_BIT = VulkanDevice(
 
 
 REFUSED = {
-    "taichi": ("taichi", (CARD,), ["pip install 'quadrants<1.4'", "GRANFLOW_KERNELS=quadrants"]),
+    "taichi": ("taichi", (CARD,), ["pip install quadrants", "--kernels quadrants"]),
     "old llvmpipe": ("quadrants", (OLD,), ["Mesa 22.3.6 (LLVM 15.0.6) returns wrong results"]),
     "no 64-bit numbers": (
         "quadrants", (NEW, CARD_32_BIT), ["Intel Arc has no 64-bit numbers", "in every precision, f32 too"]
@@ -55,4 +56,15 @@ def test_metal_and_unknown_kernel_languages_are_refused(capsys):
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
     (sentence,) = done.stderr.strip().splitlines()
     assert done.returncode == 2
-    assert sentence.endswith("the kernel languages are taichi (default) and quadrants.")
+    assert sentence.endswith("the kernel languages are taichi and quadrants.")
+
+
+@pytest.mark.skipif(KERNELS != "taichi", reason="the other kernel language is Quadrants")
+def test_another_kernel_language_than_that_of_the_process_is_refused(capsys, monkeypatch):
+    monkeypatch.setenv("GRANFLOW_KERNELS", "taichi")
+    assert main(["run", "scene.yaml", "--kernels", "quadrants"]) == 2
+    assert capsys.readouterr().err.strip() == (
+        "granflow: --kernels quadrants: this process already uses taichi."
+    )
+    assert main(["run", "absent.yaml", "--kernels", "taichi"]) == 2
+    assert "absent.yaml" in capsys.readouterr().err

@@ -8,7 +8,6 @@ from scene_builders import build_scene, particle_group
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
-from granflow.parallel import refusals
 from granflow.parallel.rank_engine import RankEngine
 from granflow.parallel.refusals import refuse_on_ranks
 
@@ -30,14 +29,11 @@ REFUSED = {
     "contact.cohesion: capillary_transfer does not work on MPI ranks": lambda: build_scene(
         {"wet": particle_group([[0, 0, 0]], liquid_content=0.01)}, **WET
     ),
-    "GRANFLOW_KERNELS=quadrants does not work with --mpi: unset GRANFLOW_KERNELS.": particle_scene,
 }
 
 
 @pytest.mark.parametrize("message", REFUSED)
-def test_scene_is_refused_by_check(tmp_path, capsys, monkeypatch, message):
-    if "KERNELS" in message:
-        monkeypatch.setattr(refusals, "KERNELS", "quadrants")
+def test_scene_is_refused_by_check(tmp_path, capsys, message):
     path = REFUSED[message]().save(tmp_path / "scene.yaml")
     assert main(["check", str(path), "--mpi"]) == 2
     assert message in capsys.readouterr().err
