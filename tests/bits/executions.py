@@ -2,7 +2,7 @@
 
     python executions.py host|gpu|long|forked|ranks FOLDER SCENE ...
 
-host:   one thread, two threads, more threads than the pool has, other chunks, resumed from three checkpoints
+host:   one thread, two threads, more threads than the pool has, other chunks and skin, resumed from three checkpoints
 gpu:    the code path of a GPU on the CPU, with fields in several trees
 long:   with the kernels that are compiled for long runs
 forked: with the kernel language Quadrants, which `test_bits` selects
@@ -30,7 +30,7 @@ from granflow.load import Scene  # noqa: E402
 from granflow.plan import cost  # noqa: E402
 from granflow.simulation import Simulation  # noqa: E402
 
-HOST = ("one", "two", "pool", "chunks", "begun", "resumed_1", "resumed_4", "resumed_8")
+HOST = ("one", "two", "pool", "lists", "begun", "resumed_1", "resumed_4", "resumed_8")
 """Executions of `host`, the reference first; `resumed_N` continues from checkpoint N of the first,
 `begun` a run that was stopped before its first step."""
 MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
@@ -52,15 +52,17 @@ def on_host(name, folder):
     run(name, folder / "one", row.build(), 1)
     threads.SINGLE_WORKER_PARTICLES = 0  # scenes of this size use one worker by default
     run(name, folder / "two", row.build(), 2)
-    run(name, folder / "chunks", with_chunks(row.build(), 7), 2)
-    count = backend.worker_count
-    backend.worker_count = lambda requested: (requested, "")
-    run(name, folder / "pool", row.build(), MORE_THAN_POOL)
-    backend.worker_count = count
+    scene = row.build()
+    skin = None if scene.outlets else 6e-4  # particles are deleted at rebuilds
+    run(name, folder / "lists", with_lists(scene, 7, skin), 2)
     if row.change is None:
         begin(name, folder)
     for execution in HOST[5:] if row.change is None else HOST[-1:]:  # a checkpoint contains earlier changes
         resume(name, folder, execution)
+    count = backend.worker_count
+    backend.worker_count = lambda requested: (requested, "")
+    run(name, folder / "pool", row.build(), MORE_THAN_POOL)
+    backend.worker_count = count
 
 
 def on_gpu(name, folder):
@@ -71,7 +73,7 @@ def on_gpu(name, folder):
         prepare(block, replace(started, largest_buffer=LARGEST_BUFFER))
 
     fields.FieldBlock.__init__ = prepare_with_limit
-    run(name, folder / "gpu", with_chunks(SCENES[name].build(), 1), 1)
+    run(name, folder / "gpu", with_lists(SCENES[name].build(), 1), 1)
     fields.FieldBlock.__init__ = prepare
 
 
@@ -108,10 +110,12 @@ def on_ranks(name, folder):
     engines[-1].free()  # the next scene may have another precision
 
 
-def with_chunks(scene, size):
-    """The scene with another chunk size."""
+def with_lists(scene, chunk_size, skin=None):
+    """The scene with another chunk size and another skin [m]; None: that of the scene."""
     changed = scene.to_dict()
-    changed["numerics"]["chunk_size"] = size
+    changed["numerics"]["chunk_size"] = chunk_size
+    if skin is not None:
+        changed["numerics"]["skin"] = skin
     return Scene.from_dict(changed)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rank_launcher
 from bits.executions import HOST
-from bits.scenes import QUICK, SCENES, SLOW
+from bits.scenes import QUICK, SCENES
 from resume.runs import files_of, states_of
 
 PROGRAM = Path(__file__).parent / "executions.py"
@@ -44,7 +44,7 @@ def execute_on_host(folder, scenes):
     """Run scenes in the executions of `host`, unless a test process has done it."""
     with open(folder / f"lock_{scenes[0]}", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / HOST[-1] / scenes[-1] / "state.npz").exists():
+        if not (folder / "pool" / scenes[-1] / "state.npz").exists():
             execute("host", folder, scenes)
 
 
@@ -65,7 +65,7 @@ def differences(folder, execution, scene):
         for name in (expected.keys() | found.keys()) - NOT_COMPARED
         if not np.array_equal(expected.get(name), found.get(name), equal_nan=True)
     }
-    if execution in ("gpu", "chunks"):  # frames there have zeros of other signs
+    if execution in ("gpu", "lists"):  # frames there have zeros of other signs
         return sorted(arrays)
     reference, files = (files_of(folder / each / scene) for each in ("one", execution))
     assert len(files) > 3
@@ -90,8 +90,16 @@ def assert_same_bits(folder, scenes, executions):
     assert not {key: names for key, names in found.items() if names}
 
 
+def skip_if_missing(kind):
+    """Skip a test without the package that a kind of execution needs."""
+    if kind == "ranks" and rank_launcher.MISSING:
+        pytest.skip(rank_launcher.MISSING)
+    if kind == "forked" and find_spec("quadrants") is None:
+        pytest.skip("needs Quadrants: pip install quadrants")
+
+
 def check_host(folder, scenes):
-    """Threads, more workers than threads of the pool, chunks, and runs resumed from checkpoints."""
+    """Threads, more workers than threads of the pool, other lists, and runs resumed from checkpoints."""
     execute_on_host(folder, scenes)
     for scene in scenes:
         assert_effects(folder, scene)
@@ -105,37 +113,39 @@ def check_host(folder, scenes):
 def check_kind(folder, kind, scenes):
     """Another kind of execution than those of `host`."""
     execute(kind, folder, scenes)
-    execute_on_host(folder, scenes)
+    execute_on_host(folder, list(QUICK) if scenes[0] in QUICK else scenes)
     assert_same_bits(folder, scenes, [kind])
     if kind == "gpu":
         strides = {int(loaded(folder / each / scenes[0])["stride"]) for each in ("one", "gpu")}
         assert len(strides) == 2, "the code paths differ"
 
 
-def test_threads_chunks_and_resumed_runs_have_the_same_bits(folder):
+def test_threads_lists_and_resumed_runs_have_the_same_bits(folder):
     check_host(folder, list(QUICK))
 
 
-@pytest.mark.parametrize("kind", ["gpu", "long"])
+OTHER_KERNELS = {
+    "gpu": ["walls", "clumps", "films"],
+    "long": ["poured", "clumps"],
+    "forked": ["walls", "films"],
+    "ranks": ["poured", "heat"],
+}
+"""Scenes of the usual test run by kind of execution that compiles other kernels."""
+
+
+@pytest.mark.parametrize("kind", OTHER_KERNELS)
 def test_other_kernels_give_the_same_bits(folder, kind):
-    check_kind(folder, kind, list(QUICK))
-
-
-@pytest.mark.skipif(find_spec("quadrants") is None, reason="needs Quadrants: pip install quadrants")
-def test_quadrants_gives_the_same_bits(folder):
-    check_kind(folder, "forked", list(QUICK))
-
-
-@pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
-def test_two_ranks_give_the_same_bits(folder):
-    check_kind(folder, "ranks", list(QUICK))
+    skip_if_missing(kind)
+    check_kind(folder, kind, OTHER_KERNELS[kind])
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("scene", SLOW)
-def test_each_model_and_precision_has_the_same_bits(folder, scene):
-    check_host(folder, [scene])
-    for kind in ("gpu", "long", "ranks"):
-        if kind != "ranks" or not rank_launcher.MISSING:
-            check_kind(folder, kind, [scene])
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("kind", ["host", *OTHER_KERNELS])
+def test_each_scene_has_the_same_bits(folder, scene, kind):
+    skip_if_missing(kind)
+    if kind == "host":
+        check_host(folder, [scene])
+    elif kind != "ranks" or SCENES[scene].on_ranks:
+        check_kind(folder, kind, [scene])

@@ -88,7 +88,7 @@ def fingerprint(name, chunk_size, skin, threads, rebuild_steps, precision):
 @pytest.mark.parametrize(
     ("name", "precision"),
     [
-        ("walled", "f64"),
+        pytest.param("walled", "f64", marks=pytest.mark.slow),
         pytest.param("periodic", "f64", marks=pytest.mark.slow),
         pytest.param("sheared", "f64", marks=pytest.mark.slow),
         pytest.param("walled", "mixed", marks=pytest.mark.slow),
