@@ -350,7 +350,7 @@ class Revolved(AnalyticSurface):
     def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
         """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of facets around the axis.
 
-        One of the edges may have the radius 0.
+        If an edge has the radius 0, half as many: those with an edge on it would have no area.
         """
         axis = self.axis
         angle = 2 * np.pi * np.arange(FACET_COUNT) / FACET_COUNT
@@ -359,9 +359,10 @@ class Revolved(AnalyticSurface):
         rings = [self.origin + r * around + z * axis for r, z in self.profile]
         index = np.arange(FACET_COUNT)
         next_index = (index + 1) % FACET_COUNT
-        lower = np.stack([index, next_index, next_index + FACET_COUNT], axis=1)
-        upper = np.stack([index, next_index + FACET_COUNT, index + FACET_COUNT], axis=1)
-        return np.concatenate(rings), np.concatenate([lower, upper])
+        at_start = np.stack([index, next_index, next_index + FACET_COUNT], axis=1)
+        at_end = np.stack([index, next_index + FACET_COUNT, index + FACET_COUNT], axis=1)
+        parts = [part for part, (r, _) in zip((at_start, at_end), self.profile, strict=True) if r > 0.0]
+        return np.concatenate(rings), np.concatenate(parts)
 
     def enclosing_points(self) -> np.ndarray:
         """See `Surface`; the facets lie inside of the surface."""
