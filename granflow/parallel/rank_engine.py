@@ -250,6 +250,8 @@ def serve(communicator: Communicator, engine: Callable[[], RankEngine]) -> None:
         while True:
             name, arguments = communicator.next_command()
             if name == END:
+                if present is not None:
+                    present.free()  # a later run of this process takes its state, with the compiled kernels
                 return
             if name == START:
                 with suppress(OtherScene):  # the root reports it and ends the other ranks

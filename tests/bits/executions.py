@@ -100,14 +100,10 @@ def on_ranks(name, folder):
         with controlling(communicator):
             run(name, folder / "ranks", scene, 1, communicator=communicator)
         return
-    engines = []
-
-    def engine():
-        engines.append(RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator))
-        return engines[-1]
-
-    serve(communicator, engine)
-    engines[-1].free()  # the next scene may have another precision
+    serve(
+        communicator,
+        lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator),
+    )
 
 
 def with_lists(scene, chunk_size, skin=None):

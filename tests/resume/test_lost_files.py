@@ -59,8 +59,14 @@ def rename_and_run_another(out):
     shutil.copytree(out.with_name("whole"), out)
 
 
+def delete(out):
+    """Delete a folder in which another thread may just write a frame."""
+    while out.exists():
+        shutil.rmtree(out, ignore_errors=True)
+
+
 def replace_by_another(out):
-    shutil.rmtree(out)
+    delete(out)
     shutil.copytree(out.with_name("whole"), out)
 
 
@@ -80,7 +86,7 @@ LOSSES = {
     "series copied": (copy_series, "out", True),
     "series edited": (edit_series, "out", True),
     "lock deleted": (lambda out: (out / ".lock").unlink(), "out", True),
-    "deleted": (shutil.rmtree, "out", False),
+    "deleted": (delete, "out", False),
     "another run in its place": (replace_by_another, "out_rescued", False),
     "series deleted": (lambda out: (out / "timeseries.csv").unlink(), "out", False),
     "series emptied": (lambda out: os.truncate(out / "timeseries.csv", 0), "out", False),
