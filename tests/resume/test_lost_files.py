@@ -115,7 +115,7 @@ def test_directory_deleted_between_two_parts_is_not_created_again_without_need(t
     out = tmp_path / "out"
     simulation = gf.Simulation(balls(), threads=2, out=out)
     simulation.run(until=HALF) if begun else simulation.step(1)
-    shutil.rmtree(out)
+    delete(out)
     message = "moved or deleted during the run" if begun else f"granflow resume {out} continues from 0 s"
     with pytest.raises(OutputError, match=message):
         simulation.step(1000)
