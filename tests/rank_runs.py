@@ -15,10 +15,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 
 from rank_scenes import SCENES  # noqa: E402
+from run_arrays import arrays_of  # noqa: E402
 
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
-from granflow.engine.host import joined_particles  # noqa: E402
 from granflow.parallel import exchange, rank_engine  # noqa: E402
 from granflow.parallel import rank_stepper as rank_rebuild
 from granflow.parallel.communicator import Communicator  # noqa: E402
@@ -81,37 +81,18 @@ def faulty_engine(kind):
 
 
 def save(path, simulation):
-    """Run to the end and write particles, totals, wall impulses, contact histories and counts."""
+    """Run to the end and write its state, and on observed ranks what they have exchanged."""
     simulation.run()
-    last = simulation.snapshot(contacts=True)
     engine = simulation.engine
-    kinds = ("particles", "contacts", "totals", "impulses", "collisions")
-    arrays = {
-        f"{kind}.{name}": np.asarray(value) for kind in kinds for name, value in getattr(last, kind).items()
-    }
-    counts = {f"exits.{face}": count for face, count in engine.accounting.exits.items()}
-    counts |= {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
+    arrays = arrays_of(simulation)
     if isinstance(engine, ObservedEngine):
-        counts |= {
-            "growths": engine.timing.growth_count,
+        arrays |= {
+            "growths": np.array(engine.timing.growth_count),
             "migrations": engine.migrations(),
             "owned": engine.owned(),
         }
-    np.savez(path, **arrays, **histories(engine), **{name: np.array(value) for name, value in counts.items()})
+    np.savez(path, **arrays)
     simulation.free()
-
-
-def histories(engine):
-    """Contact histories of all particles, ordered by the ids of owner and partner."""
-    particles = joined_particles(engine.on_each_rank(own_particles)).by_id()
-    found = particles.histories
-    pairs = np.stack([particles.arrays["id"][found.owner], found.partner])
-    return {"history.pairs": pairs} | {f"history.{slot}": values for slot, values in found.values.items()}
-
-
-def own_particles(engine, _rank):
-    """Particles and contact histories of one rank."""
-    return engine.saved_particles()
 
 
 class ObservedEngine(RankEngine):

@@ -156,13 +156,9 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
 
 
 def optimize_kernels(wanted: bool) -> None:
-    """Let the kernel language optimize, or not, the kernels that are compiled from now on; LLVM always does.
-
-    On a GPU both optimize, because a driver may contract other products with sums.
-    """
-    ti.lang.impl.current_cfg().advanced_optimization = wanted or (
-        _started is not None and not _started.on_cpu
-    )
+    """Let the kernel language optimize, or not, the kernels that are compiled from now on; LLVM always
+    does."""
+    ti.lang.impl.current_cfg().advanced_optimization = wanted
 
 
 def stop() -> None:

@@ -41,11 +41,17 @@ CPU_STRIDE = 512
 Built = TypeVar("Built")
 
 
+def wants_optimization(plan: Plan, backend: Backend) -> bool:
+    """Whether the kernel language optimizes the kernels, before LLVM does: for long runs, and on a GPU, whose
+    driver may contract other products with sums."""
+    return not backend.on_cpu or is_worth_optimizing(plan)
+
+
 class State:
     """All device data of one plan.
 
     structure:      what the kernels depend on, see `plan.arrays.structure_of`
-    optimized:      kernels are compiled for a long run, see `plan.cost.is_worth_optimizing`
+    optimized:      kernels are optimized by the kernel language, see `wants_optimization`
     capacities:     lengths of the arrays; those of the plan unless the neighbor lists have grown
     parameters:     numbers of the plan
     count:          number of particles
@@ -61,7 +67,7 @@ class State:
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.structure = structure_of(plan)
-        self.optimized = is_worth_optimizing(plan)
+        self.optimized = wants_optimization(plan, backend)
         self.plan = plan
         self.backend = backend
         self._built: dict[Any, Any] = {}

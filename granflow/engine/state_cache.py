@@ -16,11 +16,11 @@ from typing import get_args
 
 from granflow.engine import backend as taichi
 from granflow.engine.backend import Arch, Backend, Precision
-from granflow.engine.state import State
+from granflow.engine.state import State, wants_optimization
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
 from granflow.plan.arrays import fits_lists, structure_of
-from granflow.plan.cost import estimate_memory, is_worth_optimizing
+from granflow.plan.cost import estimate_memory
 from granflow.plan.plan import Plan
 
 MOST_STATES = 4
@@ -113,7 +113,7 @@ def _matches(structure: Hashable, plan: Plan, states: "list[State] | weakref.Wea
         state
         for state in states
         if state.structure == structure
-        and state.optimized >= is_worth_optimizing(plan)
+        and state.optimized >= wants_optimization(plan, state.backend)
         and fits_lists(state.capacities, plan.capacities)
     ]
 

@@ -14,7 +14,6 @@ FOLDER/EXECUTION/SCENE contains the files of each run and `state.npz`, its state
 import os
 import shutil
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,21 +21,22 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from bits.scenes import SCENES  # noqa: E402
+from gpu.code_path import use_gpu_code_path  # noqa: E402
+from run_arrays import arrays_of  # noqa: E402
 
-from granflow.engine import backend, fields, threads  # noqa: E402
-from granflow.engine.host import joined_particles  # noqa: E402
+from granflow.engine import backend, threads  # noqa: E402
 from granflow.io.checkpoint import read_checkpoint  # noqa: E402
 from granflow.load import Scene  # noqa: E402
 from granflow.plan import cost  # noqa: E402
 from granflow.simulation import Simulation  # noqa: E402
 
-HOST = ("one", "two", "pool", "lists", "begun", "resumed_1", "resumed_4", "resumed_8")
-"""Executions of `host`, the reference first; `resumed_N` continues from checkpoint N of the first,
-`begun` a run that was stopped before its first step."""
+RESUMED = ("resumed_1", "resumed_4", "resumed_8")
+"""Executions that continue the reference from its checkpoint of this number."""
+HOST = ("one", "two", "lists", "begun", *RESUMED, "pool")
+"""Executions of `host` in their order, the reference first; `begun` continues a run that was stopped before
+its first step."""
 MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
 """Number of workers that exceeds the number of threads in Taichi's pool."""
-LARGEST_BUFFER = 2**18
-"""Bytes of the buffers of the imitated GPU; the fields of each scene are in several trees."""
 
 
 def main(execution, folder, names):
@@ -57,7 +57,7 @@ def on_host(name, folder):
     run(name, folder / "lists", with_lists(scene, 7, skin), 2)
     if row.change is None:
         begin(name, folder)
-    for execution in HOST[5:] if row.change is None else HOST[-1:]:  # a checkpoint contains earlier changes
+    for execution in RESUMED if row.change is None else RESUMED[-1:]:  # a checkpoint contains earlier changes
         resume(name, folder, execution)
     count = backend.worker_count
     backend.worker_count = lambda requested: (requested, "")
@@ -66,15 +66,8 @@ def on_host(name, folder):
 
 
 def on_gpu(name, folder):
-    backend.Backend.on_cpu = property(lambda self: False)
-    prepare = fields.FieldBlock.__init__
-
-    def prepare_with_limit(block, started):
-        prepare(block, replace(started, largest_buffer=LARGEST_BUFFER))
-
-    fields.FieldBlock.__init__ = prepare_with_limit
+    use_gpu_code_path()
     run(name, folder / "gpu", with_lists(SCENES[name].build(), 1), 1)
-    fields.FieldBlock.__init__ = prepare
 
 
 def for_long(name, folder):
@@ -150,35 +143,10 @@ def resume(name, folder, execution):
 
 
 def save(out, simulation):
-    """Write particles, contacts, totals, wall impulses, contact histories and counts at the end of a run."""
-    last = simulation.snapshot(contacts=True)
-    engine = simulation.engine
-    kinds = ("particles", "contacts", "totals", "impulses", "collisions")
-    arrays = {
-        f"{kind}.{name}": np.asarray(value) for kind in kinds for name, value in getattr(last, kind).items()
-    }
-    arrays |= {f"offset.{name}": wall.offset for name, wall in last.walls.items()}
-    arrays |= {f"exits.{face}": np.array(count) for face, count in engine.accounting.exits.items()}
-    arrays |= {
-        "steps": np.array(engine.step_count),
-        "rebuilds": np.array(engine.timing.rebuild_count),
-        "stride": np.array(engine.state.stride),
-    }
-    np.savez(out / "state.npz", **arrays, **histories(engine))
+    """Write the state at the end of a run."""
+    stride = np.array(simulation.engine.state.stride)
+    np.savez(out / "state.npz", **arrays_of(simulation), stride=stride)
     simulation.free()
-
-
-def histories(engine):
-    """Contact histories of all particles, ordered by the ids of owner and partner."""
-    particles = joined_particles(engine.on_each_rank(own_particles)).by_id()
-    found = particles.histories
-    pairs = np.stack([particles.arrays["id"][found.owner], found.partner])
-    return {"history.pairs": pairs} | {f"history.{slot}": values for slot, values in found.values.items()}
-
-
-def own_particles(engine, _rank):
-    """Particles and contact histories of one rank."""
-    return engine.saved_particles()
 
 
 KINDS = {"host": on_host, "gpu": on_gpu, "long": for_long, "forked": with_fork, "ranks": on_ranks}

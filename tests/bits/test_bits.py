@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rank_launcher
-from bits.executions import HOST
+from bits.executions import HOST, RESUMED
 from bits.scenes import QUICK, SCENES
 from resume.runs import files_of, states_of
 
@@ -44,7 +44,7 @@ def execute_on_host(folder, scenes):
     """Run scenes in the executions of `host`, unless a test process has done it."""
     with open(folder / f"lock_{scenes[0]}", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "pool" / scenes[-1] / "state.npz").exists():
+        if not (folder / HOST[-1] / scenes[-1] / "state.npz").exists():
             execute("host", folder, scenes)
 
 
@@ -107,7 +107,7 @@ def check_host(folder, scenes):
     for scene in scenes:
         whole = states_of(folder / "one" / scene)
         assert len(whole) >= 10
-        assert states_of(folder / HOST[-1] / scene) == whole
+        assert states_of(folder / RESUMED[-1] / scene) == whole
 
 
 def check_kind(folder, kind, scenes):

@@ -6,17 +6,15 @@ import json
 import os
 import tempfile
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from gpu.code_path import use_gpu_code_path
 from gpu.scenes import SCENES
 from subprocess_runner import in_subprocess
 
-from granflow.engine import backend
 from granflow.engine import fields as dispatch
 from granflow.engine import stepper as gpu_stepper
-from granflow.engine.fields import FieldBlock
 from granflow.engine.stepper import STEPS_BETWEEN_READS
 from granflow.kernel_language import KERNELS
 from granflow.plan import plan as plan_module
@@ -25,22 +23,6 @@ from granflow.simulation import Simulation
 
 MOST_DISPATCHES_OF_A_REBUILD = 20
 """A phase is one dispatch, and one more if it has a serial part; with one grid and friction there are 19."""
-
-
-LARGEST_BUFFER = 2**18
-"""Bytes; the fields of each scene are in several trees."""
-
-
-def use_gpu_code_path():
-    """Each chunk is a task of its own, the host reads flags by kernels, and a tree has at most
-    LARGEST_BUFFER."""
-    backend.Backend.on_cpu = property(lambda self: False)
-    prepare = FieldBlock.__init__
-
-    def prepare_with_limit(block, started):
-        prepare(block, replace(started, largest_buffer=LARGEST_BUFFER))
-
-    FieldBlock.__init__ = prepare_with_limit
 
 
 def results(name, as_on_gpu, free_memory=None, largest_dispatch=dispatch.LARGEST_DISPATCH):
