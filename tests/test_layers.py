@@ -12,7 +12,7 @@ PACKAGE = ROOT / "granflow"
 LAYERS = (
     "errors", "arguments", "taichi_patches", "kernel_language", "device_functions", "visible_text", "units",
     "fields", "snapshot", "schema", "io", "geometry", "contact", "scene", "particles", "load", "plan",
-    "engine", "parallel", "observers", "runs", "live", "simulation", "studies", "cli", "__main__"
+    "engine", "parallel", "observers", "runs", "live", "simulation", "studies", "importing", "cli", "__main__"
 )  # fmt: skip
 """From the lowest layer to the highest. The __init__ of the package re-exports names of all layers."""
 TAICHI_LAYERS = {"device_functions", "contact", "geometry", "scene", "engine"}

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import print_error, say, select_kernels
+from granflow.cli.importing import add_import
 from granflow.cli.process import exit_code_of, standard_streams, stop_signals
 from granflow.cli.run import (
     add_cache,
@@ -126,6 +127,7 @@ def build_parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(required=True, metavar="COMMAND")
     add_examples(verbs)
     add_example(verbs)
+    add_import(verbs)
     add_run(verbs)
     add_resume(verbs)
     add_check(verbs)

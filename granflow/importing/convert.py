@@ -1,0 +1,180 @@
+"""From a script to the text of a scene and a report."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from granflow.errors import GranflowError
+from granflow.importing import geometry, insertion, materials, schedule
+from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words
+from granflow.importing.language import Command, DeckError, Interpreter
+from granflow.importing.report import Entry, Report
+from granflow.importing.scene_text import Draft
+
+CODES = ("liggghts", "lammps")
+"""Values of --code."""
+FAMILIES = (schedule, materials, geometry, insertion)
+"""Families of commands; each has the tables COMMANDS and FIXES."""
+SHAPES = {"sphere", "granular"}
+"""Atom styles of spheres."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A translated script.
+
+    files:  files beside the scene by name
+    """
+
+    text: str
+    files: Mapping[str, bytes]
+    report: Report
+    code: str
+    printed: tuple[str, ...]
+
+
+def units(deck: Deck, command: Command, entry: Entry) -> None:
+    """units STYLE"""
+    style = Words(deck, command, command.words).word("the unit system")
+    if style not in UNITS:
+        entry.impossible(f"units {style}", "si, cgs or micro")
+        return
+    deck.units = style
+    if style == "lj":
+        entry.approximated("numbers without units are taken as SI: lengths in m, masses in kg, times in s")
+    else:
+        entry.not_needed("all numbers are converted to SI")
+
+
+def atom_style(deck: Deck, command: Command, entry: Entry) -> None:
+    """atom_style STYLE"""
+    style = Words(deck, command, command.words).word("the atom style")
+    if style in SHAPES:
+        entry.not_needed("particles are spheres or clumps")
+    else:
+        entry.impossible(f"atom_style {style}", "spheres, or clumps of spheres")
+
+
+def dimension(deck: Deck, command: Command, entry: Entry) -> None:
+    """dimension N"""
+    deck.dimension = Words(deck, command, command.words).whole("the dimension")
+    if deck.dimension == 3:
+        entry.not_needed("granflow is three-dimensional")
+    else:
+        entry.impossible("two dimensions", "a layer one diameter thick")
+
+
+OWN: dict[str, Translation] = {
+    "units": Translation(units, "all numbers", "si, cgs, micro, nano; lj is taken as SI"),
+    "atom_style": Translation(atom_style, "not needed", "sphere, granular"),
+    "dimension": Translation(dimension, "not needed", "3"),
+}
+
+
+def all_commands() -> dict[str, Translation]:
+    """Translations of all commands by name."""
+    found = dict(OWN)
+    for family in FAMILIES:
+        found |= family.COMMANDS
+    return found
+
+
+def all_fixes() -> dict[str, Translation]:
+    """Translations of all fixes by style."""
+    found: dict[str, Translation] = {}
+    for family in FAMILIES:
+        found |= family.FIXES
+    return found
+
+
+def fix(deck: Deck, command: Command, entry: Entry, fixes: Mapping[str, Translation]) -> None:
+    """fix ID GROUP STYLE ...; one of the same name replaces the earlier one."""
+    words = Words(deck, command, command.words)
+    name, group, style = words.word("the name of the fix"), words.word("a group"), words.word("a style")
+    earlier = deck.fixes.pop(name, None)
+    if earlier is not None:
+        earlier.end = deck.time
+    made = Fix(name, group, style, words.rest, entry, deck.time, deck.step)
+    deck.fixes[name] = made
+    deck.all_fixes.append(made)
+    translation = fixes.get(style)
+    if translation is None:
+        entry.impossible(f"fix {style} is not known")
+        return
+    translation.handler(deck, made)
+
+
+def code_of(path: Path, commands: Iterable[Command]) -> str:
+    """The code that a script is for: LIGGGHTS has properties, templates and models of its own."""
+    for each in commands:
+        is_own = (
+            each.words[:1] == ("gran",)
+            or each.words[2:3]
+            and each.words[2].startswith(
+                (
+                    "property/global",
+                    "mesh/surface",
+                    "insert/",
+                    "particletemplate",
+                    "heat/gran",
+                    "check/timestep",
+                )
+            )
+        )
+        if is_own or each.words[:1] == ("granular",) and each.name == "atom_style":
+            return "liggghts"
+    return "lammps"
+
+
+def convert(path: Path, given: Mapping[str, str] | None = None, code: str | None = None) -> Imported:
+    """Translate a script. Raises DeckError for an error of the script, with its line."""
+    settings = dict(given or {})
+    if code is None:
+        try:
+            code = code_of(path, Interpreter(given=settings).commands(path))
+        except GranflowError:
+            code = "liggghts"  # the same error follows below, with its line
+    report = Report()
+    interpreter = Interpreter(given=settings)
+    deck = Deck(code, interpreter, report, units="si" if code == "liggghts" else "lj")
+    deck.family["folder"] = path.parent
+    commands, fixes = all_commands(), all_fixes()
+    for command in interpreter.commands(path):
+        entry = report.entry(command)
+        if command.name == "fix":
+            fix(deck, command, entry, fixes)
+        elif command.name in commands:
+            commands[command.name].handler(deck, command, entry)
+        else:
+            entry.impossible(f"the command {command.name} is not known")
+        if command.name == "clear":
+            break
+    for command, reason, nearest in interpreter.problems:
+        report.entry(command).impossible(reason, nearest)
+    return Imported(_text(deck, path), deck.family["files"], report, code, tuple(interpreter.printed))
+
+
+def _text(deck: Deck, path: Path) -> str:
+    """Build the blocks and write them."""
+    if not any(run.steps for run in deck.runs):
+        raise GranflowError(f"{path}: the script has no run, so that there is nothing to simulate.")
+    if deck.box is None:
+        raise GranflowError(
+            f"{path}: the script has no create_box or read_data, so that the box is not known."
+        )
+    draft = Draft()
+    draft.put(("title",), path.name)
+    insertion.add_points(deck, draft)
+    insertion.collect(deck)
+    materials.build(deck, draft)
+    geometry.build(deck, draft)
+    insertion.build(deck, draft)
+    schedule.build(deck, draft)
+    deck.family["files"] = draft.files
+    name = {"liggghts": "LIGGGHTS", "lammps": "LAMMPS"}[deck.code]
+    return draft.text(
+        f"Made by granflow import from {path.name}, a script of {name}; comments have its lines."
+    )
+
+
+__all__ = ["CODES", "DeckError", "Imported", "convert"]

@@ -1,0 +1,320 @@
+"""What a script has said so far, as plain data in SI units, and the reader of the words of a command.
+
+The families of commands (`materials`, `geometry`, `insertion`, `schedule`) fill a `Deck` while the script is
+executed and build the blocks of the scene from it afterwards. A fix lives from its command to its `unfix`;
+its times tell in which stages it acts.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any
+
+from granflow.importing.language import Command, DeckError, Interpreter
+from granflow.importing.report import Entry, Report
+
+Vector = tuple[float, float, float]
+
+# Units
+
+UNITS: dict[str, Vector] = {
+    "si": (1.0, 1.0, 1.0),
+    "cgs": (1e-3, 1e-2, 1.0),
+    "micro": (1e-15, 1e-6, 1e-6),
+    "nano": (1e-21, 1e-9, 1e-9),
+    "lj": (1.0, 1.0, 1.0),
+}
+"""Mass [kg], length [m] and time [s] of a unit system; numbers of lj have no unit and are taken as SI."""
+
+DIMENSIONS: dict[str, tuple[int, int, int]] = {
+    "number": (0, 0, 0),
+    "length": (0, 1, 0),
+    "time": (0, 0, 1),
+    "mass": (1, 0, 0),
+    "velocity": (0, 1, -1),
+    "angular_velocity": (0, 0, -1),
+    "acceleration": (0, 1, -2),
+    "density": (1, -3, 0),
+    "pressure": (1, -1, -2),
+    "stiffness": (1, 0, -2),
+    "surface_energy": (1, 0, -2),
+    "viscosity": (1, -1, -1),
+    "damping": (1, 0, -1),
+    "force": (1, 1, -2),
+    "torque": (1, 2, -2),
+    "energy": (1, 2, -2),
+    "rate": (0, 0, -1),
+    "mass_flow": (1, 0, -1),
+    "volume": (0, 3, 0),
+    "hertz_damping": (0, -1, -1),
+}
+"""Exponents of mass, length and time."""
+
+
+# Parts of a deck
+
+
+@dataclass
+class Region:
+    """A region of the script.
+
+    kind:     block, cylinder, cone, sphere, plane, ... as in the script
+    numbers:  its numbers in SI, infinite for INF and NaN for EDGE; for union and intersect none
+    parts:    names of the regions of a union or intersection
+    inside:   whether the region is the inside (side in)
+    open:     numbers of its open faces (LAMMPS)
+    """
+
+    name: str
+    kind: str
+    axis: str
+    numbers: tuple[float, ...]
+    entry: Entry
+    parts: tuple[str, ...] = ()
+    inside: bool = True
+    open: tuple[int, ...] = ()
+    words: tuple[str, ...] = ()
+    """Other keywords with their values, such as move and rotate, as in the script."""
+
+
+@dataclass
+class Group:
+    """A group of the script: all particles, those of a region or of types; `rule` is its style."""
+
+    name: str
+    rule: str
+    words: tuple[str, ...]
+    entry: Entry
+
+
+@dataclass
+class Fix:
+    """A fix from its command to its unfix.
+
+    words:  the words after the style
+    data:   what its handler makes of them
+    """
+
+    name: str
+    group: str
+    style: str
+    words: tuple[str, ...]
+    entry: Entry
+    start: float
+    step: int
+    end: float | None = None
+    data: Any = None
+
+    def acts_in(self, run: "Run") -> bool:
+        """Whether the fix exists in a run; a run can stand behind it at the same time only if it has no
+        length."""
+        return self.start <= run.start + run.slack and (self.end is None or self.end >= run.end - run.slack)
+
+
+@dataclass
+class Run:
+    """One `run`: its times [s] and time step [s]; the schedule joins runs to stages."""
+
+    start: float
+    end: float
+    time_step: float
+    steps: int
+    first_step: int
+    entry: Entry
+    fixes: tuple[str, ...] = ()
+
+    @property
+    def slack(self) -> float:
+        """Tolerance of times [s]."""
+        return 0.01 * self.time_step
+
+
+@dataclass
+class ParticleGroup:
+    """A group of particles of the scene, before its material is known.
+
+    type:     atom type
+    density:  [kg/m3]
+    radii:    smallest and largest radius [m]
+    keys:     the keys of the group in the scene, without material
+    entries:  the commands that it comes from
+    """
+
+    name: str
+    type: int
+    density: float
+    radii: tuple[float, float]
+    keys: dict[str, Any]
+    entries: tuple[Entry, ...]
+
+
+@dataclass
+class Deck:
+    """What a script has said so far."""
+
+    code: str
+    interpreter: Interpreter
+    report: Report
+    units: str = "lj"
+    boundary: tuple[str, str, str, str, str, str] = ("p", "p", "p", "p", "p", "p")
+    boundary_entry: Entry | None = None
+    box: tuple[float, ...] | None = None
+    """Low and high of x, y and z."""
+    box_entry: Entry | None = None
+    types: int = 1
+    dimension: int = 3
+    regions: dict[str, Region] = field(default_factory=dict)
+    groups: dict[str, Group] = field(default_factory=dict)
+    fixes: dict[str, Fix] = field(default_factory=dict)
+    """Those that act now."""
+    all_fixes: list[Fix] = field(default_factory=list)
+    computes: dict[str, Entry] = field(default_factory=dict)
+    time: float = 0.0
+    step: int = 0
+    time_step: float | None = None
+    time_step_entry: Entry | None = None
+    runs: list[Run] = field(default_factory=list)
+    family: dict[str, Any] = field(default_factory=dict)
+    """Data of the families that are no fixes, by the name of the family."""
+    particles: list[ParticleGroup] = field(default_factory=list)
+
+    def si(self, value: float, dimension: str) -> float:
+        """A number of the script in SI units."""
+        factor = 1.0
+        for unit, exponent in zip(UNITS[self.units], DIMENSIONS[dimension], strict=True):
+            factor *= unit**exponent
+        return value * factor
+
+    def own(self, name: str, make: Callable[[], Any]) -> Any:
+        """The data of a family, made at the first use."""
+        return self.family.setdefault(name, make()) if name not in self.family else self.family[name]
+
+    def fixes_of(self, *styles: str) -> list[Fix]:
+        """All fixes of the styles, also ended ones, in the order of the script."""
+        return [each for each in self.all_fixes if each.style in styles]
+
+    def ever_fix(self, name: str) -> Fix | None:
+        """The newest fix of a name, also an ended one."""
+        return next((each for each in reversed(self.all_fixes) if each.name == name), None)
+
+    def acting(self, fix: Fix) -> list[Run]:
+        """The runs in which a fix acts."""
+        return [run for run in self.runs if run.steps and fix.acts_in(run)]
+
+    @property
+    def end(self) -> float:
+        """Time at the end of the script [s]."""
+        return self.runs[-1].end if self.runs else 0.0
+
+
+# Words of a command
+
+
+class Words:
+    """Reads the words of a command one after the other; each error names what is expected."""
+
+    def __init__(self, deck: Deck, command: Command, words: tuple[str, ...]) -> None:
+        self.deck = deck
+        self.command = command
+        self.words = words
+        self.at = 0
+
+    def __bool__(self) -> bool:
+        return self.at < len(self.words)
+
+    @property
+    def next(self) -> str:
+        """The next word without reading it; empty at the end."""
+        return self.words[self.at] if self else ""
+
+    @property
+    def rest(self) -> tuple[str, ...]:
+        """All words that are left, read."""
+        found = self.words[self.at :]
+        self.at = len(self.words)
+        return found
+
+    def skip(self) -> None:
+        """Read all words that are left without using them."""
+        self.at = len(self.words)
+
+    def word(self, what: str) -> str:
+        """The next word. Raises DeckError at the end."""
+        if not self:
+            raise DeckError(self.command, f"{what} is missing at the end of the command.")
+        self.at += 1
+        return self.words[self.at - 1]
+
+    def number(self, what: str, dimension: str = "number") -> float:
+        """The next word as a number in SI units; also an equal-style variable v_NAME. Raises DeckError."""
+        return self.deck.si(self.plain(what), dimension)
+
+    def plain(self, what: str) -> float:
+        """The next word as a number in the units of the script; INF is infinite."""
+        word = self.word(what)
+        if word.upper() == "INF" or word == "+INF":
+            return float("inf")
+        try:
+            found = float(word)
+        except ValueError:
+            raise DeckError(
+                self.command, f"{what} is {word}, which is not a number; give one, such as 0.5."
+            ) from None
+        if not isfinite(found):
+            raise DeckError(self.command, f"{what} is {word}; give a finite number.")
+        return found
+
+    def whole(self, what: str) -> int:
+        """The next word as a whole number."""
+        found = self.plain(what)
+        if found != int(found):
+            raise DeckError(self.command, f"{what} is {found:g}; give a whole number.")
+        return int(found)
+
+    def vector(self, what: str, dimension: str = "number") -> Vector:
+        """The next three words as a vector in SI units."""
+        return (self.number(what, dimension), self.number(what, dimension), self.number(what, dimension))
+
+    def flag(self, what: str) -> bool:
+        """The next word as yes or no (on or off)."""
+        word = self.word(what)
+        if word not in ("yes", "no", "on", "off"):
+            raise DeckError(self.command, f"{what} is {word}; give yes or no.")
+        return word in ("yes", "on")
+
+
+# Tables of the families
+
+
+@dataclass(frozen=True)
+class Translation:
+    """How one command or fix style is translated.
+
+    handler:      function (deck, command, entry) for a command, (deck, fix) for a fix
+    counterpart:  keys of a scene, for the table of the documentation
+    note:         what differs, for the same table
+    """
+
+    handler: Callable[..., None]
+    counterpart: str
+    note: str = ""
+
+
+def not_needed(reason: str) -> Translation:
+    """A command or fix that granflow does without."""
+    return Translation(lambda *given: entry_of(*given).not_needed(reason), "not needed", reason)
+
+
+def impossible(reason: str, nearest: str = "") -> Translation:
+    """A command or fix without counterpart."""
+    return Translation(
+        lambda *given: entry_of(*given).impossible(reason, nearest),
+        "not possible",
+        f"{reason}; nearest: {nearest}" if nearest else reason,
+    )
+
+
+def entry_of(*given: Any) -> Entry:
+    """The entry of the arguments of a handler."""
+    last = given[-1]
+    return last.entry if isinstance(last, Fix) else last

@@ -1,0 +1,975 @@
+"""Particles of a script: templates, distributions, insertions, pour, read_data and create_atoms.
+
+`collect` makes the groups of the scene before materials are known, `build` writes them.
+"""
+
+from dataclasses import dataclass, field
+from math import floor, hypot, inf, pi, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.geometry.mesh_file import read_triangles
+from granflow.importing.deck import Deck, Fix, ParticleGroup, Region, Translation, Vector, Words, impossible
+from granflow.importing.geometry import region_of
+from granflow.importing.language import Command, DeckError
+from granflow.importing.materials import material_of
+from granflow.importing.report import Entry
+from granflow.importing.scene_text import Draft, quantities, quantity
+
+MOST_BATCHES = 12
+"""Number of batches of an insertion that become groups of their own; more become a constant rate."""
+
+# Templates and distributions (LIGGGHTS)
+
+
+@dataclass
+class Template:
+    """A particle template: type, density [kg/m3], radius [m]; `clump` has the keys of a multisphere."""
+
+    type: int
+    density: float
+    radius: float
+    entry: Entry
+    clump: dict[str, Any] | None = None
+    volume: float = 0.0
+    """Volume [m3] of the particle."""
+
+
+def template_sphere(deck: Deck, fix: Fix) -> None:
+    """fix ID group particletemplate/sphere SEED atom_type N density constant D radius constant R"""
+    words = Words(deck, fix.entry.command, fix.words)
+    if words.next not in ("atom_type", "density", "radius"):
+        words.word("the seed")
+    type, density, radius = 1, deck.si(1.0, "density"), deck.si(1.0, "length")
+    while words:
+        key = words.word("a keyword")
+        if key == "atom_type":
+            type = words.whole("the type")
+        elif key in ("density", "radius"):
+            style = words.word("constant")
+            number = words.number(f"the {key}", "density" if key == "density" else "length")
+            if style != "constant":
+                other = words.number(
+                    f"the second number of the {key}", "density" if key == "density" else "length"
+                )
+                fix.entry.approximated(
+                    f"the {key} is {style} from {number:g} to {other:g}; the mean is taken"
+                )
+                number = 0.5 * (number + other)
+            if number <= 0.0:
+                raise DeckError(fix.entry.command, f"the {key} is {number:g}; give a number above 0.")
+            density, radius = (number, radius) if key == "density" else (density, number)
+        elif key in ("volume_limit", "relative"):
+            words.word(f"a value of {key}")
+        else:
+            fix.entry.impossible(f"the keyword {key} of a template")
+            words.skip()
+    fix.data = Template(type, density, radius, fix.entry, volume=4.0 / 3.0 * pi * radius**3)
+
+
+@dataclass
+class Distribution:
+    """Templates with their shares, by mass or by number."""
+
+    templates: list[Template]
+    shares: list[float]
+    by: str
+    entry: Entry
+
+    def number_shares(self) -> list[float]:
+        """Shares by number with the sum 1."""
+        if self.by == "number":
+            weights = list(self.shares)
+        else:
+            weights = [s / (t.volume * t.density) for s, t in zip(self.shares, self.templates, strict=True)]
+        return [each / sum(weights) for each in weights]
+
+    @property
+    def mean_volume(self) -> float:
+        """Mean volume of a particle [m3]."""
+        shares = self.number_shares()
+        return sum(s * t.volume for s, t in zip(shares, self.templates, strict=True))
+
+    @property
+    def mean_mass(self) -> float:
+        """Mean mass of a particle [kg]."""
+        shares = self.number_shares()
+        return sum(s * t.volume * t.density for s, t in zip(shares, self.templates, strict=True))
+
+
+def distribution(deck: Deck, fix: Fix) -> None:
+    """fix ID group particledistribution/discrete[/massbased|/numberbased] SEED N TEMPLATE SHARE ..."""
+    words = Words(deck, fix.entry.command, fix.words)
+    words.word("the seed")
+    count = words.whole("the number of templates")
+    templates, shares = [], []
+    for _ in range(count):
+        name = words.word("the name of a template")
+        share = words.number(f"the share of {name}")
+        found = deck.fixes.get(name)
+        if found is None or not isinstance(found.data, Template):
+            raise DeckError(fix.entry.command, f"there is no particle template {name}.")
+        templates.append(found.data)
+        shares.append(share)
+    if words or not shares or sum(shares) <= 0.0:
+        raise DeckError(fix.entry.command, f"{count} templates with shares above 0 are expected.")
+    by = "number" if fix.style.endswith("numberbased") else "mass"
+    fix.data = Distribution(templates, shares, by, fix.entry)
+
+
+# Insertions (LIGGGHTS)
+
+
+@dataclass
+class Insertion:
+    """One insertion as the script gives it, in SI units; `None`: not given."""
+
+    distribution: Distribution
+    region: Region | None = None
+    face: Fix | None = None
+    count: float | None = None
+    mass: float | None = None
+    rate: float | None = None
+    mass_rate: float | None = None
+    fraction: float | None = None
+    every: int | None = None
+    """Steps between insertions; 0 for once."""
+    start: int | None = None
+    velocity: Vector = (0.0, 0.0, 0.0)
+    fluctuation: Vector | None = None
+    omega: Vector = (0.0, 0.0, 0.0)
+    all_in: bool = False
+    extrude: float = 0.0
+    duration: int | None = None
+    orientation: Any = "random"
+    notes: list[str] = field(default_factory=list)
+
+
+def insertion(deck: Deck, fix: Fix) -> None:
+    """fix ID group insert/pack|stream|rate/region seed N distributiontemplate ID KEYWORDS"""
+    words = Words(deck, fix.entry.command, fix.words)
+    found: Insertion | None = None
+    given: dict[str, Any] = {}
+    while words:
+        key = words.word("a keyword")
+        if key == "distributiontemplate":
+            name = words.word("the name of a distribution")
+            each = deck.fixes.get(name)
+            if each is None or not isinstance(each.data, Distribution):
+                raise DeckError(fix.entry.command, f"there is no fix particledistribution/discrete {name}.")
+            found = Insertion(each.data)
+        elif key == "region":
+            given["region"] = region_of(deck, fix.entry.command, words.word("the name of a region"))
+        elif key == "insertion_face":
+            name = words.word("the name of a mesh")
+            given["face"] = deck.fixes.get(name)
+            if given["face"] is None:
+                raise DeckError(fix.entry.command, f"there is no fix mesh/surface {name}.")
+        elif key in ("nparticles", "particles_in_region"):
+            number = words.plain("the number of particles")
+            given["count"] = None if number == inf else number
+        elif key in ("mass", "mass_in_region"):
+            number = words.number("the mass", "mass")
+            given["mass"] = None if number == inf else number
+        elif key == "particlerate":
+            given["rate"] = words.number("the rate", "rate")
+        elif key == "massrate":
+            given["mass_rate"] = words.number("the mass rate", "mass_flow")
+        elif key == "volumefraction_region":
+            given["fraction"] = words.number("the volume fraction")
+        elif key == "insert_every":
+            given["every"] = (
+                0 if words.next == "once" and words.word("once") else words.whole("a number of steps")
+            )
+        elif key == "start":
+            given["start"] = words.whole("the first step")
+        elif key == "duration":
+            given["duration"] = words.whole("the duration in steps")
+        elif key == "extrude_length":
+            given["extrude"] = words.number("the length", "length")
+        elif key == "all_in":
+            given["all_in"] = words.flag(key)
+        elif key == "vel":
+            style = words.word("constant, uniform or gaussian")
+            given["velocity"] = words.vector("the velocity", "velocity")
+            if style in ("uniform", "gaussian"):
+                given["fluctuation"] = words.vector("the fluctuation", "velocity")
+                scale = 1.0 if style == "gaussian" else 1.0 / sqrt(3.0)
+                given["fluctuation"] = tuple(scale * each for each in given["fluctuation"])
+            elif style != "constant":
+                raise DeckError(fix.entry.command, f"vel is {style}; give constant, uniform or gaussian.")
+        elif key == "omega":
+            words.word("constant")
+            given["omega"] = words.vector("the angular velocity", "angular_velocity")
+        elif key == "orientation":
+            style = words.word("random, template or constant")
+            given["orientation"] = [words.number("q") for _ in range(4)] if style == "constant" else style
+        elif key == "overlapcheck":
+            if not words.flag(key):
+                fix.entry.approximated("particles are inserted without overlap")
+        elif key == "set_property":
+            fix.entry.impossible(f"the initial property {words.word('a property')}")
+            words.number("its value")
+        elif key in IGNORED:
+            words.word(f"a value of {key}")
+        else:
+            raise DeckError(
+                fix.entry.command, f"{fix.style} has no keyword {key}. Is it spelled as in the documentation?"
+            )
+    if found is None:
+        raise DeckError(fix.entry.command, "distributiontemplate is missing.")
+    for key, value in given.items():
+        setattr(found, key, value)
+    fix.data = found
+
+
+IGNORED = {
+    *(
+        "seed",
+        "verbose",
+        "maxattempt",
+        "random_distribute",
+        "compress_tags",
+        "check_dist_from_subdomain_border",
+    ),
+    *("ntry_mc", "parallel", "warn_boxentent", "warn_region"),
+}
+"""Keywords of insertions that have no counterpart because granflow does without."""
+
+
+# Regions and faces of a scene
+
+
+def volume_of(region: Region) -> float:
+    """Volume [m3] of a block, cylinder or sphere; 0 for others."""
+    n = region.numbers
+    if region.kind == "block":
+        return (n[1] - n[0]) * (n[3] - n[2]) * (n[5] - n[4])
+    if region.kind == "cylinder":
+        return pi * n[2] ** 2 * (n[4] - n[3])
+    if region.kind == "sphere":
+        return 4.0 / 3.0 * pi * n[3] ** 3
+    if region.kind == "cone":
+        return pi / 3.0 * (n[2] ** 2 + n[2] * n[3] + n[3] ** 2) * (n[5] - n[4])
+    return 0.0
+
+
+def extent_of(deck: Deck, region: Region) -> tuple[float, ...]:
+    """Low and high of x, y and z of a region, within the box."""
+    n = region.numbers
+    box = deck.box or (-inf, inf) * 3
+    if region.kind == "block":
+        found = n
+    elif region.kind in ("cylinder", "cone"):
+        radius = n[2] if region.kind == "cylinder" else max(n[2], n[3])
+        ends = n[-2:]
+        center = {"x": (None, n[0], n[1]), "y": (n[0], None, n[1]), "z": (n[0], n[1], None)}[region.axis]
+        found = tuple(each for c in center for each in (ends if c is None else (c - radius, c + radius)))
+    elif region.kind == "sphere":
+        found = tuple(each for c in n[:3] for each in (c - n[3], c + n[3]))
+    else:
+        found = box
+    finite = []
+    for k, each in enumerate(found):
+        limit = box[k]
+        finite.append(limit if each != each or abs(each) == inf else each)
+    return tuple(finite)
+
+
+def scene_region(deck: Deck, region: Region, entry: Entry, margin: float = 0.0) -> dict[str, Any]:
+    """A region of the scene; `margin` [m] enlarges it, so that centers lie in the region of the script."""
+    low_high = list(extent_of(deck, region))
+    if not region.inside:
+        entry.impossible("insertion outside a region", "a region with side in")
+    if region.kind == "cylinder":
+        k = "xyz".index(region.axis)
+        others = [each for each in range(3) if each != k]
+        ends = []
+        for along in (low_high[2 * k] - margin, low_high[2 * k + 1] + margin):
+            end = [0.0, 0.0, 0.0]
+            end[k] = along
+            end[others[0]], end[others[1]] = region.numbers[0], region.numbers[1]
+            ends.append(quantities(end, "length"))
+        radius = quantity(region.numbers[2] + margin, "length")
+        return {"cylinder": {"from": ends[0], "to": ends[1], "radius": radius}}
+    if region.kind != "block":
+        scale = 1.0
+        volume = volume_of(region)
+        if volume:
+            box = np.prod([low_high[2 * k + 1] - low_high[2 * k] for k in range(3)])
+            scale = float((volume / box) ** (1.0 / 3.0))
+        for k in range(3):
+            middle = 0.5 * (low_high[2 * k] + low_high[2 * k + 1])
+            half = 0.5 * scale * (low_high[2 * k + 1] - low_high[2 * k])
+            low_high[2 * k], low_high[2 * k + 1] = middle - half, middle + half
+        entry.approximated(f"the {region.kind} is replaced by a box of the same volume")
+    low = [each - margin for each in low_high[::2]]
+    high = [each + margin for each in low_high[1::2]]
+    return {"box": {"min": quantities(low, "length"), "max": quantities(high, "length")}}
+
+
+def face_of(mesh: Fix, velocity: Vector, entry: Entry) -> tuple[dict[str, Any], float]:
+    """The face of an inlet from a flat mesh, with the normal along the velocity; and its area [m2].
+
+    A rectangle or a disc if the mesh is one, otherwise a disc of the same area.
+    """
+    triangles = transformed(mesh)
+    edges = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = 0.5 * float(np.linalg.norm(edges, axis=1).sum())
+    normal = edges[np.argmax(np.linalg.norm(edges, axis=1))]
+    normal = normal / np.linalg.norm(normal)
+    if normal @ np.array(velocity) < 0.0:
+        normal = -normal
+    points = np.unique(np.round(triangles.reshape(-1, 3), 12), axis=0)
+    center = points.mean(axis=0)
+    distance = np.linalg.norm(points - center, axis=1)
+    if len(points) == 4 and np.ptp(distance) < 1e-6 * distance.max():
+        order = np.argsort(np.linalg.norm(points - points[0], axis=1))
+        first, second = points[order[1]] - points[0], points[order[2]] - points[0]
+        if np.cross(first, second) @ normal < 0.0:
+            first, second = second, first
+        sides = [quantities(_clean(first), "length"), quantities(_clean(second), "length")]
+        return {"rectangle": {"corner": quantities(_clean(points[0]), "length"), "sides": sides}}, area
+    radius = sqrt(area / pi)
+    edge = distance > 0.5 * distance.max()
+    if np.ptp(distance[edge]) > 0.05 * distance.max():
+        entry.approximated(f"the face of {len(triangles)} triangles is replaced by a disc of the same area")
+    disc = {"center": quantities(_clean(center), "length"), "normal": _clean(normal)}
+    return {"disc": {**disc, "radius": quantity(radius, "length")}}, area
+
+
+def _clean(values: Any) -> list[float]:
+    """Numbers without rounding errors of transformations."""
+    return [float(round(each, 10)) + 0.0 for each in values]
+
+
+def transformed(mesh: Fix) -> np.ndarray:
+    """Triangles (n, 3, 3) [m] of a mesh after the transformations of the script, in their order."""
+    raw = read_triangles(Path(str(mesh.data["path"])))
+    triangles = raw.points[raw.corners]
+    for kind, *values in mesh.data["steps"]:
+        if kind == "scale":
+            triangles = triangles * values[0]
+        elif kind == "move":
+            triangles = triangles + np.array(values[0])
+        else:
+            triangles = triangles @ rotation(values[0], np.radians(values[1])).T
+    return triangles
+
+
+def rotation(axis: Vector, angle: float) -> np.ndarray:
+    """Matrix (3, 3) of a rotation by an angle [rad] about an axis through the origin."""
+    x, y, z = np.array(axis) / hypot(*axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+
+
+# Groups from insertions
+
+
+def collect(deck: Deck) -> None:
+    """Make the groups of the scene from all insertions that act in a run."""
+    for fix in deck.all_fixes:
+        if isinstance(fix.data, Insertion) and deck.acting(fix):
+            _insert(deck, fix, fix.data)
+        elif isinstance(fix.data, Pour) and deck.acting(fix):
+            _pour(deck, fix, fix.data)
+
+
+def _sizes(distribution: Distribution, members: list[Template]) -> Any:
+    """The key diameter of some templates of a distribution."""
+    shares = dict(zip(map(id, distribution.templates), distribution.shares, strict=True))
+    if len(members) == 1:
+        return quantity(2.0 * members[0].radius, "length")
+    classes = [
+        {"diameter": quantity(2.0 * each.radius, "length"), "fraction": shares[id(each)]} for each in members
+    ]
+    return {"distribution": "classes", "by": distribution.by, "classes": classes}
+
+
+def _window(deck: Deck, fix: Fix) -> tuple[float, float]:
+    """First and last time [s] of a fix."""
+    runs = deck.acting(fix)
+    return runs[0].start, runs[-1].end
+
+
+def _travel(deck: Deck, velocity: Vector, time: float, extent: tuple[float, ...]) -> float:
+    """Share of a region that particles leave in a time [s], falling freely from its velocity."""
+    gravity = next((fix.data for fix in deck.fixes_of("gravity") if fix.data), (0.0, 0.0, 0.0))
+    left = 1.0
+    for k in range(3):
+        way = abs(velocity[k] * time + 0.5 * gravity[k] * time**2)
+        left *= max(0.0, 1.0 - way / max(extent[2 * k + 1] - extent[2 * k], 1e-300))
+    return 1.0 - left
+
+
+def _insert(deck: Deck, fix: Fix, given: Insertion) -> None:
+    """The groups of one insertion of LIGGGHTS: one for each type and density of its templates."""
+    kinds: dict[tuple[int, float, bool], list[Template]] = {}
+    for each in given.distribution.templates:
+        kinds.setdefault((each.type, each.density, each.clump is not None), []).append(each)
+    numbers = given.distribution.number_shares()
+    masses = [s * t.volume * t.density for s, t in zip(numbers, given.distribution.templates, strict=True)]
+    for index, ((type, density, is_clump), members) in enumerate(kinds.items()):
+        chosen = [k for k, each in enumerate(given.distribution.templates) if each in members]
+        share = sum(numbers[k] for k in chosen)
+        mass_share = sum(masses[k] for k in chosen) / sum(masses)
+        name = fix.name if len(kinds) == 1 else f"{fix.name}_{index + 1}"
+        if is_clump and len(members) > 1:
+            fix.entry.approximated("of several multisphere templates only the first is inserted")
+        amount = Amount(deck, fix, given, share, mass_share)
+        keys: dict[str, Any] = {}
+        keys |= {"clump": members[0].clump} if is_clump else {"diameter": _sizes(given.distribution, members)}
+        if any(given.velocity):
+            keys["velocity"] = list(given.velocity)
+        if any(given.omega):
+            keys["angular_velocity"] = list(given.omega)
+        if given.fluctuation is not None:
+            fix.entry.approximated(
+                f"velocities fluctuate by {max(given.fluctuation):.3g} m/s in the script; here they are equal"
+            )
+        radii = [each.radius for each in members]
+        for suffix, amounts, insert in amount.parts(min(radii)):
+            group = ParticleGroup(
+                f"{name}{suffix}",
+                type,
+                density,
+                (min(radii), max(radii)),
+                {**amounts, **keys, "insert": insert},
+                (fix.entry,),
+            )
+            deck.particles.append(group)
+        for each in members:
+            each.entry.translated(f"particles.{name}")
+        given.distribution.entry.translated(f"particles.{name}.diameter")
+
+
+@dataclass
+class Amount:
+    """How much of a part of an insertion enters where and when."""
+
+    deck: Deck
+    fix: Fix
+    given: Insertion
+    share: float
+    mass_share: float
+
+    def parts(self, radius: float) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
+        """Suffix of the group, its count or mass, and the key insert; `radius` [m] of the smallest "
+        "particle."""
+        given, fix = self.given, self.fix
+        start, end = _window(self.deck, fix)
+        if given.start is not None:
+            start = max(start, start + (given.start - fix.step) * (self.deck.time_step or 0.0))
+        if fix.style == "insert/pack":
+            return self._pack(radius, start, end)
+        keys = self._flow(start, end)
+        if given.face is not None:
+            face, _ = face_of(given.face, given.velocity, fix.entry)
+            given.face.entry.translated(f"particles.{fix.name}.insert.face")
+            return [("", self._total(), {"kind": "inlet", "face": face, **keys})]
+        if given.region is None:
+            raise DeckError(fix.entry.command, f"{fix.style} needs a region or an insertion_face.")
+        region = scene_region(self.deck, given.region, fix.entry, 0.0 if given.all_in else radius)
+        given.region.entry.translated(f"particles.{fix.name}.insert.region")
+        return [("", self._total(), {"kind": "rain", "region": region, **keys})]
+
+    def _total(self) -> dict[str, Any]:
+        """The total count or mass; empty for an insertion without end."""
+        given = self.given
+        if given.count is not None:
+            return {"count": max(1, round(given.count * self.share))}
+        if given.mass is not None:
+            return {"mass": quantity(given.mass * self.mass_share, "mass")}
+        return {}
+
+    def _flow(self, start: float, end: float) -> dict[str, Any]:
+        """Rate, start and end of a flow."""
+        given = self.given
+        if given.mass_rate is not None:
+            keys = {"mass_flow": quantity(given.mass_rate * self.mass_share, "mass_flow")}
+        elif given.rate is not None:
+            keys = {"rate": quantity(given.rate * self.share, "rate")}
+        else:
+            raise DeckError(self.fix.entry.command, f"{self.fix.style} needs particlerate or massrate.")
+        return {**keys, **self._times(start, end)}
+
+    def _times(self, start: float, end: float) -> dict[str, Any]:
+        """Start and end where they differ from those of the run."""
+        keys: dict[str, Any] = {}
+        if start > 0.0:
+            keys["start"] = quantity(start, "time")
+        if end < self.deck.end * (1.0 - 1e-9):
+            keys["end"] = quantity(end, "time")
+        return keys
+
+    def _pack(
+        self, radius: float, start: float, end: float
+    ) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
+        """insert/pack once is a pack at the start; repeated, or later, it fills the region in batches."""
+        given, deck, fix = self.given, self.deck, self.fix
+        if given.region is None:
+            raise DeckError(fix.entry.command, "insert/pack needs a region.")
+        region = scene_region(deck, given.region, fix.entry, 0.0 if given.all_in else radius)
+        given.region.entry.translated(f"particles.{fix.name}.insert.region")
+        mean = given.distribution.mean_volume
+        if given.fraction is not None:
+            volume = volume_of(given.region) or _box_volume(extent_of(deck, given.region))
+            count = given.fraction * volume / mean
+        elif given.count is not None:
+            count = given.count
+        elif given.mass is not None:
+            count = given.mass / given.distribution.mean_mass
+        else:
+            raise DeckError(
+                fix.entry.command,
+                "insert/pack needs particles_in_region, mass_in_region or volumefraction_region.",
+            )
+        count *= self.share
+        first = {"count": max(1, round(count))}
+        pack = {"kind": "pack", "region": region}
+        step = deck.time_step or 0.0
+        every = (given.every or 0) * step
+        if start > 0.0:
+            fix.entry.approximated("the particles enter within 10 ms, not in one step")
+            times = {"start": quantity(start, "time")}
+            parts: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
+                (
+                    "",
+                    first,
+                    {"kind": "rain", "region": region, "rate": quantity(count / 0.01, "rate"), **times},
+                )
+            ]
+        else:
+            parts = [("", first, pack)]
+        batches = floor((end - start) / every + 1e-9) if every else 0
+        if every and abs(start + batches * every - end) < 1e-9 * end:
+            batches -= 1  # the script ends, or the fix, before the next insertion
+        if batches <= 0:
+            return parts
+        leaving = _travel(deck, given.velocity, every, extent_of(deck, given.region))
+        refill = count * leaving
+        fix.entry.approximated(
+            f"{batches} refills of the region every {every:g} s are a constant rate: {leaving:.0%} of "
+            f"{round(count)} "
+            "particles leave it in this time by free fall"
+        )
+        keys = {
+            "rate": quantity(float(f"{refill / every:.6g}"), "rate"),
+            "start": quantity(start + every, "time"),
+        }
+        if start + (batches + 1) * every < deck.end:
+            keys["end"] = quantity(start + (batches + 1) * every, "time")
+        total = {"count": max(1, round(refill * batches))}
+        return [*parts, ("_refill", total, {"kind": "rain", "region": region, **keys})]
+
+
+def _box_volume(extent: tuple[float, ...]) -> float:
+    return (extent[1] - extent[0]) * (extent[3] - extent[2]) * (extent[5] - extent[4])
+
+
+# pour (LAMMPS, and old LIGGGHTS)
+
+
+@dataclass
+class Pour:
+    """A fix pour in SI units; diameters as (diameter, fraction by number), or a range."""
+
+    count: int
+    type: int
+    region: Region
+    diameters: list[tuple[float, float]]
+    is_range: bool
+    density: float
+    fraction: float
+    rate: float
+    velocity: float
+
+
+def pour(deck: Deck, fix: Fix) -> None:
+    """fix ID group pour N TYPE SEED region ID KEYWORDS"""
+    words = Words(deck, fix.entry.command, fix.words)
+    count, type = words.whole("the number of particles"), words.whole("the type")
+    words.word("the seed")
+    region: Region | None = None
+    unit = deck.si(1.0, "length")
+    diameters, is_range = [(unit, 1.0)], False
+    densities = (deck.si(1.0, "density"),) * 2
+    fraction, rate, velocity = 0.25, 0.0, 0.0
+    while words:
+        key = words.word("a keyword")
+        if key == "region":
+            region = region_of(deck, fix.entry.command, words.word("the name of a region"))
+        elif key == "diam":
+            style = words.next
+            if style == "one":
+                words.word(style)
+                diameters, is_range = [(words.number("the diameter", "length"), 1.0)], False
+            elif style == "poly":
+                words.word(style)
+                number = words.whole("the number of diameters")
+                diameters = [
+                    (words.number("a diameter", "length"), words.number("its fraction"))
+                    for _ in range(number)
+                ]
+                is_range = False
+            else:
+                if style == "range":
+                    words.word(style)
+                diameters = [(words.number("a diameter", "length"), 1.0) for _ in range(2)]
+                is_range = diameters[0][0] < diameters[1][0]
+                diameters = diameters if is_range else diameters[:1]
+        elif key == "dens":
+            densities = (words.number("the density", "density"), words.number("the density", "density"))
+        elif key == "vol":
+            fraction = words.number("the volume fraction")
+            words.whole("the number of attempts")
+        elif key == "rate":
+            rate = words.number("the rate", "velocity")
+        elif key == "vel":
+            numbers = []
+            while words and _is_numeric(words.next):
+                numbers.append(words.number("a velocity", "velocity"))
+            if len(numbers) >= 5:
+                velocity = numbers[-1]
+                if any(numbers[:4]):
+                    fix.entry.approximated(
+                        "the horizontal velocities of the script are random; here they are 0"
+                    )
+        elif key in ("mol", "rigid", "shake", "template"):
+            fix.entry.impossible(f"pour of molecules ({key})", "clumps: particles.NAME.clump")
+            words.word(f"a value of {key}")
+        elif key in ("id", "units", "ignore", "molfrac"):
+            if key in ("id", "units"):
+                words.word(f"a value of {key}")
+        else:
+            raise DeckError(fix.entry.command, f"pour has no keyword {key}.")
+    if region is None:
+        raise DeckError(fix.entry.command, "pour needs a region.")
+    if densities[0] != densities[1]:
+        fix.entry.approximated(f"densities from {densities[0]:g} to {densities[1]:g}; the mean is taken")
+    density = 0.5 * (densities[0] + densities[1])
+    if type < 1:
+        return
+    fix.data = Pour(count, type, region, diameters, is_range, density, fraction, rate, velocity)
+
+
+def _is_numeric(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
+    """The group of a pour: batches that fill the region to its fraction, as a constant rate.
+
+    A batch follows when the one before has left the region: n steps with n dt = (v + sqrt(v^2 + 2 g h)) / g.
+    """
+    extent = extent_of(deck, given.region)
+    gravity = next((each.data for each in deck.fixes_of("gravity") if each.data), (0.0, 0.0, -9.81))
+    g = hypot(*gravity)
+    height = extent[5] - extent[4]
+    flow = -given.rate
+    down = abs(given.velocity)
+    if given.rate:
+        fix.entry.approximated("the region of the script moves with rate; here it is at rest")
+    time = (sqrt(down**2 + 2.0 * g * height) - down) / g if g else height / max(down, 1e-9)
+    time = max(time - flow * 0.0, deck.time_step or 1e-6)
+    if given.is_range:
+        low, high = given.diameters[0][0], given.diameters[1][0]
+        mean_cube = (high**4 - low**4) / (4.0 * (high - low))
+        sizes: Any = {
+            "distribution": "uniform",
+            "min": quantity(low, "length"),
+            "max": quantity(high, "length"),
+        }
+        radii = (0.5 * low, 0.5 * high)
+    else:
+        total = sum(share for _, share in given.diameters)
+        mean_cube = sum(share / total * d**3 for d, share in given.diameters)
+        radii = (0.5 * min(given.diameters)[0], 0.5 * max(given.diameters)[0])
+        sizes = quantity(given.diameters[0][0], "length")
+        if len(given.diameters) > 1:
+            classes = [{"diameter": quantity(d, "length"), "fraction": share} for d, share in given.diameters]
+            sizes = {"distribution": "classes", "by": "number", "classes": classes}
+    volume = volume_of(given.region) or _box_volume(extent)
+    batch = max(1.0, floor(given.fraction * volume / (pi / 6.0 * mean_cube)))
+    rate = float(f"{batch / time:.6g}")
+    region = scene_region(deck, given.region, fix.entry)
+    given.region.entry.translated(f"particles.{fix.name}.insert.region")
+    insert: dict[str, Any] = {"kind": "rain", "region": region, "rate": quantity(rate, "rate")}
+    start, end = _window(deck, fix)
+    if start > 0.0:
+        insert["start"] = quantity(start, "time")
+    if end < deck.end and start + given.count / rate > end:
+        insert["end"] = quantity(end, "time")
+    keys: dict[str, Any] = {"count": given.count, "diameter": sizes}
+    mean_speed = down + 0.5 * g * time
+    if mean_speed:
+        keys["velocity"] = quantities([-mean_speed * -each / g if g else 0.0 for each in gravity], "velocity")
+    fix.entry.approximated(
+        f"batches of {batch:g} particles every {time:.3g} s are a constant rate, with the mean velocity of "
+        "the "
+        "fall through the region"
+    )
+    deck.particles.append(
+        ParticleGroup(fix.name, given.type, given.density, radii, {**keys, "insert": insert}, (fix.entry,))
+    )
+
+
+# Particles at the start
+
+
+def read_data(deck: Deck, command: Command, entry: Entry) -> None:
+    """read_data FILE: box and particles (atom_style sphere or granular)."""
+    words = Words(deck, command, command.words)
+    path = deck.family["folder"] / words.word("the file")
+    if words:
+        entry.impossible(f"the keyword {words.next} of read_data", "one file with all particles")
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise DeckError(command, f"{path} cannot be read: {error.strerror}.") from None
+    box = [0.0] * 6
+    section, rows, velocities = "", [], {}
+    for number, raw in enumerate(lines[1:], 2):
+        parts = raw.split("#")[0].split()
+        if not parts:
+            continue
+        if parts[0][0].isalpha():
+            section = parts[0]
+            if section not in ("Atoms", "Velocities"):
+                entry.impossible(f"the section {section} of {path.name}", "Atoms and Velocities")
+        elif len(parts) >= 4 and parts[-2:] in (["xlo", "xhi"], ["ylo", "yhi"], ["zlo", "zhi"]):
+            k = 2 * "xyz".index(parts[-1][0])
+            box[k], box[k + 1] = (deck.si(float(each), "length") for each in parts[:2])
+        elif len(parts) >= 3 and parts[-2:] == ["atom", "types"]:
+            deck.types = int(parts[0])
+        elif section == "Atoms":
+            if len(parts) < 7:
+                raise DeckError(command, f"{path.name}:{number}: an atom has id type diameter density x y z.")
+            rows.append([float(each) for each in parts[:7]])
+        elif section == "Velocities":
+            velocities[int(float(parts[0]))] = [float(each) for each in parts[1:7]]
+    deck.box, deck.box_entry = tuple(box), entry
+    if not rows:
+        return
+    unit = {name: deck.si(1.0, name) for name in ("length", "density", "velocity", "angular_velocity")}
+    table = np.array(rows)
+    table[:, 2] *= unit["length"]
+    table[:, 3] *= unit["density"]
+    table[:, 4:7] *= unit["length"]
+    motion = np.array([velocities.get(int(row[0]), [0.0] * 6) + [0.0] * 6 for row in rows])[:, :6]
+    motion[:, :3] *= unit["velocity"]
+    motion[:, 3:] *= unit["angular_velocity"]
+    _add_points(deck, table[:, 1], table[:, 2] / 2.0, table[:, 3], table[:, 4:7], motion, entry)
+
+
+@dataclass
+class Points:
+    """Particles at the start, one row each: type, radius [m], density [kg/m3], position, velocity, spin."""
+
+    type: np.ndarray
+    radius: np.ndarray
+    density: np.ndarray
+    position: np.ndarray
+    motion: np.ndarray
+    entries: list[Entry]
+
+
+def _add_points(
+    deck: Deck, type: Any, radius: Any, density: Any, position: Any, motion: Any, entry: Entry
+) -> None:
+    """Add particles at given positions."""
+    found: Points | None = deck.family.get("points")
+    if found is None:
+        deck.family["points"] = Points(
+            np.array(type, int), np.array(radius, float), np.array(density, float), np.array(position, float),
+            np.array(motion, float), [entry],
+        )  # fmt: skip
+        return
+    for name, value in (
+        ("type", type),
+        ("radius", radius),
+        ("density", density),
+        ("position", position),
+        ("motion", motion),
+    ):
+        setattr(found, name, np.concatenate([getattr(found, name), value]))
+    found.entries.append(entry)
+
+
+def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
+    """create_atoms TYPE single X Y Z | random N SEED REGION | region ID | box"""
+    words = Words(deck, command, command.words)
+    type = words.whole("the type")
+    style = words.word("the style")
+    if style == "single":
+        place = words.vector("the position", "length")
+        unit = deck.si(1.0, "length")
+        _add_points(deck, [type], [0.5 * unit], [deck.si(1.0, "density")], [place], [[0.0] * 6], entry)
+    elif style == "random":
+        count = words.whole("the number")
+        words.word("the seed")
+        name = words.word("the name of a region")
+        box = deck.box or (0.0,) * 6
+        extent = box if name == "NULL" else extent_of(deck, region_of(deck, command, name))
+        random = np.random.default_rng(1)
+        point = random.uniform(extent[::2], extent[1::2], (count, 3))
+        ones = np.ones(count)
+        entry.approximated("random positions differ from those of the code")
+        _add_points(deck, type * ones, 0.5 * ones, ones, point, np.zeros((count, 6)), entry)
+    else:
+        entry.impossible(f"create_atoms {style}", "insert: {kind: lattice, region: ...}")
+
+
+def set_(deck: Deck, command: Command, entry: Entry) -> None:
+    """set group|type|atom|region WHICH KEYWORD VALUE ..."""
+    words = Words(deck, command, command.words)
+    style, which = words.word("the style"), words.word("the name")
+    points: Points | None = deck.family.get("points")
+    if points is None:
+        entry.impossible(
+            "properties of particles that are inserted during the run", "the keys of their group"
+        )
+        return
+    chosen = _chosen(deck, command, points, style, which)
+    while words:
+        key = words.word("a keyword")
+        if key == "type":
+            points.type[chosen] = words.whole("the type")
+        elif key == "diameter":
+            points.radius[chosen] = 0.5 * words.number("the diameter", "length")
+        elif key == "density":
+            points.density[chosen] = words.number("the density", "density")
+        elif key in ("x", "y", "z"):
+            points.position[chosen, "xyz".index(key)] = words.number("the position", "length")
+        elif key in ("vx", "vy", "vz"):
+            points.motion[chosen, "xyz".index(key[1])] = words.number("the velocity", "velocity")
+        elif key in ("omegax", "omegay", "omegaz"):
+            points.motion[chosen, 3 + "xyz".index(key[5])] = words.number("the rate", "angular_velocity")
+        elif key == "omega":
+            points.motion[chosen, 3:] = words.vector("the angular velocity", "angular_velocity")
+        else:
+            entry.impossible(f"the keyword {key} of set")
+            words.skip()
+    entry.translated("particles")
+
+
+def _chosen(deck: Deck, command: Command, points: Points, style: str, which: str) -> Any:
+    """Indices of the particles that a style and a name choose."""
+    if style == "group":
+        return slice(None)
+    if style in ("type", "atom"):
+        low, star, high = which.partition("*")
+        number = points.type if style == "type" else np.arange(1, len(points.type) + 1)
+        first = int(low) if low else 1
+        last = (int(high) if high else 10**12) if star else first
+        return (number >= first) & (number <= last)
+    if style == "region":
+        low_high = extent_of(deck, region_of(deck, command, which))
+        return ((points.position >= low_high[::2]) & (points.position <= low_high[1::2])).all(axis=1)
+    raise DeckError(command, f"set has no style {style}; it has group, type, atom and region.")
+
+
+def delete_atoms(deck: Deck, command: Command, entry: Entry) -> None:
+    """delete_atoms region ID | group ID ..."""
+    points: Points | None = deck.family.get("points")
+    words = Words(deck, command, command.words)
+    style, which = words.word("the style"), words.word("the name")
+    if style == "region" and points is not None and deck.time == 0.0:
+        kept = ~np.broadcast_to(_chosen(deck, command, points, "region", which), points.type.shape)
+        for name in ("type", "radius", "density", "position", "motion"):
+            setattr(points, name, getattr(points, name)[kept])
+        entry.translated("particles")
+    else:
+        entry.impossible(
+            "deletion of particles during the simulation", "outlets, in which particles are deleted"
+        )
+
+
+def velocity(deck: Deck, command: Command, entry: Entry) -> None:
+    """velocity GROUP set VX VY VZ"""
+    words = Words(deck, command, command.words)
+    words.word("a group")
+    style = words.word("the style")
+    points: Points | None = deck.family.get("points")
+    if style != "set" or points is None:
+        entry.impossible(f"velocity {style}", "velocity or thermal of the group")
+        return
+    for k in range(3):
+        if words.next == "NULL":
+            words.word("a velocity")
+        else:
+            points.motion[:, k] = words.number("a velocity", "velocity")
+    entry.translated("particles")
+
+
+def add_points(deck: Deck, draft: Draft) -> None:
+    """The groups of particles at given positions: one table, one group for each type and density."""
+    points: Points | None = deck.family.get("points")
+    if points is None or not len(points.type):
+        return
+    kinds = sorted(set(zip(points.type.tolist(), points.density.tolist(), strict=True)))
+    for type, density in kinds:
+        rows = (points.type == type) & (points.density == density)
+        name = (
+            f"type{type}"
+            if len({t for t, _ in kinds}) == len(kinds)
+            else f"type{type}_{density:g}".replace(".", "_")
+        )
+        columns = [points.position[rows], points.radius[rows, None]]
+        heads = ["x", "y", "z", "r"]
+        if points.motion[rows].any():
+            columns.append(points.motion[rows])
+            heads += ["vx", "vy", "vz", "wx", "wy", "wz"]
+        lines = [",".join(heads)] + [",".join(f"{v:.15g}" for v in row) for row in np.hstack(columns)]
+        file = draft.add_file(f"{name}.csv", ("\n".join(lines) + "\n").encode())
+        radii = (float(points.radius[rows].min()), float(points.radius[rows].max()))
+        keys = {"insert": {"kind": "file", "file": file}}
+        deck.particles.append(
+            ParticleGroup(f"start_{name}", type, density, radii, keys, tuple(points.entries))
+        )
+
+
+def build(deck: Deck, draft: Draft) -> None:
+    """Write the block particles."""
+    for group in deck.particles:
+        name = "".join(each if each.isalnum() or each == "_" else "_" for each in group.name)
+        name = name if name[:1].isalpha() else f"group_{name}"
+        keys = {"material": material_of(deck, group), **group.keys}
+        draft.put(("particles", name), keys, *group.entries)
+
+
+# Tables
+
+COMMANDS: dict[str, Translation] = {
+    "read_data": Translation(
+        read_data, "particles.NAME.insert (kind: file)", "atom_style sphere or granular"
+    ),
+    "create_atoms": Translation(create_atoms, "particles.NAME.insert (kind: file)", "single and random"),
+    "set": Translation(set_, "particles", "particles that exist at the start"),
+    "velocity": Translation(velocity, "particles", "set, particles that exist at the start"),
+    "delete_atoms": Translation(delete_atoms, "particles", "region, before the first run"),
+    "displace_atoms": impossible("displacement of particles", "other positions in the table"),
+    "molecule": impossible("molecules", "clumps: particles.NAME.clump"),
+}
+FIXES: dict[str, Translation] = {
+    "particletemplate/sphere": Translation(template_sphere, "particles.NAME.diameter"),
+    "particledistribution/discrete": Translation(distribution, "particles.NAME.diameter (classes)"),
+    "particledistribution/discrete/massbased": Translation(distribution, "particles.NAME.diameter (classes)"),
+    "particledistribution/discrete/numberbased": Translation(
+        distribution, "particles.NAME.diameter (classes)"
+    ),
+    "insert/pack": Translation(insertion, "insert: {kind: pack}", "repeated: pack and rain"),
+    "insert/stream": Translation(insertion, "insert: {kind: inlet}"),
+    "insert/rate/region": Translation(insertion, "insert: {kind: rain}"),
+    "pour": Translation(pour, "insert: {kind: rain}", "batches become a constant rate"),
+    "adapt": impossible("diameters that change", "a higher solid fraction by kind: pack (up to 0.55)"),
+    "deposit": impossible("fix deposit", "insert: {kind: rain}"),
+    "particletemplate/superquadric": impossible("superquadrics", "clumps: particles.NAME.clump"),
+}

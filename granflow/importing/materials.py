@@ -1,0 +1,1077 @@
+"""Materials, pairs and contact models of a script: property/global, pair_style, pair_coeff and the models of
+walls.
+
+The contact models of a scene are the same for all pairs, its coefficients belong to pairs of materials. A
+type of the script is one material for each density; a wall has the material of its type, or one of its own if
+its model differs from that of the particles. Restitution is that of a collision in the code, attraction at
+its end included.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from math import exp, log, pi, sqrt
+from typing import Any
+
+from granflow.contact.theory import damping_ratio_for
+from granflow.importing.deck import Deck, Fix, ParticleGroup, Translation, Words, impossible, not_needed
+from granflow.importing.language import Command, DeckError
+from granflow.importing.report import Entry
+from granflow.importing.scene_text import Draft, quantity
+
+REFERENCE_DENSITY = 2500.0
+"""Density [kg/m3] of the material of a wall whose type no particle has; no result depends on it."""
+LEAST_RESTITUTION = 0.01
+"""Smallest restitution that is written; viscous models do not have 0."""
+
+# Properties (LIGGGHTS)
+
+
+@dataclass(frozen=True)
+class Known:
+    """A name of property/global: dimension of its numbers, and what becomes of it."""
+
+    dimension: str = "number"
+    use: str = ""
+    """Key of the scene; empty for one that only some models read."""
+    refused: str = ""
+    """Why it has no counterpart."""
+
+
+_HEAT = Known(refused="heat is not simulated")
+PROPERTIES: dict[str, Known] = {
+    "youngsModulus": Known("pressure", "materials.NAME.young_modulus"),
+    "poissonsRatio": Known("number", "materials.NAME.poisson_ratio"),
+    "coefficientRestitution": Known("number", "pairs.NAME.restitution"),
+    "coefficientFriction": Known("number", "pairs.NAME.friction"),
+    "coefficientRollingFriction": Known("number", "pairs.NAME.rolling_friction"),
+    "coefficientRollingViscousDamping": Known("number", "pairs.NAME.rolling_damping"),
+    "coeffRollingStiffness": Known("number"),
+    "characteristicVelocity": Known("velocity", "contact.normal.stiffness.reference_velocity"),
+    "cohesionEnergyDensity": Known("pressure", "pairs.NAME.cohesion_energy_density"),
+    "coefficientMaxElasticStiffness": Known("number", "pairs.NAME.restitution"),
+    "coefficientAdhesionStiffness": Known("number", "contact.normal.tension"),
+    "coefficientPlasticityDepth": Known("number", "contact.normal.plasticity_depth"),
+    "kn": Known("stiffness", "contact.normal.stiffness.value"),
+    "kt": Known("stiffness", "contact.tangential.stiffness"),
+    "gamman": Known("rate", "pairs.NAME.restitution"),
+    "gammat": Known("rate", "contact.tangential.damping"),
+    "gamman_abs": Known("damping", "pairs.NAME.restitution"),
+    "gammat_abs": Known("damping", "contact.tangential.damping"),
+    "surfaceTension": Known("surface_energy", "pairs.NAME.surface_tension"),
+    "contactAngle": Known("number", "pairs.NAME.contact_angle"),
+    "surfaceLiquidContentInitial": Known("number", "particles.NAME.liquid_content"),
+    "fluidViscosity": Known("viscosity"),
+    "minSeparationDistanceRatio": Known("number"),
+    "maxSeparationDistanceRatio": Known("number"),
+    "maxLiquidContent": Known("number"),
+    "lbVolumeFraction": Known("number"),
+    **dict.fromkeys(("thermalConductivity", "thermalCapacity", "thermalExpansion"), _HEAT),
+    "k_finnie": Known(refused="wear is not simulated"),
+    "FluidViscosity": Known("viscosity"),
+    "CriticalStokes": Known("number"),
+    "MaximumRestitution": Known("number"),
+}  # fmt: skip
+"""Names of property/global."""
+
+
+@dataclass
+class Property:
+    """The numbers of one property/global in SI units: one, one per type, or one per pair of types."""
+
+    form: str
+    numbers: tuple[float, ...]
+    columns: int
+    entry: Entry
+    is_used: bool = False
+
+    def of(self, first: int, second: int | None = None) -> float:
+        """The number of a type, or of two types. Raises IndexError for a type without one."""
+        self.is_used = True
+        if self.form == "scalar":
+            return self.numbers[0]
+        if self.form == "peratomtype":
+            return self.numbers[first - 1]
+        return self.numbers[(first - 1) * self.columns + (second or first) - 1]
+
+
+def property_global(deck: Deck, fix: Fix) -> None:
+    """fix ID group property/global NAME scalar|vector|peratomtype|peratomtypepair [N] NUMBERS"""
+    words = Words(deck, fix.entry.command, fix.words)
+    name = words.word("the name of the property")
+    form = words.word("scalar, peratomtype or peratomtypepair")
+    if form not in (
+        "scalar",
+        "vector",
+        "peratomtype",
+        "atomtype",
+        "peratomtypepair",
+        "atomtypepair",
+        "matrix",
+    ):
+        raise DeckError(
+            fix.entry.command,
+            f"property/global has no form {form}; it has scalar, peratomtype and peratomtypepair.",
+        )
+    form = {"atomtype": "peratomtype", "atomtypepair": "peratomtypepair"}.get(form, form)
+    known = PROPERTIES.get(name)
+    if known is None:
+        fix.entry.impossible(f"the property {name} is not known")
+        return
+    if known.refused:
+        fix.entry.impossible(known.refused, "mechanics without it (--partial)")
+        return
+    columns = words.whole("the number of types") if form in ("peratomtypepair", "matrix") else 1
+    numbers = []
+    while words:
+        numbers.append(words.number(f"a number of {name}", known.dimension))
+    needed = {"scalar": 1, "peratomtypepair": columns * columns}.get(form, len(numbers))
+    if len(numbers) != needed or not numbers:
+        raise DeckError(
+            fix.entry.command,
+            f"{name} has {len(numbers)} numbers, but {form} needs {needed or 'at least one'}.",
+        )
+    if form == "peratomtypepair":
+        for i in range(columns):
+            for j in range(i):
+                if numbers[i * columns + j] != numbers[j * columns + i]:
+                    raise DeckError(
+                        fix.entry.command,
+                        f"{name} is not symmetric: types {j + 1} and {i + 1} have two different numbers.",
+                    )
+    deck.own("properties", dict)[name] = Property(form, tuple(numbers), columns, fix.entry)
+
+
+def needed(deck: Deck, name: str, model: "Model") -> Property:
+    """A property that a model needs. Raises DeckError."""
+    found: Property | None = deck.own("properties", dict).get(name)
+    if found is None:
+        raise DeckError(
+            model.entry.command,
+            f"{model.text} needs fix property/global {name}, which the script does not give.",
+        )
+    return found
+
+
+# Models of contacts
+
+
+@dataclass
+class Model:
+    """What a pair style or a wall says on contacts.
+
+    normal, tangential, rolling, twisting, cohesion:  names in the script; "none" without
+    numbers:                                          arguments by name (LAMMPS), in SI units
+    options:                                          keywords with on or off (LIGGGHTS)
+    """
+
+    normal: str
+    tangential: str
+    entry: Entry
+    text: str
+    rolling: str = "none"
+    twisting: str = "none"
+    cohesion: str = "none"
+    damping: str = ""
+    numbers: dict[str, float] = field(default_factory=dict)
+    options: dict[str, bool] = field(default_factory=dict)
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What distinguishes models."""
+        return (
+            *(self.normal, self.tangential, self.rolling, self.twisting, self.cohesion, self.damping),
+            *(tuple(sorted(self.numbers.items())), tuple(sorted(self.options.items()))),
+        )
+
+
+@dataclass
+class WallContact:
+    """The contact of particles with walls of one type and model; `build` gives it a material."""
+
+    type: int
+    model: Model
+    material: str = ""
+
+
+def wall_contact(deck: Deck, model: Model, type: int) -> WallContact:
+    """The contact of a wall; the same object for the same model and type."""
+    contacts: list[WallContact] = deck.own("wall_contacts", list)
+    for each in contacts:
+        if each.type == type and each.model.key == model.key:
+            return each
+    contacts.append(WallContact(type, model))
+    return contacts[-1]
+
+
+NORMALS = ("hertz", "hooke", "hooke/stiffness", "hertz/stiffness", "hooke/hysteresis")
+"""Normal models of LIGGGHTS with a counterpart."""
+TANGENTIALS = ("history", "no_history", "off")
+COHESIONS = ("off", "sjkr", "sjkr2", "easo/capillary/viscous", "washino/capillary/viscous")
+ROLLINGS = ("off", "cdt", "epsd", "epsd2", "epsd3")
+OPTIONS = (
+    *("tangential_damping", "limitForce", "absolute_damping", "ktToKnUser", "tangential_reduce"),
+    *("torsionTorque", "computeDissipatedEnergy", "computeElasticPotential", "disableNormalWhenBonded"),
+    *("heating_normal_hertz", "heating_normal_hooke", "heating_tangential_history", "heating"),
+)
+
+
+def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] = ()) -> Model:
+    """Read `model hertz tangential history ...` up to one of the words `stop`."""
+    start = words.at
+    chosen = {"tangential": "off", "cohesion": "off", "rolling_friction": "off", "surface": "default"}
+    normal = ""
+    options: dict[str, bool] = {}
+    while words and words.next not in stop:
+        key = words.word("a keyword")
+        if key == "model":
+            normal = words.word("the name of the normal model")
+        elif key in chosen:
+            chosen[key] = words.word(f"the name of the {key} model")
+        elif key == "viscous":
+            if words.word("off or stokes") not in ("off", "no"):
+                entry.impossible("restitution that depends on a Stokes number", "viscous off")
+        elif key in OPTIONS:
+            options[key] = words.flag(key)
+        else:
+            raise DeckError(
+                entry.command,
+                f"contact models have no keyword {key}. Keywords: {', '.join([*chosen, *OPTIONS])}.",
+            )
+    for kind, name, known in (
+        ("normal", normal, NORMALS),
+        ("tangential", chosen["tangential"], TANGENTIALS),
+        ("cohesion", chosen["cohesion"], COHESIONS),
+        ("rolling friction", chosen["rolling_friction"], ROLLINGS),
+    ):
+        if name not in known:
+            entry.impossible(f"the {kind} model {name}", f"one of {', '.join(known)}")
+    if chosen["surface"] not in ("default", "sphere"):
+        entry.impossible(f"surface {chosen['surface']}", "spheres without corrections")
+    off = {"off": "none"}
+    return Model(
+        normal=normal if normal in NORMALS else "hertz",
+        tangential=off.get(chosen["tangential"], chosen["tangential"]),
+        entry=entry,
+        text=" ".join(words.words[start : words.at]),
+        rolling=off.get(chosen["rolling_friction"], chosen["rolling_friction"]),
+        cohesion=off.get(chosen["cohesion"], chosen["cohesion"]),
+        options=options,
+    )
+
+
+def old_model(deck: Deck, words: Words, entry: Entry, style: str) -> Model:
+    """Read `Kn Kt gamma_n gamma_t xmu dampflag` of gran/hooke, gran/hooke/history and gran/hertz/history."""
+    is_hertz = style.startswith("hertz")
+    kn = words.number("Kn", "pressure" if is_hertz else "stiffness")
+    kt = _or_default(words, "Kt", "pressure" if is_hertz else "stiffness", 2.0 / 7.0 * kn)
+    gn = words.number("gamma_n", "hertz_damping" if is_hertz else "rate")
+    gt = _or_default(words, "gamma_t", "hertz_damping" if is_hertz else "rate", 0.5 * gn)
+    mu = words.number("xmu")
+    damped = words.whole("dampflag")
+    has_limit = words.next == "limit_damping"
+    if has_limit:
+        words.word("limit_damping")
+    numbers = {"kn": kn, "kt": kt, "gn": gn, "gt": gt if damped else 0.0, "mu": mu}
+    history = "history" if style.endswith("history") else "no_history"
+    name = "hertz/stiffness" if is_hertz else "hooke/stiffness"
+    options = {"limitForce": True} if has_limit else {}
+    return Model(name, history, entry, style, numbers=numbers, options=options, damping="mass")
+
+
+def _or_default(words: Words, what: str, dimension: str, default: float) -> float:
+    """A number, or a default for NULL."""
+    if words.next == "NULL":
+        words.word(what)
+        return default
+    return words.number(what, dimension)
+
+
+def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] = ()) -> Model:
+    """Read the sub-models of `granular` (LAMMPS), up to one of the words `stop`."""
+    normal = words.word("the normal model")
+    numbers: dict[str, float] = {}
+    options: dict[str, bool] = {}
+    tangential, rolling, twisting, damping, cohesion = "none", "none", "none", "viscoelastic", "none"
+    if normal == "hooke":
+        numbers["kn"] = words.number("k_n", "stiffness")
+        numbers["eta"] = words.plain("eta_n0")
+    elif normal == "hertz":
+        numbers["kn"] = words.number("k_n", "pressure")
+        numbers["eta"] = words.plain("eta_n0")
+    elif normal in ("hertz/material", "dmt", "jkr"):
+        numbers["E"] = words.number("E", "pressure")
+        numbers["eta"] = words.plain("eta_n0")
+        numbers["nu"] = words.number("nu")
+        if normal != "hertz/material":
+            cohesion = normal
+            numbers["gamma"] = words.number("gamma", "surface_energy")
+    else:
+        entry.impossible(f"the normal model {normal}", "hooke, hertz, hertz/material, dmt or jkr")
+        words.skip()
+        return Model("hertz", "none", entry, normal, numbers={"mu": 0.0, "E": 1e7, "nu": 0.3, "eta": 0.5})
+    while words and words.next not in stop:
+        key = words.word("a keyword")
+        if key == "tangential":
+            tangential = words.word("the tangential model")
+            if tangential == "linear_nohistory":
+                numbers["xt"], numbers["mu"] = words.number("x_gamma,t"), words.number("mu_s")
+            elif tangential == "linear_history":
+                numbers["kt"] = words.number("k_t", "stiffness")
+                numbers["xt"], numbers["mu"] = words.number("x_gamma,t"), words.number("mu_s")
+            elif tangential.startswith("mindlin"):
+                if words.next == "NULL":
+                    words.word("k_t")
+                else:
+                    numbers["kt"] = words.number("k_t", "pressure")
+                numbers["xt"], numbers["mu"] = words.number("x_gamma,t"), words.number("mu_s")
+            else:
+                entry.impossible(f"the tangential model {tangential}", "linear_history or mindlin")
+                words.skip()
+        elif key == "rolling":
+            rolling = words.word("the rolling model")
+            if rolling == "sds":
+                numbers["kr"] = words.number("k_roll", "stiffness")
+                numbers["gr"] = words.number("gamma_roll", "damping")
+                numbers["mur"] = words.number("mu_roll")
+        elif key == "twisting":
+            twisting = words.word("the twisting model")
+            if twisting == "sds":
+                numbers["ktw"] = words.number("k_twist", "torque")
+                numbers["gtw"] = words.plain("gamma_twist")
+                numbers["mutw"] = words.number("mu_twist", "length")
+        elif key == "damping":
+            damping = words.word("the damping model")
+            if damping in ("coeff_restitution", "mdr"):
+                entry.impossible(f"damping {damping}", "damping tsuji")
+        elif key == "limit_damping":
+            options["limitForce"] = True
+        elif key == "cutoff":
+            words.number("the cutoff", "length")
+        elif key == "heat":
+            if words.word("the heat model") != "none":
+                words.number("the conductivity")
+                entry.impossible("heat conduction", "mechanics without heat (--partial)")
+        else:
+            raise DeckError(entry.command, f"granular has no keyword {key}.")
+    spring = "hooke/stiffness" if normal == "hooke" else "hertz/stiffness"
+    if normal not in ("hooke", "hertz") and damping == "tsuji":
+        spring = "hertz"
+    return Model(
+        spring,
+        tangential,
+        entry,
+        normal,
+        rolling=rolling,
+        twisting=twisting,
+        cohesion=cohesion,
+        damping=damping,
+        numbers=numbers,
+        options=options,
+    )
+
+
+def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
+    """pair_style gran ... | gran/hooke[/history] ... | gran/hertz/history ... | granular | hybrid STYLE "
+    "..."""
+    words = Words(deck, command, command.words)
+    style = words.word("the name of the pair style")
+    if style in ("hybrid", "hybrid/overlay"):
+        style = words.word("the name of a pair style")
+    if style == "gran":
+        deck.family["model"] = liggghts_model(deck, words, entry)
+    elif style.removeprefix("gran/") in ("hooke", "hooke/history", "hertz/history") and style.startswith(
+        "gran/"
+    ):
+        deck.family["model"] = old_model(deck, words, entry, style.removeprefix("gran/"))
+        if words:
+            entry.impossible(f"the further style {words.next}", "one granular style")
+    elif style == "granular":
+        deck.family["pair_entry"] = entry
+        deck.own("pair_models", dict)
+    elif style in ("none", "zero"):
+        entry.not_needed("there are no forces between particles")
+    else:
+        entry.impossible(
+            f"the pair style {style}", "gran, gran/hooke/history, gran/hertz/history or granular"
+        )
+
+
+def pair_coeff(deck: Deck, command: Command, entry: Entry) -> None:
+    """pair_coeff I J [MODELS of granular]"""
+    words = Words(deck, command, command.words)
+    first, second = words.word("a type"), words.word("a type")
+    if words.next in ("granular", "gran", "gran/hooke", "gran/hooke/history", "gran/hertz/history"):
+        words.word("the style")
+    if "pair_models" not in deck.family or not words:
+        entry.not_needed("the coefficients are in pair_style and the properties")
+        return
+    model = granular_model(deck, words, entry)
+    for i in _types(deck, first, command):
+        for j in _types(deck, second, command):
+            deck.family["pair_models"][min(i, j), max(i, j)] = model
+
+
+def _types(deck: Deck, text: str, command: Command) -> range:
+    """The types of a range such as 1, *, 2* or 1*3."""
+    low, star, high = text.partition("*")
+    try:
+        first = int(low) if low else 1
+        last = (int(high) if high else deck.types) if star else first
+    except ValueError:
+        raise DeckError(command, f"{text} is not a type; give a number or a range such as 1*2.") from None
+    return range(first, last + 1)
+
+
+# Collisions in the codes
+
+
+def free_restitution(zeta: float, has_limit: bool) -> float:
+    """Restitution of a spring with a dashpot of the damping ratio zeta; `has_limit`: without attraction.
+
+    With attraction the contact ends at zero overlap: e = exp(-pi zeta / sqrt(1 - zeta^2)), 0 for zeta >= 1.
+    """
+    if zeta <= 0.0:
+        return 1.0
+    if not has_limit:
+        return exp(-pi * zeta / sqrt(1.0 - zeta * zeta)) if zeta < 1.0 else 0.0
+    low, high = 1e-6, 1.0  # the inverse of damping_ratio_for
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if damping_ratio_for(middle) > zeta else (low, middle)
+    return 0.5 * (low + high)
+
+
+@cache
+def collision(power: float, damping: float, exponent: float, has_limit: bool) -> float:
+    """Restitution of x'' + g x^q x' + x^p = 0 with x(0) = 0, x'(0) = 1, by steps of Runge-Kutta.
+
+    power p, damping g, exponent q; `has_limit`: the contact ends at zero force, otherwise at zero overlap.
+    """
+
+    def slope(x: float, v: float) -> float:
+        x = max(x, 0.0)
+        return -(x**power) - damping * x**exponent * v
+
+    x, v, h = 0.0, 1.0, 1e-3
+    for _ in range(200_000):
+        k1 = slope(x, v)
+        k2 = slope(x + 0.5 * h * v, v + 0.5 * h * k1)
+        k3 = slope(x + 0.5 * h * (v + 0.5 * h * k1), v + 0.5 * h * k2)
+        k4 = slope(x + h * (v + 0.5 * h * k2), v + h * k3)
+        x += h * (v + h / 6.0 * (k1 + k2 + k3))
+        v += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        if x <= 0.0 or (has_limit and v < 0.0 and slope(x, v) >= 0.0):
+            return max(0.0, -v)
+    return 0.0
+
+
+def tsuji(e: float) -> float:
+    """The polynomial of LAMMPS (damping tsuji): dashpot over sqrt(k M)."""
+    terms = (1.2728, -4.2783, 11.087, -22.348, 27.467, -18.022, 4.8218)
+    return sum(factor * e**power for power, factor in enumerate(terms))
+
+
+# Bodies in contact
+
+
+@dataclass(frozen=True)
+class Sort:
+    """One material of particles: type and density, with the extreme radii of its particles."""
+
+    name: str
+    type: int
+    density: float
+    radii: tuple[float, float]
+
+    @property
+    def radius(self) -> float:
+        """A representative radius [m]."""
+        return 0.5 * (self.radii[0] + self.radii[1])
+
+    def mass(self, radius: float) -> float:
+        """Mass [kg] of a sphere."""
+        return self.density * 4.0 / 3.0 * pi * radius**3
+
+
+def effective(first: Sort, second: Sort | None, a: float, b: float) -> tuple[float, float]:
+    """Effective radius [m] and mass [kg] of spheres of radii a and b; a wall (None) is infinite."""
+    if second is None:
+        return a, first.mass(a)
+    m, n = first.mass(a), second.mass(b)
+    return a * b / (a + b), m * n / (m + n)
+
+
+def sorts_of(deck: Deck) -> list[Sort]:
+    """The materials of the particles, in the order of the groups."""
+    found: dict[tuple[int, float], list[ParticleGroup]] = {}
+    for each in deck.particles:
+        found.setdefault((each.type, each.density), []).append(each)
+    types = [type for type, _ in found]
+    sorts = []
+    for (type, density), groups in found.items():
+        name = f"type{type}" if types.count(type) == 1 else f"type{type}_{density:g}".replace(".", "_")
+        radii = [radius for each in groups for radius in each.radii]
+        sorts.append(Sort(name, type, density, (min(radii), max(radii))))
+    return sorts
+
+
+# The blocks
+
+
+def build(deck: Deck, draft: Draft) -> None:
+    """Write the blocks materials, pairs and contact; give groups and walls their materials."""
+    sorts = sorts_of(deck)
+    deck.family["sorts"] = {(each.type, each.density): each.name for each in sorts}
+    model = deck.family.get("model")
+    models: dict[tuple[int, int], Model] = deck.family.get("pair_models", {})
+    walls: list[WallContact] = deck.own("wall_contacts", list)
+    if model is None and not models:
+        if walls:
+            model = walls[0].model
+        else:
+            entry = deck.runs[-1].entry if deck.runs else None
+            if entry is None:
+                return
+            raise DeckError(entry.command, "no pair_style with contact forces precedes this run.")
+    translator = Contacts(deck, sorts, model, models, walls)
+    translator.write(draft)
+
+
+def material_of(deck: Deck, group: ParticleGroup) -> str:
+    """Name of the material of a group, after `build`."""
+    return str(deck.family["sorts"][group.type, group.density])
+
+
+@dataclass
+class Contacts:
+    """Translates the models of a deck: one set of contact laws, moduli of materials, coefficients of "
+    "pairs."""
+
+    deck: Deck
+    sorts: list[Sort]
+    model: Model | None
+    models: dict[tuple[int, int], Model]
+    walls: list[WallContact]
+
+    def __post_init__(self) -> None:
+        first = self.sorts[0] if self.sorts else Sort("type1", 1, REFERENCE_DENSITY, (1e-3, 1e-3))
+        self.first = first
+        self.main = self.of(first.type, first.type)
+        self.speed = self._reference_speed()
+
+    def of(self, i: int, j: int) -> Model:
+        """The model of two types. Raises DeckError for types without one."""
+        if self.model is not None:
+            return self.model
+        found = self.models.get((min(i, j), max(i, j)))
+        if found is not None:
+            return found
+        mixed = self.models.get((i, i)) or self.models.get((j, j))
+        if mixed is None:
+            entry = self.deck.family["pair_entry"]
+            raise DeckError(entry.command, f"no pair_coeff is given for the types {i} and {j}.")
+        mixed.entry.approximated(f"the types {i} and {j} have no pair_coeff; those of one of them are taken")
+        return mixed
+
+    def _reference_speed(self) -> float:
+        """A velocity [m/s] of impacts, for restitutions that depend on it: half of a fall through the box."""
+        gravity = next((fix.data for fix in self.deck.fixes_of("gravity") if fix.data), (0.0, 0.0, 0.0))
+        box = self.deck.box or (0.0,) * 6
+        height = sum(abs(g) * abs(box[2 * k + 1] - box[2 * k]) for k, g in enumerate(gravity))
+        return 0.5 * sqrt(2.0 * height) or 1.0
+
+    # Writing
+
+    def write(self, draft: Draft) -> None:
+        """Write all three blocks."""
+        self._name_walls()
+        for sort in self.sorts:
+            draft.put(("materials", sort.name), self._material(self._moduli(sort.type), sort.density))
+        for wall in self.walls:
+            if wall.material not in (draft.get("materials") or {}):
+                moduli = self._wall_moduli(wall)
+                draft.put(("materials", wall.material), self._material(moduli, self._density(wall.type)))
+        draft.put(("contact",), self._contact(), self.main.entry)
+        for index, first in enumerate(self.sorts):
+            for second in self.sorts[index:]:
+                model = self.of(first.type, second.type)
+                self._pair(draft, f"{first.name}-{second.name}", model, first, second, second.type)
+        for first in self.sorts:
+            for wall in self.walls:
+                key = f"{first.name}-{wall.material}"
+                given = draft.get("pairs") or {}
+                if key not in given and f"{wall.material}-{first.name}" not in given:
+                    self._pair(draft, key, wall.model, first, None, wall.type)
+        for name, each in self.deck.own("properties", dict).items():
+            if each.is_used and PROPERTIES[name].use:
+                each.entry.translated(PROPERTIES[name].use)
+            elif not each.is_used:
+                each.entry.not_needed(f"no contact model of the script reads {name}")
+
+    def _name_walls(self) -> None:
+        """Give each wall contact the name of its material."""
+        count = 0
+        for wall in self.walls:
+            own = [each for each in self.sorts if each.type == wall.type]
+            if self.deck.code == "liggghts" and self.model and wall.model.key == self.model.key:
+                wall.material = own[0].name if own else f"type{wall.type}"
+                continue
+            same = next(
+                (
+                    each
+                    for each in self.walls
+                    if each is not wall
+                    and each.material
+                    and each.model.key == wall.model.key
+                    and each.type == wall.type
+                ),
+                None,
+            )
+            count += same is None
+            wall.material = same.material if same else ("wall" if count == 1 else f"wall_{count}")
+
+    def _density(self, type: int) -> float:
+        found = [each.density for each in self.sorts if each.type == type]
+        return found[0] if found else (self.sorts[0].density if self.sorts else REFERENCE_DENSITY)
+
+    @staticmethod
+    def _material(moduli: tuple[float, float], density: float) -> dict[str, Any]:
+        young, poisson = moduli
+        return {
+            "young_modulus": quantity(young, "pressure"),
+            "poisson_ratio": poisson,
+            "density": density,
+        }
+
+    # Moduli
+
+    def _number(self, name: str, model: Model, i: int, j: int | None = None) -> float:
+        """A property of the script by type. Raises DeckError for a type without one."""
+        found = needed(self.deck, name, model)
+        try:
+            return found.of(i, j)
+        except IndexError:
+            raise DeckError(found.entry.command, f"{name} has no number for type {max(i, j or 1)}.") from None
+
+    def _moduli(self, type: int) -> tuple[float, float]:
+        """Young's modulus [Pa] and Poisson ratio of a type."""
+        model = self.of(type, type)
+        if "E" in model.numbers:
+            return model.numbers["E"], model.numbers["nu"]
+        if model.normal in ("hooke/stiffness", "hertz/stiffness"):
+            return self._moduli_of(model, type, type)
+        young = self._number("youngsModulus", model, type)
+        poisson = self._number("poissonsRatio", model, type)
+        if model.normal in ("hooke", "hooke/hysteresis"):
+            # kt = kn: with nu = 0 and the same plane-strain modulus the ratio 4 G*/E* is 1.
+            return young / (1.0 - poisson**2), 0.0
+        return young, poisson
+
+    def _moduli_of(self, model: Model, i: int, j: int) -> tuple[float, float]:
+        """Moduli for the stiffnesses of a model: those that give kt/kn, and for a Hertz spring kn.
+
+        4 G*/E* = 2 (1 - nu) / (2 - nu), so that nu = (2 - 2 r) / (2 - r) for the ratio r of the stiffnesses.
+        """
+        kn, kt = self._stiffness("kn", model, i, j), self._stiffness("kt", model, i, j)
+        is_hertz = model.normal == "hertz/stiffness"
+        ratio = kt / kn / (1.5 if is_hertz else 1.0)
+        limited = min(max(ratio, 2.0 / 3.0), 1.3)
+        poisson = round((2.0 - 2.0 * limited) / (2.0 - limited), 12) + 0.0
+        if model.tangential not in ("none", "no_history") and abs(limited / ratio - 1.0) > 1e-6 and is_hertz:
+            model.entry.approximated(
+                f"the tangential stiffness is {limited / ratio:.3g} times that of the script: a Poisson "
+                "ratio up "
+                "to 0.5 permits no less"
+            )
+        modulus_eff = 0.75 * kn if is_hertz else 5e6
+        return 2.0 * (1.0 - poisson**2) * modulus_eff, poisson
+
+    def _stiffness(self, name: str, model: Model, i: int, j: int) -> float:
+        """kn or kt of a model with numbers; those of hertz/stiffness are pressures [Pa]."""
+        if name in model.numbers:
+            return model.numbers[name]
+        if name == "kt" and "kn" in model.numbers:  # granular without a tangential stiffness
+            return model.numbers["kn"]
+        found = self._number(name, model, i, j)
+        if model.normal == "hertz/stiffness":  # read as a stiffness
+            return found * self.deck.si(1.0, "pressure") / self.deck.si(1.0, "stiffness")
+        return found
+
+    def _wall_moduli(self, wall: WallContact) -> tuple[float, float]:
+        """Moduli of the material of a wall, such that the contact has the stiffness of its model."""
+        model = wall.model
+        if self.deck.code == "liggghts" and not model.numbers:
+            saved, self.model = self.model, model
+            try:
+                return self._moduli(wall.type)
+            finally:
+                self.model = saved
+        young, poisson = self._moduli(self.first.type)
+        if "E" in model.numbers:
+            wanted = model.numbers["E"] / (2.0 * (1.0 - model.numbers["nu"] ** 2))
+            poisson_wall = model.numbers["nu"]
+        elif model.normal == "hertz/stiffness":
+            equal, poisson_wall = self._moduli_of(model, wall.type, wall.type)
+            wanted = equal / (2.0 * (1.0 - poisson_wall**2))
+        else:
+            return young, poisson
+        rest = 1.0 / wanted - (1.0 - poisson**2) / young
+        if rest <= 0.0:
+            model.entry.approximated("the wall is stiffer than a rigid one with these particles; it is rigid")
+            rest = 1e-6 / wanted
+        return (1.0 - poisson_wall**2) / rest, poisson_wall
+
+    # Contact laws
+
+    def _contact(self) -> dict[str, Any]:
+        """The block `contact`, from the model of the first material."""
+        models = [self.of(a.type, b.type) for k, a in enumerate(self.sorts) for b in self.sorts[k:]]
+        models += [each.model for each in self.walls]
+        main = self.main
+        for each in models:
+            if (each.normal, each.tangential) != (main.normal, main.tangential):
+                each.entry.approximated(
+                    f"the contact laws are those of {main.entry.command.where} for all contacts: "
+                    f"{main.normal} and {main.tangential}, here {each.normal} and {each.tangential}"
+                )
+        contact: dict[str, Any] = {"normal": self._normal(main), "tangential": self._tangential(main)}
+        rolling = next((each.rolling for each in models if each.rolling != "none"), "none")
+        contact["rolling"] = {"epsd2": "epsd", "epsd": "sds", "epsd3": "sds", "cdt": "cdt", "sds": "sds"}.get(
+            rolling, "none"
+        )
+        twisting = next((each for each in models if each.twisting != "none"), None)
+        if twisting is not None and twisting.twisting == "marshall":
+            contact["twisting"] = "marshall"
+        elif twisting is not None:
+            contact["twisting"] = {
+                "law": "torsion_spring",
+                "stiffness": twisting.numbers["ktw"],
+                "damping": twisting.numbers["gtw"],
+            }
+        cohesion = next((each for each in models if each.cohesion != "none"), None)
+        if cohesion is not None:
+            contact["cohesion"] = self._cohesion(cohesion)
+        return contact
+
+    def _normal(self, main: Model) -> Any:
+        first = self.first
+        match main.normal:
+            case "hertz":
+                return "hertz"
+            case "hooke":
+                speed = self._number("characteristicVelocity", main, 1)
+                return {"law": "linear", "stiffness": {"reference_velocity": quantity(speed, "velocity")}}
+            case "hooke/stiffness":
+                value = quantity(self._stiffness("kn", main, first.type, first.type), "stiffness")
+                return {"law": "linear", "stiffness": {"value": value}}
+            case "hertz/stiffness" if main.damping in ("tsuji", "velocity", "mass_velocity"):
+                return "hertz"
+            case "hertz/stiffness":
+                return {"law": "kuwabara_kono", "reference_velocity": quantity(self.speed, "velocity")}
+            case _:
+                return self._luding(main)
+
+    def _luding(self, main: Model) -> dict[str, Any]:
+        i = self.first.type
+        speed = self._number("characteristicVelocity", main, 1)
+        tension = self._number("coefficientAdhesionStiffness", main, i, i)
+        e = self._number("coefficientRestitution", main, i, i)
+        main.entry.approximated(
+            f"granflow has no dashpot in addition to the plastic spring, which in the script has the "
+            f"restitution {e:g}"
+        )
+        return {
+            "law": "luding",
+            "stiffness": {"reference_velocity": quantity(speed, "velocity")},
+            "plasticity_depth": self._number("coefficientPlasticityDepth", main, i, i),
+            **({"tension": tension} if tension else {}),
+        }
+
+    def _tangential(self, main: Model) -> Any:
+        name = main.tangential
+        first = self.first
+        if name in ("none", "off"):
+            return "none"
+        damping = self._tangential_damping(main)
+        keys: dict[str, Any] = {"damping": round(damping, 6)} if damping else {}
+        if name in ("no_history", "linear_nohistory"):
+            main.entry.approximated(
+                "the tangential force has a spring with history; the script has a dashpot only"
+            )
+        if name == "linear_history" or (main.normal == "hooke/stiffness" and name == "history"):
+            value = self._stiffness("kt", main, first.type, first.type)
+            return {"law": "linear_history", "stiffness": quantity(value, "stiffness"), **keys}
+        kept: dict[str, Any] = {
+            "mindlin/force": {"unloading": "kept"},
+            "mindlin_rescale": {"increments": "displacement"},
+            "mindlin_rescale/force": {},
+        }.get(name, {"increments": "displacement", "unloading": "kept"})
+        if main.normal in ("hooke", "hooke/stiffness", "hooke/hysteresis"):
+            kept = {}  # a constant stiffness: all variants are equal
+        if main.normal == "hooke/hysteresis":
+            keys = {}
+            main.entry.approximated("the tangential spring has no dashpot with luding")
+        if "kt" in main.numbers and name.startswith("mindlin"):
+            main.entry.approximated("the tangential stiffness is the no-slip one of the moduli")
+        return {"law": "mindlin", **kept, **keys} if kept or keys else "mindlin"
+
+    def _tangential_damping(self, main: Model) -> float:
+        """Tangential dashpot over the dashpot of the normal model of granflow, in the main contact."""
+        if main.options.get("tangential_damping") is False:
+            return 0.0
+        first, i = self.first, self.first.type
+        radius, mass = effective(first, first, first.radius, first.radius)
+        e = self._restitution(main, first, first, i)
+        zeta = damping_ratio_for(max(e, LEAST_RESTITUTION))
+        if zeta == 0.0:
+            return 0.0
+        if main.normal == "hertz" and "E" not in main.numbers:
+            young, poisson = self._moduli(i)
+            shear = young / (4.0 * (1.0 + poisson) * (2.0 - poisson))
+            plane = young / (2.0 * (1.0 - poisson**2))
+            return sqrt(4.0 * shear / plane) * self._beta(main, i) / zeta
+        if main.normal == "hooke":
+            return self._beta(main, i) / zeta
+        if main.normal == "hooke/hysteresis":
+            return 0.0
+        if "xt" in main.numbers:  # granular of LAMMPS: a factor of its normal dashpot
+            ratio = self._zeta(main, radius, mass) / zeta if main.normal != "hertz/stiffness" else 1.0
+            return main.numbers["xt"] * ratio
+        gn, gt = self._gamma(main, i, mass)
+        if main.normal == "hertz/stiffness":
+            return gt / gn if gn else 0.0
+        stiffness = self._stiffness("kn", main, i, i)
+        return gt * mass / (2.0 * zeta * sqrt(stiffness * mass))
+
+    def _beta(self, model: Model, i: int) -> float:
+        """Damping ratio of LIGGGHTS for its restitution."""
+        e = max(self._number("coefficientRestitution", model, i, i), 1e-6)
+        return -log(e) / sqrt(pi**2 + log(e) ** 2)
+
+    def _gamma(self, model: Model, i: int, mass: float) -> tuple[float, float]:
+        """Normal and tangential dashpot over the effective mass, as the script gives them."""
+        if "gn" in model.numbers:
+            return model.numbers["gn"], model.numbers["gt"]
+        if model.options.get("absolute_damping"):
+            return (
+                self._number("gamman_abs", model, i, i) / mass,
+                self._number("gammat_abs", model, i, i) / mass,
+            )
+        return self._number("gamman", model, i, i), self._number("gammat", model, i, i)
+
+    def _cohesion(self, model: Model) -> Any:
+        if model.cohesion in ("sjkr", "sjkr2"):
+            if model.cohesion == "sjkr2":
+                model.entry.approximated(
+                    "the contact area of sjkr2 is twice that of sjkr; the energy is doubled"
+                )
+            if not model.options.get("tangential_reduce"):
+                model.entry.approximated(
+                    "attraction does not change the limit of friction; in the script it lowers it"
+                )
+            return "sjkr"
+        if model.cohesion in ("dmt", "jkr"):
+            return model.cohesion
+        return {"law": "capillary_transfer"}
+
+    # Coefficients of pairs
+
+    def _pair(
+        self, draft: Draft, key: str, model: Model, first: Sort, second: Sort | None, type: int
+    ) -> None:
+        """Write one pair; `type`: that of the partner."""
+        e = self._restitution(model, first, second, type)
+        values: dict[str, Any] = {"restitution": round(max(e, LEAST_RESTITUTION), 6)}
+        if e < LEAST_RESTITUTION:
+            model.entry.approximated(f"the restitution is {e:.3g}; {LEAST_RESTITUTION} is taken")
+        spread = self._spread(model, first, second, type)
+        if spread[1] - spread[0] > 0.002:
+            model.entry.approximated(
+                f"{key}: the restitution of the script depends on the size, from {spread[0]:.3g} to "
+                f"{spread[1]:.3g}; here it is {e:.3g}"
+            )
+        if "mu" in model.numbers:
+            values["friction"] = model.numbers["mu"]
+        elif model.tangential == "none":
+            values["friction"] = 0
+        else:
+            values["friction"] = self._number("coefficientFriction", model, first.type, type)
+        rolling = (draft.get("contact") or {}).get("rolling", "none")
+        if rolling != "none":
+            values |= self._rolling(model, rolling, first, second, type)
+        twisting = (draft.get("contact") or {}).get("twisting", "none")
+        if isinstance(twisting, dict):
+            values["twisting_friction"] = model.numbers.get("mutw", 0.0)
+        cohesion = (draft.get("contact") or {}).get("cohesion", "none")
+        if cohesion != "none":
+            values |= self._cohesion_of(model, cohesion, first.type, type)
+        draft.put(("pairs", key), values)
+
+    def _rolling(self, model: Model, law: str, first: Sort, second: Sort | None, type: int) -> dict[str, Any]:
+        if model.rolling == "none":
+            return {"rolling_friction": 0, **({"rolling_damping": 0.1} if law == "sds" else {})}
+        if model.rolling == "sds":
+            radius, mass = effective(first, second, first.radius, first.radius)
+            inertia = 0.4 * mass * radius**2  # of the pair, about
+            k = model.numbers["kr"] * radius**2
+            ratio = model.numbers["gr"] * radius**2 / (2.0 * sqrt(inertia * k)) if k else 0.1
+            model.entry.approximated(
+                "the rolling stiffness is that of the tangential spring, not the number given"
+            )
+            return {"rolling_friction": model.numbers["mur"], "rolling_damping": round(min(ratio, 1.0), 4)}
+        found = {"rolling_friction": self._number("coefficientRollingFriction", model, first.type, type)}
+        if model.rolling in ("epsd", "epsd3"):
+            model.entry.approximated(
+                f"the rolling stiffness of {model.rolling} follows from the tangential spring; in the script "
+                "from "
+                "the normal force"
+            )
+            damping = self._number("coefficientRollingViscousDamping", model, first.type, type)
+            found["rolling_damping"] = damping
+        return found
+
+    def _cohesion_of(self, model: Model, law: Any, i: int, j: int) -> dict[str, Any]:
+        if law == "sjkr":
+            if model.cohesion == "none":
+                return {"cohesion_energy_density": 0}
+            factor = 2.0 if model.cohesion == "sjkr2" else 1.0
+            density = factor * self._number("cohesionEnergyDensity", model, i, j)
+            return {"cohesion_energy_density": quantity(density, "energy_density")}
+        if law in ("jkr", "dmt"):
+            energy = 2.0 * model.numbers.get("gamma", 0.0)
+            return {"work_of_adhesion": quantity(energy, "surface_energy")}
+        if model.cohesion == "none":
+            return {"surface_tension": 0, "contact_angle": 0}
+        angle = 0.5 * (self._number("contactAngle", model, i) + self._number("contactAngle", model, j))
+        tension = self._number("surfaceTension", model, 1)
+        return {"surface_tension": quantity(tension, "surface_energy"), "contact_angle": angle}
+
+    # Restitution
+
+    def _spread(self, model: Model, first: Sort, second: Sort | None, type: int) -> tuple[float, float]:
+        """Smallest and largest restitution of the sizes of a pair."""
+        found = [
+            self._restitution(model, first, second, type, a, b)
+            for a in first.radii
+            for b in (second.radii if second else (a,))
+        ]
+        return min(found), max(found)
+
+    def _restitution(
+        self,
+        model: Model,
+        first: Sort,
+        second: Sort | None,
+        type: int,
+        a: float | None = None,
+        b: float | None = None,
+    ) -> float:
+        """Restitution of a collision in the code; radii [m]: representative ones by default."""
+        a = first.radius if a is None else a
+        b = (second.radius if second else a) if b is None else b
+        radius, mass = effective(first, second, a, b)
+        limited = bool(model.options.get("limitForce"))
+        if model.normal == "hooke/hysteresis":
+            return 1.0 / sqrt(self._number("coefficientMaxElasticStiffness", model, first.type, type))
+        if model.normal in ("hertz", "hooke") and "E" not in model.numbers:
+            e = self._number("coefficientRestitution", model, first.type, type)
+            zeta = -log(max(e, 1e-6)) / sqrt(pi**2 + log(max(e, 1e-6)) ** 2)
+            return free_restitution(zeta, True) if limited else e
+        if model.normal == "hertz/stiffness" or model.damping in (
+            "viscoelastic",
+            "velocity",
+            "mass_velocity",
+        ):
+            return self._integrated(model, first.type, type, radius, mass, limited)
+        return free_restitution(self._zeta(model, radius, mass), limited)
+
+    def _zeta(self, model: Model, radius: float, mass: float) -> float:
+        """Damping ratio of a linear spring, or of a Hertz spring with Tsuji's dashpot."""
+        if model.damping == "tsuji":
+            return tsuji(model.numbers["eta"]) / (2.0 if model.normal == "hooke/stiffness" else sqrt(5.0))
+        i = self.first.type
+        stiffness = self._stiffness("kn", model, i, i)
+        if "eta" in model.numbers:
+            dashpot = self._eta(model) * (mass if model.damping == "mass_velocity" else 1.0)
+            return dashpot / (2.0 * sqrt(stiffness * mass))
+        gamma, _ = self._gamma(model, i, mass)
+        return gamma * mass / (2.0 * sqrt(stiffness * mass))
+
+    def _eta(self, model: Model) -> float:
+        """The normal damping coefficient of granular in SI units."""
+        kind = {"velocity": "damping", "mass_velocity": "rate", "viscoelastic": "hertz_damping"}[
+            model.damping
+        ]
+        return self.deck.si(model.numbers["eta"], kind)
+
+    def _integrated(self, model: Model, i: int, j: int, radius: float, mass: float, limited: bool) -> float:
+        """Restitution by integration of a collision at the reference velocity.
+
+        m x'' = -k x^p - c x^q x': with the overlap X = (m v^2 / k)^(1/(p+1)) and the time X / v as units the
+        damping is c X^(q+1) / (m v).
+        """
+        is_hertz = model.normal in ("hertz/stiffness", "hertz")
+        if "E" in model.numbers:
+            kn = 4.0 / 3.0 * model.numbers["E"] / (2.0 * (1.0 - model.numbers["nu"] ** 2))
+        else:
+            kn = self._stiffness("kn", model, i, j)
+        k, power = (kn * sqrt(radius), 1.5) if is_hertz else (kn, 1.0)
+        exponent = 0.5
+        if "eta" in model.numbers and model.damping != "viscoelastic":
+            dashpot = self._eta(model) * (mass if model.damping == "mass_velocity" else 1.0)
+            exponent = 0.0
+        elif "eta" in model.numbers:
+            dashpot = self._eta(model) * mass * sqrt(radius)
+        elif model.options.get("absolute_damping"):
+            dashpot = self._gamma(model, i, mass)[0] * mass * sqrt(radius)
+        else:
+            dashpot = self._gamma(model, i, mass)[0] * mass * sqrt(radius)
+        length = (mass * self.speed**2 / k) ** (1.0 / (power + 1.0))
+        damping = dashpot * length ** (exponent + 1.0) / (mass * self.speed)
+        return collision(power, float(f"{damping:.9g}"), exponent, limited)
+
+
+# Tables
+
+COMMANDS: dict[str, Translation] = {
+    "pair_style": Translation(pair_style, "contact, pairs, materials", "table of the models below"),
+    "pair_coeff": Translation(pair_coeff, "pairs", "with pair_style granular"),
+    "mass": not_needed("masses follow from density and size"),
+    "pair_modify": not_needed("mixing of coefficients"),
+    "bond_style": impossible("bonds", "clumps: particles.NAME.clump"),
+    "bond_coeff": impossible("bonds", "clumps: particles.NAME.clump"),
+    "kspace_style": impossible("long-range forces", "a Python program that adds forces"),
+}
+FIXES: dict[str, Translation] = {
+    "property/global": Translation(
+        property_global, "materials, pairs, contact", "table of the properties below"
+    ),
+}
+MODELS: tuple[tuple[str, str, str], ...] = (
+    ("model hertz", "normal: hertz", ""),
+    ("model hooke", "normal: {law: linear, stiffness: {reference_velocity: V}}", "Poisson ratio 0: kt = kn"),
+    (
+        "model hooke/stiffness, gran/hooke",
+        "normal: {law: linear, stiffness: {value: KN}}",
+        "one KN for all pairs",
+    ),
+    ("model hertz/stiffness, gran/hertz/history", "normal: kuwabara_kono", "moduli from Kn and Kt"),
+    ("model hooke/hysteresis", "normal: luding", "without the dashpot"),
+    ("granular: hooke", "normal: linear", ""),
+    ("granular: hertz, hertz/material", "normal: hertz", "restitution of its damping model"),
+    ("granular: dmt, jkr", "cohesion: dmt, jkr", "work of adhesion 2 gamma"),
+    (
+        "tangential history, mindlin",
+        "tangential: {law: mindlin, increments: displacement, unloading: kept}",
+        "",
+    ),
+    ("tangential linear_history", "tangential: linear_history", ""),
+    ("tangential_damping on (default)", "tangential.damping", "the ratio of the dashpots"),
+    ("rolling_friction cdt, epsd2, epsd", "rolling: cdt, epsd, sds", ""),
+    ("granular: rolling sds", "rolling: sds", "rolling stiffness of the tangential spring"),
+    ("granular: twisting marshall, sds", "twisting: marshall, torsion_spring", ""),
+    ("cohesion sjkr, sjkr2", "cohesion: sjkr", "sjkr2: twice the energy density"),
+    ("cohesion easo/capillary/viscous", "cohesion: capillary_transfer", "another share of the films"),
+)
+"""Rows of the documentation: models of the script and of the scene, and what differs."""

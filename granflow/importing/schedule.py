@@ -1,0 +1,460 @@
+"""Schedule of a script: time step, runs, forces on all particles, output, and settings of the codes.
+
+The runs of the script become stages where something that acts changes between them, otherwise one duration.
+"""
+
+from math import cos, hypot, radians, sin
+
+from granflow.importing.deck import Deck, Fix, Run, Translation, Words, impossible, not_needed
+from granflow.importing.language import Command, DeckError
+from granflow.importing.report import Entry
+from granflow.importing.scene_text import Draft, quantities, quantity
+
+LARGEST_FRAMES = 2000
+"""Number of frames above which an interval of output is enlarged."""
+
+# Time
+
+
+def timestep(deck: Deck, command: Command, entry: Entry) -> None:
+    """timestep DT"""
+    deck.time_step = Words(deck, command, command.words).number("the time step", "time")
+    if deck.time_step <= 0.0:
+        raise DeckError(command, f"the time step is {command.words[0]}; give a time above 0, such as 1e-5.")
+    deck.time_step_entry = entry
+    deck.interpreter.facts["dt"] = float(command.words[0])
+
+
+def run(deck: Deck, command: Command, entry: Entry) -> None:
+    """run N keywords"""
+    words = Words(deck, command, command.words)
+    steps = words.whole("the number of steps")
+    while words:
+        keyword = words.word("a keyword")
+        if keyword == "upto":
+            steps = max(0, steps - deck.step)
+        elif keyword in ("pre", "post"):
+            words.word("yes or no")
+        elif keyword in ("start", "stop"):
+            words.whole("a step")
+        elif keyword == "every":
+            words.skip()
+            entry.impossible("commands during a run (run every)", "split the run")
+        else:
+            raise DeckError(command, f"run has no keyword {keyword}; it has upto, start, stop, pre and post.")
+    if deck.time_step is None:
+        if deck.code == "lammps" and deck.units == "lj":
+            deck.time_step = 0.005
+        else:
+            raise DeckError(command, "no time step is given; write timestep DT before run.")
+    end = deck.time + steps * deck.time_step
+    active = tuple(deck.fixes)
+    deck.runs.append(Run(deck.time, end, deck.time_step, steps, deck.step, entry, active))
+    deck.time = end
+    deck.step += steps
+    facts = deck.interpreter.facts
+    facts.update(step=deck.step, elapsed=0.0, time=facts["time"] + steps * facts.get("dt", 0.005))
+
+
+def reset_timestep(deck: Deck, command: Command, entry: Entry) -> None:
+    """reset_timestep N"""
+    deck.step = Words(deck, command, command.words).whole("the step")
+    deck.interpreter.facts["step"] = deck.step
+    entry.not_needed("granflow counts time, not steps")
+
+
+def unfix(deck: Deck, command: Command, entry: Entry) -> None:
+    """unfix ID"""
+    name = Words(deck, command, command.words).word("the name of a fix")
+    if name not in deck.fixes:
+        raise DeckError(
+            command, f"there is no fix {name} to unfix. Fixes: {', '.join(deck.fixes) or 'none'}."
+        )
+    fix = deck.fixes.pop(name)
+    fix.end = deck.time
+    entry.not_needed(f"it ends fix {name}, see its line")
+
+
+# Forces on all particles
+
+
+def gravity(deck: Deck, fix: Fix) -> None:
+    """fix ID group gravity MAGNITUDE vector X Y Z | chute ANGLE | spherical PHI THETA | gradient ..."""
+    words = Words(deck, fix.entry.command, fix.words)
+    if words.next.startswith("v_"):
+        fix.entry.impossible("gravity that changes with time", "one scene for each constant gravity")
+        return
+    magnitude = words.number("the magnitude of gravity", "acceleration")
+    style = words.word("vector, chute or spherical")
+    if style == "vector":
+        direction = words.vector("the direction")
+    elif style == "chute":
+        angle = radians(180.0 - words.plain("the angle"))
+        direction = (sin(angle), 0.0, cos(angle))
+    elif style == "spherical":
+        phi = radians(words.plain("phi"))
+        theta = radians(words.plain("theta"))
+        direction = (sin(theta) * cos(phi), sin(theta) * sin(phi), cos(theta))
+    else:
+        fix.entry.impossible(f"gravity in the style {style}", "vector")
+        return
+    length = hypot(*direction)
+    if length == 0.0:
+        raise DeckError(fix.entry.command, "the direction of gravity is zero; give one, such as 0 0 -1.")
+    fix.data = tuple(magnitude * round(each / length, 12) + 0.0 for each in direction)
+
+
+def viscous(deck: Deck, fix: Fix) -> None:
+    """fix ID group viscous GAMMA: a force -GAMMA v, which is a rate for particles of one mass."""
+    words = Words(deck, fix.entry.command, fix.words)
+    fix.data = words.number("gamma", "damping")
+    if words:
+        fix.entry.impossible(f"the keyword {words.next} of viscous", "one coefficient for all types")
+
+
+# Output
+
+
+def dump(deck: Deck, command: Command, entry: Entry) -> None:
+    """dump ID GROUP STYLE N FILE ..."""
+    words = Words(deck, command, command.words)
+    words.word("the name of the dump")
+    words.word("a group")
+    style = words.word("the style")
+    steps = words.whole("the interval in steps")
+    if style in ("image", "movie"):
+        entry.not_needed("granflow render writes images and films of a run")
+        return
+    deck.own("dumps", list).append((steps, style, entry, words.rest))
+
+
+def thermo(deck: Deck, command: Command, entry: Entry) -> None:
+    """thermo N"""
+    if command.words[:1] and command.words[0].startswith("v_"):
+        entry.approximated("rows of timeseries.csv have the interval of the frames")
+        return
+    deck.family["thermo"] = (Words(deck, command, command.words).whole("the interval in steps"), entry)
+
+
+KNOWN_COLUMNS = {
+    **dict.fromkeys(("step", "elapsed", "dt", "time"), "time"),
+    **dict.fromkeys(("atoms",), "particle_count"),
+    **dict.fromkeys(("ke",), "kinetic_energy_translation"),
+}
+
+
+def thermo_style(deck: Deck, command: Command, entry: Entry) -> None:
+    """thermo_style custom KEYWORDS"""
+    entry.not_needed("timeseries.csv always has time, particle count, energies and momentum")
+
+
+def thermo_modify(deck: Deck, command: Command, entry: Entry) -> None:
+    """thermo_modify KEYWORDS"""
+    words = command.words
+    if "lost" in words[:-1]:
+        deck.family["lost"] = words[words.index("lost") + 1]
+        deck.family["lost_entry"] = entry
+    else:
+        entry.not_needed("settings of the printed table")
+
+
+def restart(deck: Deck, command: Command, entry: Entry) -> None:
+    """restart N FILE"""
+    steps = Words(deck, command, command.words).whole("the interval in steps")
+    if steps:
+        deck.family["restart"] = (steps, entry)
+    else:
+        entry.not_needed("checkpoints are written anyway")
+
+
+def compute(deck: Deck, command: Command, entry: Entry) -> None:
+    """compute ID GROUP STYLE: quantities that granflow always writes, or has as metrics."""
+    words = Words(deck, command, command.words)
+    name = words.word("the name of the compute")
+    words.word("a group")
+    style = words.word("the style")
+    deck.computes[name] = entry
+    counterpart = COMPUTES.get(style)
+    if counterpart is None:
+        entry.impossible(f"compute {style}", "metrics and fields of the block output, or granflow analyze")
+    else:
+        entry.not_needed(counterpart)
+
+
+COMPUTES = {
+    **dict.fromkeys(("erotate/sphere", "erotate", "erotate/multisphere", "ke", "ke/multisphere"),
+                    "timeseries.csv has the kinetic energies of translation and rotation"),
+    **dict.fromkeys(("temp", "temp/sphere", "temp/region"), "its energy is in timeseries.csv"),
+    **dict.fromkeys(("pe", "pe/atom", "ke/atom", "erotate/sphere/atom"), "output.energy_budget has energies"),
+    **dict.fromkeys(("reduce", "reduce/region", "property/atom", "property/local", "property/molecule"),
+                    "the particle files have these properties"),
+    **dict.fromkeys(("contact/atom", "coord/gran"), "a metric has the number of contacts"),
+    **dict.fromkeys(("pair/gran/local", "wall/gran/local", "pair/local"),
+                    "output.contacts writes the contacts with their forces"),
+    **dict.fromkeys(("stress/atom", "pressure"), "output.fields has the stress"),
+    **dict.fromkeys(("com", "displace/atom", "msd", "gyration"), "it follows from the particle files"),
+    **dict.fromkeys(("rigid", "nparticles/tracer/region"), "the particle files have these properties"),
+}  # fmt: skip
+"""Styles of compute whose results granflow has in another form."""
+
+
+def lost_in(deck: Deck) -> str:
+    """What happens to particles that leave the box: ignore, warn or error."""
+    return str(deck.family.get("lost", "error"))
+
+
+# The blocks
+
+
+def build(deck: Deck, draft: Draft) -> None:
+    """Write gravity, domain, damping, stages, run, numerics and output."""
+    _gravity(deck, draft)
+    _domain(deck, draft)
+    _stages(deck, draft)
+    _damping(deck, draft)
+    if deck.time_step is not None:
+        steps = sorted({run.time_step for run in deck.runs if run.steps})
+        entries = [deck.time_step_entry] if deck.time_step_entry else []
+        draft.put(("run", "time_step"), quantity(steps[0] if steps else deck.time_step, "time"), *entries)
+        if len(steps) > 1 and entries:
+            entries[0].approximated(
+                f"the time step changes to {steps[-1]:g} s; the smallest is taken for all"
+            )
+    draft.put(
+        ("numerics", "max_overlap"), 0.5, remark="the script has no limit of the overlap; the default is 0.1"
+    )
+    _output(deck, draft)
+
+
+def _gravity(deck: Deck, draft: Draft) -> None:
+    fixes = [fix for fix in deck.fixes_of("gravity") if fix.data and deck.acting(fix)]
+    if not fixes:
+        draft.put(("gravity",), [0, 0, 0], remark="the script has no fix gravity")
+        return
+    draft.put(("gravity",), [*fixes[0].data], fixes[0].entry)
+    for fix in fixes[1:]:
+        if fix.data != fixes[0].data:
+            fix.entry.impossible(
+                "gravity that changes during the simulation",
+                f"a second scene with gravity {list(fix.data)} and start_from: the output of the first",
+            )
+        else:
+            fix.entry.translated("gravity")
+    first = fixes[0]
+    missing = [run for run in deck.runs if run.steps and not any(fix.acts_in(run) for fix in fixes)]
+    if missing:
+        first.entry.approximated(
+            f"gravity acts all the time, also in the run of line {missing[0].entry.command.line}"
+        )
+
+
+def _domain(deck: Deck, draft: Draft) -> None:
+    if deck.box is None or deck.box_entry is None:
+        return
+    low, high = list(deck.box[::2]), list(deck.box[1::2])
+    periodic = [axis for k, axis in enumerate("xyz") if deck.boundary[2 * k] == "p"]
+    open_axes = [k for k in range(3) if deck.boundary[2 * k] != "p"]
+    shrinking = [k for k in open_axes if set(deck.boundary[2 * k : 2 * k + 2]) & {"m", "s"}]
+    lost = lost_in(deck)
+    entries = [each for each in (deck.boundary_entry, deck.family.get("lost_entry")) if each]
+    keys: dict[str, object] = {}
+    if not open_axes:
+        on_exit = "error"
+    elif len(shrinking) == len(open_axes):
+        on_exit = "expand"
+    else:
+        on_exit = "error" if lost == "error" and not shrinking else "delete"
+        if shrinking:
+            for k in shrinking:
+                size = high[k] - low[k]
+                for side, sign, corner in ((0, -1, low), (1, 1, high)):
+                    if deck.boundary[2 * k + side] in "ms":
+                        corner[k] += sign * size
+            entries[0].approximated(
+                "only some axes grow with the particles: the box is enlarged by its own size there"
+            )
+    keys = {"min": quantities(low, "length"), "max": quantities(high, "length")}
+    if periodic:
+        keys["periodic"] = periodic
+    draft.put(("domain",), {**keys, "on_exit": on_exit}, deck.box_entry, *entries)
+
+
+def stage_names(deck: Deck) -> dict[int, str]:
+    """Name of the stage of each run, by its index; runs that nothing separates share one; empty with one
+    stage."""
+    names: dict[int, str] = {}
+    changes = {
+        round(time, 12)
+        for fix in deck.all_fixes
+        if fix.style in STAGED and deck.acting(fix)
+        for time in (fix.start, fix.end)
+        if time is not None
+    }
+    count = 0
+    for index, run in enumerate(deck.runs):
+        if not run.steps:
+            continue
+        if not names or any(abs(time - run.start) <= run.slack and run.start > 0 for time in changes):
+            count += 1
+        names[index] = f"stage_{count}"
+    return names if count > 1 else {}
+
+
+STAGED: set[str] = {"viscous", "cundall"}
+"""Styles of fixes whose begin or end makes a new stage; the families add theirs."""
+
+
+def stages_of(deck: Deck, fix: Fix) -> list[str] | None:
+    """Names of the stages in which a fix acts; None if it acts in all."""
+    names = stage_names(deck)
+    acting = {names[index] for index, run in enumerate(deck.runs) if index in names and fix.acts_in(run)}
+    ordered = [name for name in dict.fromkeys(names.values()) if name in acting]
+    return None if len(acting) == len(set(names.values())) else ordered
+
+
+def _stages(deck: Deck, draft: Draft) -> None:
+    runs = [run for run in deck.runs if run.steps]
+    entries = [run.entry for run in deck.runs]
+    names = stage_names(deck)
+    if not names:
+        draft.put(("run", "duration"), quantity(sum(run.end - run.start for run in runs), "time"), *entries)
+        return
+    lengths: dict[str, float] = {}
+    for index, name in names.items():
+        lengths[name] = lengths.get(name, 0.0) + deck.runs[index].end - deck.runs[index].start
+        deck.runs[index].entry.translated(f"stages ({name})")
+    draft.put(("stages",), [{"name": name, "duration": quantity(t, "time")} for name, t in lengths.items()])
+
+
+def _damping(deck: Deck, draft: Draft) -> None:
+    for fix in deck.fixes_of("viscous"):
+        if not deck.acting(fix) or not isinstance(fix.data, float):
+            continue
+        masses = [
+            each.density * 4.18879020479 * radius**3 for each in deck.particles for radius in each.radii
+        ]
+        if not masses:
+            continue
+        rate = fix.data / (sum(masses) / len(masses))
+        stages = stages_of(deck, fix)
+        value = {"drag": quantity(rate, "rate"), **({"stages": stages} if stages else {})}
+        draft.put(("damping",), value, fix.entry)
+        if max(masses) > 1.000001 * min(masses):
+            spread = 100 * (max(masses) / min(masses) - 1)
+            fix.entry.approximated(
+                f"the drag of granflow is proportional to the mass, which differs by {spread:.3g} %"
+            )
+        fix.entry.approximated("the drag of granflow also damps the rotation")
+
+
+def _output(deck: Deck, draft: Draft) -> None:
+    step = deck.time_step or 0.0
+    length = deck.end
+    dumps = [each for each in deck.family.get("dumps", []) if each[0] > 0]
+    entries = [entry for _, _, entry, _ in dumps]
+    interval = min((steps for steps, *_ in dumps), default=0) * step
+    if interval and length / interval > LARGEST_FRAMES:
+        entries[0].approximated(f"at most {LARGEST_FRAMES} frames are written")
+        interval = length / LARGEST_FRAMES
+    if interval == 0.0 or interval > length > 0.0:
+        interval = length / 50
+    draft.put(("output", "interval"), quantity(interval, "time"), *entries)
+    if "thermo" in deck.family:
+        steps, entry = deck.family["thermo"]
+        if steps:
+            draft.put(("output", "timeseries_interval"), quantity(min(steps * step, length), "time"), entry)
+    if "restart" in deck.family:
+        steps, entry = deck.family["restart"]
+        draft.put(("output", "checkpoint"), {"interval": quantity(steps * step, "time")}, entry)
+    for _, style, entry, _ in dumps:
+        if "local" in style or style == "pair/gran/local":
+            draft.put(("output", "contacts"), True, entry)
+
+
+# Tables
+
+_COMMUNICATION = "communication between processors"
+_NEIGHBOR = "granflow chooses the neighbor list"
+
+COMMANDS: dict[str, Translation] = {
+    "timestep": Translation(timestep, "run.time_step"),
+    "run": Translation(run, "run.duration, stages", "a new stage where walls, motions or damping change"),
+    "unfix": Translation(unfix, "stages", "the end of what the fix does"),
+    "reset_timestep": Translation(reset_timestep, "not needed", "granflow counts time"),
+    "dump": Translation(dump, "output.interval, contacts", "the properties of a particle file are fixed"),
+    "thermo": Translation(thermo, "output.timeseries_interval"),
+    "thermo_style": Translation(thermo_style, "not needed", "the columns of timeseries.csv are fixed"),
+    "thermo_modify": Translation(thermo_modify, "domain.on_exit", "of its keywords lost has a counterpart"),
+    "restart": Translation(restart, "output.checkpoint.interval"),
+    "compute": Translation(compute, "not needed or output.metrics", "most results are in timeseries.csv"),
+    "read_restart": impossible(
+        "restart files can be read by the code only",
+        "write the particles with the code itself (write_data FILE) and start from read_data",
+    ),
+    "clear": impossible("a second simulation in one script", "import a script for each"),
+    "minimize": impossible("minimize", "a stage with damping: {cundall: 0.5}"),
+    "rerun": impossible("rerun", "granflow analyze"),
+    "read_dump": impossible("read_dump", "read_data, or insert: {kind: file}"),
+    "write_restart": not_needed("a run writes a checkpoint at its end"),
+    "write_data": not_needed("a run writes the particles at its end"),
+    "write_dump": not_needed("a run writes the particles at its end"),
+    "undump": not_needed("frames are written to the end of the run"),
+    "uncompute": not_needed("results are written to the end of the run"),
+    "dump_modify": not_needed("the form of the files is fixed"),
+    "compute_modify": not_needed("settings of temperatures"),
+    "fix_modify": not_needed("settings of printed energies"),
+    "run_style": not_needed("the integrator is a leapfrog"),
+    "neighbor": not_needed(_NEIGHBOR),
+    "neigh_modify": not_needed(_NEIGHBOR),
+    "newton": not_needed(_COMMUNICATION),
+    "communicate": not_needed(_COMMUNICATION),
+    "comm_modify": not_needed(_COMMUNICATION),
+    "comm_style": not_needed(_COMMUNICATION),
+    "processors": not_needed(_COMMUNICATION),
+    "balance": not_needed(_COMMUNICATION),
+    "package": not_needed("settings of accelerators"),
+    "suffix": not_needed("settings of accelerators"),
+    "timers": not_needed("granflow writes its timings"),
+    "timer": not_needed("granflow writes its timings"),
+    "atom_modify": not_needed("storage of particles"),
+    "modify_timing": not_needed("granflow writes its timings"),
+    "soft_particles": not_needed("numerics.max_overlap permits large overlaps"),
+    "hard_particles": not_needed("moduli have no upper limit"),
+    "write_header": not_needed("text of the code"),
+}  # fmt: skip
+
+FIXES: dict[str, Translation] = {
+    "gravity": Translation(gravity, "gravity", "one value for the whole run"),
+    "viscous": Translation(viscous, "damping.drag", "a rate: the coefficient over the mass"),
+    "nve/sphere": not_needed("all particles are integrated"),
+    "nve": not_needed("all particles are integrated"),
+    "nve/limit": impossible("a limit of the displacement", "kind: pack, which inserts without overlap"),
+    "check/timestep/gran": not_needed("granflow check verifies the time step"),
+    "print": not_needed("timeseries.csv has the results"),
+    "balance": not_needed(_COMMUNICATION),
+    "ave/time": not_needed("timeseries.csv has the results; means of wall forces too"),
+    "ave/atom": not_needed("metrics and fields of the block output average"),
+    "ave/histo": not_needed("granflow plot --x energy, or the particle files"),
+    "ave/spatial": not_needed("output.fields has averages on a grid"),
+    "ave/chunk": not_needed("output.fields has averages on a grid"),
+    "ave/euler": not_needed("output.fields has averages on a grid"),
+    "ave/correlate": not_needed("it follows from timeseries.csv"),
+    "property/atom": not_needed("properties of the particle files are fixed"),
+    "setforce": impossible("forces that are set", "fixed: true for particles that do not move"),
+    "addforce": impossible("a constant force", "gravity, or gf.ParticleForces of a Python program"),
+    "aveforce": impossible("aveforce", "a Python program that sets forces"),
+    "efield": impossible("electric fields", "a Python program that adds forces (notebook drag_and_field)"),
+    "buoyancy": impossible("buoyancy", "a Python program that adds forces"),
+    "enforce2d": impossible("two-dimensional simulations", "a layer one diameter thick between two walls"),
+    "move": impossible("motion of particles", "a wall with the motion"),
+    "momentum": impossible("momentum", "thermal: {zero_momentum: true} at the start"),
+    "heat/gran": impossible("heat conduction", "mechanics without heat (--partial)"),
+    "heat/gran/conduction": impossible("heat conduction", "mechanics without heat (--partial)"),
+    "heat/gran/radiation": impossible("radiation", "mechanics without heat (--partial)"),
+    "couple/cfd": impossible("coupling with a fluid", "a Python program that adds forces"),
+    "external": impossible("forces of another program", "a Python program that adds forces"),
+    "nve/superquadric": impossible("superquadrics", "clumps of spheres: particles.NAME.clump"),
+    "nve/asphere": impossible("ellipsoids", "clumps of spheres: particles.NAME.clump"),
+    "multicontact/halfspace": impossible("corrections for many contacts", "contacts without them"),
+    "poems": impossible("coupled rigid bodies", "clumps: particles.NAME.clump"),
+}  # fmt: skip
