@@ -14,6 +14,8 @@ from granflow.errors import GranflowError, SceneError
 if TYPE_CHECKING:
     from granflow.importing.convert import Imported
 
+UNSTABLE = "run.time_step is "
+"""Beginning of the problem of a time step above the stability limit."""
 INCOMPLETE = 3
 """Exit code of a script of which something has no counterpart."""
 
@@ -31,11 +33,16 @@ def import_(options: argparse.Namespace) -> int:
         out = out.with_name(out.name.removesuffix(".yaml").removesuffix(".in") + ".yaml")
     settings = dict(_setting(each) for each in options.settings)
     found = convert(options.deck, settings, options.code)
-    is_written = found.report.is_complete or options.partial
+    is_written = bool(found.text) and (found.report.is_complete or options.partial)
     fault = ""
     if is_written:
         write(out, found, options.overwrite)
         fault = checked(out)
+        if UNSTABLE in fault:
+            reason = fault[fault.index(UNSTABLE) :].partition(". ")[0]
+            found = convert(options.deck, settings, options.code, automatic_step=reason)
+            write(out, found, overwrite=True)
+            fault = checked(out)
     if options.json:
         written = str(out) if is_written else None
         content = {"scene": written, "code": found.code, **found.report.to_dict(), "check": fault or None}
@@ -50,7 +57,9 @@ def import_(options: argparse.Namespace) -> int:
         return GranflowError.exit_code
     if found.report.is_complete:
         return 0
-    if not options.partial:
+    if not found.text:
+        print_error("nothing was written, because the lines that are not possible leave no scene.")
+    elif not options.partial:
         print_error("nothing was written, because some lines have no counterpart; --partial writes the rest.")
     return INCOMPLETE
 

@@ -23,6 +23,7 @@ SHAPES = {"sphere", "granular"}
 class Imported:
     """A translated script.
 
+    text:   the scene; empty if what is not possible leaves no scene
     files:  files beside the scene by name
     """
 
@@ -126,8 +127,14 @@ def code_of(path: Path, commands: Iterable[Command]) -> str:
     return "lammps"
 
 
-def convert(path: Path, given: Mapping[str, str] | None = None, code: str | None = None) -> Imported:
-    """Translate a script. Raises DeckError for an error of the script, with its line."""
+def convert(
+    path: Path, given: Mapping[str, str] | None = None, code: str | None = None, automatic_step: str = ""
+) -> Imported:
+    """Translate a script. Raises DeckError for an error of the script, with its line.
+
+    given:           values of variables
+    automatic_step:  why the time step of the script is not taken; empty if it is
+    """
     settings = dict(given or {})
     if code is None:
         try:
@@ -138,6 +145,7 @@ def convert(path: Path, given: Mapping[str, str] | None = None, code: str | None
     interpreter = Interpreter(given=settings)
     deck = Deck(code, interpreter, report, units="si" if code == "liggghts" else "lj")
     deck.family["folder"] = path.parent
+    deck.automatic_step = automatic_step
     commands, fixes = all_commands(), all_fixes()
     for command in interpreter.commands(path):
         entry = report.entry(command)
@@ -151,7 +159,13 @@ def convert(path: Path, given: Mapping[str, str] | None = None, code: str | None
             break
     for command, reason, nearest in interpreter.problems:
         report.entry(command).impossible(reason, nearest)
-    return Imported(_text(deck, path), deck.family["files"], report, code, tuple(interpreter.printed))
+    try:
+        text = _text(deck, path)
+    except GranflowError:
+        if report.is_complete:
+            raise
+        text = ""  # what is missing is probably one of the lines that are not possible
+    return Imported(text, deck.family.get("files", {}), report, code, tuple(interpreter.printed))
 
 
 def _text(deck: Deck, path: Path) -> str:

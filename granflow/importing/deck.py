@@ -173,6 +173,8 @@ class Deck:
     step: int = 0
     time_step: float | None = None
     time_step_entry: Entry | None = None
+    automatic_step: str = ""
+    """Why the time step of the script is not taken; empty if it is."""
     runs: list[Run] = field(default_factory=list)
     family: dict[str, Any] = field(default_factory=dict)
     """Data of the families that are no fixes, by the name of the family."""

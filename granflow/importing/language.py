@@ -204,8 +204,9 @@ class Interpreter:
                 if isinstance(result, Command):
                     yield result
                 else:  # a jump, within this file or to another one
-                    path = result
-                    lines = self._read(path, line)
+                    if result != path:
+                        path = result
+                        lines = self._read(path, line)
                     index = 0 if self._seek is None else self._label(lines, line)
                     break
 
@@ -281,8 +282,9 @@ class Interpreter:
     def _branch(self, line: Line, words: list[str]) -> list[str]:
         """The commands of an `if` that are executed."""
         try:
+            start = words.index("then") + 1
             if self.condition(words[0]):
-                return _until_keyword(words, words.index("then") + 1)
+                return _until_keyword(words, start)
             while "elif" in words:
                 words = words[words.index("elif") + 1 :]
                 if self.condition(words[0]):

@@ -215,7 +215,12 @@ def build(deck: Deck, draft: Draft) -> None:
     if deck.time_step is not None:
         steps = sorted({run.time_step for run in deck.runs if run.steps})
         entries = [deck.time_step_entry] if deck.time_step_entry else []
-        draft.put(("run", "time_step"), quantity(steps[0] if steps else deck.time_step, "time"), *entries)
+        if deck.automatic_step:
+            for each in entries:
+                each.translated("run.time_step")
+                each.approximated(f"{deck.automatic_step}; the step is automatic")
+        else:
+            draft.put(("run", "time_step"), quantity(steps[0] if steps else deck.time_step, "time"), *entries)
         if len(steps) > 1 and entries:
             entries[0].approximated(
                 f"the time step changes to {steps[-1]:g} s; the smallest is taken for all"

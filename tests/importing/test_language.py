@@ -1,0 +1,113 @@
+"""The language of scripts of LIGGGHTS and LAMMPS."""
+
+import math
+
+import pytest
+
+from granflow.importing.language import DeckError, Interpreter, NotKnown
+
+
+def commands(tmp_path, text, **given):
+    """The commands of a script, as lists of words."""
+    path = tmp_path / "in.deck"
+    path.write_text(text)
+    return [[each.name, *each.words] for each in Interpreter(given=given).commands(path)]
+
+
+@pytest.mark.parametrize(
+    ("formula", "value"),
+    [
+        ("2+3*4", 14),
+        ("-2^2", -4),
+        ("2^3^2", 512),  # from the right
+        ("(1+2)/4", 0.75),
+        ("1.5e-3*2", 3e-3),
+        ("sqrt(16)+exp(0)", 5),
+        ("ln(exp(2))+log(100)", 4),
+        ("cos(PI)", -1),
+        ("7%4", 3),
+        ("1<2 && 3>=3", 1),
+        ("!1 || 2!=2", 0),
+        ("v_a*2", 6),
+        ("ternary(1>0,5,6)", 5),
+        ("ceil(1.2)+floor(1.8)+round(1.5)", 5),
+        ("step*2", 0),
+    ],
+)
+def test_formula(formula, value):
+    interpreter = Interpreter(given={"a": "3"})
+    assert interpreter.evaluate(formula) == pytest.approx(value, rel=1e-14)
+
+
+@pytest.mark.parametrize("formula", ["c_1+2", "mass(all)", "2*", "(1", "nothing", "1/0", "1 2"])
+def test_formula_without_value(formula):
+    with pytest.raises(NotKnown):
+        Interpreter().evaluate(formula)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("run 10 # comment", [["run", "10"]]),
+        ("run &\n  10 &\n upto", [["run", "10", "upto"]]),
+        ("fix 1 all print 'a # b' c", [["fix", "1", "all", "print", "a # b", "c"]]),
+        ('fix 1 all print """a "b" c"""', [["fix", "1", "all", "print", 'a "b" c']]),
+        ("variable n equal 2*3\nrun $n\nrun ${n}", [["run", "6"], ["run", "6"]]),
+        ("run $(2*(3+4))", [["run", "14"]]),
+        ("variable d equal 0.1+0.2\nx ${d}", [["x", "0.3"]]),
+        ("variable s string 'a b'\nx ${s}", [["x", "a", "b"]]),
+        ('variable a equal 2\nif "$a > 1" then "run 1" "run 2" else "run 3"', [["run", "1"], ["run", "2"]]),
+        ('if "yes == no" then "run 1" elif "2 == 2" "run 2" else "run 3"', [["run", "2"]]),
+        (
+            "variable i loop 3\nlabel again\nx $i\nnext i\njump SELF again\nrun 1",
+            [["x", "1"], ["x", "2"], ["x", "3"], ["run", "1"]],
+        ),
+        ("variable i index 5 7\nlabel l\nx ${i}\nnext i\njump SELF l", [["x", "5"], ["x", "7"]]),
+        ("jump SELF end\nx 1\nlabel end\nx 2", [["x", "2"]]),
+        ("variable a equal 1\nvariable b equal v_a+1\nvariable a equal 5\nx ${b}", [["x", "6"]]),
+        ("x 1\nquit\nx 2", [["x", "1"]]),
+        ("print 'the rate is ${n}'\nx 1", [["x", "1"]]),
+    ],
+)
+def test_commands(tmp_path, text, expected):
+    assert commands(tmp_path, text, **({"n": "1"} if "rate is" in text else {})) == expected
+
+
+def test_given_variables_have_priority(tmp_path):
+    assert commands(tmp_path, "variable a equal 2\nvariable b index 3\nx $a $b", a="7", b="8") == [
+        ["x", "7", "8"]
+    ]
+
+
+def test_include(tmp_path):
+    (tmp_path / "inner").write_text("variable k equal 4\nx $k\n")
+    assert commands(tmp_path, "include inner\ny $k") == [["x", "4"], ["y", "4"]]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "part"),
+    [
+        ("x 1\nx ${none}", 2, "there is no variable none"),
+        ("label l\njump SELF l", 2, "the loop has no end"),
+        ("jump SELF nowhere", 1, "no label nowhere"),
+        ("x 'a b", 1, "is not closed"),
+        ("include nothing", 1, "cannot be read"),
+        ("include in.deck", 1, "include each other"),
+        ("variable a getenv HOME", 1, "--set a=VALUE"),
+        ("variable a world 1 2", 1, "style world"),
+        ('if "c_1 > 2" then "x 1"', 1, "cannot be decided"),
+        ('if "1 > 2"', 1, "the form is"),
+        ("variable v atom x\nx ${v}", 2, "one value per particle"),
+    ],
+)
+def test_errors_have_the_line(tmp_path, text, line, part):
+    with pytest.raises(DeckError, match=part) as caught:
+        commands(tmp_path, text)
+    assert str(caught.value).startswith(f"in.deck:{line}: ")
+
+
+def test_variable_at_a_later_step(tmp_path):
+    interpreter = Interpreter()
+    (tmp_path / "in.deck").write_text("variable theta equal (step-10)*2.0*PI/5\n")
+    list(interpreter.commands(tmp_path / "in.deck"))
+    assert interpreter.value_at("theta", step=15) == pytest.approx(2 * math.pi)
