@@ -184,15 +184,15 @@ def damping_ratio_for(e: float) -> float:
     if not 0.0 < e <= 1.0:
         raise ValueError("a viscous contact model supports any restitution in (0, 1], not 0")
     low, high = 0.0, 1.0
-    while _viscous_restitution(high) > e:
+    while viscous_restitution(high) > e:
         high *= 2.0
     for _ in range(200):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if _viscous_restitution(middle) > e else (low, middle)
+        low, high = (middle, high) if viscous_restitution(middle) > e else (low, middle)
     return 0.5 * (low + high) if e < 1.0 else 0.0
 
 
-def _viscous_restitution(zeta: float) -> float:
+def viscous_restitution(zeta: float) -> float:
     """Restitution of a spring-dashpot with the damping ratio `zeta` > 0 whose contact ends at zero force."""
     if abs(zeta - 1.0) < 1e-9:
         return float(np.exp(-2.0))

@@ -20,6 +20,8 @@ from granflow.importing.scene_text import Draft, quantities, quantity
 
 MOST_BATCHES = 12
 """Number of batches of an insertion that become groups of their own; more become a constant rate."""
+BURST = 0.02
+"""Duration of the insertion of a batch over the time between two batches."""
 
 # Templates and distributions (LIGGGHTS)
 
@@ -534,14 +536,8 @@ class Amount:
         every = (given.every or 0) * step
         if start > 0.0:
             fix.entry.approximated("the particles enter within 10 ms, not in one step")
-            times = {"start": quantity(start, "time")}
-            parts: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
-                (
-                    "",
-                    first,
-                    {"kind": "rain", "region": region, "rate": quantity(count / 0.01, "rate"), **times},
-                )
-            ]
+            parts: list[tuple[str, dict[str, Any], dict[str, Any]]]
+            parts = [("", first, self._rain(region, count / 0.01, start))]
         else:
             parts = [("", first, pack)]
         batches = floor((end - start) / every + 1e-9) if every else 0
@@ -550,20 +546,33 @@ class Amount:
         if batches <= 0:
             return parts
         leaving = _travel(deck, given.velocity, every, extent_of(deck, given.region))
-        refill = count * leaving
-        fix.entry.approximated(
-            f"{batches} refills of the region every {every:g} s are a constant rate: {leaving:.0%} of "
-            f"{round(count)} "
-            "particles leave it in this time by free fall"
-        )
-        keys = {
-            "rate": quantity(float(f"{refill / every:.6g}"), "rate"),
-            "start": quantity(start + every, "time"),
-        }
-        if start + (batches + 1) * every < deck.end:
-            keys["end"] = quantity(start + (batches + 1) * every, "time")
-        total = {"count": max(1, round(refill * batches))}
-        return [*parts, ("_refill", total, {"kind": "rain", "region": region, **keys})]
+        refill = max(1, round(count * leaving))
+        if leaving < 1.0:
+            fix.entry.approximated(
+                f"a refill of the region every {every:g} s is {refill} of {round(count)} particles: those "
+                "that leave it in this time by free fall"
+            )
+        if batches <= MOST_BATCHES:
+            for k in range(1, batches + 1):
+                times = {"rate": refill / (BURST * every), "start": start + k * every}
+                parts.append((f"_{k + 1}", {"count": refill}, self._rain(region, **times)))
+            fix.entry.approximated(f"a refill takes {BURST * every:.2g} s, not one step")
+            return parts
+        # Constant flow, in which a refill is spread over the interval around its time.
+        first_time, last_time = start + 0.5 * every, start + (batches + 0.5) * every
+        times = {"rate": refill / every, "start": first_time}
+        rain = self._rain(region, **times)
+        if last_time < deck.end:
+            rain["end"] = quantity(last_time, "time")
+        fix.entry.approximated(f"{batches} refills every {every:g} s are a constant rate")
+        return [*parts, ("_refill", {"count": refill * batches}, rain)]
+
+    @staticmethod
+    def _rain(region: dict[str, Any], rate: float, start: float) -> dict[str, Any]:
+        """The key insert of a rain."""
+        rounded = float(f"{rate:.6g}")
+        keys = {"kind": "rain", "region": region, "rate": quantity(rounded, "rate")}
+        return {**keys, "start": quantity(start, "time")}
 
 
 def _box_volume(extent: tuple[float, ...]) -> float:

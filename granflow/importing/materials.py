@@ -13,7 +13,7 @@ from functools import cache
 from math import exp, log, pi, sqrt
 from typing import Any
 
-from granflow.contact.theory import damping_ratio_for
+from granflow.contact.theory import damping_ratio_for, viscous_restitution
 from granflow.importing.deck import Deck, Fix, ParticleGroup, Translation, Words, impossible, not_needed
 from granflow.importing.language import Command, DeckError
 from granflow.importing.report import Entry
@@ -435,11 +435,7 @@ def free_restitution(zeta: float, has_limit: bool) -> float:
         return 1.0
     if not has_limit:
         return exp(-pi * zeta / sqrt(1.0 - zeta * zeta)) if zeta < 1.0 else 0.0
-    low, high = 1e-6, 1.0  # the inverse of damping_ratio_for
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if damping_ratio_for(middle) > zeta else (low, middle)
-    return 0.5 * (low + high)
+    return viscous_restitution(zeta)
 
 
 @cache

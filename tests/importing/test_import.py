@@ -1,0 +1,336 @@
+"""Scripts of LIGGGHTS and LAMMPS become scenes: keys and reports of small scripts."""
+
+import json
+from math import exp, pi, sqrt
+
+import pytest
+import yaml
+
+import granflow as gf
+from granflow.cli.main import main
+from granflow.contact.theory import damping_ratio_for
+from granflow.importing.convert import all_commands, all_fixes, convert
+from granflow.importing.language import DeckError
+from granflow.importing.materials import collision, free_restitution, tsuji
+
+LIGGGHTS = """
+atom_style granular
+boundary f f f
+units {units}
+region box block 0 0.1 0 0.1 0 0.2 units box
+create_box 2 box
+fix m1 all property/global youngsModulus peratomtype 5e6 1e7
+fix m2 all property/global poissonsRatio peratomtype 0.45 0.3
+fix m3 all property/global coefficientRestitution peratomtypepair 2 0.5 0.6 0.6 0.7
+fix m4 all property/global coefficientFriction peratomtypepair 2 0.1 0.2 0.2 0.3
+{properties}
+pair_style gran {model}
+pair_coeff * *
+timestep 1e-5
+fix g all gravity 9.81 vector 0 0 -1
+fix w all wall/gran {wall} primitive type 2 zplane 0.0
+fix p1 all particletemplate/sphere 1 atom_type 1 density constant 2500 radius constant 0.002
+fix p2 all particletemplate/sphere 1 atom_type 2 density constant 2500 radius constant 0.004
+fix d all particledistribution/discrete 1 2 p1 0.25 p2 0.75
+{insertion}
+fix i all nve/sphere
+{end}
+"""
+PACK = "fix ins all insert/pack seed 1 distributiontemplate d all_in yes region box particles_in_region 50"
+HERTZ = "model hertz tangential history"
+LAMMPS = """
+units si
+atom_style sphere
+boundary p p f
+region box block 0 0.1 0 0.1 0 0.2
+create_box 1 box
+{model}
+timestep 1e-5
+fix g all gravity 10 chute 30
+fix p all pour 100 1 7 region box diam one 0.004 dens 2500 2500
+fix i all nve/sphere
+run 100
+"""
+
+
+def liggghts(units="si", properties="", model=HERTZ, wall=None, insertion=PACK, end="run 1000"):
+    """A script of LIGGGHTS with some parts replaced."""
+    return LIGGGHTS.format(**{**locals(), "wall": wall or model})
+
+
+def imported(tmp_path, text, **settings):
+    """The translation of a script, with its scene as nested dictionaries."""
+    path = tmp_path / "in.deck"
+    path.write_text(text)
+    found = convert(path, **settings)
+    return found, yaml.safe_load(found.text) if found.text else {}
+
+
+def at(scene, path):
+    """The value of a key such as run.duration."""
+    for key in path.split("."):
+        scene = scene[key]
+    return scene
+
+
+def remarks(found, part):
+    """Kind and sentence of the lines of the report that contain a text."""
+    return [(kind, sentence) for _, line, kind, sentence in found.report.lines() if part in line]
+
+
+@pytest.mark.parametrize(
+    ("parts", "path", "expected"),
+    [
+        ({}, "contact.normal", "hertz"),
+        ({}, "contact.tangential.increments", "displacement"),
+        ({"model": f"{HERTZ} tangential_damping off"}, "contact.tangential.damping", None),
+        ({}, "pairs.type1-type2", {"restitution": 0.6, "friction": 0.2}),
+        ({}, "pairs.type2-type2.friction", 0.3),
+        ({}, "materials.type2.young_modulus", "10 MPa"),
+        ({"units": "cgs"}, "materials.type2.young_modulus", "1 MPa"),  # 1e7 dyn/cm2
+        ({"units": "cgs"}, "materials.type1.density", 2.5e6),
+        ({"units": "cgs"}, "domain.max", ["1 mm", "1 mm", "2 mm"]),
+        ({"units": "micro"}, "materials.type2.young_modulus", "10 GPa"),  # 1e7 pg/(um us2)
+        ({"units": "micro"}, "run.time_step", "0.01 ns"),
+        ({}, "domain.on_exit", "error"),
+        ({"end": "thermo_modify lost ignore\nrun 10"}, "domain.on_exit", "delete"),
+        ({"end": "boundary p f m\nrun 10"}, "domain.periodic", ["x"]),
+        ({}, "walls.w.material", "type2"),
+        ({}, "walls.w.normal", [0, 0, 1]),
+        ({}, "gravity", [0, 0, -9.81]),
+        ({"end": "run 100\nrun 500 upto"}, "run.duration", "5 ms"),
+        ({"end": "dump d all custom 50 f id\nrun 1000"}, "output.interval", "500 us"),
+        ({"end": "thermo 20\nrun 1000"}, "output.timeseries_interval", "200 us"),
+        ({"end": "restart 500 f\nrun 1000"}, "output.checkpoint.interval", "5 ms"),
+        # Shares by mass: 0.25 and 0.75 of 50 particles, of which type 1 has an eighth of the mass of type 2.
+        ({}, "particles.ins_1.count", round(50 * 0.25 / (0.25 + 0.75 / 8))),
+        ({}, "particles.ins_2.count", round(50 * (0.75 / 8) / (0.25 + 0.75 / 8))),
+        (
+            {"insertion": PACK.replace("particles_in_region 50", "volumefraction_region 0.1 vel constant 0 0 -1")},
+            "particles.ins_1.velocity",
+            [0, 0, -1],
+        ),
+        (
+            {"insertion": PACK.replace("insert/pack", "insert/rate/region").replace(
+                "particles_in_region 50", "mass 0.2 massrate 2 start 500")},
+            "particles.ins_1.insert.mass_flow",
+            "500 g/s",
+        ),
+        ({"properties": "fix m5 all property/global characteristicVelocity scalar 2",
+          "model": "model hooke tangential history"}, "contact.normal.stiffness.reference_velocity", "2 m/s"),
+        ({"properties": "fix m5 all property/global characteristicVelocity scalar 2",
+          "model": "model hooke tangential history"}, "materials.type1.poisson_ratio", 0),
+        ({"properties": "fix m5 all property/global coefficientRollingFriction peratomtypepair 2 1 2 2 3",
+          "model": f"{HERTZ} rolling_friction epsd2", "wall": HERTZ}, "pairs.type1-wall.rolling_friction", 0),
+        ({"properties": "fix m5 all property/global coefficientRollingFriction peratomtypepair 2 1 2 2 3",
+          "model": f"{HERTZ} rolling_friction cdt"}, "pairs.type1-type2.rolling_friction", 2),
+        ({"properties": "fix m5 all property/global cohesionEnergyDensity peratomtypepair 2 1e5 1e5 1e5 2e5",
+          "model": f"{HERTZ} cohesion sjkr2"}, "pairs.type2-type2.cohesion_energy_density", "400 kJ/m3"),
+        # The plastic spring returns e = sqrt(k1 / kp).
+        ({"properties": "fix m5 all property/global characteristicVelocity scalar 2\n"
+                        "fix m6 all property/global coefficientMaxElasticStiffness peratomtypepair 2 4 4 4 4\n"
+                        "fix m7 all property/global coefficientAdhesionStiffness peratomtypepair 2 .2 .2 .2 .2\n"
+                        "fix m8 all property/global coefficientPlasticityDepth peratomtypepair 2 .1 .1 .1 .1",
+          "model": "model hooke/hysteresis tangential history"}, "pairs.type1-type1.restitution", 0.5),
+    ],
+)  # fmt: skip
+def test_liggghts(tmp_path, parts, path, expected):
+    found, scene = imported(tmp_path, liggghts(**parts))
+    assert found.code == "liggghts"
+    if expected is None:
+        assert path.rpartition(".")[2] not in at(scene, path.rpartition(".")[0])
+    else:
+        assert at(scene, path) == expected
+
+
+def test_tangential_damping_of_liggghts(tmp_path):
+    """gamma_t / gamma_n = sqrt(St / Sn) = sqrt(4 G* / E*), times the damping ratio of LIGGGHTS over granflow's.
+
+    Both codes reach the restitution that is entered, with ratios that differ because granflow cuts the tension.
+    """
+    _, scene = imported(tmp_path, liggghts())
+    stiffness = 2.0 * (1 - 0.45) / (2 - 0.45)  # 4 G* / E* of equal materials
+    beta = 0.6931471806 / sqrt(pi**2 + 0.6931471806**2)
+    zeta = damping_ratio_for(0.5)
+    assert scene["contact"]["tangential"]["damping"] == pytest.approx(sqrt(stiffness) * beta / zeta, rel=1e-3)
+
+
+@pytest.mark.parametrize(("e", "result"), [(0.3, 0.397), (0.5, 0.550), (0.9, 0.902)])
+def test_restitution_with_limit_force(tmp_path, e, result):
+    """The numbers of the guide: integrated collisions, confirmed with LIGGGHTS."""
+    text = liggghts(model=f"{HERTZ} limitForce on").replace("0.5 0.6 0.6 0.7", f"{e} 0.6 0.6 0.7")
+    _, scene = imported(tmp_path, text)
+    assert scene["pairs"]["type1-type1"]["restitution"] == pytest.approx(result, abs=6e-4)
+
+
+# LAMMPS
+
+
+def mass(diameter=0.004, density=2500):
+    return density * pi / 6 * diameter**3
+
+
+@pytest.mark.parametrize(
+    ("model", "path", "expected"),
+    [
+        ("pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1", "contact.normal.stiffness.value", "1 kN/m"),
+        ("pair_style gran/hooke/history 1000 800 300 NULL 0.5 1", "contact.tangential.stiffness", "800 N/m"),
+        ("pair_style gran/hooke/history 1000 800 300 NULL 0.5 0", "contact.tangential.damping", None),
+        ("pair_style gran/hooke/history 1000 800 300 NULL 0.5 1", "pairs.type1-type1.friction", 0.5),
+        # Mindlin's ratio kt/kn = 3 (1 - nu) / (2 - nu), kn = 4/3 E*.
+        (f"pair_style gran/hertz/history 1e6 {1e6 * 3 * 0.75 / 1.75} 10 NULL 0.5 1", "materials.type1.poisson_ratio", 0.25),
+        ("pair_style gran/hertz/history 1e6 1e6 10 NULL 0.5 1", "contact.normal.law", "kuwabara_kono"),
+        ("pair_style granular\npair_coeff * * hertz/material 1e7 0.9 0.25 tangential mindlin NULL 1.0 0.5 damping tsuji",
+         "materials.type1.young_modulus", "10 MPa"),
+        ("pair_style granular\npair_coeff * * jkr 1e7 0.9 0.25 0.05 tangential mindlin_rescale NULL 0 0.5 damping tsuji",
+         "pairs.type1-type1.work_of_adhesion", "100 mJ/m2"),
+        ("pair_style granular\npair_coeff * * hertz/material 1e7 0.9 0.25 tangential mindlin NULL 0 0.5 twisting marshall"
+         " damping tsuji", "contact.twisting", "marshall"),
+    ],
+)  # fmt: skip
+def test_lammps(tmp_path, model, path, expected):
+    found, scene = imported(tmp_path, LAMMPS.format(model=model))
+    assert found.code == "lammps"
+    if expected is None:
+        assert path.rpartition(".")[2] not in at(scene, path.rpartition(".")[0])
+    else:
+        assert at(scene, path) == expected
+
+
+def test_gravity_of_a_chute(tmp_path):
+    model = "pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1"
+    _, scene = imported(tmp_path, LAMMPS.format(model=model))
+    assert scene["gravity"] == pytest.approx([5, 0, -10 * sqrt(0.75)])
+
+
+def test_restitution_of_a_linear_spring(tmp_path):
+    """gran/hooke: m* x'' + m* g x' + k x = 0 ends at zero overlap: e = exp(-g t / 2), t = pi / sqrt(k / m* - g2 / 4)."""
+    model = "pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1"
+    _, scene = imported(tmp_path, LAMMPS.format(model=model))
+    frequency = sqrt(1000 / (mass() / 2) - 300**2 / 4)
+    assert scene["pairs"]["type1-type1"]["restitution"] == pytest.approx(exp(-150 * pi / frequency), abs=1e-5)
+
+
+def test_restitution_of_tsuji_in_lammps():
+    """The guide: an entered 0.9 gives 0.928, and 0.8621 gives 0.9."""
+    assert free_restitution(tsuji(0.9) / sqrt(5), False) == pytest.approx(0.928, abs=5e-4)
+    assert free_restitution(tsuji(0.8621) / sqrt(5), False) == pytest.approx(0.9, abs=5e-4)
+    assert free_restitution(tsuji(0.8593) / sqrt(5), True) == pytest.approx(0.9, abs=5e-4)
+
+
+def test_integrated_collision():
+    """A linear spring with 2 zeta: the closed form, with and without attraction."""
+    for limited in (True, False):
+        assert collision(1.0, 0.4, 0.0, limited) == pytest.approx(free_restitution(0.2, limited), abs=1e-3)
+
+
+# Reports and errors
+
+
+def test_every_line_has_a_remark(tmp_path):
+    found, _ = imported(tmp_path, liggghts())
+    assert len(list(found.report.lines())) == liggghts().count("\n") - 2  # the empty first and third lines
+    assert found.report.is_complete
+    kind, sentence = remarks(found, "m4 all")[0]
+    assert (kind, sentence) == ("translated", "pairs.NAME.friction")
+
+
+@pytest.mark.parametrize(
+    ("end", "part", "sentence"),
+    [
+        ("fix h all heat/gran initial_temperature 300\nrun 10", "heat/gran", "heat conduction; nearest"),
+        ("fix h all wonder 1\nrun 10", "wonder", "fix wonder is not known"),
+        ("marvel 1\nrun 10", "marvel", "the command marvel is not known"),
+        ("compute c all rainbow\nrun 10", "rainbow", "compute rainbow"),
+        ("shell mkdir x\nrun 10", "shell", "shell runs another program"),
+        ("run 10\nclear", "clear", "a second simulation"),
+        ("run 10\nfix g all gravity 9.81 vector 1 0 0\nrun 10", "vector 1 0 0", "gravity that changes"),
+        ("fix x all property/global thermalCapacity peratomtype 1 1\nrun 10", "thermalCapacity", "heat"),
+    ],
+)
+def test_not_possible(tmp_path, end, part, sentence):
+    found, _ = imported(tmp_path, liggghts(end=end))
+    kind, given = remarks(found, part)[0]
+    assert kind == "not possible" and sentence in given
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("timestep 1e-5", "timestep fast", "in.deck:14: the time step is fast, which is not a number"),
+        ("timestep 1e-5", "timestep -1", "in.deck:14: the time step is -1; give a time above 0"),
+        ("5e6 1e7", "5e6", "youngsModulus has no number for type 2"),
+        ("fix m3", "#", "needs fix property/global coefficientRestitution"),
+        ("0.1 0.2 0.2 0.3", "0.1 0.2 0.3 0.3", "not symmetric: types 1 and 2"),
+        ("region box part", "region no part", "there is no region no. Regions: box"),
+        ("model hertz", "modle hertz", "contact models have no keyword modle"),
+        (
+            "distributiontemplate d",
+            "distributiontemplate e",
+            "there is no fix particledistribution/discrete e",
+        ),
+        ("run 1000", "unfix x", "there is no fix x to unfix"),
+        ("run 1000", "", "the script has no run"),
+        ("radius constant 0.002", "radius constant", "the radius is missing at the end"),
+        ("primitive type 2", "primitive type 1.5", "the type is 1.5; give a whole number"),
+    ],
+)
+def test_errors(tmp_path, old, new, message):
+    assert old in liggghts()
+    with pytest.raises(gf.GranflowError) as caught:
+        imported(tmp_path, liggghts().replace(old, new))
+    assert message in str(caught.value)
+
+
+def test_read_restart_is_refused_with_advice(tmp_path):
+    found, _ = imported(
+        tmp_path, "units si\nread_restart f\npair_style gran model hertz\ntimestep 1\nrun 1\n"
+    )
+    assert found.text == "" and "write_data" in remarks(found, "read_restart")[0][1]
+
+
+def test_particles_of_a_file(tmp_path):
+    (tmp_path / "data").write_text("header\n\n2 atoms\n1 atom types\n0 1 xlo xhi\n0 1 ylo yhi\n0 2 zlo zhi\n\nAtoms\n\n"
+                                   "1 1 0.2 2500 0.5 0.5 0.5\n2 1 0.4 2500 0.5 0.5 1.5\n")  # fmt: skip
+    head = LAMMPS.format(model="pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1")
+    text = head.replace("region box block 0 0.1 0 0.1 0 0.2\ncreate_box 1 box", "read_data data")
+    text = text.replace("fix p all pour 100 1 7 region box diam one 0.004 dens 2500 2500", "set atom 2 vx 3")
+    found, scene = imported(tmp_path, text)
+    assert found.files["type1.csv"].decode().splitlines()[0] == "x,y,z,r,vx,vy,vz,wx,wy,wz"
+    assert found.files["type1.csv"].decode().splitlines()[2].startswith("0.5,0.5,1.5,0.2,3,")
+    assert scene["domain"]["max"] == ["1 m", "1 m", "2 m"]
+
+
+# The command
+
+
+def test_command(tmp_path, capsys):
+    deck = tmp_path / "in.deck"
+    deck.write_text(liggghts())
+    out = tmp_path / "deck.yaml"
+    assert main(["import", str(deck), "--out", str(out)]) == 0
+    assert "0 not possible" in capsys.readouterr().out
+    scene = gf.load_scene(out)
+    assert scene.particles["ins_1"].count + scene.particles["ins_2"].count == 50
+    deck.write_text(liggghts(end="fix h all heat/gran initial_temperature 300\nrun 100"))
+    assert main(["import", str(deck), "--out", str(out)]) == 3  # nothing is written
+    assert main(["import", str(deck), "--out", str(out), "--partial"]) == 2  # the file exists
+    capsys.readouterr()
+    assert main(["import", str(deck), "--out", str(out), "--partial", "--overwrite", "--json"]) == 3
+    printed = capsys.readouterr().out
+    assert json.loads(printed[printed.index("{") :])["counts"]["not possible"] == 1
+    deck.write_text("run")
+    assert main(["import", str(deck)]) == 2
+    assert "in.deck:1: the number of steps is missing" in capsys.readouterr().err
+
+
+def test_tables_are_complete():
+    """Each entry of the tables has a counterpart, or a reason."""
+    for name, each in {**all_commands(), **all_fixes()}.items():
+        assert each.counterpart in ("not needed", "not possible") or each.handler.__doc__, name
+        assert each.note or each.counterpart != "not possible", name
+
+
+def test_error_is_not_a_traceback(tmp_path):
+    with pytest.raises(DeckError):
+        imported(tmp_path, liggghts(insertion="fix ins all insert/pack region nowhere"))
