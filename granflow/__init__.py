@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.output import FieldGrid as FieldGrid
     from granflow.scene.blocks.output import FlowMeter as FlowMeter
     from granflow.scene.blocks.output import Output as Output
+    from granflow.scene.blocks.output import ResidenceTime as ResidenceTime
     from granflow.scene.blocks.particle_shapes.clump import Clump as Clump
     from granflow.scene.blocks.particle_shapes.clump import ClumpSphere as ClumpSphere
     from granflow.scene.blocks.particles import Group as Group
@@ -164,6 +165,7 @@ _LOCATIONS = {
     "Rectangle": "granflow.scene.blocks.walls.rectangle.Rectangle",
     "RectangleFace": "granflow.scene.blocks.insertions.RectangleFace",
     "ReposeMetric": "granflow.scene.blocks.metrics.ReposeMetric",
+    "ResidenceTime": "granflow.scene.blocks.output.ResidenceTime",
     "RestitutionFit": "granflow.scene.blocks.materials.RestitutionFit",
     "Result": "granflow.runs.result.Result",
     "Rotation": "granflow.scene.blocks.motions.Rotation",

@@ -674,6 +674,21 @@ FLOW_METER_QUANTITIES = by_name(
     )
 )
 """Numbers of each flow meter."""
+RESIDENCE_QUANTITIES = by_name(
+    (
+        Quantity("residence_count", "", "1", "particles whose residence time is known"),
+        Quantity("residence_mean", "", "s", "mean residence time of `output.residence_time`, by mass"),
+        Quantity("residence_deviation", "", "s", "standard deviation of these times, by mass"),
+        Quantity(
+            "tanks_in_series",
+            "",
+            "1",
+            "number of ideal mixed tanks in series: mean squared over variance",
+        ),
+        Quantity("residing_count", "", "1", "particles that have entered and not left"),
+    )
+)
+"""Numbers of `output.residence_time`, in the result; the part is the flow meter at its end."""
 OUTLET_QUANTITIES = by_name(
     (
         Quantity("outlet_count", "", "1", "particles deleted by the outlet since the start"),

@@ -390,6 +390,9 @@ def _split(head: str) -> tuple[str, str]:
     return name, unit.removesuffix("]")
 
 
+RESIDENCE_FILE = "residence_time.csv"
+"""Name of the file with a row for each particle whose residence time is known."""
+
 # `collision_energies.csv`
 
 COLLISION_FILE = "collision_energies.csv"

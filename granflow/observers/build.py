@@ -16,6 +16,7 @@ from granflow.observers.frames import ContactFrames, FieldFrames, ParticleFrames
 from granflow.observers.meters import FlowCounter, WallForceMeter
 from granflow.observers.metrics import MetricMeter, metric_meters
 from granflow.observers.observer import Observer
+from granflow.observers.passages import PassageTable, ResidenceTimes
 from granflow.observers.progress import ProgressDisplay
 from granflow.observers.timeseries import CollisionEnergies, TimeSeries
 from granflow.plan.build import plan_for
@@ -124,13 +125,34 @@ def time_series_for(plan: Plan, out_dir: Path | None) -> TimeSeries:
     `out_dir`: directory of `timeseries.csv`; without it no file is written, but the meters are updated. The
     interval is `output.timeseries_interval`, or `output.interval` if that is not given [s].
     """
+    gravity = float(np.linalg.norm(plan.scene.gravity))
     flow_meters = {
-        name: FlowCounter(meter, plan.periodic_box, plan.scene.flow_meter_parts(name))
+        name: FlowCounter(meter, plan.periodic_box, plan.scene.flow_meter_parts(name), gravity)
         for name, meter in plan.scene.output.flow_meters.items()
     }
     wall_forces = {name: WallForceMeter(name, area) for name, area in plan.measured_areas.items()}
     interval = plan.scene.output.timeseries_interval or plan.scene.output.interval
-    return TimeSeries(out_dir, interval, flow_meters, wall_forces=wall_forces, metrics=metric_meters(plan))
+    scene = plan.scene
+    names = {"group": list(scene.particles), "material": list(scene.materials)}
+    passages = {
+        name: PassageTable(out_dir, name, names)
+        for name, meter in scene.output.flow_meters.items()
+        if meter.passages and out_dir is not None
+    }
+    given = scene.output.residence_time
+    residence = None
+    if given is not None:
+        begins_at = given.from_ if given.from_ in flow_meters else None
+        residence = ResidenceTimes(given, names, begins_at, out_dir)
+    return TimeSeries(
+        out_dir,
+        interval,
+        flow_meters,
+        wall_forces=wall_forces,
+        metrics=metric_meters(plan),
+        passages=passages,
+        residence=residence,
+    )
 
 
 def field_frames(

@@ -6,7 +6,7 @@ and at the end its result for `result.json`. A row that follows the one before t
 see `observers.metrics`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import nan, sqrt
@@ -40,12 +40,11 @@ class FlowCount:
         self.passed = np.zeros(3)
         self.passed_before = self.passed
 
-    def add(self, mass: np.ndarray, direction: np.ndarray, residence_time: np.ndarray) -> None:
-        """Count particles of masses (n,) [kg] with directions (n,), 1 forward, -1 backward, and residence
-        times [s]."""
-        self.mass += float((mass * direction).sum())
-        self.count += int(direction.sum())
-        forward = residence_time[direction > 0]
+    def add(self, passages: "Passages") -> None:
+        """Count passages; the residence times are those of the forward ones."""
+        self.mass += float((passages.mass * passages.direction).sum())
+        self.count += int(passages.direction.sum())
+        forward = (passages.time - passages.insertion_time)[passages.direction > 0]
         self.passed = self.passed + [len(forward), forward.sum(), (forward**2).sum()]
 
     def begin_sample(self, replaces_last: bool) -> None:
@@ -99,39 +98,87 @@ class FlowCount:
         self.history = [(time, stage, mass) for time, stage, mass in saved["history"]]
 
 
+SAMPLED = ("id", "mass", "position", "velocity", "radius", "group", "material", "insertion_time")
+"""Arrays of the particles that a flow meter reads."""
+
+
 @dataclass(frozen=True)
 class _Sample:
-    """Particles at a sample: `distance` (n,) [m] beyond the plane, `part` (n,): index of the part."""
+    """Particles at `time` [s]: the arrays SAMPLED, and the distance (n,) [m] of each beyond the plane."""
 
+    time: float
+    particles: Mapping[str, np.ndarray]
+    distance: np.ndarray
+
+    def passages(self, index: np.ndarray, direction: np.ndarray, time: np.ndarray) -> "Passages":
+        """Passages (k,) of the particles `index` (k,) of this sample."""
+        found = {name: self.particles[name][index] for name in PASSAGE_ARRAYS}
+        return Passages(time=time, direction=direction, **found)
+
+
+PASSAGE_ARRAYS = ("id", "mass", "radius", "group", "material", "insertion_time")
+"""Arrays of the particles that a passage has."""
+
+
+@dataclass(frozen=True)
+class Passages:
+    """Particles that passed a flow meter between two samples, in the order of time; arrays (k,).
+
+    time, insertion_time:  [s]
+    direction:             1 forward, -1 backward
+    mass, radius:          [kg], [m]
+    group, material:       indices in the scene
+    """
+
+    time: np.ndarray
+    direction: np.ndarray
     id: np.ndarray
     mass: np.ndarray
-    position: np.ndarray
-    distance: np.ndarray
+    radius: np.ndarray
+    group: np.ndarray
+    material: np.ndarray
     insertion_time: np.ndarray
-    part: np.ndarray
+
+    def select(self, chosen: np.ndarray) -> "Passages":
+        """The passages with the indices or the flags `chosen`."""
+        return Passages(**{name: values[chosen] for name, values in vars(self).items()})
+
+
+def joined(parts: Sequence[Passages]) -> Passages:
+    """All passages in the order of time."""
+    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
+    return Passages(**arrays).select(np.argsort(arrays["time"], kind="stable"))
 
 
 class FlowCounter:
     """Net mass and number of particles through the plane, disc or rectangle of a flow meter.
 
     `meter`: of the scene. `periodic_box`: None without periodic axes. `parts`: names of the materials or
-    groups with separate counts, if the meter has `group_by`. Particles are tracked by id between successive
-    samples:
+    groups with separate counts, if the meter has `group_by`. `gravity`: magnitude [m/s2]. Particles are
+    tracked by id between successive samples:
 
     - A center that changes sides crosses where the straight line between its two positions intersects the
       plane. It counts if that point is within the disc or rectangle: forward as plus, backward as minus.
     - A particle deleted since the last sample counts as crossed if it was on the near side with its
-      projection within the disc or rectangle: it left the domain before it could be sampled on the far side.
+      projection within the disc or rectangle, and could reach the plane: it was deleted before it could be
+      sampled on the far side. It could if v T + g T^2 / 2 + R is at least its distance, with its velocity v
+      toward the plane and the interval T of the samples. One that is deleted farther away has left otherwise.
     - In a periodic box the line ends at the nearest image, so that a wrapped particle does not count as
       backward.
     - A particle that is first sampled on the far side does not count.
-    - The time of the passage, and with it the residence time, is the mean of the times of the two samples.
+    - The time of the passage is that at which the straight line reaches the plane; that of a deleted particle
+      follows from its distance and velocity at the last sample.
 
-    The interval between samples must be short enough that particles move in nearly straight lines.
+    `passages`: of the last update. The interval between samples must be short enough that particles move in
+    nearly straight lines.
     """
 
     def __init__(
-        self, meter: FlowMeter, periodic_box: PeriodicBox | None = None, parts: Sequence[str] = ()
+        self,
+        meter: FlowMeter,
+        periodic_box: PeriodicBox | None = None,
+        parts: Sequence[str] = (),
+        gravity: float = 0.0,
     ) -> None:
         self.point = np.asarray(meter.point, dtype=np.float64)
         self.normal = np.asarray(meter.normal, dtype=np.float64) / np.linalg.norm(meter.normal)
@@ -139,8 +186,10 @@ class FlowCounter:
         self.sides = None if meter.sides is None else np.asarray(meter.sides, dtype=np.float64)
         self._periodic_box = periodic_box
         self._group_by = meter.group_by
+        self._gravity = gravity
         self.total = FlowCount()
         self.parts = {name: FlowCount() for name in parts}
+        self.passages: Passages | None = None
         self._last: _Sample | None = None
 
     def flow_counts(self) -> dict[str, FlowCount]:
@@ -150,16 +199,16 @@ class FlowCounter:
     def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
         """Count the particles that passed since the last sample.
 
-        Reads id, mass, position, insertion_time and the array `group_by`. The first snapshot is the reference
-        and counts nothing. `replaces_last`: the rates are those since the sample before the last one.
+        Reads the arrays SAMPLED. The first snapshot is the reference and counts nothing. `replaces_last`: the
+        rates are those since the sample before the last one.
         """
         now = self._sample(snapshot)
-        time = 0.5 * (self.total.history[-1][0] + snapshot.time) if self.total.history else snapshot.time
         for flow_count in self.flow_counts().values():
             flow_count.begin_sample(replaces_last)
+        self.passages = None
         if self._last is not None:
-            self._count_crossed(self._last, now, time)
-            self._count_deleted(self._last, now, time)
+            self.passages = joined([self._crossed(self._last, now), self._deleted(self._last, now)])
+            self._count(self.passages)
         self._last = now
         for flow_count in self.flow_counts().values():
             flow_count.end_sample(snapshot.time, snapshot.stage)
@@ -168,57 +217,57 @@ class FlowCounter:
         """Return counts, histories and the last sample, with arrays (n,) and (n, 3) for the n particles
         present."""
         tallies = {name: flow_count.state_dict() for name, flow_count in self.flow_counts().items()}
-        return {"tallies": tallies, "last": {} if self._last is None else vars(self._last)}
+        last = self._last
+        sample = {} if last is None else {"time": last.time, "particles": dict(last.particles)}
+        return {"tallies": tallies, "last": sample}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
         for name, flow_count in self.flow_counts().items():
             flow_count.load_state_dict(saved["tallies"][name])
-        self._last = _Sample(**saved["last"]) if saved["last"] else None
+        last = saved["last"]
+        self._last = self._sample_of(last["time"], last["particles"]) if last else None
 
     def _sample(self, snapshot: Snapshot) -> _Sample:
-        """Return the particles of a snapshot with their distances (n,) [m] from the plane, positive on the
-        far side."""
         particles = snapshot.particles
-        distance = (particles["position"] - self.point) @ self.normal
-        part = np.zeros(len(distance), np.int32) if self._group_by is None else particles[self._group_by]
-        return _Sample(
-            particles["id"],
-            particles["mass"],
-            particles["position"],
-            distance,
-            particles["insertion_time"],
-            part,
-        )
+        return self._sample_of(snapshot.time, {name: particles[name] for name in SAMPLED})
 
-    def _count_crossed(self, last: _Sample, now: _Sample, time: float) -> None:
-        """Count the particles that exist in both samples and crossed between them, at `time` [s].
+    def _sample_of(self, time: float, particles: Mapping[str, np.ndarray]) -> _Sample:
+        """Sample with the distances (n,) [m] from the plane, positive on the far side."""
+        return _Sample(time, particles, (particles["position"] - self.point) @ self.normal)
+
+    def _crossed(self, last: _Sample, now: _Sample) -> Passages:
+        """Passages of the particles that exist in both samples and crossed between them.
 
         In a periodic box, the lines to the nearest image of the end and from the nearest image of the start
         are both tested, since the plane may be near either boundary.
         """
-        _, before, after = np.intersect1d(last.id, now.id, assume_unique=True, return_indices=True)
-        start = last.position[before]
-        end = now.position[after]
+        _, before, after = np.intersect1d(
+            last.particles["id"], now.particles["id"], assume_unique=True, return_indices=True
+        )
+        start = last.particles["position"][before]
+        end = now.particles["position"][after]
         box = self._periodic_box
         if box is None:
-            direction = self._crossing(start, end)
+            direction, fraction = self._crossing(start, end)
         else:
-            to_image = self._crossing(start, box.nearest_images(end, start))
-            from_image = self._crossing(box.nearest_images(start, end), end)
+            to_image, fraction_to = self._crossing(start, box.nearest_images(end, start))
+            from_image, fraction_from = self._crossing(box.nearest_images(start, end), end)
             direction = np.where(to_image == 0, from_image, to_image)
-        crossed = after[direction != 0]
-        self._add(now, crossed, direction[direction != 0], time)
+            fraction = np.where(to_image == 0, fraction_from, fraction_to)
+        crossed = direction != 0
+        time = last.time + fraction[crossed] * (now.time - last.time)
+        return now.passages(after[crossed], direction[crossed], time)
 
-    def _crossing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """Return (n,): 1, -1 or 0 for lines from `start` to `end` (n, 3) [m] that cross forward, backward or
-        not."""
+    def _crossing(self, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (n,) 1, -1 or 0 of lines from `start` to `end` (n, 3) [m] that cross forward, backward
+        or not, and the fraction (n,) of each line before the plane."""
         first = (start - self.point) @ self.normal
         last = (end - self.point) @ self.normal
         direction = (last > 0).astype(int) - (first > 0).astype(int)
         fraction = first / np.where(direction == 0, 1.0, first - last)
         point = start + fraction[:, None] * (end - start)
-        return np.where(self._within(point), direction, 0)
+        return np.where(self._within(point), direction, 0), fraction
 
     def _within(self, point: np.ndarray) -> np.ndarray:
         """Return whether points (n, 3) [m] of the plane lie in the disc or rectangle."""
@@ -228,24 +277,33 @@ class FlowCounter:
         share = offset @ (self.sides / np.sum(self.sides**2, axis=1)[:, None]).T
         return np.asarray(np.logical_and(share >= 0.0, share <= 1.0).all(axis=1))
 
-    def _count_deleted(self, last: _Sample, now: _Sample, time: float) -> None:
-        """Count as forward, at `time` [s], particles in the last sample only, in front of the disc or
-        rectangle."""
-        foot = last.position - last.distance[:, None] * self.normal
-        near = (last.distance <= 0) & self._within(foot)
-        deleted = np.flatnonzero(near & ~np.isin(last.id, now.id, assume_unique=True))
-        self._add(last, deleted, np.ones(len(deleted), dtype=int), time)
+    def _deleted(self, last: _Sample, now: _Sample) -> Passages:
+        """Forward passages of particles in the last sample only, in front of the disc or rectangle.
 
-    def _add(self, sample: _Sample, index: np.ndarray, direction: np.ndarray, time: float) -> None:
-        """Add particles (k,) of a sample with directions (k,) that passed at `time` [s], to the total and the
-        parts."""
-        mass = sample.mass[index]
-        part = sample.part[index]
-        residence_time = time - sample.insertion_time[index]
-        self.total.add(mass, direction, residence_time)
-        for number, flow_count in enumerate(self.parts.values()):
-            own = part == number
-            flow_count.add(mass[own], direction[own], residence_time[own])
+        Each passed when it would have reached the plane with its velocity in the last sample; with a velocity
+        away from the plane, or too low, in the middle between the samples.
+        """
+        particles = last.particles
+        interval = now.time - last.time
+        approach = particles["velocity"] @ self.normal
+        distance = -last.distance
+        reach = np.maximum(approach, 0.0) * interval + 0.5 * self._gravity * interval**2 + particles["radius"]
+        foot = particles["position"] + distance[:, None] * self.normal
+        near = (distance >= 0) & (distance <= reach) & self._within(foot)
+        index = np.flatnonzero(near & ~np.isin(particles["id"], now.particles["id"], assume_unique=True))
+        approach = approach[index]
+        distance = distance[index]
+        reaches = distance < approach * interval
+        duration = np.where(reaches, distance / np.where(reaches, approach, 1.0), 0.5 * interval)
+        return last.passages(index, np.ones(len(index), dtype=int), last.time + duration)
+
+    def _count(self, passages: Passages) -> None:
+        """Add passages to the counts of all particles and of the parts."""
+        self.total.add(passages)
+        if self._group_by is not None:
+            part = getattr(passages, self._group_by)
+            for number, flow_count in enumerate(self.parts.values()):
+                flow_count.add(passages.select(part == number))
 
 
 def _mean_and_deviation(sums: np.ndarray) -> tuple[float, float]:

@@ -23,6 +23,7 @@ from granflow.io.tables import COLLISION_COLUMNS, COLLISION_FILE, RowFile
 from granflow.observers.meters import FlowCount, FlowCounter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
 from granflow.observers.observer import ScheduledObserver
+from granflow.observers.passages import PassageTable, ResidenceTimes
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.snapshot import PARTICLES, TOTALS, Snapshot
 
@@ -67,7 +68,8 @@ class TimeSeries(ScheduledObserver):
     the end of a run, replaces it, and its means are those since the row before. They would otherwise be those
     of one or a few steps.
 
-    `interval`, `start` [s]: of the rows, in simulated time.
+    `passages`: tables of flow meters by name. `residence`: residence times between flow meters. `interval`,
+    `start` [s]: of the rows, in simulated time.
     """
 
     def __init__(
@@ -78,8 +80,12 @@ class TimeSeries(ScheduledObserver):
         start: float = 0.0,
         wall_forces: Mapping[str, WallForceMeter] | None = None,
         metrics: Mapping[str, MetricMeter] | None = None,
+        passages: Mapping[str, PassageTable] | None = None,
+        residence: ResidenceTimes | None = None,
     ) -> None:
         super().__init__(interval, start)
+        self._passages = dict(passages or {})
+        self._residence = residence
         given: tuple[Mapping[str, Meter] | None, ...] = (flow_meters, wall_forces, metrics)
         self.meters = {kind: dict(meters or {}) for kind, meters in zip(READINGS, given, strict=True)}
         self.wants = frozenset({TOTALS, PARTICLES} if flow_meters else {TOTALS})
@@ -106,6 +112,7 @@ class TimeSeries(ScheduledObserver):
         for meters in self.meters.values():
             for meter in meters.values():
                 meter.update(snapshot, replaces_last)
+        self._record_passages(snapshot)
         time_before = snapshot.time if self._time_before is None else self._time_before
         self._last = snapshot.time, time_before, snapshot.totals
         if self._rows is None:
@@ -117,6 +124,24 @@ class TimeSeries(ScheduledObserver):
             self._rows.write(["time [s]", "stage", *map(_column_label, self._names), *readings])
         totals = [snapshot.totals.get(name, "") for name in self._names]
         self._rows.write([snapshot.time, snapshot.stage, *totals, *readings.values()], replaces_last)
+
+    def _record_passages(self, snapshot: Snapshot) -> None:
+        """Write the passages of the flow meters, and the particles that have left, since the last sample."""
+        meters = {
+            name: each for name, each in self.meters["flow_meters"].items() if isinstance(each, FlowCounter)
+        }
+        for name, table in self._passages.items():
+            table.record(meters[name].passages)
+        if self._residence is not None:
+            self._residence.record(snapshot, meters)
+
+    @property
+    def _files(self) -> dict[str, RowFile]:
+        """All files of this observer, by the name of their state."""
+        residence = None if self._residence is None else self._residence.rows
+        files = {"timeseries": self._rows, "residence_time": residence}
+        files |= {f"passages.{name}": table.rows for name, table in self._passages.items()}
+        return {name: rows for name, rows in files.items() if rows is not None}
 
     def _replaces_last(self, last: float | None, snapshot: Snapshot) -> bool:
         """Whether the row of a snapshot replaces the last one, at `last` [s]: it is short, and of the same
@@ -136,17 +161,20 @@ class TimeSeries(ScheduledObserver):
         return Row(time, time_before, {**totals, **readings})
 
     def finish(self) -> None:
-        """Close the file."""
-        if self._rows is not None:
-            self._rows.close()
+        """Close the files."""
+        for rows in self._files.values():
+            rows.close()
 
     def results_by_kind(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Return the final numbers of flow meters, measured walls and metrics: kind -> name -> quantity ->
-        value.
+        """Return the final numbers of flow meters, measured walls, metrics and residence times: kind -> name
+        -> quantity -> value.
 
         The parts of a flow meter follow it, as `outlet.glass`.
         """
-        return {kind: {name: meter.result() for name, meter in self._named(kind)} for kind in self.meters}
+        results = {kind: {name: meter.result() for name, meter in self._named(kind)} for kind in self.meters}
+        if self._residence is not None:
+            results["residence_time"] = {self._residence.to: self._residence.result()}
+        return results
 
     def remarks(self) -> list[str]:
         """Return sentences on the last values of the metrics, such as the reason why one is NaN."""
@@ -180,22 +208,25 @@ class TimeSeries(ScheduledObserver):
 
     def sync(self) -> None:
         """Flush all rows to the disk."""
-        if self._rows is not None:
-            self._rows.sync()
+        for rows in self._files.values():
+            rows.sync()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the file size [bytes], the columns, the last rows and the state of the meters."""
-        rows: dict[str, Any] = {
-            "columns": self._names,
-            "time_before": self._time_before,
-            "stage": self._stage,
-        }
-        rows |= NO_ROWS if self._rows is None else self._rows.state_dict()
+        """Return the sizes of the files [bytes] and their last rows, the columns, and the state of the
+        meters."""
         meters = {
             kind: {name: each.state_dict() for name, each in named.items()}
             for kind, named in self.meters.items()
         }
-        return super().state_dict() | rows | meters
+        return {
+            **super().state_dict(),
+            "columns": self._names,
+            "time_before": self._time_before,
+            "stage": self._stage,
+            "files": {name: rows.state_dict() for name, rows in self._files.items()},
+            "residence": self._residence.state_dict() if self._residence is not None else {},
+            **meters,
+        }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state; later rows have the same columns. The meters must have the same names as those
@@ -204,22 +235,24 @@ class TimeSeries(ScheduledObserver):
         self._names = saved["columns"]
         self._time_before = saved["time_before"]
         self._stage = saved["stage"]
-        if self._rows is not None:
-            self._rows.load_state_dict(saved)
+        for name, rows in self._files.items():
+            rows.load_state_dict(saved["files"].get(name, NO_ROWS))
+        if self._residence is not None and saved["residence"]:
+            self._residence.load_state_dict(saved["residence"])
         for kind, meters in self.meters.items():
             for name, meter in meters.items():
                 meter.load_state_dict(saved[kind][name])
 
     @property
     def rows_intact(self) -> bool:
-        """Whether the file still contains all rows of the restored state."""
-        return self._rows is None or self._rows.is_intact
+        """Whether the files still contain all rows of the restored state."""
+        return all(rows.is_intact for rows in self._files.values())
 
     def truncate(self) -> None:
         """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining
         ones."""
-        if self._rows is not None:
-            self._rows.truncate()
+        for rows in self._files.values():
+            rows.truncate()
 
 
 def _column_label(name: str) -> str:

@@ -64,6 +64,7 @@ class Result:
     on MPI ranks), output, compile.
     `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the
     meter. `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric.
+    `residence_time`: residence_mean, tanks_in_series, ... by name of the flow meter at the end.
     `insertion`: inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
 
     >>> result = gf.read_run("out/two").result
@@ -76,6 +77,7 @@ class Result:
     totals: Mapping[str, float]
     flow_meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     wall_forces: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    residence_time: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     metrics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     insertion: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     expectations: tuple[ExpectationResult, ...] = ()
@@ -129,7 +131,7 @@ class Result:
         """
         named = {**self.run, **self.totals}
         named.update({f"timings.{part}": seconds for part, seconds in self.timings.items()})
-        parts = (self.flow_meters, self.wall_forces, self.metrics, self.insertion)
+        parts = (self.flow_meters, self.residence_time, self.wall_forces, self.metrics, self.insertion)
         for part, readings in (reading for each in parts for reading in each.items()):
             named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
         return named
@@ -141,8 +143,8 @@ class Result:
 def write_result(directory: Path, result: Result) -> Path:
     """Write `result.json` atomically; a number that is not finite becomes null. Return its path.
 
-    Sections: complete (whether the last stage has ended), run, timings [s], totals, flow_meters, wall_forces,
-    metrics, insertion, expect and warnings, both lists of sentences.
+    Sections: complete (whether the last stage has ended), run, timings [s], totals, flow_meters,
+    residence_time, wall_forces, metrics, insertion, expect and warnings, both lists of sentences.
     All numbers are in SI units; whole numbers are written without decimals.
     """
     sections = {
@@ -151,6 +153,7 @@ def write_result(directory: Path, result: Result) -> Path:
         "timings": _finite(result.timings),
         "totals": _finite(result.totals),
         "flow_meters": {name: _finite(readings) for name, readings in result.flow_meters.items()},
+        "residence_time": {name: _finite(readings) for name, readings in result.residence_time.items()},
         "wall_forces": {name: _finite(readings) for name, readings in result.wall_forces.items()},
         "metrics": {name: _finite(readings) for name, readings in result.metrics.items()},
         "insertion": {name: _finite(readings) for name, readings in result.insertion.items()},
@@ -187,6 +190,7 @@ def result_of(sections: Mapping[str, Any]) -> Result:
         timings=_numbers(sections.get("timings", {})),
         totals=_numbers(sections.get("totals", {})),
         flow_meters=parts("flow_meters"),
+        residence_time=parts("residence_time"),
         wall_forces=parts("wall_forces"),
         metrics=parts("metrics"),
         insertion=parts("insertion"),
@@ -245,6 +249,7 @@ def closing_table(result: Result, title: str = "Result") -> "Table":
         _time_rows(result),
         _total_rows(result),
         _part_rows(result.flow_meters),
+        _part_rows(result.residence_time),
         _wall_force_rows(result),
         _part_rows(result.metrics),
         _part_rows(result.insertion),

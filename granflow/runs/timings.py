@@ -105,16 +105,15 @@ def collect_result(
         "output": wall_clock.output,
         "compile": timing.compile,
     }
-    kinds = ("flow_meters", "wall_forces", "metrics", "insertion")
-    flow_meters, wall_forces, metrics, insertion = (readings.get(kind, {}) for kind in kinds)
     return Result(
         run=run,
         timings=seconds,
         totals=totals,
-        flow_meters=flow_meters,
-        wall_forces=wall_forces,
-        metrics=metrics,
-        insertion=insertion,
+        flow_meters=readings.get("flow_meters", {}),
+        residence_time=readings.get("residence_time", {}),
+        wall_forces=readings.get("wall_forces", {}),
+        metrics=readings.get("metrics", {}),
+        insertion=readings.get("insertion", {}),
     )
 
 

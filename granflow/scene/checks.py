@@ -20,6 +20,7 @@ from granflow.fields import (
     FLOW_METER_QUANTITIES,
     INSERTION_QUANTITIES,
     OUTLET_QUANTITIES,
+    RESIDENCE_QUANTITIES,
     RUN_QUANTITIES,
     TOTAL_QUANTITIES,
     WALL_FORCE_QUANTITIES,
@@ -553,6 +554,24 @@ def field_grids(parts: PartialScene) -> Iterator[Fault]:
         yield from unknown_names((*path, "stages"), grid.stages, stages, "stage")
 
 
+def residence_time(parts: PartialScene) -> Iterator[Fault]:
+    """Residence times begin at a flow meter or an inserted group, and end at a flow meter."""
+    given = parts.scene.output.residence_time
+    if given is None:
+        return
+    path: KeyPath = ("output", "residence_time")
+    meters = parts.scene.output.flow_meters
+    groups = parts.names("particles")
+    if given.to not in meters:
+        yield unknown((*path, "to"), given.to, meters, "flow meter")
+    if given.from_ is not None and given.from_ not in meters and given.from_ not in groups:
+        remedy = suggestion_or_list(given.from_, [*meters, *groups], "names")
+        yield Fault((*path, "from"), f"there is no such flow meter or group of particles. {remedy}")
+    yield from unknown_names((*path, "groups"), given.groups, groups, "group of particles")
+    if given.from_ in groups and given.from_ not in meters and given.groups is not None:
+        yield Fault((*path, "groups"), "from is a group, which alone counts; remove one of the two")
+
+
 def metrics(parts: PartialScene) -> Iterator[Fault]:
     """What the kinds of metrics require of the scene, such as existing groups, or gravity."""
     for name, metric in parts.scene.output.metrics.items():
@@ -613,6 +632,7 @@ def _parts() -> dict[str, str]:
     return {
         **{name: "the name of a flow meter" for name in FLOW_METER_QUANTITIES},
         **{name: "the name of an outlet" for name in OUTLET_QUANTITIES},
+        **{name: "the name of the flow meter `to`" for name in RESIDENCE_QUANTITIES},
         **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
         **{name: "the name of a wall" for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES)},
         **{name: "the name of a metric" for name in METRIC_QUANTITIES},
@@ -650,13 +670,18 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     meters = parts.scene.output.flow_meters
     meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
     inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
+    ends = [] if scene.output.residence_time is None else [scene.output.residence_time.to]
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
         (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
         (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
         (INSERTION_QUANTITIES, inserted, "inserted group"),
+        (RESIDENCE_QUANTITIES, ends, "flow meter"),
     )
     for path, quantity, part in _expected(scene):
         for quantities, names, kind in known:
+            if quantity in RESIDENCE_QUANTITIES and not ends:
+                yield Fault(path, "output.residence_time is missing; give {from: inlet, to: outlet}")
+                break
             if quantity in quantities and part not in names:
                 yield unknown(path, part, names, kind)
 
@@ -685,7 +710,11 @@ def condition_columns(parts: PartialScene) -> Iterator[Fault]:
             if quantity in WALL_QUANTITIES and not is_controlled:
                 reason = f"{part} is neither a servo nor a free wall; its displacement follows from the time"
                 yield Fault(path, reason)
-            elif quantity in RESULT_ONLY or quantity.endswith("_mean") or quantity in INSERTION_QUANTITIES:
+            elif (
+                quantity in RESULT_ONLY
+                or quantity.endswith("_mean")
+                or quantity in {**INSERTION_QUANTITIES, **RESIDENCE_QUANTITIES}
+            ):
                 yield Fault(path, "it is a result of the whole run; give a column of timeseries.csv")
 
 
@@ -742,6 +771,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact", "pairs"), equation_values),
     (("output", "stages", "domain"), field_grids),
     (("output", "gravity", "domain"), metrics),
+    (("output",), residence_time),
     (("output", "expect", "stages"), expected_names),
     (("output", "expect", "stages"), expected_parts),
     (("output", "expect", "stages"), expected_metrics),

@@ -19,6 +19,7 @@ from granflow.fields import (
     FLOW_METER_QUANTITIES,
     INSERTION_QUANTITIES,
     OUTLET_QUANTITIES,
+    RESIDENCE_QUANTITIES,
     RUN_QUANTITIES,
     TOTAL_QUANTITIES,
     WALL_FORCE_QUANTITIES,
@@ -174,6 +175,8 @@ def result_names(scene: Scene) -> tuple[str, ...]:
     for meter in scene.output.flow_meters:
         parts = [meter, *(f"{meter}.{part}" for part in scene.flow_meter_parts(meter))]
         names += [f"{quantity}.{part}" for quantity in FLOW_METER_QUANTITIES for part in parts]
+    if (given := scene.output.residence_time) is not None:
+        names += [f"{quantity}.{given.to}" for quantity in RESIDENCE_QUANTITIES]
     for name, metric in scene.output.metrics.items():
         names += [f"{each.name}{end}.{name}" for each in metric.quantities for end in ("", "_mean")]
     names += [f"{quantity}.{wall}" for quantity in WALL_FORCE_QUANTITIES for wall in scene.measured_walls]

@@ -29,7 +29,14 @@ from granflow.fields import (
 from granflow.io.files import write_text
 from granflow.io.frames import is_empty, listed_frames, read_mesh
 from granflow.io.log import LOG, sessions, warnings_and_errors
-from granflow.io.tables import COLLISION_FILE, SeriesColumn, TimeSeriesTable, collision_table, read_table
+from granflow.io.tables import (
+    COLLISION_FILE,
+    RESIDENCE_FILE,
+    SeriesColumn,
+    TimeSeriesTable,
+    collision_table,
+    read_table,
+)
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.scene.blocks.output import unit_of
 from granflow.studies.figures import COLORS, PageTable
@@ -84,7 +91,11 @@ def report_text(record: Run, script: str, pictures: "RunPictures | None") -> str
         progress=progress(record),
         warnings=warnings(record),
         expected=expected_topic(record, bool(script)),
-        topics=[*topics(record, bool(script)), *collision_topics(record.directory, bool(script))],
+        topics=[
+            *topics(record, bool(script)),
+            *residence_topics(record, bool(script)),
+            *collision_topics(record.directory, bool(script)),
+        ],
         field_tables=fields[0],
         field_plots=fields[1],
         timings=timings(record),
@@ -531,6 +542,81 @@ def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
                 [column.text, *(f"{number + 0.0:.4g}" for number in kept), known.meaning if known else ""]
             )
     return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
+
+
+# Residence times (`output.residence_time`)
+
+RESIDENCE_TITLE = "Residence times"
+MOST_RESIDENCE_CLASSES = 50
+"""Largest number of classes of the distribution E(t); fewer for few particles."""
+
+
+def residence_topics(record: Run, with_plots: bool) -> Iterator[Topic]:
+    """The section on the residence times of a run; none without `output.residence_time`.
+
+    E(t): density of the distribution by mass, in classes. F(t): fraction of the mass with a residence time
+    up to t. Raises GranflowError if the file cannot be read.
+    """
+    path = record.directory / RESIDENCE_FILE
+    table = read_table(path) if path.exists() else None
+    if table is None:
+        return
+    rows = table.complete()
+    columns = {name: rows.numbers(k) for k, name in enumerate(rows.names) if name in _RESIDENCE_COLUMNS}
+    if len(columns) < len(_RESIDENCE_COLUMNS):
+        raise GranflowError(f"{path} has no columns {' and '.join(_RESIDENCE_COLUMNS)}.")
+    times, masses = (columns[name] for name in _RESIDENCE_COLUMNS)
+    order = np.argsort(times, kind="stable")
+    times, masses = times[order], masses[order]
+    caption = (
+        "Times from the entrance to the exit, weighted with the mass of the particles that left. The longest "
+        "times are missing as long as particles are inside."
+    )
+    if not len(times):
+        yield Topic(RESIDENCE_TITLE, [], ["No particle has left."], [])
+        return
+    share = np.cumsum(masses) / np.sum(masses)
+    named = []
+    for numbers in () if record.result is None else record.result.residence_time.values():
+        named += [
+            ("particles that left", readable(numbers["residence_count"])),
+            ("particles inside at the end", readable(numbers["residing_count"])),
+            ("mean (s)", readable(numbers["residence_mean"])),
+            ("standard deviation (s)", readable(numbers["residence_deviation"])),
+            ("variance (s2)", readable(numbers["residence_deviation"] ** 2)),
+            ("tanks in series", readable(numbers["tanks_in_series"])),
+        ]
+    for percent in (10, 50, 90):
+        reached = float(times[np.searchsorted(share, percent / 100)])
+        named.append((f"{percent} % of the mass within (s)", readable(reached)))
+    plots = []
+    if with_plots and np.ptp(times) > 0.0:
+        classes = int(np.clip(np.sqrt(len(times)), 5, MOST_RESIDENCE_CLASSES))
+        density, edges = np.histogram(times, classes, weights=masses, density=True)
+        centers = 0.5 * (edges[1:] + edges[:-1])
+        plots = [
+            Plot("E(t)", _residence_figure(centers, density, "E (1/s)", "bar")),
+            Plot("F(t)", _residence_figure(times, share, "F", "scatter")),
+        ]
+    yield Topic(RESIDENCE_TITLE, [PageTable(("", ""), named, caption)], [], plots)
+
+
+_RESIDENCE_COLUMNS = ("residence_time [s]", "mass [kg]")
+
+
+def _residence_figure(times: np.ndarray, values: np.ndarray, label: str, kind: str) -> dict[str, Any]:
+    """Figure of a distribution over the residence time [s], in the format of plotly."""
+    curve: dict[str, Any] = {
+        "type": kind,
+        "x": plain_numbers(times),
+        "y": plain_numbers(values),
+        "name": label,
+    }
+    if kind == "bar":
+        curve["marker"] = {"color": COLORS[0]}
+    else:
+        curve |= {"mode": "lines", "line": {"color": COLORS[0], "width": 1.8, "shape": "hv"}}
+    return {"data": [curve], "layout": curve_layout("residence time (s)", label, False) | {"bargap": 0.0}}
 
 
 # Collisions by impact energy (`output.collision_energies`)

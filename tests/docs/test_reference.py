@@ -112,7 +112,8 @@ def test_every_quantity_is_in_the_reference():
     pages = docsite("quantity_pages")
     for name in fields.TOTAL_QUANTITIES:
         assert f"`{name}" in pages.time_series()
-    for name in (*fields.FLOW_METER_QUANTITIES, *fields.OUTLET_QUANTITIES, *fields.WALL_FORCE_QUANTITIES):
+    meters = (*fields.FLOW_METER_QUANTITIES, *fields.RESIDENCE_QUANTITIES, *fields.OUTLET_QUANTITIES)
+    for name in (*meters, *fields.WALL_FORCE_QUANTITIES):
         assert f"`{name}." in pages.time_series()
     displayed = [name for name, field in fields.PARTICLE_QUANTITIES.items() if field.displayed]
     for name in (*displayed, *fields.FIELD_QUANTITIES, "overlap", "traction"):

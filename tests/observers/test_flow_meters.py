@@ -21,13 +21,21 @@ def measured(meter, *samples):
             "position": np.array([particles[i] for i in ids], dtype=float).reshape(-1, 3),
             "mass": np.array([2.0**i for i in ids]),
             "insertion_time": np.array([-0.5 * i for i in ids]),
+            **at_rest(len(ids)),
         }
         meter.update(snapshot_of(time=float(time), particles=arrays))
     return meter.total.mass, meter.total.count
 
 
+def at_rest(count):
+    return {
+        "velocity": np.zeros((count, 3)), "radius": np.full(count, 0.2),
+        "group": np.zeros(count, np.int32), "material": np.zeros(count, np.int32),
+    }  # fmt: skip
+
+
 def down(radius=None):
-    return FlowCounter(FlowMeter(point=(0, 0, 1), normal=(0, 0, -3), radius=radius))
+    return FlowCounter(FlowMeter(point=(0, 0, 1), normal=(0, 0, -3), radius=radius), gravity=9.81)
 
 
 UP, DOWN, FAR = (0, 0, 2), (0, 0, 0), (0, 0, 5)
@@ -37,6 +45,7 @@ UP, DOWN, FAR = (0, 0, 2), (0, 0, 0), (0, 0, 5)
     (None, [{0: UP, 1: (0, 0, 3)}, {0: (0, 0, 0.5), 1: UP}], (1.0, 1)),
     (None, [{0: DOWN, 1: UP}, {0: UP, 1: UP}, {0: UP, 1: DOWN}], (1.0, 0)),  # backward, then forward
     (None, [{0: (0, 0, 1.1), 1: FAR}, {1: FAR}], (1.0, 1)),  # deleted upstream
+    (None, [{0: (0, 0, 6.0), 1: (0, 0, 6.2)}, {}], (1.0, 1)),  # the fall of 1 s and a radius are 4.9 + 0.2 m
     (None, [{0: (0, 0, 1.1)}, {0: (0, 0, 0.5)}, {}], (1.0, 1)),  # deleted after its crossing
     (1, [{0: (5, 0, 1.1)}, {}], (0.0, 0)),  # deleted outside of the disc
     (None, [{0: DOWN}, {0: DOWN, 3: (0, 0, 0.5)}, {0: DOWN, 3: DOWN}], (0.0, 0)),  # first sampled beyond
@@ -84,7 +93,7 @@ def test_group_by_material_counts_each_material():
         ids = np.array(sorted(heights))
         arrays = {
             "id": ids, "position": np.array([[0.0, 0.0, heights[i]] for i in ids]), "mass": 2.0**ids,
-            "material": ids % 2, "insertion_time": np.zeros(len(ids)),
+            "insertion_time": np.zeros(len(ids)), **at_rest(len(ids)), "material": ids % 2,
         }  # fmt: skip
         meter.update(snapshot_of(time=time, particles=arrays))
 
@@ -109,26 +118,28 @@ def test_group_by_material_counts_each_material():
     assert sum(tally.mass for tally in uninterrupted.parts.values()) == uninterrupted.total.mass
 
 
-def test_residence_time_is_that_of_forward_passages_at_the_middle_of_the_interval():
-    """Particles 0, 2 and 3 pass between 0 and 1 s, at 0.5 s; 1 passes backward, and 4 is deleted between 1
-    and 2 s."""
+def test_residence_time_ends_where_the_straight_path_reaches_the_plane():
+    """Particles 0, 2 and 3 pass between 0 and 1 s, at 1/2, 1/2 and 1/4 s of a uniform motion; 1 passes
+    backward. Particle 4, 1 m above the plane at 1 s with 4 m/s downward, is deleted: it passes at 1.25 s."""
     meter = down()
     above = (0, 0, 2)
     below = (0, 0, 0)
     measured(
         meter,
-        {0: above, 1: below, 2: above, 3: above, 4: above},
-        {0: below, 1: above, 2: below, 3: below, 4: above},
+        {0: above, 1: below, 2: above, 3: (0, 0, 1.5), 4: above},
+        {0: below, 1: above, 2: below, 3: (0, 0, -0.5), 4: above},
     )
     assert np.isnan(down().total.readings()["residence_time"]), "without passages"
-    times = np.array([0.5, 1.5, 2.0])
+    times = np.array([0.5, 0.5 + 1.0, 0.25 + 1.5])
     assert meter.total.readings()["residence_time"] == pytest.approx(times.mean(), rel=1e-15)
     saved = meter.state_dict()
     meter = down()
+    saved["last"]["particles"]["velocity"] = np.array([[0, 0, -4.0]] * 5)
     meter.load_state_dict(saved)
-    meter.update(snapshot_of(2.0, particles={name: values[:4] for name, values in vars(meter._last).items()}))
-    times = np.append(times, 1.5 + 0.5 * 4)
-    assert meter.total.readings()["residence_time"] == pytest.approx(3.5, rel=1e-15)
+    kept = {name: values[:4] for name, values in saved["last"]["particles"].items()}
+    meter.update(snapshot_of(2.0, particles=kept))
+    times = np.append(times, 1.25 + 0.5 * 4)
+    assert meter.total.readings()["residence_time"] == pytest.approx(1.25 + 0.5 * 4, rel=1e-15)
     result = meter.total.result()
     assert result["residence_time"] == pytest.approx(times.mean(), rel=1e-15)
     assert result["residence_time_deviation"] == pytest.approx(times.std(), rel=1e-12)

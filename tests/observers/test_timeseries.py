@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observers.snapshots import snapshot_of
+from observers.snapshots import particles_of, snapshot_of
 
 from granflow.io.tables import read_table, table_in, write_table
 from granflow.observers.meters import FlowCounter, WallForceMeter
@@ -48,8 +48,10 @@ def test_flow_meters_have_columns(tmp_path):
     series = TimeSeries(tmp_path, 0.1, {"outlet": FlowCounter(FlowMeter(point=(0, 0, 0), normal=(0, 0, -1)))})
     assert series.wants == {"totals", "particles"}
     for time, height in ((0.0, 1.0), (0.5, -1.0)):
-        particles = {"id": np.array([4]), "position": np.array([[0, 0, height]]), "mass": np.array([3.0])}
-        particles["insertion_time"] = np.array([0.125])
+        particles = particles_of(
+            1, id=np.array([4]), position=np.array([[0, 0, height]]), mass=np.array([3.0]),
+            insertion_time=np.array([0.125]),
+        )  # fmt: skip
         series.observe(snapshot_of(time=time, particles=particles, totals={}))
     series.finish()
     header, first, last = rows_of(series.path)
@@ -96,7 +98,7 @@ def pushed(time, stage="run"):
     0.3000001 s."""
     number = np.arange(30)
     position = np.stack([0 * number, 0 * number, 0.05 + 0.1 * number - time], axis=1)
-    particles = {"id": number, "position": position, "mass": np.full(30, 0.2), "insertion_time": np.zeros(30)}
+    particles = particles_of(30, position=position, mass=np.full(30, 0.2), insertion_time=np.zeros(30))
     impulse = 8.0 * time + (time > 0.3)
     snapshot = snapshot_of(time=time, stage=stage, particles=particles, totals={})
     return replace(snapshot, impulses={"lid": np.array([0, 0, impulse, 0, 0, 0, impulse])})

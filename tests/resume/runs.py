@@ -73,7 +73,11 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, coun
             "interval": duration / 7.0, "timeseries_interval": duration / 31.0, "energy_budget": True, "contacts": True,
             "wall_forces": True,
             "checkpoint": {"interval": duration / 11.0, "keep": 100},
-            "flow_meters": {"outlet": {"point": [0.03, 0.03, 0.02], "normal": [0, 0, -1]}},
+            "flow_meters": {
+                "gate": {"point": [0.03, 0.03, 0.03], "normal": [0, 0, -1]},
+                "outlet": {"point": [0.03, 0.03, 0.02], "normal": [0, 0, -1], "passages": True},
+            },
+            "residence_time": {"from": "gate", "to": "outlet"},
             "metrics": {
                 "mix": {"kind": "lacey", "cell": 0.02, "at_least": 4, "groups": ["rain"]}, "web": {"kind": "fabric"},
             },

@@ -24,6 +24,7 @@ from granflow.studies.report import (
     collision_topics,
     field_content,
     report_text,
+    residence_topics,
 )
 
 HEAD = (
@@ -265,6 +266,23 @@ def test_fields_of_a_row_of_cells_are_profiles(tmp_path):
     (curve,) = plots[0].figure["data"]
     assert curve["x"] == [0.5, 1.5, 2.5] and curve["y"] == [0.0, 1.0, 2.0] and curve["name"] == "0.5 s"
     assert len(field_content(tmp_path, with_plots=False)[0]) == 1
+
+
+def test_residence_times_have_their_distributions_by_mass(run):
+    """Times of 1, 2 and 4 s of 3, 1 and 1 kg: 60 % of the mass within 1 s, 80 % within 2 s."""
+    rows = [(9.0, 1.0, 4), (5.0, 3.0, 1), (6.0, 1.0, 2)]
+    lines = [
+        f"{exit_time},0,{time},{k},feed,glass,0.1,{mass}" for k, (exit_time, mass, time) in enumerate(rows)
+    ]
+    header = "time [s],time_entered [s],residence_time [s],id,group,material,diameter [m],mass [kg]"
+    (run / "residence_time.csv").write_text("\n".join([header, *lines]) + "\n")
+    (topic,) = residence_topics(read_run(run), True)
+    (table,) = topic.tables
+    assert [row[1] for row in table.rows][-3:] == ["1", "1", "4"]
+    density, share = (plot.figure["data"][0] for plot in topic.plots)
+    assert share["x"] == [1.0, 2.0, 4.0] and share["y"] == pytest.approx([0.6, 0.8, 1.0])
+    assert sum(density["y"]) * 3.0 / len(density["y"]) == pytest.approx(1.0), "the classes from 1 to 4 s"
+    assert topic.title in text_of(run)
 
 
 def test_collisions_by_impact_energy_since_the_start(run):

@@ -66,6 +66,7 @@ def time_series() -> str:
     groups: Mapping[str, tuple[str, Mapping[str, Quantity]]] = {
         "Whole system": ("", fields.TOTAL_QUANTITIES),
         "Each flow meter": ("METER", fields.FLOW_METER_QUANTITIES),
+        "Residence times, in the result": ("METER", fields.RESIDENCE_QUANTITIES),
         "Each outlet": ("OUTLET", fields.OUTLET_QUANTITIES),
         "Each wall in `output.wall_forces`": ("WALL", fields.WALL_FORCE_QUANTITIES),
         "Each servo or free wall": ("WALL", fields.WALL_QUANTITIES),

@@ -19,6 +19,7 @@ from granflow.fields import (
     FLOW_METER_QUANTITIES,
     INSERTION_QUANTITIES,
     OUTLET_QUANTITIES,
+    RESIDENCE_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
     Quantity,
@@ -41,6 +42,7 @@ from granflow.snapshot import CONTACTS, PARTICLES, Snapshot, mobile_particles, s
 
 PART_QUANTITIES = {
     **FLOW_METER_QUANTITIES,
+    **RESIDENCE_QUANTITIES,
     **WALL_FORCE_QUANTITIES,
     **WALL_QUANTITIES,
     **INSERTION_QUANTITIES,

@@ -92,6 +92,9 @@ class FlowMeter(Model):
     group_by: Literal["material", "group"] | None = Field(
         None, description="additional separate counts for each material or group"
     )
+    passages: Flag = Field(
+        False, description="write each passage of a particle to passages_NAME.csv, NAME of the flow meter"
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless the area is a disc or a rectangle, with perpendicular sides and normal."""
@@ -103,6 +106,45 @@ class FlowMeter(Model):
             yield Fault(("sides",), "a side must not be the zero vector")
         elif not are_perpendicular(*self.sides, self.normal):
             yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
+
+
+# Key `residence_time`
+
+
+class ResidenceTime(Model):
+    """The distribution of the times that particles need from an inlet, or a flow meter, to a flow meter.
+
+    Each particle counts once: from its insertion, or its first passage of `from`, to its first passage of
+    `to`, both in forward direction. `granflow report` draws the distributions E(t) and F(t).
+
+    >>> gf.ResidenceTime(from_="feed", to="outlet", entered_between=["1 s", "1.1 s"]).to
+    'outlet'
+    """
+
+    from_: Name | None = Field(
+        None,
+        alias="from",
+        description=(
+            "flow meter, or group of particles whose insertion begins the time; without it, the insertion of "
+            "any group"
+        ),
+        examples=["feed"],
+    )
+    to: Name = Field(description="flow meter that ends the time", examples=["outlet"])
+    groups: Names | None = optional("groups that count, such as a tracer", "all", examples=[["tracer"]])
+    entered_between: Annotated[tuple[q.Time, q.Time], pair_list("[first, last] time")] | None = optional(
+        "only particles that enter in this time count: a pulse [s]",
+        "the whole run",
+        examples=[["1 s", "1.1 s"]],
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an interval of no length, and for equal ends."""
+        between = self.entered_between
+        if between is not None and between[0] >= between[1]:
+            yield Fault(("entered_between",), "the first time must be the smaller one")
+        if self.from_ == self.to:
+            yield Fault(("to",), "it is the flow meter of from; name another one")
 
 
 # Key `fields`
@@ -196,6 +238,11 @@ class Output(Model):
         "count collisions by impact energy, for collision_energies.csv", "no counts"
     )
     flow_meters: dict[Name, FlowMeter] = Field({}, description="flow meters by name")
+    residence_time: ResidenceTime | None = optional(
+        "measure the distribution of residence times, for residence_time.csv",
+        "none",
+        examples=[{"from": "feed", "to": "outlet"}],
+    )
     fields: dict[Name, FieldGrid] = Field(
         {},
         description="fields on grids by name, written as fields_NAME_*.vtu",

@@ -1,0 +1,71 @@
+"""Residence times: who enters, who leaves, and the moments of their times."""
+
+import numpy as np
+import pytest
+from observers.snapshots import snapshot_of
+
+from granflow.observers.meters import FlowCounter
+from granflow.observers.passages import ResidenceTimes
+from granflow.scene.blocks.output import FlowMeter, ResidenceTime
+
+NAMES = {"group": ["feed", "tracer"], "material": ["glass"]}
+
+
+def measured(given, paths, begins_at="top"):
+    """Residence times of particles on `paths` {id: [x at each time]}; odd ids are tracers of 3 kg, others 1 kg.
+
+    top and out are at x = 1 and x = 3; a particle of x None does not exist. All are inserted at id / 10 s.
+    """
+    meters = {
+        name: FlowCounter(FlowMeter(point=(x, 0, 0), normal=(1, 0, 0)))
+        for name, x in (("top", 1), ("out", 3))
+    }
+    residence = ResidenceTimes(ResidenceTime(**given), NAMES, begins_at, None)
+    for k in range(len(next(iter(paths.values())))):
+        ids = np.array([number for number, path in paths.items() if path[k] is not None])
+        arrays = {
+            "id": ids, "position": np.array([[paths[i][k], 0.0, 0.0] for i in ids.tolist()]).reshape(-1, 3),
+            "velocity": np.zeros((len(ids), 3)), "radius": np.full(len(ids), 0.1), "mass": 1.0 + 2.0 * (ids % 2),
+            "group": ids % 2, "material": np.zeros(len(ids), int), "insertion_time": ids / 10.0,
+        }  # fmt: skip
+        snapshot = snapshot_of(float(k), particles=arrays)
+        for meter in meters.values():
+            meter.update(snapshot)
+        residence.record(snapshot, meters)
+    return residence.result()
+
+
+PATHS = {
+    0: [0, 2, 4, 4],  # enters at 0.5 s, leaves at 1.5 s
+    1: [0, 4, 4, 4],  # both in one interval: at 1/4 and 3/4 s
+    2: [0, 2, 0, 4],  # turns back, and enters again at 2.25 s; leaves at 2.75 s
+    3: [0, 0, 2, 2],  # has not left
+    4: [2, 4, 2, 4],  # has not entered
+    5: [0, 2, None, None],  # deleted inside
+}
+
+
+@pytest.mark.parametrize(("given", "count", "mean", "residing"), [
+    ({"from": "top", "to": "out"}, 3, (1 * 1.0 + 3 * 0.5 + 1 * 0.5) / 5, 1),
+    ({"from": "top", "to": "out", "groups": ["tracer"]}, 1, 0.5, 1),
+    ({"from": "top", "to": "out", "entered_between": [0.4, 0.6]}, 1, 1.0, 0),
+    ({"from": "top", "to": "out", "entered_between": [2.1, 9.0]}, 1, 0.5, 0),
+])  # fmt: skip
+def test_a_residence_is_from_the_first_entrance_to_the_first_exit(given, count, mean, residing):
+    found = measured(given, PATHS)
+    assert (found["residence_count"], found["residing_count"]) == (count, residing)
+    assert found["residence_mean"] == pytest.approx(mean, rel=1e-14)
+
+
+def test_without_from_the_insertion_begins_the_time_and_each_particle_counts_once():
+    """Exits through x = 3: 0 at 1.5, 1 at 0.75, 2 at 2.75, 4 at 0.5 s and again at 2.5 s."""
+    found = measured({"to": "out"}, PATHS, begins_at=None)
+    times = np.array([1.5, 0.75 - 0.1, 2.75 - 0.2, 0.5 - 0.4])
+    weights = np.array([1.0, 3.0, 1.0, 1.0])
+    mean = (weights * times).sum() / weights.sum()
+    variance = (weights * (times - mean) ** 2).sum() / weights.sum()
+    assert (found["residence_count"], found["residing_count"]) == (4, 1)
+    assert found["residence_mean"] == pytest.approx(mean, rel=1e-14)
+    assert found["residence_deviation"] == pytest.approx(variance**0.5, rel=1e-13)
+    assert found["tanks_in_series"] == pytest.approx(mean**2 / variance, rel=1e-13)
+    assert measured({"from": "feed", "to": "out"}, PATHS, begins_at=None)["residence_count"] == 3
