@@ -120,7 +120,7 @@ class Draft:
             value = self.blocks.get(block)
             if value is None or value == {}:
                 continue
-            lines += [""] if isinstance(value, dict) and not _is_flat(value) else []
+            lines += [""] if block in BLOCKS[BLOCKS.index("materials") :] else []
             lines += self._key((block,), value, 0)
         return "\n".join(lines) + "\n"
 

@@ -1,7 +1,9 @@
 """Scripts of LIGGGHTS and LAMMPS become scenes: keys and reports of small scripts."""
 
 import json
+import re
 from math import exp, pi, sqrt
+from pathlib import Path
 
 import pytest
 import yaml
@@ -334,3 +336,11 @@ def test_tables_are_complete():
 def test_error_is_not_a_traceback(tmp_path):
     with pytest.raises(DeckError):
         imported(tmp_path, liggghts(insertion="fix ins all insert/pack region nowhere"))
+
+
+def test_guide(tmp_path):
+    """The scene of the guide is that of its script."""
+    text = (Path(__file__).resolve().parents[2] / "docs/pages/guides/import.md").read_text(encoding="utf-8")
+    blocks = dict(re.findall(r"^```\w+\n# (\S+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
+    (tmp_path / "in.bed").write_text(f"# in.bed\n{blocks['in.bed']}")
+    assert convert(tmp_path / "in.bed").text == blocks["bed.yaml"]

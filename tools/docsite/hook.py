@@ -1,7 +1,8 @@
 """Events of MkDocs: adds the generated pages and pictures, inserts facts of contact models, and converts
 formulas.
 
-A page contains `<!-- contact model NAME -->` or `<!-- contact models -->` where facts of the registry belong.
+A page contains `<!-- contact model NAME -->` or `<!-- contact models -->` where facts of the registry belong,
+and `<!-- import tables -->` where those of the importer belong.
 """
 
 import html
@@ -18,6 +19,7 @@ from docsite import (  # noqa: E402
     api_page,
     command_page,
     gallery,
+    import_tables,
     model_pages,
     model_pictures,
     notebook_pages,
@@ -75,9 +77,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     if path.parent.name == "contact_models" and path.stem in set(model_pages.names()):
         if MODEL.findall(markdown) != [path.stem]:
             raise PluginError(f"docs/pages/{path} must contain <!-- contact model {path.stem} --> once")
-    return MODEL.sub(lambda found: model_pages.facts(found[1]), markdown).replace(
-        MODELS, model_pages.overview()
-    )
+    markdown = MODEL.sub(lambda found: model_pages.facts(found[1]), markdown)
+    if import_tables.MARK in markdown:
+        markdown = markdown.replace(import_tables.MARK, import_tables.tables())
+    return markdown.replace(MODELS, model_pages.overview())
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
