@@ -4,7 +4,7 @@ import argparse
 import json
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,32 +32,38 @@ def import_(options: argparse.Namespace) -> int:
     if out.suffix == ".yaml" and options.out is None:
         out = out.with_name(out.name.removesuffix(".yaml").removesuffix(".in") + ".yaml")
     settings = dict(_setting(each) for each in options.settings)
-    found = convert(options.deck, settings, options.code)
-    is_written = bool(found.text) and (found.report.is_complete or options.partial)
+    name = out.name.removesuffix(out.suffix)
+    found = convert(options.deck, settings, options.code, name=name)
+    is_written = bool(found.texts) and (found.report.is_complete or options.partial)
+    scenes: list[Path] = []
     fault = ""
     if is_written:
-        write(out, found, options.overwrite)
-        fault = checked(out)
+        scenes = write(out, found, options.overwrite)
+        fault = checked(scenes)
         if UNSTABLE in fault:
             reason = fault[fault.index(UNSTABLE) :].partition(". ")[0]
-            found = convert(options.deck, settings, options.code, automatic_step=reason)
-            write(out, found, overwrite=True)
-            fault = checked(out)
+            found = convert(options.deck, settings, options.code, automatic_step=reason, name=name)
+            scenes = write(out, found, overwrite=True)
+            fault = checked(scenes)
     if options.json:
-        written = str(out) if is_written else None
-        content = {"scene": written, "code": found.code, **found.report.to_dict(), "check": fault or None}
+        content = {
+            "scenes": list(map(str, scenes)),
+            "code": found.code,
+            **found.report.to_dict(),
+            "check": fault or None,
+        }
         say(json.dumps(content, indent=2))
     else:
         say(found.report.text())
-        if is_written:
-            say(f"Written to {out}")
+        for each in scenes:
+            say(f"Written to {each}")
     if fault:
         say(fault, file=sys.stderr)
         print_error(f"{out}: the scene does not pass granflow check.")
         return GranflowError.exit_code
     if found.report.is_complete:
         return 0
-    if not found.text:
+    if not found.texts:
         print_error("nothing was written, because the lines that are not possible leave no scene.")
     elif not options.partial:
         print_error("nothing was written, because some lines have no counterpart; --partial writes the rest.")
@@ -72,10 +78,17 @@ def _setting(text: str) -> tuple[str, str]:
     return name, value
 
 
-def write(out: Path, found: "Imported", overwrite: bool) -> None:
-    """Write the scene and its files. Raises GranflowError if a file exists with another content."""
+def write(out: Path, found: "Imported", overwrite: bool) -> list[Path]:
+    """Write the scenes and their files; return the paths of the scenes.
+
+    Raises GranflowError if a file exists with another content.
+    """
+    from granflow.importing.convert import scene_name
+
+    stem = out.name.removesuffix(out.suffix)
+    scenes = [out.with_name(scene_name(stem, k + 1) + out.suffix) for k in range(len(found.texts))]
     contents: Mapping[Path, bytes] = {
-        out: found.text.encode(),
+        **{path: text.encode() for path, text in zip(scenes, found.texts, strict=True)},
         **{out.parent / name: content for name, content in found.files.items()},
     }
     for path, content in contents.items():
@@ -84,19 +97,27 @@ def write(out: Path, found: "Imported", overwrite: bool) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     for path, content in contents.items():
         path.write_bytes(content)
+    return scenes
 
 
-def checked(out: Path) -> str:
-    """Run `granflow check`; the problems as text, empty without one."""
+def checked(scenes: Sequence[Path]) -> str:
+    """Run `granflow check`; the problems as text, empty without one.
+
+    A scene that continues another one is checked without the particles of its run, which does not exist yet.
+    """
     from granflow.cli.run import check
 
-    options = argparse.Namespace(scene=out, overrides=[], mpi=False, allow_long=True, precision=None)
-    try:
-        check(options)
-    except SceneError as error:
-        return "\n".join(error.problems)
-    except GranflowError as error:
-        return str(error)
+    for number, path in enumerate(scenes):
+        overrides = ["start_from=null"] if number else []
+        options = argparse.Namespace(
+            scene=path, overrides=overrides, mpi=False, allow_long=True, precision=None
+        )
+        try:
+            check(options)
+        except SceneError as error:
+            return "\n".join(error.problems)
+        except GranflowError as error:
+            return str(error)
     return ""
 
 

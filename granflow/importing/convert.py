@@ -6,7 +6,7 @@ from pathlib import Path
 
 from granflow.errors import GranflowError
 from granflow.importing import geometry, insertion, materials, schedule
-from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words
+from granflow.importing.deck import UNITS, Deck, Fix, ParticleGroup, Translation, Words
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import Entry, Report
 from granflow.importing.scene_text import Draft
@@ -23,11 +23,12 @@ SHAPES = {"sphere", "granular"}
 class Imported:
     """A translated script.
 
-    text:   the scene; empty if what is not possible leaves no scene
+    texts:  the scene; several if gravity changes, where each continues the one before; none if what is not
+            possible leaves no scene
     files:  files beside the scene by name
     """
 
-    text: str
+    texts: list[str]
     files: Mapping[str, bytes]
     report: Report
     code: str
@@ -128,11 +129,16 @@ def code_of(path: Path, commands: Iterable[Command]) -> str:
 
 
 def convert(
-    path: Path, given: Mapping[str, str] | None = None, code: str | None = None, automatic_step: str = ""
+    path: Path,
+    given: Mapping[str, str] | None = None,
+    code: str | None = None,
+    automatic_step: str = "",
+    name: str = "",
 ) -> Imported:
     """Translate a script. Raises DeckError for an error of the script, with its line.
 
     given:           values of variables
+    name:            name of the scene file without its suffix
     automatic_step:  why the time step of the script is not taken; empty if it is
     """
     settings = dict(given or {})
@@ -160,35 +166,61 @@ def convert(
     for command, reason, nearest in interpreter.problems:
         report.entry(command).impossible(reason, nearest)
     try:
-        text = _text(deck, path)
+        texts = _texts(deck, path, name or path.stem)
     except GranflowError:
         if report.is_complete:
             raise
-        text = ""  # what is missing is probably one of the lines that are not possible
-    return Imported(text, deck.family.get("files", {}), report, code, tuple(interpreter.printed))
+        texts = []  # what is missing is probably one of the lines that are not possible
+    return Imported(texts, deck.family.get("files", {}), report, code, tuple(interpreter.printed))
 
 
-def _text(deck: Deck, path: Path) -> str:
-    """Build the blocks and write them."""
+def _texts(deck: Deck, path: Path, name: str) -> list[str]:
+    """Build the blocks of each scene and write them."""
     if not any(run.steps for run in deck.runs):
         raise GranflowError(f"{path}: the script has no run, so that there is nothing to simulate.")
     if deck.box is None:
         raise GranflowError(
             f"{path}: the script has no create_box or read_data, so that the box is not known."
         )
-    draft = Draft()
-    draft.put(("title",), path.name)
-    insertion.add_points(deck, draft)
-    insertion.collect(deck)
-    materials.build(deck, draft)
-    geometry.build(deck, draft)
-    insertion.build(deck, draft)
-    schedule.build(deck, draft)
-    deck.family["files"] = draft.files
-    name = {"liggghts": "LIGGGHTS", "lammps": "LAMMPS"}[deck.code]
-    return draft.text(
-        f"Made by granflow import from {path.name}, a script of {name}; comments have its lines."
-    )
+    texts: list[str] = []
+    files: dict[str, bytes] = {}
+    earlier: list[ParticleGroup] = []
+    code = {"liggghts": "LIGGGHTS", "lammps": "LAMMPS"}[deck.code]
+    for number, part in enumerate(schedule.parts_of(deck), 1):
+        part.particles = list(earlier)
+        draft = Draft(files=files)
+        draft.put(("title",), path.name if number == 1 else f"{path.name}, part {number}")
+        if number == 1:
+            insertion.add_points(part, draft)
+        else:
+            _continue(part, draft, scene_name(name, number - 1))
+        insertion.collect(part)
+        materials.build(part, draft)
+        geometry.build(part, draft)
+        insertion.build(part, draft)
+        schedule.build(part, draft)
+        earlier = part.particles
+        title = f"granflow import from {path.name}, a script of {code}; comments have its lines."
+        texts.append(draft.text(f"Made by {title}"))
+    deck.family["files"] = files
+    return texts
+
+
+def scene_name(name: str, number: int) -> str:
+    """Name of the scene of a part, from 1."""
+    return name if number == 1 else f"{name}_{number}"
+
+
+def _continue(part: Deck, draft: Draft, before: str) -> None:
+    """Let a scene begin with the particles of the one before."""
+    remark = f"run {before}.yaml first; its output is read"
+    draft.put(("start_from",), f"out/{before}", remark=remark)
+    for fix in part.fixes_of("gravity"):
+        if fix.data and part.acting(fix):
+            fix.entry.approximated(
+                f"gravity is constant in a scene: a further one begins with the output of {before}.yaml, "
+                "without the history of its contacts"
+            )
 
 
 __all__ = ["CODES", "DeckError", "Imported", "convert"]

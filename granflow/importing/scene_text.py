@@ -13,7 +13,7 @@ from granflow.importing.report import Entry
 
 BLOCKS = (
     *("title", "description", "seed", "gravity", "materials", "pairs", "contact", "damping", "walls"),
-    *("particles", "outlets", "domain", "stages", "run", "numerics", "output"),
+    *("start_from", "particles", "outlets", "domain", "stages", "run", "numerics", "output"),
 )
 """Blocks in the order of a scene file."""
 WIDTH = 110

@@ -3,6 +3,7 @@
 The runs of the script become stages where something that acts changes between them, otherwise one duration.
 """
 
+from dataclasses import replace
 from math import cos, hypot, radians, sin
 
 from granflow.importing.deck import Deck, Fix, Run, Translation, Words, impossible, not_needed
@@ -231,6 +232,34 @@ def build(deck: Deck, draft: Draft) -> None:
     _output(deck, draft)
 
 
+def parts_of(deck: Deck) -> list[Deck]:
+    """The deck, or a deck for each constant gravity; each later one continues the one before.
+
+    The times of a later part begin at 0; it has the groups of the parts before.
+    """
+    parts: list[list[Run]] = []
+    last: tuple[float, ...] | None = None
+    for run in deck.runs:
+        acting = [fix for fix in deck.fixes_of("gravity") if fix.data and run.steps and fix.acts_in(run)]
+        value = acting[-1].data if acting else last
+        if not parts or (run.steps and value != last and last is not None):
+            parts.append([])
+        parts[-1].append(run)
+        last = value if run.steps else last
+    return [deck] if len(parts) == 1 else [_part(deck, runs) for runs in parts]
+
+
+def _part(deck: Deck, runs: list[Run]) -> Deck:
+    """A deck with some runs only, whose times begin with them."""
+    origin = runs[0].start
+    fixes = [
+        replace(fix, start=fix.start - origin, end=None if fix.end is None else fix.end - origin)
+        for fix in deck.all_fixes
+    ]
+    own = [replace(run, start=run.start - origin, end=run.end - origin) for run in runs]
+    return replace(deck, runs=own, all_fixes=fixes)
+
+
 def _gravity(deck: Deck, draft: Draft) -> None:
     fixes = [fix for fix in deck.fixes_of("gravity") if fix.data and deck.acting(fix)]
     if not fixes:
@@ -238,13 +267,7 @@ def _gravity(deck: Deck, draft: Draft) -> None:
         return
     draft.put(("gravity",), [*fixes[0].data], fixes[0].entry)
     for fix in fixes[1:]:
-        if fix.data != fixes[0].data:
-            fix.entry.impossible(
-                "gravity that changes during the simulation",
-                f"a second scene with gravity {list(fix.data)} and start_from: the output of the first",
-            )
-        else:
-            fix.entry.translated("gravity")
+        fix.entry.translated("gravity")
     first = fixes[0]
     missing = [run for run in deck.runs if run.steps and not any(fix.acts_in(run) for fix in fixes)]
     if missing:

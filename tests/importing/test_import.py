@@ -65,7 +65,7 @@ def imported(tmp_path, text, **settings):
     path = tmp_path / "in.deck"
     path.write_text(text)
     found = convert(path, **settings)
-    return found, yaml.safe_load(found.text) if found.text else {}
+    return found, yaml.safe_load(found.texts[0]) if found.texts else {}
 
 
 def at(scene, path):
@@ -246,7 +246,6 @@ def test_every_line_has_a_remark(tmp_path):
         ("compute c all rainbow\nrun 10", "rainbow", "compute rainbow"),
         ("shell mkdir x\nrun 10", "shell", "shell runs another program"),
         ("run 10\nclear", "clear", "a second simulation"),
-        ("run 10\nfix g all gravity 9.81 vector 1 0 0\nrun 10", "vector 1 0 0", "gravity that changes"),
         ("fix x all property/global thermalCapacity peratomtype 1 1\nrun 10", "thermalCapacity", "heat"),
     ],
 )
@@ -284,11 +283,20 @@ def test_errors(tmp_path, old, new, message):
     assert message in str(caught.value)
 
 
+def test_gravity_that_changes_makes_a_second_scene(tmp_path):
+    found, _ = imported(tmp_path, liggghts(end="run 10\nfix g all gravity 5 vector 1 0 0\nrun 20"))
+    assert remarks(found, "vector 1 0 0")[0][0] == "approximated"
+    first, second = map(yaml.safe_load, found.texts)
+    assert (first["run"]["duration"], second["run"]["duration"]) == ("100 us", "200 us")
+    assert (first["gravity"], second["gravity"]) == ([0, 0, -9.81], [5, 0, 0])
+    assert second["start_from"] == "out/in" and second["particles"] == first["particles"]
+
+
 def test_read_restart_is_refused_with_advice(tmp_path):
     found, _ = imported(
         tmp_path, "units si\nread_restart f\npair_style gran model hertz\ntimestep 1\nrun 1\n"
     )
-    assert found.text == "" and "write_data" in remarks(found, "read_restart")[0][1]
+    assert found.texts == [] and "write_data" in remarks(found, "read_restart")[0][1]
 
 
 def test_particles_of_a_file(tmp_path):
@@ -343,4 +351,4 @@ def test_guide(tmp_path):
     text = (Path(__file__).resolve().parents[2] / "docs/pages/guides/import.md").read_text(encoding="utf-8")
     blocks = dict(re.findall(r"^```\w+\n# (\S+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
     (tmp_path / "in.bed").write_text(f"# in.bed\n{blocks['in.bed']}")
-    assert convert(tmp_path / "in.bed").text == blocks["bed.yaml"]
+    assert convert(tmp_path / "in.bed").texts[0] == blocks["bed.yaml"]
