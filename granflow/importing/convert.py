@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from granflow.errors import GranflowError
-from granflow.importing import geometry, insertion, materials, schedule
+from granflow.importing import geometry, insertion, materials, meshes, motion, multisphere, regions, schedule
 from granflow.importing.deck import UNITS, Deck, Fix, ParticleGroup, Translation, Words
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import Entry, Report
@@ -13,7 +13,7 @@ from granflow.importing.scene_text import Draft
 
 CODES = ("liggghts", "lammps")
 """Values of --code."""
-FAMILIES = (schedule, materials, geometry, insertion)
+FAMILIES = (schedule, materials, regions, geometry, meshes, motion, insertion, multisphere)
 """Families of commands; each has the tables COMMANDS and FIXES."""
 SHAPES = {"sphere", "granular"}
 """Atom styles of spheres."""

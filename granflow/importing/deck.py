@@ -73,8 +73,10 @@ class Region:
     parts: tuple[str, ...] = ()
     inside: bool = True
     open: tuple[int, ...] = ()
-    words: tuple[str, ...] = ()
-    """Other keywords with their values, such as move and rotate, as in the script."""
+    start: float = 0.0
+    """Time of the command [s]."""
+    motion: Any = None
+    """A `regions.RegionMotion`; None for a region at rest."""
 
 
 @dataclass

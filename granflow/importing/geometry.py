@@ -1,14 +1,32 @@
-"""Geometry of a script: box, regions, groups, walls, meshes and their motions."""
+"""Box and walls of a script: boundaries, fix wall/gran and wall/gran/region, shear of the box."""
 
-from math import inf, nan
-from pathlib import Path
+from dataclasses import dataclass
+from math import pi
+from typing import Any
 
-from granflow.importing.deck import Deck, Fix, Group, Region, Translation, Words, not_needed
+import numpy as np
+
+from granflow.importing import meshes, region_walls
+from granflow.importing.deck import Deck, Fix, Run, Translation, Words, impossible
 from granflow.importing.language import Command, DeckError
-from granflow.importing.materials import WallContact, liggghts_model, wall_contact
+from granflow.importing.materials import (
+    Model,
+    WallContact,
+    granular_model,
+    liggghts_model,
+    old_model,
+    wall_contact,
+)
+from granflow.importing.meshes import Mesh, measure, mesh_keys, surface_motions
+from granflow.importing.motion import mesh_motions, vibration
+from granflow.importing.region_walls import Face, RegionWall
+from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
-from granflow.importing.schedule import STAGED, stages_of
+from granflow.importing.schedule import STAGED, stages_of_runs
+
+EDGE_SHARE = 0.02
+"""Distance of a plane from the box over its size, below which the plane is a boundary of the box."""
 
 # Box
 
@@ -16,15 +34,43 @@ from granflow.importing.schedule import STAGED, stages_of
 def boundary(deck: Deck, command: Command, entry: Entry) -> None:
     """boundary X Y Z, each one letter for both sides or two."""
     words = Words(deck, command, command.words)
+    _read_boundary(deck, words, entry)
+
+
+def _read_boundary(deck: Deck, words: Words, entry: Entry) -> None:
     letters: list[str] = []
     for axis in "xyz":
         word = words.word(f"the boundary of {axis}")
         if not 1 <= len(word) <= 2 or set(word) - set("pfsm"):
-            raise DeckError(command, f"the boundary of {axis} is {word}; give p, f, s or m.")
+            raise DeckError(words.command, f"the boundary of {axis} is {word}; give p, f, s or m.")
+        if "p" in word and set(word) != {"p"}:
+            raise DeckError(words.command, f"the boundary of {axis} is {word}; p belongs to both sides.")
         letters += [word[0], word[-1]]
     first, second, third, fourth, fifth, sixth = letters
     deck.boundary = (first, second, third, fourth, fifth, sixth)
     deck.boundary_entry = entry
+
+
+def change_box(deck: Deck, command: Command, entry: Entry) -> None:
+    """change_box GROUP boundary X Y Z | x final LO HI ..., before the first run."""
+    words = Words(deck, command, command.words)
+    words.word("a group")
+    while words:
+        key = words.word("a keyword")
+        if key == "boundary":
+            _read_boundary(deck, words, entry)
+        elif key in ("x", "y", "z") and words.next == "final" and deck.box is not None and not deck.runs:
+            words.word("final")
+            box = list(deck.box)
+            k = 2 * "xyz".index(key)
+            box[k], box[k + 1] = words.number("the low end", "length"), words.number("the high end", "length")
+            deck.box = tuple(box)
+            entry.translated("domain")
+        elif key in ("units", "ortho"):
+            words.skip()
+        else:
+            entry.impossible(f"change_box {key}", "another box at the start")
+            words.skip()
 
 
 def create_box(deck: Deck, command: Command, entry: Entry) -> None:
@@ -34,260 +80,355 @@ def create_box(deck: Deck, command: Command, entry: Entry) -> None:
     region = region_of(deck, command, words.word("the name of a region"))
     if region.kind != "block":
         raise DeckError(command, f"region {region.name} is a {region.kind}; a box needs a block.")
+    if not np.isfinite(region.numbers).all():
+        raise DeckError(command, f"region {region.name} is not finite; give six numbers.")
     deck.box = region.numbers
     deck.box_entry = entry
     region.entry.translated("domain")
 
 
-# Regions
-
-NUMBERS: dict[str, tuple[str, ...]] = {
-    "block": ("xlo", "xhi", "ylo", "yhi", "zlo", "zhi"),
-    "cylinder": ("c1", "c2", "radius", "lo", "hi"),
-    "cone": ("c1", "c2", "radlo", "radhi", "lo", "hi"),
-    "sphere": ("x", "y", "z", "radius"),
-    "plane": ("px", "py", "pz", "nx", "ny", "nz"),
-}
-"""Numbers of a region by its style."""
-KEYWORDS = {"side": 1, "units": 1, "open": 1, "move": 3, "rotate": 7, "seed": 1, "volume_limit": 1}
-"""Keywords of regions with the number of their words."""
-
-
-def region(deck: Deck, command: Command, entry: Entry) -> None:
-    """region ID STYLE NUMBERS KEYWORDS | region ID delete"""
-    words = Words(deck, command, command.words)
-    name = words.word("the name of the region")
-    style = words.word("the style of the region")
-    if style == "delete":
-        deck.regions.pop(name, None)
-        entry.not_needed("walls and insertions keep the region they have used")
-        return
-    axis = ""
-    numbers: tuple[float, ...] = ()
-    parts: tuple[str, ...] = ()
-    if style in ("union", "intersect"):
-        count = words.whole("the number of regions")
-        parts = tuple(region_of(deck, command, words.word("a region")).name for _ in range(count))
-    elif style in NUMBERS:
-        if style in ("cylinder", "cone"):
-            axis = words.word("the axis")
-            if axis not in "xyz":
-                raise DeckError(command, f"the axis is {axis}; give x, y or z.")
-        numbers = tuple(_bound(words, each) for each in NUMBERS[style])
-    else:
-        entry.impossible(f"regions of the style {style}", "block, cylinder, cone or sphere")
-        return
-    found = Region(name, style, axis, numbers, entry, parts)
-    others: list[str] = []
-    opened: list[int] = []
+def deform(deck: Deck, fix: Fix) -> None:
+    """fix ID group deform N xy erate RATE remap v ...: simple shear"""
+    words = Words(deck, fix.entry.command, fix.words)
+    words.whole("the interval in steps")
+    shears: list[tuple[str, float]] = []
     while words:
         key = words.word("a keyword")
-        if key not in KEYWORDS:
-            raise DeckError(command, f"regions have no keyword {key}. Keywords: {', '.join(KEYWORDS)}.")
-        values = [words.word(f"a value of {key}") for _ in range(KEYWORDS[key])]
-        if key == "side":
-            found.inside = values[0] == "in"
-        elif key == "units":
-            if values[0] == "lattice":
-                entry.impossible("lengths in units of a lattice", "units box")
-        elif key == "open":
-            opened.append(int(values[0]))
-        elif key in ("move", "rotate"):
-            others += [key, *values]
-    found.open, found.words = tuple(opened), tuple(others)
-    deck.regions[name] = found
+        if key in ("remap", "flip", "units"):
+            words.word(f"a value of {key}")
+            continue
+        style = words.word("the style of the deformation")
+        if key in ("xy", "xz", "yz") and style == "erate":
+            shears.append((key, words.number("the rate", "rate")))
+            continue
+        fix.entry.impossible(
+            f"the deformation {key} {style} of the box",
+            "a simple shear (xy erate RATE), or walls with motion: {kind: servo}",
+        )
+        return
+    if len(shears) > 1:
+        fix.entry.impossible("shear in several planes", "shear in one plane")
+        return
+    fix.data = shears[0] if shears else None
 
 
-def _bound(words: Words, what: str) -> float:
-    """A coordinate; INF is infinite, EDGE not a number."""
-    if words.next == "EDGE":
-        words.word(what)
-        return nan
-    if words.next in ("-INF", "INF", "+INF"):
-        return -inf if words.word(what) == "-INF" or what.endswith("lo") else inf
-    is_direction = what in ("nx", "ny", "nz")
-    return words.number(what, "number" if is_direction else "length")
+def _shear(deck: Deck, draft: Draft) -> None:
+    """Lees-Edwards boundaries for fix deform."""
+    for fix in deck.fixes_of("deform"):
+        runs = deck.acting(fix)
+        if fix.data is None or not runs:
+            continue
+        axes, rate = fix.data
+        if deck.boundary[2 * "xyz".index(axes[0])] != "p" or deck.boundary[2 * "xyz".index(axes[1])] != "p":
+            raise DeckError(fix.entry.command, f"a shear {axes} needs periodic boundaries along both axes.")
+        keys: dict[str, Any] = {"flow": axes[0], "gradient": axes[1], "rate": quantity(rate, "rate")}
+        if runs[0].start > 0.0:
+            keys["start"] = quantity(runs[0].start, "time")
+        if runs[-1].end < deck.end:
+            fix.entry.approximated("the shear goes on to the end of the run")
+        deck.family["lees_edwards"] = keys
+        fix.entry.translated("domain.lees_edwards")
 
 
-def region_of(deck: Deck, command: Command, name: str) -> Region:
-    """A region by its name. Raises DeckError."""
-    if name not in deck.regions:
-        raise DeckError(command, f"there is no region {name}. Regions: {', '.join(deck.regions) or 'none'}.")
-    return deck.regions[name]
+# Walls
+
+PLANES = ("xplane", "yplane", "zplane")
+CYLINDERS = ("xcylinder", "ycylinder", "zcylinder")
 
 
-def group(deck: Deck, command: Command, entry: Entry) -> None:
-    """group ID STYLE ..."""
-    words = Words(deck, command, command.words)
-    name = words.word("the name of the group")
-    style = words.word("the style of the group")
-    deck.groups[name] = Group(name, style, words.rest, entry)
-    entry.not_needed("forces, walls and output of the scene apply to all particles")
+@dataclass
+class Primitive:
+    """A plane or a cylinder of fix wall/gran.
 
+    style:    such as zplane
+    numbers:  positions [m] of planes by side ("low", "high", "only"), or radius and center of a cylinder
+    moves:    wiggle and shear: (axis, amplitude [m], period [s]) and (axis, velocity [m/s])
+    """
 
-# Walls of LIGGGHTS
+    style: str
+    planes: dict[str, float]
+    cylinder: tuple[float, ...]
+    contact: WallContact
+    wiggle: tuple[str, float, float] | None = None
+    shear: tuple[str, float] | None = None
 
 
 def wall_gran(deck: Deck, fix: Fix) -> None:
-    """fix ID group wall/gran MODEL primitive type N STYLE NUMBERS | mesh n_meshes N meshes NAMES"""
+    """fix ID group wall/gran MODEL ...: primitive or mesh (LIGGGHTS), zplane LO HI, zcylinder R (LAMMPS)."""
     words = Words(deck, fix.entry.command, fix.words)
-    model = liggghts_model(deck, words, fix.entry, ("primitive", "mesh"))
-    kind = words.word("primitive or mesh")
-    if kind == "primitive":
+    stop = ("primitive", "mesh", *PLANES, *CYLINDERS)
+    model = _model(deck, fix, words, stop)
+    style = words.word("the shape of the wall")
+    if style == "mesh":
+        _mesh_wall(deck, fix, words, model)
+        return
+    type = 0
+    is_lammps = deck.code == "lammps" or style != "primitive"
+    if style == "primitive":
         if words.word("type") != "type":
             raise DeckError(fix.entry.command, "the type of the wall is missing: primitive type N ...")
-        contact = wall_contact(deck, model, words.whole("the type"))
+        type = words.whole("the type")
         style = words.word("the shape of the wall")
-        shapes = {"plane": 1, "cylinder": 3}
-        if style[:1] not in "xyz" or style[1:] not in shapes:
-            fix.entry.impossible(f"the wall {style}", "xplane, yplane, zplane or a cylinder")
-            return
-        numbers = tuple(words.number("a number of the wall", "length") for _ in range(shapes[style[1:]]))
-        fix.data = ("primitive", style, numbers, contact)
-        if words:
-            fix.entry.impossible(f"the keyword {words.next} of a wall", "a mesh with a motion")
-        return
+    if style not in PLANES + CYLINDERS:
+        shapes = ", ".join(PLANES + CYLINDERS)
+        raise DeckError(fix.entry.command, f"there is no wall {style}; there are {shapes} and meshes.")
+    wall = Primitive(style, {}, (), wall_contact(deck, model, type))
+    if style in PLANES and is_lammps:
+        for side in ("low", "high"):
+            if words.next == "NULL":
+                words.word("a position")
+            else:
+                wall.planes[side] = words.number("a position", "length")
+    elif style in PLANES:
+        wall.planes["only"] = words.number("the position", "length")
+    elif is_lammps:
+        wall.cylinder = (words.number("the radius", "length"), 0.0, 0.0)
+    else:
+        wall.cylinder = (words.number("the radius", "length"), *(words.number("c", "length") for _ in "12"))
+    _wall_keywords(fix, words, wall)
+    fix.data = wall
+
+
+def _model(deck: Deck, fix: Fix, words: Words, stop: tuple[str, ...]) -> Model:
+    """The contact model of a wall, of both codes."""
+    first = words.next
+    if first == "granular":
+        words.word("granular")
+        return granular_model(deck, words, fix.entry, stop)
+    if first in ("hooke", "hooke/history", "hertz/history") and deck.code == "lammps":
+        return old_model(deck, words, fix.entry, words.word("the model"))
+    if first[:1].isdigit() or first[:1] in ".-":
+        main: Model | None = deck.family.get("model")
+        style = "hertz/history" if main is not None and main.normal.startswith("hertz") else "hooke/history"
+        return old_model(deck, words, fix.entry, style)
+    return liggghts_model(deck, words, fix.entry, stop)
+
+
+def _wall_keywords(fix: Fix, words: Words, wall: Primitive) -> None:
+    """Read wiggle, shear and the keywords of the output of forces."""
+    while words:
+        key = words.word("a keyword")
+        if key == "wiggle":
+            axis = words.word("the axis of the wiggle")
+            wall.wiggle = (axis, words.number("the amplitude", "length"), words.number("the period", "time"))
+        elif key == "shear":
+            axis = words.word("the axis of the shear")
+            wall.shear = (axis, words.number("the velocity", "velocity"))
+        elif key in ("store_force", "store_force_contact", "store_force_contact_stress"):
+            if words.flag(key):
+                fix.entry.approximated("output.contacts has the force of each contact with a wall")
+        elif key == "contacts":
+            fix.entry.approximated("output.contacts has the force of each contact with a wall")
+        elif key == "temperature":
+            fix.entry.impossible(f"a temperature of {words.plain('the temperature'):g}", "walls without heat")
+        elif key == "contact_area":
+            words.skip()
+        else:
+            fix.entry.impossible(f"the keyword {key} of a wall", "a mesh with a motion")
+            words.skip()
+        for given in (wall.wiggle, wall.shear):
+            if given is not None and given[0] not in ("x", "y", "z"):
+                raise DeckError(words.command, f"the axis is {given[0]}; give x, y or z.")
+
+
+@dataclass
+class MeshWalls:
+    """The meshes of a fix wall/gran with their contacts."""
+
+    meshes: list[tuple[Fix, WallContact]]
+
+
+def _mesh_wall(deck: Deck, fix: Fix, words: Words, model: Model) -> None:
+    """... mesh n_meshes N meshes NAMES"""
+    count = None
     names: list[str] = []
     while words:
         key = words.word("a keyword")
         if key == "n_meshes":
-            words.whole("the number of meshes")
+            count = words.whole("the number of meshes")
         elif key == "meshes":
-            names = list(words.rest)
+            names = [words.word("the name of a mesh") for _ in range(count or 0)]
+        elif key in ("store_force", "store_force_contact", "store_force_contact_stress"):
+            if words.flag(key):
+                fix.entry.approximated("output.contacts has the force of each contact with a wall")
         else:
             fix.entry.impossible(f"the keyword {key} of a mesh wall")
-    contacts = []
+            words.skip()
+    if not names:
+        raise DeckError(words.command, "the meshes are missing: mesh n_meshes N meshes NAME ...")
+    found = []
     for name in names:
         mesh = deck.fixes.get(name)
-        if mesh is None or mesh.data is None:
+        if mesh is None or not mesh.style.startswith("mesh/surface"):
             raise DeckError(fix.entry.command, f"there is no fix mesh/surface {name}.")
-        contacts.append((mesh, wall_contact(deck, model, mesh.data["type"])))
-    fix.data = ("mesh", contacts)
+        if isinstance(mesh.data, Mesh):
+            found.append((mesh, wall_contact(deck, model, mesh.data.type)))
+    fix.data = MeshWalls(found)
 
 
-def mesh_surface(deck: Deck, fix: Fix) -> None:
-    """fix ID group mesh/surface file NAME type N [scale S] [move X Y Z] [rotate axis X Y Z angle A] ..."""
+def wall_gran_region(deck: Deck, fix: Fix) -> None:
+    """fix ID group wall/gran/region MODEL ... region NAME"""
     words = Words(deck, fix.entry.command, fix.words)
-    data: dict[str, object] = {"steps": []}
-    steps: list[tuple[object, ...]] = []
+    model = _model(deck, fix, words, ("region",))
+    if words.word("region") != "region":
+        raise DeckError(fix.entry.command, "the region is missing: wall/gran/region ... region NAME.")
+    region = region_of(deck, fix.entry.command, words.word("the name of a region"))
     while words:
         key = words.word("a keyword")
-        if key == "file":
-            data["file"] = words.word("the file")
-        elif key == "type":
-            data["type"] = words.whole("the type")
-        elif key == "scale":
-            steps.append(("scale", words.number("the scale")))
-        elif key == "move":
-            steps.append(("move", words.vector("the displacement", "length")))
-        elif key == "rotate":
-            words.word("axis")
-            axis = words.vector("the axis")
-            words.word("angle")
-            steps.append(("rotate", axis, words.number("the angle")))
-        elif key in ("verbose", "heal", "curvature", "precision", "element_exclusion_list"):
-            words.word(f"a value of {key}")
+        if key == "contacts":
+            fix.entry.approximated("output.contacts has the force of each contact with a wall")
         else:
-            fix.entry.impossible(f"the keyword {key} of a mesh")
+            fix.entry.impossible(f"the keyword {key} of a wall")
             words.skip()
-    if "file" not in data or "type" not in data:
-        raise DeckError(fix.entry.command, "a mesh needs file NAME and type N.")
-    data["steps"] = steps
-    data["path"] = deck.family["folder"] / str(data["file"])
-    if not Path(str(data["path"])).is_file():
-        raise DeckError(fix.entry.command, f"the mesh {data['path']} does not exist.")
-    fix.data = data
+    fix.data = RegionWall(region.name, wall_contact(deck, model, 0))
 
 
 # The blocks
 
 
 def build(deck: Deck, draft: Draft) -> None:
-    """Write the block walls."""
-    for fix in deck.fixes_of("wall/gran"):
+    """Write the block walls, flow meters and outlets."""
+    region_walls.release_periodic_axes(deck)
+    _shear(deck, draft)
+    for fix in deck.fixes_of("wall/gran", "wall/gran/region"):
         if fix.data is None or not deck.acting(fix):
             continue
-        if fix.data[0] == "primitive":
-            _primitive(deck, draft, fix)
-        else:
-            for mesh, contact in fix.data[1]:
+        if isinstance(fix.data, Primitive):
+            _primitive(deck, draft, fix, fix.data)
+        elif isinstance(fix.data, MeshWalls):
+            for mesh, contact in fix.data.meshes:
                 _mesh(deck, draft, fix, mesh, contact)
+        elif isinstance(fix.data, RegionWall):
+            region_walls.build(deck, draft, fix, fix.data)
+    meshes.build(deck, draft)
 
 
-def wall_name(draft: Draft, name: str) -> str:
-    """A name of a wall that is not taken, without characters that names do not have."""
-    plain = "".join(each if each.isalnum() or each == "_" else "_" for each in name)
-    plain = plain if plain[:1].isalpha() else f"wall_{plain}"
-    taken = draft.get("walls") or {}
-    free = plain
-    count = 1
-    while free in taken:
-        count += 1
-        free = f"{plain}_{count}"
+def _put_wall(
+    deck: Deck, draft: Draft, name: str, keys: dict[str, Any], runs: list[Run], entries: tuple[Entry, ...]
+) -> str:
+    """Write a wall that exists during some runs; returns its name."""
+    stages = stages_of_runs(deck, runs)
+    if stages is not None:
+        keys["stages"] = stages
+    free = region_walls.wall_name(draft, name)
+    draft.put(("walls", free), keys, *entries)
     return free
 
 
-def put_wall(deck: Deck, draft: Draft, fix: Fix, keys: dict[str, object], *entries: Entry) -> None:
-    """Write a wall that a fix makes, in the stages of the fix."""
-    stages = stages_of(deck, fix)
-    if stages is not None:
-        keys["stages"] = stages
-    draft.put(("walls", wall_name(draft, fix.name)), keys, fix.entry, *entries)
+def _primitive(deck: Deck, draft: Draft, fix: Fix, wall: Primitive) -> None:
+    axis = "xyz".index(wall.style[0])
+    assert deck.box is not None
+    runs = deck.acting(fix)
+    motions = _primitive_motions(wall, axis, runs)
+    for side, position in wall.planes.items():
+        face = _plane(deck, axis, side, position, fix)
+        keys = {**face.keys(), "material": wall.contact.material, **_motion(motions)}
+        name = fix.name if len(wall.planes) == 1 else f"{fix.name}_{side}"
+        _put_wall(deck, draft, name, keys, runs, (fix.entry,))
+    if wall.cylinder:
+        radius, *center = wall.cylinder
+        low, high = deck.box[2 * axis], deck.box[2 * axis + 1]
+        margin = 0.0 if deck.boundary[2 * axis] == "p" else high - low
+        ends = []
+        for along in (low - margin, high + margin):
+            end = np.zeros(3)
+            end[axis] = along
+            end[[k for k in range(3) if k != axis]] = center
+            ends.append(end)
+        face = Face("cylinder", {"from": ends[0], "to": ends[1]}, {}, {"radius": radius})
+        keys = {**face.keys(), "material": wall.contact.material, **_motion(motions)}
+        _put_wall(deck, draft, fix.name, keys, runs, (fix.entry,))
 
 
-def _primitive(deck: Deck, draft: Draft, fix: Fix) -> None:
-    _, style, numbers, contact = fix.data
-    axis = "xyz".index(style[0])
+def _motion(motions: list[dict[str, Any]]) -> dict[str, Any]:
+    """The key motion, if there is a motion."""
+    return {"motion": motions[0] if len(motions) == 1 else motions} if motions else {}
+
+
+def _plane(deck: Deck, axis: int, side: str, position: float, fix: Fix) -> Face:
+    """A plane of LAMMPS, which has one side, or of LIGGGHTS, which has two.
+
+    A plane of LIGGGHTS inside the box is a rectangle across the box.
+    """
     assert deck.box is not None
     low, high = deck.box[2 * axis], deck.box[2 * axis + 1]
-    if style[1:] == "plane":
-        point, normal = [0.0, 0.0, 0.0], [0, 0, 0]
-        point[axis] = numbers[0]
-        normal[axis] = 1 if numbers[0] <= 0.5 * (low + high) else -1
-        keys: dict[str, object] = {"shape": "plane", "point": quantities(point, "length"), "normal": normal}
-    else:
-        radius, *center = numbers
-        ends = []
-        for along in (low - 0.5 * (high - low), high + 0.5 * (high - low)):
-            end = [0.0, 0.0, 0.0]
-            end[axis] = along
-            others = [k for k in range(3) if k != axis]
-            end[others[0]], end[others[1]] = center
-            ends.append(quantities(end, "length"))
-        keys = {"shape": "cylinder", "from": ends[0], "to": ends[1], "radius": quantity(radius, "length")}
-    put_wall(deck, draft, fix, {**keys, "material": contact.material})
+    near = EDGE_SHARE * (high - low)
+    point, normal = np.zeros(3), np.zeros(3)
+    point[axis] = position
+    is_inner = side == "only" and low + near < position < high - near
+    if is_inner:
+        corner, others = point.copy(), [k for k in range(3) if k != axis]
+        sides = np.zeros((2, 3))
+        for row, k in enumerate(others):
+            size = deck.box[2 * k + 1] - deck.box[2 * k]
+            margin = 0.0 if deck.boundary[2 * k] == "p" else size
+            corner[k] = deck.box[2 * k] - margin
+            sides[row, k] = size + 2.0 * margin
+        return Face("rectangle", {"corner": corner}, {"sides": sides}, {})
+    is_low = side == "low" or side == "only" and position <= 0.5 * (low + high)
+    normal[axis] = 1.0 if is_low else -1.0
+    return Face("plane", {"point": point}, {"normal": normal}, {})
+
+
+def _primitive_motions(wall: Primitive, axis: int, runs: list[Run]) -> list[dict[str, Any]]:
+    """Wiggle: A - A cos(w t) along an axis. Shear: a velocity of the surface along itself."""
+    found: list[dict[str, Any]] = []
+    start = runs[0].start
+    when = {"start": quantity(start, "time")} if start > 0.0 else {}
+    if wall.wiggle is not None:
+        name, amplitude, period = wall.wiggle
+        direction = np.eye(3)["xyz".index(name)]
+        # A (sin(w t + p) - sin(p)) with p = -90 deg
+        found.append({**vibration(amplitude * direction, 2.0 * pi / period, -0.5 * pi), **when})
+    if wall.shear is not None:
+        name, speed = wall.shear
+        along = "xyz".index(name)
+        if wall.cylinder and along != axis:
+            radius, *center = wall.cylinder
+            point = np.zeros(3)
+            point[[k for k in range(3) if k != axis]] = center
+            # The codes turn clockwise for a speed above 0, about y the other way round.
+            sign = 1.0 if axis == 1 else -1.0
+            rate = quantity(sign * speed / radius, "angular_velocity")
+            place = {"point": quantities(point, "length"), "axis": [int(k == axis) for k in range(3)]}
+            found.append({"kind": "rotation", **place, "angular_velocity": rate, **when})
+        else:
+            velocity = speed * np.eye(3)[along]
+            found.append({"kind": "surface_velocity", "velocity": quantities(velocity, "velocity"), **when})
+    return found
 
 
 def _mesh(deck: Deck, draft: Draft, fix: Fix, mesh: Fix, contact: WallContact) -> None:
-    path = Path(str(mesh.data["path"]))
-    name = draft.add_file(path.name, path.read_bytes())
-    keys: dict[str, object] = {"shape": "mesh", "file": name, "material": contact.material}
-    for kind, *values in mesh.data["steps"]:
-        if kind == "scale":
-            keys["scale"] = values[0]
-        elif kind == "move":
-            keys["translate"] = quantities(values[0], "length")
-        else:
-            keys["rotate"] = {"axis": [*values[0]], "angle": f"{values[1]:.12g} deg"}
-    put_wall(deck, draft, fix, keys, mesh.entry)
+    name = region_walls.wall_name(draft, mesh.name)
+    keys = {**mesh_keys(draft, mesh.data), "material": contact.material}
+    motions = [*surface_motions(deck, mesh, name), *mesh_motions(deck, draft, mesh, name)]
+    keys |= _motion(motions)
+    runs = [run for run in deck.acting(fix) if mesh.acts_in(run)]
+    name = _put_wall(deck, draft, name, keys, runs, (mesh.entry, fix.entry))
+    measure(draft, mesh, name)
 
 
 # Tables
 
+_REFLECT = "walls without friction or contacts"
+
 COMMANDS: dict[str, Translation] = {
     "boundary": Translation(boundary, "domain.periodic, domain.on_exit"),
     "create_box": Translation(create_box, "domain.min, domain.max"),
-    "region": Translation(
-        region, "walls, insert.region", "block, cylinder, cone, sphere, plane, union, intersect"
-    ),
-    "group": Translation(group, "not needed"),
-    "lattice": not_needed("only create_atoms uses it"),
-    "change_box": Translation(boundary, "domain"),
+    "change_box": Translation(change_box, "domain", "boundary and final, before the first run"),
 }
 FIXES: dict[str, Translation] = {
-    "wall/gran": Translation(wall_gran, "walls"),
-    "mesh/surface": Translation(mesh_surface, "walls.NAME (shape: mesh)"),
-    "mesh/surface/stress": Translation(mesh_surface, "walls.NAME (shape: mesh)"),
-    "mesh/surface/planar": Translation(mesh_surface, "walls.NAME (shape: mesh)"),
+    "wall/gran": Translation(
+        wall_gran, "walls", "planes, cylinders, meshes; wiggle (vibration), shear (surface_velocity)"
+    ),
+    "wall/gran/region": Translation(
+        wall_gran_region, "walls", "block, cylinder, cone, sphere (a mesh), plane, union, intersect"
+    ),
+    "deform": Translation(deform, "domain.lees_edwards", "shear xy, xz or yz at a constant rate (erate)"),
+    **dict.fromkeys(
+        ("wall/reflect", "wall/region", "wall/lj93", "wall/lj126", "wall/harmonic", "wall/colloid"),
+        impossible(_REFLECT, "a plane of LAMMPS: fix wall/gran"),
+    ),
+    "indent": impossible("an indenter without friction", "a wall with a motion"),
 }
-STAGED.update(("wall/gran", "wall/gran/region", "move/mesh"))
+STAGED.update(("wall/gran", "wall/gran/region"))

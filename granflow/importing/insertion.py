@@ -5,16 +5,15 @@
 
 from dataclasses import dataclass, field
 from math import floor, hypot, inf, pi, sqrt
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from granflow.geometry.mesh_file import read_triangles
 from granflow.importing.deck import Deck, Fix, ParticleGroup, Region, Translation, Vector, Words, impossible
-from granflow.importing.geometry import region_of
 from granflow.importing.language import Command, DeckError
 from granflow.importing.materials import material_of
+from granflow.importing.meshes import flat_face
+from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
 
@@ -313,59 +312,13 @@ def scene_region(deck: Deck, region: Region, entry: Entry, margin: float = 0.0) 
 
 
 def face_of(mesh: Fix, velocity: Vector, entry: Entry) -> tuple[dict[str, Any], float]:
-    """The face of an inlet from a flat mesh, with the normal along the velocity; and its area [m2].
-
-    A rectangle or a disc if the mesh is one, otherwise a disc of the same area.
-    """
-    triangles = transformed(mesh)
-    edges = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    area = 0.5 * float(np.linalg.norm(edges, axis=1).sum())
-    normal = edges[np.argmax(np.linalg.norm(edges, axis=1))]
-    normal = normal / np.linalg.norm(normal)
-    if normal @ np.array(velocity) < 0.0:
-        normal = -normal
-    points = np.unique(np.round(triangles.reshape(-1, 3), 12), axis=0)
-    center = points.mean(axis=0)
-    distance = np.linalg.norm(points - center, axis=1)
-    if len(points) == 4 and np.ptp(distance) < 1e-6 * distance.max():
-        order = np.argsort(np.linalg.norm(points - points[0], axis=1))
-        first, second = points[order[1]] - points[0], points[order[2]] - points[0]
-        if np.cross(first, second) @ normal < 0.0:
-            first, second = second, first
-        sides = [quantities(_clean(first), "length"), quantities(_clean(second), "length")]
-        return {"rectangle": {"corner": quantities(_clean(points[0]), "length"), "sides": sides}}, area
-    radius = sqrt(area / pi)
-    edge = distance > 0.5 * distance.max()
-    if np.ptp(distance[edge]) > 0.05 * distance.max():
-        entry.approximated(f"the face of {len(triangles)} triangles is replaced by a disc of the same area")
-    disc = {"center": quantities(_clean(center), "length"), "normal": _clean(normal)}
-    return {"disc": {**disc, "radius": quantity(radius, "length")}}, area
-
-
-def _clean(values: Any) -> list[float]:
-    """Numbers without rounding errors of transformations."""
-    return [float(round(each, 10)) + 0.0 for each in values]
-
-
-def transformed(mesh: Fix) -> np.ndarray:
-    """Triangles (n, 3, 3) [m] of a mesh after the transformations of the script, in their order."""
-    raw = read_triangles(Path(str(mesh.data["path"])))
-    triangles = raw.points[raw.corners]
-    for kind, *values in mesh.data["steps"]:
-        if kind == "scale":
-            triangles = triangles * values[0]
-        elif kind == "move":
-            triangles = triangles + np.array(values[0])
-        else:
-            triangles = triangles @ rotation(values[0], np.radians(values[1])).T
-    return triangles
-
-
-def rotation(axis: Vector, angle: float) -> np.ndarray:
-    """Matrix (3, 3) of a rotation by an angle [rad] about an axis through the origin."""
-    x, y, z = np.array(axis) / hypot(*axis)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+    """The face of an inlet from a flat mesh, with the normal along the velocity; and its area [m2]."""
+    face = flat_face(mesh.data, np.array(velocity))
+    if face is None:
+        raise DeckError(entry.command, f"the mesh {mesh.name} is not flat; an insertion face must be flat.")
+    if face.difference:
+        entry.approximated(f"the face is replaced by a disc of the same area: {face.difference}")
+    return face.inlet()
 
 
 # Groups from insertions

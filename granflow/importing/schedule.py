@@ -3,6 +3,7 @@
 The runs of the script become stages where something that acts changes between them, otherwise one duration.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import cos, hypot, radians, sin
 
@@ -51,6 +52,8 @@ def run(deck: Deck, command: Command, entry: Entry) -> None:
     end = deck.time + steps * deck.time_step
     active = tuple(deck.fixes)
     deck.runs.append(Run(deck.time, end, deck.time_step, steps, deck.step, entry, active))
+    for follow in deck.own("at_run", list):
+        follow(deck, deck.runs[-1])
     deck.time = end
     deck.step += steps
     facts = deck.interpreter.facts
@@ -318,6 +321,7 @@ def stage_names(deck: Deck) -> dict[int, str]:
         for time in (fix.start, fix.end)
         if time is not None
     }
+    changes |= deck.own("changes", set)
     count = 0
     for index, run in enumerate(deck.runs):
         if not run.steps:
@@ -334,10 +338,15 @@ STAGED: set[str] = {"viscous", "cundall"}
 
 def stages_of(deck: Deck, fix: Fix) -> list[str] | None:
     """Names of the stages in which a fix acts; None if it acts in all."""
+    return stages_of_runs(deck, [run for run in deck.runs if fix.acts_in(run)])
+
+
+def stages_of_runs(deck: Deck, runs: Sequence[Run]) -> list[str] | None:
+    """Names of the stages of some runs; None if these are all."""
     names = stage_names(deck)
-    acting = {names[index] for index, run in enumerate(deck.runs) if index in names and fix.acts_in(run)}
-    ordered = [name for name in dict.fromkeys(names.values()) if name in acting]
-    return None if len(acting) == len(set(names.values())) else ordered
+    chosen = {names[index] for index, run in enumerate(deck.runs) if index in names and run in runs}
+    ordered = [name for name in dict.fromkeys(names.values()) if name in chosen]
+    return None if len(chosen) == len(set(names.values())) else ordered
 
 
 def _stages(deck: Deck, draft: Draft) -> None:

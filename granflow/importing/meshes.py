@@ -1,0 +1,538 @@
+"""Meshes of LIGGGHTS: fix mesh/surface with its modules, and the mass that passes a mesh."""
+
+from dataclasses import dataclass, field
+from math import pi, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.geometry.mesh_file import read_triangles
+from granflow.importing.deck import Deck, Fix, Translation, Vector, Words
+from granflow.importing.language import DeckError
+from granflow.importing.scene_text import Draft, quantities, quantity
+from granflow.importing.schedule import stages_of
+from granflow.io.files import FormatError
+
+SAME_SPEED = 1e-3
+"""Relative difference of speeds on the faces of a belt that is not reported."""
+ROUND = 0.05
+"""Largest share of a velocity across the faces, at which a mesh counts as a surface of revolution."""
+FLAT = 1e-6
+"""Largest distance from a plane over the size, at which a mesh counts as flat."""
+
+
+@dataclass
+class Mesh:
+    """One fix mesh/surface.
+
+    steps:      scale, move and rotate in the order of the script: ("scale", s), ("move", v), ("rotate", axis,
+                degrees)
+    velocity:   of the surface [m/s]
+    spin:       origin [m], axis and rate [rad/s] of a surface that turns along itself
+    servo:      keywords of the module servo
+    """
+
+    path: Path
+    type: int
+    steps: list[tuple[Any, ...]] = field(default_factory=list)
+    velocity: Vector | None = None
+    spin: tuple[Vector, Vector, float] | None = None
+    servo: dict[str, Any] = field(default_factory=dict)
+    measured: bool = False
+    """Whether the forces on the mesh are computed."""
+
+    def triangles(self) -> np.ndarray:
+        """Triangles (n, 3, 3) [m] after the transformations of the script, in their order."""
+        raw = read_triangles(self.path)
+        triangles = raw.points[raw.corners]
+        for kind, *values in self.steps:
+            if kind == "scale":
+                triangles = triangles * values[0]
+            elif kind == "move":
+                triangles = triangles + np.array(values[0])
+            else:
+                triangles = triangles @ rotation(values[0], np.radians(values[1])).T
+        return triangles
+
+
+def rotation(axis: Vector, angle: float) -> np.ndarray:
+    """Matrix (3, 3) of a rotation by an angle [rad] about an axis through the origin."""
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+
+
+# The command fix mesh/surface
+
+IGNORED = {
+    "verbose": 1,
+    "heal": 1,
+    "curvature": 1,
+    "curvature_tolerant": 1,
+    "precision": 1,
+    "min_feature_length": 1,
+    "mass_temperature": 1,
+    "stress": 1,
+}
+"""Keywords of meshes without counterpart, because granflow does without, with the number of their words."""
+
+
+def mesh_surface(deck: Deck, fix: Fix) -> None:
+    """fix ID group mesh/surface[/stress[/servo]] file NAME type N [scale S] [move X Y Z] [rotate ...] ..."""
+    words = Words(deck, fix.entry.command, fix.words)
+    file, type = "", 0
+    mesh = Mesh(Path(), 0, measured="stress" in fix.style.split("/"))
+    while words:
+        key = words.word("a keyword")
+        if key == "file":
+            file = words.word("the file")
+        elif key == "type":
+            type = words.whole("the type")
+        elif key == "scale":
+            scale = words.number("the scale")
+            if scale == 0.0:
+                raise DeckError(words.command, "the scale is 0; give a number above 0, such as 0.001.")
+            mesh.steps.append(("scale", scale))
+        elif key == "move":
+            mesh.steps.append(("move", words.vector("the displacement", "length")))
+        elif key == "rotate":
+            words.word("axis")
+            axis = words.vector("the axis")
+            if not any(axis):
+                raise DeckError(words.command, "the axis is zero; give a direction, such as 0 0 1.")
+            words.word("angle")
+            mesh.steps.append(("rotate", axis, words.number("the angle")))
+        elif key == "surface_vel":
+            mesh.velocity = words.vector("the velocity of the surface", "velocity")
+        elif key == "surface_ang_vel":
+            mesh.spin = _spin(words)
+        elif key == "reference_point":
+            if any(words.vector("the reference point", "length")):
+                fix.entry.approximated(
+                    "torques of granflow are about the origin, or the point of the rotation of the wall"
+                )
+        elif key == "wear":
+            if words.word("the model of wear") != "off":
+                fix.entry.impossible("wear of walls", "output.collision_energies, and the forces on the wall")
+        elif key == "temperature":
+            fix.entry.impossible(f"a temperature of {words.plain('the temperature'):g}", "walls without heat")
+        elif key == "element_exclusion_list":
+            mode, name = words.word("read or write"), words.word("the file")
+            if mode == "read":
+                fix.entry.impossible(f"triangles left out by {name}", "a file without these triangles")
+        elif key in IGNORED:
+            for _ in range(IGNORED[key]):
+                words.word(f"a value of {key}")
+        elif key in SERVO:
+            mesh.servo[key] = _servo_value(words, key)
+        elif key == "fix":
+            fix.entry.impossible("a mesh that another fix generates", "a file with the triangles")
+            return
+        elif key == "region":
+            name = words.word("the name of a region")
+            fix.entry.impossible(
+                f"the triangles inside the region {name} only", "a file with these triangles"
+            )
+        else:
+            fix.entry.impossible(f"the keyword {key} of a mesh")
+            words.skip()
+    if not file or not type:
+        raise DeckError(words.command, "a mesh needs file NAME and type N.")
+    mesh.path, mesh.type = deck.family["folder"] / file, type
+    try:
+        mesh.triangles()
+    except FormatError as error:
+        raise DeckError(words.command, f"{mesh.path} {error}.") from None
+    for module in fix.style.split("/")[2:]:
+        if module in MODULES:
+            fix.entry.impossible(*MODULES[module])
+    fix.data = mesh
+
+
+MODULES = {
+    "6dof": (
+        "a rigid mesh that moves freely",
+        "motion: {kind: free, direction: .., mass: ..} along one axis",
+    ),
+    "deform": ("a mesh that deforms", "a rigid mesh"),
+    "liquidtransfer": ("liquid on walls", "a mesh without liquid"),
+    "heattransfer": ("heat in walls", "a mesh without heat"),
+}
+"""Modules of meshes that are not possible, with the nearest alternative."""
+
+
+def _spin(words: Words) -> tuple[Vector, Vector, float]:
+    """origin X Y Z axis X Y Z omega W"""
+    words.word("origin")
+    origin = words.vector("the origin", "length")
+    words.word("axis")
+    axis = words.vector("the axis")
+    words.word("omega")
+    return origin, axis, words.number("omega", "angular_velocity")
+
+
+SERVO = ("com", "ctrlPV", "axis", "target_val", "vel_max", "kp", "ki", "kd", "mode", "ratio")
+"""Keywords of the module servo."""
+
+
+def _servo_value(words: Words, key: str) -> Any:
+    """The value of a keyword of the module servo."""
+    if key in ("com", "axis"):
+        return words.vector(key, "length" if key == "com" else "number")
+    if key in ("ctrlPV", "mode"):
+        return words.word(key)
+    return words.number(key, "velocity" if key == "vel_max" else "number")
+
+
+# Walls
+
+
+def mesh_keys(draft: Draft, mesh: Mesh) -> dict[str, Any]:
+    """The keys of a mesh wall without material: the file, scaled, rotated and moved as in the script.
+
+    granflow scales, rotates and moves in this order; other orders are rewritten, as s (x + v) = s x + s v.
+    """
+    name = draft.add_file(mesh.path.name, mesh.path.read_bytes())
+    scale = 1.0
+    shift: np.ndarray = np.zeros(3)
+    rotations: list[tuple[Vector, float]] = []
+    for kind, *values in mesh.steps:
+        if kind == "scale":
+            scale *= values[0]
+            shift = shift * values[0]
+        elif kind == "move":
+            shift = shift + np.array(values[0])
+        else:
+            rotations.append((values[0], values[1]))
+            shift = rotation(values[0], np.radians(values[1])) @ shift
+    if scale < 0.0:
+        triangles = mesh.triangles()
+        return {"shape": "mesh", "file": draft.add_file(f"{mesh.path.stem}.stl", stl(triangles))}
+    keys: dict[str, Any] = {"shape": "mesh", "file": name}
+    if scale != 1.0:
+        keys["scale"] = float(f"{scale:.12g}")
+    turns = [{"axis": [*axis], "angle": f"{angle:.12g} deg"} for axis, angle in rotations if angle]
+    if turns:
+        keys["rotate"] = turns[0] if len(turns) == 1 else turns
+    if np.linalg.norm(shift) > 0.0:
+        keys["translate"] = quantities([float(round(each, 12)) + 0.0 for each in shift], "length")
+    return keys
+
+
+def stl(triangles: np.ndarray) -> bytes:
+    """Triangles (n, 3, 3) as text in the format STL."""
+    rows = ["solid wall"]
+    for corners in triangles:
+        rows += ["facet normal 0 0 0", " outer loop"]
+        rows += [f"  vertex {x:.9g} {y:.9g} {z:.9g}" for x, y, z in corners]
+        rows += [" endloop", "endfacet"]
+    return ("\n".join([*rows, "endsolid wall"]) + "\n").encode()
+
+
+def surface_motions(deck: Deck, mesh: Fix, wall: str) -> list[dict[str, Any]]:
+    """Motions of a mesh by its own keywords: a belt, a surface that turns, or a servo."""
+    given: Mesh = mesh.data
+    found: list[dict[str, Any]] = []
+    if given.velocity is not None and any(given.velocity):
+        _remark_on_belt(given, mesh)
+        found.append({"kind": "surface_velocity", "velocity": quantities(given.velocity, "velocity")})
+        mesh.entry.translated(f"walls.{wall}.motion")
+    if given.spin is not None:
+        found += _turning_surface(given, mesh, wall)
+    if given.servo:
+        found += _servo(deck, given, mesh, wall)
+    return found
+
+
+def _normals(triangles: np.ndarray) -> np.ndarray:
+    edges = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return np.asarray(edges / np.maximum(np.linalg.norm(edges, axis=1), 1e-300)[:, None])
+
+
+def _remark_on_belt(given: Mesh, mesh: Fix) -> None:
+    """LIGGGHTS gives each face that the belt is not across the full speed, granflow the component in it."""
+    velocity = np.array(given.velocity)
+    speed = np.linalg.norm(velocity)
+    along = _normals(given.triangles()) @ velocity / speed
+    share = np.sqrt(np.maximum(0.0, 1.0 - along**2))
+    inclined = share[share > SAME_SPEED]
+    difference = 1.0 - inclined.min(initial=1.0)
+    if difference > SAME_SPEED:
+        mesh.entry.approximated(
+            f"on inclined faces the surface has the component of the velocity in the face, down to "
+            f"{inclined.min():.3g} of {speed:.4g} m/s; LIGGGHTS gives all faces the whole speed"
+        )
+
+
+def _turning_surface(given: Mesh, mesh: Fix, wall: str) -> list[dict[str, Any]]:
+    """A rotation, if the mesh is a surface of revolution about the axis."""
+    assert given.spin is not None
+    origin, axis, rate = given.spin
+    triangles = given.triangles()
+    velocity = np.cross(np.array(axis) / np.linalg.norm(axis), triangles.mean(axis=1) - np.array(origin))
+    speed = np.linalg.norm(velocity, axis=1)
+    across = np.abs((_normals(triangles) * velocity).sum(axis=1))
+    if (across > ROUND * speed.max()).any():
+        mesh.entry.impossible(
+            "a mesh whose surface turns along itself and is no surface of revolution",
+            "motion: {kind: rotation} of the mesh, or surface_velocity",
+        )
+        return []
+    mesh.entry.translated(f"walls.{wall}.motion")
+    mesh.entry.approximated("the facets turn with the surface; in the script they are at rest")
+    point = quantities(origin, "length")
+    rate_text = quantity(rate, "angular_velocity")
+    return [{"kind": "rotation", "point": point, "axis": [*axis], "angular_velocity": rate_text}]
+
+
+def _servo(deck: Deck, given: Mesh, mesh: Fix, wall: str) -> list[dict[str, Any]]:
+    """The motion servo of a mesh with the module servo."""
+    servo = given.servo
+    if servo.get("ctrlPV") != "force":
+        mesh.entry.impossible("a servo with a prescribed torque", "motion: {kind: rotation}, or a force")
+        return []
+    missing = [key for key in ("axis", "target_val", "vel_max") if key not in servo]
+    if missing:
+        raise DeckError(mesh.entry.command, f"a servo needs {' and '.join(missing)}.")
+    target = deck.si(servo["target_val"], "force")
+    if target == 0.0:
+        mesh.entry.impossible("a servo with the force 0", "motion: {kind: free} with a small mass")
+        return []
+    sign = 1.0 if target > 0.0 else -1.0
+    keys = {
+        "kind": "servo",
+        "direction": [sign * each for each in servo["axis"]],
+        "force": quantity(abs(target), "force"),
+        "velocity_max": quantity(servo["vel_max"], "velocity"),
+    }
+    mesh.entry.translated(f"walls.{wall}.motion")
+    mesh.entry.approximated(
+        "the gain of the servo follows from the stiffness of the contacts, not from kp, ki and kd: the "
+        "target force is equal, the way to it differs"
+    )
+    return [keys]
+
+
+def measure(draft: Draft, mesh: Fix, wall: str) -> None:
+    """Measure the forces on a wall, for the module stress."""
+    if mesh.data.measured:
+        names = draft.get("output", "wall_forces") or []
+        draft.put(("output", "wall_forces"), [*names, wall])
+        mesh.entry.translated(f"output.wall_forces ({wall})")
+
+
+# Mass that passes a mesh
+
+
+@dataclass
+class Massflow:
+    """One fix massflow/mesh: the mesh, the direction of positive flow, whether particles are deleted."""
+
+    mesh: Fix
+    outside: Vector
+    deletes: bool
+
+
+def massflow(deck: Deck, fix: Fix) -> None:
+    """fix ID group massflow/mesh mesh NAME vec_side X Y Z [count once|multiple] [delete_atoms yes|no] ..."""
+    words = Words(deck, fix.entry.command, fix.words)
+    words.word("the keyword mesh")
+    name = words.word("the name of a mesh")
+    mesh = deck.fixes.get(name)
+    if mesh is None or not isinstance(mesh.data, Mesh):
+        raise DeckError(words.command, f"there is no fix mesh/surface {name}.")
+    outside: Vector | None = None
+    point: Vector | None = None
+    deletes, once, inside_out = False, False, False
+    while words:
+        key = words.word("a keyword")
+        if key == "vec_side":
+            outside = words.vector("the direction of the flow")
+        elif key == "point_at_outlet":
+            point = words.vector("the point at the outlet", "length")
+        elif key == "count":
+            once = words.word("once or multiple") == "once"
+        elif key == "delete_atoms":
+            deletes = words.flag("delete_atoms")
+        elif key == "inside_out":
+            inside_out = True
+        elif key in ("file", "append", "screen"):
+            words.word(f"a value of {key}")
+        elif key.startswith("sieve"):
+            fix.entry.impossible("a sieve with a probability of passage", "a mesh with holes")
+            words.skip()
+        elif key != "writeTime":
+            fix.entry.impossible(f"the keyword {key} of massflow/mesh")
+            words.skip()
+    if outside is None and point is not None:
+        center = mesh.data.triangles().reshape(-1, 3).mean(axis=0)
+        x, y, z = (float(each) for each in (np.array(point) - center) * (-1.0 if inside_out else 1.0))
+        outside = (x, y, z)
+    if outside is None or not any(outside):
+        raise DeckError(words.command, "the direction of the flow is missing: vec_side X Y Z.")
+    if not deletes:
+        fix.entry.approximated(
+            "passages backward count negative"
+            + ("; in the script each particle counts once" if once else "; in the script they do not count")
+        )
+    fix.data = Massflow(mesh, outside, deletes)
+
+
+def build(deck: Deck, draft: Draft) -> None:
+    """Write flow meters and outlets."""
+    for fix in deck.fixes_of("massflow/mesh", "massflow/mesh/sieve"):
+        if isinstance(fix.data, Massflow) and deck.acting(fix):
+            _flow(deck, draft, fix, fix.data)
+    for fix in deck.all_fixes:
+        if isinstance(fix.data, Mesh) and not fix.entry.remarks:
+            fix.entry.not_needed("no wall, insertion or flow uses the mesh")
+
+
+def _flow(deck: Deck, draft: Draft, fix: Fix, given: Massflow) -> None:
+    """The flow meter of a flat mesh, and the outlet behind it if particles are deleted."""
+    face = flat_face(given.mesh.data, np.array(given.outside))
+    if face is None:
+        fix.entry.impossible(
+            "the flow through a mesh that is not flat", "a flat mesh, or output.metrics of kind content"
+        )
+        return
+    name = "".join(each if each.isalnum() or each == "_" else "_" for each in fix.name)
+    name = name if name[:1].isalpha() else f"flow_{name}"
+    if face.difference:
+        fix.entry.approximated(
+            f"the face of the mesh is replaced by a disc of the same area: {face.difference}"
+        )
+    draft.put(("output", "flow_meters", name), face.meter(), fix.entry, given.mesh.entry)
+    if stages_of(deck, fix) is not None:
+        fix.entry.approximated("the flow meter counts all the time")
+    if given.deletes:
+        outlet, difference = face.outlet()
+        draft.put(("outlets", name), outlet, fix.entry)
+        fix.entry.approximated(difference)
+
+
+@dataclass
+class FlatFace:
+    """A flat mesh: a rectangle with a corner and two sides, or a disc with a center and a radius."""
+
+    point: np.ndarray
+    normal: np.ndarray
+    sides: np.ndarray | None
+    radius: float
+    size: float
+    difference: str = ""
+
+    def meter(self) -> dict[str, Any]:
+        """The keys of a flow meter."""
+        keys: dict[str, Any] = {
+            "point": quantities(clean(self.point), "length"),
+            "normal": clean(self.normal),
+        }
+        if self.sides is None:
+            return {**keys, "radius": quantity(self.radius, "length")}
+        return {**keys, "sides": [quantities(clean(each), "length") for each in self.sides]}
+
+    def inlet(self) -> tuple[dict[str, Any], float]:
+        """The keys of the face of an inlet, and its area [m2]."""
+        if self.sides is not None:
+            corner = quantities(clean(self.point), "length")
+            sides = [quantities(clean(each), "length") for each in self.sides]
+            area = float(np.linalg.norm(np.cross(*self.sides)))
+            return {"rectangle": {"corner": corner, "sides": sides}}, area
+        disc = {"center": quantities(clean(self.point), "length"), "normal": clean(self.normal)}
+        return {"disc": {**disc, "radius": quantity(self.radius, "length")}}, pi * self.radius**2
+
+    def outlet(self) -> tuple[dict[str, Any], str]:
+        """The keys of an outlet behind the face, and how it differs."""
+        axis = int(np.argmax(np.abs(self.normal)))
+        level = abs(self.normal[axis]) > 1.0 - 1e-9
+        sides = self.sides
+        if (
+            sides is not None
+            and level
+            and all(np.count_nonzero(np.abs(s) > 1e-9 * self.size) == 1 for s in sides)
+        ):
+            corners = np.array([self.point, self.point + sides[0] + sides[1]])
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            depth = self.size
+            if self.normal[axis] > 0.0:
+                high[axis] += depth
+            else:
+                low[axis] -= depth
+            box = {"min": quantities(clean(low), "length"), "max": quantities(clean(high), "length")}
+            return {"box": box}, f"particles are deleted in a box of {depth:.3g} m behind the mesh"
+        center = self.point if sides is None else self.point + 0.5 * (sides[0] + sides[1])
+        radius = self.radius if sides is None else 0.5 * float(np.linalg.norm(sides[0] + sides[1]))
+        disc = {"center": quantities(clean(center), "length"), "normal": clean(self.normal)}
+        text = (
+            "particles are deleted everywhere behind the disc around the mesh, in the direction of the flow"
+        )
+        return {"disc": {**disc, "radius": quantity(radius, "length")}}, text
+
+
+def flat_face(mesh: Mesh, outside: np.ndarray) -> FlatFace | None:
+    """The face of a flat mesh with the normal toward `outside`; None if it is not flat.
+
+    A rectangle or a disc if the mesh is one, otherwise a disc of the same area.
+    """
+    triangles = mesh.triangles()
+    edges = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    areas = 0.5 * np.linalg.norm(edges, axis=1)
+    normal = edges[np.argmax(areas)] / np.linalg.norm(edges[np.argmax(areas)])
+    normal = normal if normal @ outside >= 0.0 else -normal
+    points = np.unique(np.round(triangles.reshape(-1, 3), 12), axis=0)
+    center = points.mean(axis=0)
+    distance = np.linalg.norm(points - center, axis=1)
+    size = float(distance.max())
+    if np.abs((points - center) @ normal).max() > FLAT * size:
+        return None
+    if len(points) == 4 and np.ptp(distance) < FLAT * size:
+        order = np.argsort(np.linalg.norm(points - points[0], axis=1))
+        first, second = points[order[1]] - points[0], points[order[2]] - points[0]
+        if np.cross(first, second) @ normal < 0.0:
+            first, second = second, first
+        return FlatFace(points[0], normal, np.array([first, second]), 0.0, size)
+    area = float(areas.sum())
+    radius = sqrt(area / pi)
+    weight = areas[:, None] / area
+    center = (triangles.mean(axis=1) * weight).sum(axis=0)
+    difference = ""
+    if abs(size / radius - 1.0) > 0.05:
+        difference = f"radius {radius:.3g} m, farthest corner of the mesh {size:.3g} m"
+    return FlatFace(center, normal, None, radius, size, difference)
+
+
+def clean(values: Any) -> list[float]:
+    """Numbers without rounding errors of transformations."""
+    return [float(round(each, 10)) + 0.0 for each in values]
+
+
+# Tables
+
+_MESH = Translation(
+    mesh_surface,
+    "walls.NAME (shape: mesh)",
+    "scale, move, rotate, surface_vel; surface_ang_vel of surfaces of revolution",
+)
+_STRESS = Translation(mesh_surface, "walls.NAME (shape: mesh), output.wall_forces", "wear is not possible")
+
+COMMANDS: dict[str, Translation] = {}
+FIXES: dict[str, Translation] = {
+    "mesh/surface": _MESH,
+    "mesh/surface/planar": _MESH,
+    "mesh/surface/stress": _STRESS,
+    "mesh/surface/stress/servo": Translation(
+        mesh_surface, "walls.NAME.motion (kind: servo)", "force; gain and velocity of approach differ"
+    ),
+    "mesh/surface/stress/contact": _STRESS,
+    "mesh/surface/stress/6dof": Translation(mesh_surface, "not possible", "nearest: motion (kind: free)"),
+    "mesh/surface/stress/deform": Translation(mesh_surface, "not possible", "a rigid mesh"),
+    "mesh/surface/heattransfer": Translation(mesh_surface, "not possible", "a mesh without heat"),
+    "massflow/mesh": Translation(
+        massflow,
+        "output.flow_meters, outlets (delete_atoms)",
+        "flat meshes; passages backward count negative",
+    ),
+    "massflow/mesh/sieve": Translation(massflow, "not possible", "a mesh with holes"),
+}
