@@ -201,7 +201,7 @@ def contains(deck: Deck, region: Region, points: np.ndarray, regions: dict[str, 
         across = np.linalg.norm(points[:, others] - np.array(n[:2]), axis=1)
         start, end = n[-2:]
         if region.kind == "cylinder":
-            radius = np.full(len(points), n[2])
+            radius: np.ndarray = np.full(len(points), n[2])
         else:
             radius = n[2] + (n[3] - n[2]) * (along - start) / (end - start)
         inside = (across <= radius) & ~(along < start) & ~(along > end)
