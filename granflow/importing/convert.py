@@ -106,6 +106,17 @@ def fix(deck: Deck, command: Command, entry: Entry, fixes: Mapping[str, Translat
     translation.handler(deck, made)
 
 
+def _tell_box(deck: Deck) -> None:
+    """Let formulas know the box, in the units of the script."""
+    if deck.box is None:
+        return
+    low_high = [each / deck.si(1.0, "length") for each in deck.box]
+    facts = deck.interpreter.facts
+    for k, axis in enumerate("xyz"):
+        facts[f"{axis}lo"], facts[f"{axis}hi"] = low_high[2 * k : 2 * k + 2]
+        facts[f"l{axis}"] = facts[f"{axis}hi"] - facts[f"{axis}lo"]
+
+
 def code_of(path: Path, commands: Iterable[Command]) -> str:
     """The code that a script is for: LIGGGHTS has properties, templates and models of its own."""
     for each in commands:
@@ -161,6 +172,7 @@ def convert(
             commands[command.name].handler(deck, command, entry)
         else:
             entry.impossible(f"the command {command.name} is not known")
+        _tell_box(deck)
         if command.name == "clear":
             break
     for command, reason, nearest in interpreter.problems:

@@ -15,6 +15,9 @@ from granflow.importing.scene_text import Draft, quantities, quantity
 LARGEST_FRAMES = 2000
 """Number of frames above which an interval of output is enlarged."""
 
+DEFAULT_STEPS = {"si": 1e-8, "cgs": 1e-8, "micro": 2.0, "nano": 0.00045, "lj": 0.005}
+"""Time step of a script without timestep, in its units."""
+
 # Time
 
 
@@ -45,10 +48,9 @@ def run(deck: Deck, command: Command, entry: Entry) -> None:
         else:
             raise DeckError(command, f"run has no keyword {keyword}; it has upto, start, stop, pre and post.")
     if deck.time_step is None:
-        if deck.code == "lammps" and deck.units == "lj":
-            deck.time_step = 0.005
-        else:
-            raise DeckError(command, "no time step is given; write timestep DT before run.")
+        default = DEFAULT_STEPS[deck.units]
+        deck.time_step = deck.si(default, "time")
+        deck.interpreter.facts["dt"] = default
     end = deck.time + steps * deck.time_step
     active = tuple(deck.fixes)
     deck.runs.append(Run(deck.time, end, deck.time_step, steps, deck.step, entry, active))
@@ -57,7 +59,7 @@ def run(deck: Deck, command: Command, entry: Entry) -> None:
     deck.time = end
     deck.step += steps
     facts = deck.interpreter.facts
-    facts.update(step=deck.step, elapsed=0.0, time=facts["time"] + steps * facts.get("dt", 0.005))
+    facts.update(step=deck.step, elapsed=0.0, time=facts["time"] + steps * facts["dt"])
 
 
 def reset_timestep(deck: Deck, command: Command, entry: Entry) -> None:
