@@ -462,6 +462,34 @@ def collision(power: float, damping: float, exponent: float, has_limit: bool) ->
     return 0.0
 
 
+@cache
+def plastic_collision(
+    speed: float, ratio: float, tension: float, zeta: float = 0.0, stiffens: bool = True
+) -> float:
+    """Restitution of Luding's law by small steps, with a dashpot as in hooke/hysteresis of LIGGGHTS.
+
+    Units: limit overlap 1, k1 = 1, mass 1. `speed`: of the impact; `ratio`: kp / k1 at the limit overlap;
+    `tension`: kc / k1; `zeta`: damping ratio of the dashpot on k1; `stiffens`: whether loading beyond the
+    limit follows kp (granflow) or k1 (LIGGGHTS).
+    """
+    x, v, largest, h = 0.0, speed, 0.0, 1e-3
+    for _ in range(100_000):
+        largest = max(largest, x)
+        k2 = 1.0 + (ratio - 1.0) * min(largest, 1.0)
+        if stiffens and largest >= 1.0:  # loading and unloading on one line beyond the limit
+            spring = ratio * (x - (1.0 - 1.0 / ratio))
+        else:
+            spring = min(x, largest - k2 * (largest - x))
+        if spring < -tension * x:
+            spring = -tension * x
+            largest = min(largest, x * (k2 + tension) / (k2 - 1.0)) if k2 > 1.0 else largest
+        v -= h * (spring + 2.0 * zeta * v)
+        x += h * v
+        if x <= 0.0 or (v < 0.0 and spring <= 0.0 and tension == 0.0 and zeta == 0.0):
+            return max(0.0, -v / speed)
+    return 0.0
+
+
 def tsuji(e: float) -> float:
     """The polynomial of LAMMPS (damping tsuji): dashpot over sqrt(k M)."""
     terms = (1.2728, -4.2783, 11.087, -22.348, 27.467, -18.022, 4.8218)
@@ -774,8 +802,8 @@ class Contacts:
         tension = self._number("coefficientAdhesionStiffness", main, i, i)
         e = self._number("coefficientRestitution", main, i, i)
         main.entry.approximated(
-            f"granflow has no dashpot in addition to the plastic spring, which in the script has the "
-            f"restitution {e:g}"
+            f"luding has no dashpot, which in the script has the restitution {e:g} in addition: the restitution of "
+            f"the pairs gives the same collisions at {self.speed:.3g} m/s"
         )
         return {
             "law": "luding",
@@ -968,8 +996,8 @@ class Contacts:
         b = (second.radius if second else a) if b is None else b
         radius, mass = effective(first, second, a, b)
         limited = bool(model.options.get("limitForce"))
-        if model.normal == "hooke/hysteresis":
-            return 1.0 / sqrt(self._number("coefficientMaxElasticStiffness", model, first.type, type))
+        if self.main.normal == "hooke/hysteresis":
+            return self._plastic(model, first.type, type, radius, mass)
         if model.normal in ("hertz", "hooke") and "E" not in model.numbers:
             e = self._number("coefficientRestitution", model, first.type, type)
             zeta = -log(max(e, 1e-6)) / sqrt(pi**2 + log(max(e, 1e-6)) ** 2)
@@ -981,6 +1009,36 @@ class Contacts:
         ):
             return self._integrated(model, first.type, type, radius, mass, limited)
         return free_restitution(self._zeta(model, radius, mass), limited)
+
+    def _plastic(self, model: Model, i: int, j: int, radius: float, mass: float) -> float:
+        """Restitution of luding at its limit that gives the collision of the code at the reference velocity.
+
+        The impact of the code has a plastic spring and a dashpot (hooke/hysteresis) or its own restitution.
+        """
+        main = self.main
+        modulus = [each[0] / (1.0 - each[1] ** 2) for each in (self._moduli(i), self._moduli(j))]
+        plane = 1.0 / (1.0 / modulus[0] + 1.0 / modulus[1])
+        reference = self._number("characteristicVelocity", main, 1)
+        root = 16.0 / 15.0 * sqrt(radius) * plane
+        spring = root * (mass * reference**2 / root) ** 0.2
+        tension = self._number("coefficientAdhesionStiffness", main, i, i)
+        depth = 2.0 * self._number("coefficientPlasticityDepth", main, i, i) * radius
+        e = self._number("coefficientRestitution", model, i, j)
+
+        def impact(ratio: float, zeta: float = 0.0, stiffens: bool = True) -> float:
+            limit = depth * ratio / (ratio - 1.0)
+            speed = self.speed / (limit * sqrt(spring / mass))
+            return plastic_collision(float(f"{speed:.6g}"), ratio, tension, zeta, stiffens)
+
+        wanted = e
+        if model.normal == "hooke/hysteresis":
+            zeta = -log(max(e, 1e-6)) / sqrt(pi**2 + log(max(e, 1e-6)) ** 2)
+            wanted = impact(self._number("coefficientMaxElasticStiffness", model, i, j), zeta, False)
+        low, high = 1.0001, 400.0  # kp / k1: the restitution decreases with it
+        for _ in range(24):
+            middle = sqrt(low * high)
+            low, high = (middle, high) if impact(middle) > wanted else (low, middle)
+        return 1.0 / sqrt(low)
 
     def _zeta(self, model: Model, radius: float, mass: float) -> float:
         """Damping ratio of a linear spring, or of a Hertz spring with Tsuji's dashpot."""
@@ -1053,7 +1111,7 @@ MODELS: tuple[tuple[str, str, str], ...] = (
         "one KN for all pairs",
     ),
     ("model hertz/stiffness, gran/hertz/history", "normal: kuwabara_kono", "moduli from Kn and Kt"),
-    ("model hooke/hysteresis", "normal: luding", "without the dashpot"),
+    ("model hooke/hysteresis", "normal: luding", "the restitution accounts for the dashpot"),
     ("granular: hooke", "normal: linear", ""),
     ("granular: hertz, hertz/material", "normal: hertz", "restitution of its damping model"),
     ("granular: dmt, jkr", "cohesion: dmt, jkr", "work of adhesion 2 gamma"),

@@ -13,7 +13,7 @@ from granflow.cli.main import main
 from granflow.contact.theory import damping_ratio_for
 from granflow.importing.convert import all_commands, all_fixes, convert
 from granflow.importing.language import DeckError
-from granflow.importing.materials import collision, free_restitution, tsuji
+from granflow.importing.materials import collision, free_restitution, plastic_collision, tsuji
 
 LIGGGHTS = """
 atom_style granular
@@ -37,6 +37,12 @@ fix d all particledistribution/discrete 1 2 p1 0.25 p2 0.75
 {insertion}
 fix i all nve/sphere
 {end}
+"""
+HYSTERESIS = """
+fix m5 all property/global characteristicVelocity scalar 2
+fix m6 all property/global coefficientMaxElasticStiffness peratomtypepair 2 4 4 4 4
+fix m7 all property/global coefficientAdhesionStiffness peratomtypepair 2 .2 .2 .2 .2
+fix m8 all property/global coefficientPlasticityDepth peratomtypepair 2 .1 .1 .1 .1
 """
 PACK = "fix ins all insert/pack seed 1 distributiontemplate d all_in yes region box particles_in_region 50"
 HERTZ = "model hertz tangential history"
@@ -128,12 +134,9 @@ def remarks(found, part):
           "model": f"{HERTZ} rolling_friction cdt"}, "pairs.type1-type2.rolling_friction", 2),
         ({"properties": "fix m5 all property/global cohesionEnergyDensity peratomtypepair 2 1e5 1e5 1e5 2e5",
           "model": f"{HERTZ} cohesion sjkr2"}, "pairs.type2-type2.cohesion_energy_density", "400 kJ/m3"),
-        # The plastic spring returns e = sqrt(k1 / kp).
-        ({"properties": "fix m5 all property/global characteristicVelocity scalar 2\n"
-                        "fix m6 all property/global coefficientMaxElasticStiffness peratomtypepair 2 4 4 4 4\n"
-                        "fix m7 all property/global coefficientAdhesionStiffness peratomtypepair 2 .2 .2 .2 .2\n"
-                        "fix m8 all property/global coefficientPlasticityDepth peratomtypepair 2 .1 .1 .1 .1",
-          "model": "model hooke/hysteresis tangential history"}, "pairs.type1-type1.restitution", 0.5),
+        ({"properties": HYSTERESIS, "model": "model hooke/hysteresis tangential history"},
+         "contact.normal", {"law": "luding", "stiffness": {"reference_velocity": "2 m/s"},
+                            "plasticity_depth": 0.1, "tension": 0.2}),
     ],
 )  # fmt: skip
 def test_liggghts(tmp_path, parts, path, expected):
@@ -224,6 +227,19 @@ def test_integrated_collision():
     """A linear spring with 2 zeta: the closed form, with and without attraction."""
     for limited in (True, False):
         assert collision(1.0, 0.4, 0.0, limited) == pytest.approx(free_restitution(0.2, limited), abs=1e-3)
+
+
+@pytest.mark.parametrize("speed", [0.2, 0.5, 0.9])
+def test_plastic_collision(speed):
+    """Below the limit: loading with k1 = 1 to the overlap u, unloading with k2 = 1 + (r - 1) u: e = 1/sqrt(k2)."""
+    assert plastic_collision(speed, 3.0, 0.0) == pytest.approx(1 / sqrt(1 + 2 * speed), abs=2e-3)
+
+
+def test_dashpot_of_hysteresis_lowers_the_restitution(tmp_path):
+    """The plastic spring alone has e = sqrt(k1 / kp) = 0.5 at its limit."""
+    parts = {"properties": HYSTERESIS, "model": "model hooke/hysteresis tangential history"}
+    _, scene = imported(tmp_path, liggghts(**parts))
+    assert scene["pairs"]["type1-type1"]["restitution"] < 0.5
 
 
 # Reports and errors
