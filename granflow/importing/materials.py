@@ -802,8 +802,8 @@ class Contacts:
         tension = self._number("coefficientAdhesionStiffness", main, i, i)
         e = self._number("coefficientRestitution", main, i, i)
         main.entry.approximated(
-            f"luding has no dashpot, which in the script has the restitution {e:g} in addition: the restitution of "
-            f"the pairs gives the same collisions at {self.speed:.3g} m/s"
+            f"luding has no dashpot, which in the script has the restitution {e:g} in addition: the "
+            f"restitution of the pairs gives the same collisions at {self.speed:.3g} m/s"
         )
         return {
             "law": "luding",
