@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.metrics import ContentMetric as ContentMetric
     from granflow.scene.blocks.metrics import CoordinationMetric as CoordinationMetric
     from granflow.scene.blocks.metrics import FabricMetric as FabricMetric
+    from granflow.scene.blocks.metrics import GranularTemperatureMetric as GranularTemperatureMetric
     from granflow.scene.blocks.metrics import LaceyMetric as LaceyMetric
     from granflow.scene.blocks.metrics import ReposeMetric as ReposeMetric
     from granflow.scene.blocks.metrics import SegregationMetric as SegregationMetric
@@ -140,6 +141,7 @@ _LOCATIONS = {
     "FreeWall": "granflow.scene.blocks.motions.FreeWall",
     "FunctionError": "granflow.errors.FunctionError",
     "GranflowError": "granflow.errors.GranflowError",
+    "GranularTemperatureMetric": "granflow.scene.blocks.metrics.GranularTemperatureMetric",
     "Group": "granflow.scene.blocks.particles.Group",
     "HalfSpaceOutlet": "granflow.scene.blocks.outlets.HalfSpaceOutlet",
     "InletInsertion": "granflow.scene.blocks.insertions.InletInsertion",

@@ -653,6 +653,12 @@ ENERGY_BUDGET_QUANTITIES = by_name(
 """Totals that require `output.energy_budget`."""
 TOTAL_QUANTITIES = {**_STATE_QUANTITIES, **ENERGY_BUDGET_QUANTITIES}
 """Numbers of Snapshot.totals and columns of the time series."""
+STAGE_QUANTITIES = by_name(
+    replace(each, name=f"{name}_{end}", symbol="", meaning=f"{kind} of the rows of a stage: {each.meaning}")
+    for name, each in TOTAL_QUANTITIES.items()
+    for end, kind in (("mean", "mean"), ("largest", "largest value"))
+)
+"""Numbers of the totals over the rows of each stage; the part is the stage, without it the last one."""
 FLOW_METER_QUANTITIES = by_name(
     (
         Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),

@@ -37,6 +37,7 @@ from granflow.errors import GranflowError
 if TYPE_CHECKING:
     from granflow.studies.calibration.results import CalibrationResult
     from granflow.studies.run_pool import Progress, Workers
+    from granflow.studies.sweep import SweepFile
 
 
 def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
@@ -480,6 +481,10 @@ def sweep(options: argparse.Namespace) -> int:
 
     study = read_sweep(options.file)
     out = options.out or Path("out") / study.name
+    if options.dry_run:
+        return show_points(study, out, options)
+    if options.part is not None:
+        return run_one_part(study, out, options)
     with deferred_to_event() as (stop, signals):
         try:
             table = run_sweep(study, out, workers_of(options), options.arch, stop, say_run, say_progress)
@@ -506,6 +511,75 @@ def sweep(options: argparse.Namespace) -> int:
         )
     say(f"Written to {out / 'sweep.csv'}; open {out / 'sweep.html'} in a browser.")
     return 0 if table.is_complete else 1
+
+
+def run_one_part(study: "SweepFile", out: Path, options: argparse.Namespace) -> int:
+    """Carry out one part of the runs of a sweep, which writes no tables; exit codes as of `sweep`."""
+    from granflow.studies.run_process import DONE
+    from granflow.studies.sweep import Part, SweepStopped, run_part
+
+    part = Part(*options.part)
+    with deferred_to_event() as (stop, signals):
+        try:
+            outcomes = run_part(
+                study, out, workers_of(options), part, options.arch, stop, say_run, say_progress
+            )
+        except SweepStopped as error:
+            return print_error(str(error), exit_code_of(signals[0]))
+    if signals:
+        return print_error("stopped; repeating the command continues this part.", exit_code_of(signals[0]))
+    for each in outcomes.values():
+        if each.reason:
+            say(each.reason)
+    done = sum(each.status == DONE for each in outcomes.values())
+    say(
+        f"Part {part.number} of {part.count}: {done} of {len(outcomes)} runs are done. When all parts have "
+        f"ended, granflow sweep {options.file} --out {out} writes the tables and the page."
+    )
+    return 0 if done == len(outcomes) else 1
+
+
+def show_points(study: "SweepFile", out: Path, options: argparse.Namespace) -> int:
+    """Print the points of a sweep with the state and the estimated time of their runs, without a run."""
+    from granflow.plan.explain import duration
+    from granflow.studies.checked_run import CheckedRun, RunSettings
+    from granflow.studies.run_process import final_outcome
+    from granflow.studies.sweep import STOP_FILE, Part, checked_points
+    from granflow.studies.sweep_table import run_texts, shown, table_of
+
+    common = RunSettings(out / "runs", options.threads, options.arch, out / STOP_FILE)
+    points = checked_points(study, common, announce=say_progress)
+    table = table_of(tuple(study.content.vary), study.content.read, points, {})
+    texts = run_texts(shown(study.content, table))
+    part = Part(*(options.part or (1, 1)))
+    runs = part.of([run for _, each in points for run in each if isinstance(run, CheckedRun)])
+    ended = {run.request.directory: final_outcome(run.directory) for run in runs}
+    rows = []
+    for run in runs:
+        known = ended[run.request.directory]
+        state = "to do" if known is None else known.status
+        rows.append((texts[run.request.directory], state, duration(run.seconds)))
+    show_table(f"{len(rows)} runs", ("run", "status", "estimated time"), rows)
+    refused = [run for _, each in points for run in each if isinstance(run, str)]
+    for reason in dict.fromkeys(refused):
+        say(f"refused: {reason}")
+    left = [run.seconds for run in runs if ended[run.request.directory] is None]
+    say(
+        f"{len(left)} runs are to do, {len(runs) - len(left)} have ended, {len(refused)} are refused. "
+        f"Estimated computing time of those to do: {duration(sum(left))}, without compilation and output, "
+        "with one thread of a usual processor; divide it by the number of simultaneous runs."
+    )
+    return 1 if refused else 0
+
+
+def part_of_runs(text: str) -> tuple[int, int]:
+    """The numbers I and N of --part I/N. Raises ArgumentTypeError unless 1 <= I <= N."""
+    number, slash, total = text.partition("/")
+    if slash and number.isdecimal() and total.isdecimal() and 1 <= int(number) <= int(total):
+        return int(number), int(total)
+    raise argparse.ArgumentTypeError(
+        f"{text} is not a part; give the number of the part and the number of parts, such as 2/10"
+    )
 
 
 def say_run(progress: "Progress", event: str) -> None:
@@ -540,6 +614,14 @@ def add_sweep(verbs: Any) -> None:
     add("--threads", metavar="T", type=thread_count, default=1, help="CPU threads of each run (default: 1)")
     add("--arch", choices=ARCHITECTURES, default="cpu", help="compute device or backend (default: cpu)")
     add_kernels(parser)
+    add(
+        "--part",
+        metavar="I/N",
+        type=part_of_runs,
+        help="carry out part I of N of the runs, such as 2/10, for an array of jobs; the command without "
+        "--part writes the tables when all parts have ended",
+    )
+    add("--dry-run", action="store_true", help="print the runs with their estimated times, and run none")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://10.0.0.1:8786")
     where.add_argument(

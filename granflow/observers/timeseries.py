@@ -55,6 +55,51 @@ class Row:
     numbers: Mapping[str, float]
 
 
+class StageRows:
+    """Mean and largest value of each total over the rows of each stage."""
+
+    def __init__(self) -> None:
+        self._stages: dict[str, dict[str, tuple[int, float, float]]] = {}
+        self._before: dict[str, tuple[int, float, float]] = {}
+
+    def update(self, snapshot: Snapshot, replaces_last: bool) -> None:
+        """Add the totals of a row. `replaces_last`: the row before, of the same stage, does not count."""
+        if replaces_last:
+            self._stages[snapshot.stage] = self._before
+        rows = self._stages.get(snapshot.stage, {})
+        self._before = rows
+        added = {}
+        for name, number in snapshot.totals.items():
+            if name in TOTAL_QUANTITIES and np.isfinite(number):
+                count, total, largest = rows.get(name, (0, 0.0, -np.inf))
+                added[name] = (count + 1, total + float(number), max(largest, float(number)))
+        self._stages[snapshot.stage] = rows | added
+
+    def result(self) -> dict[str, dict[str, float]]:
+        """Return the numbers of STAGE_QUANTITIES by stage, in the order of the stages."""
+        return {
+            stage: {
+                f"{name}_{end}": number
+                for name, (count, total, largest) in rows.items()
+                for end, number in (("mean", total / count), ("largest", largest))
+            }
+            for stage, rows in self._stages.items()
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return counts, sums and largest values, also without the last row."""
+        return {"stages": self._stages, "before": self._before}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`."""
+
+        def rows(given: dict[str, Any]) -> dict[str, tuple[int, float, float]]:
+            return {name: (int(count), total, largest) for name, (count, total, largest) in given.items()}
+
+        self._stages = {stage: rows(each) for stage, each in saved["stages"].items()}
+        self._before = rows(saved["before"])
+
+
 class TimeSeries(ScheduledObserver):
     """Writes the totals of the snapshots and the readings of flow meters, wall forces and metrics; flushes
     each row.
@@ -84,6 +129,7 @@ class TimeSeries(ScheduledObserver):
         residence: ResidenceTimes | None = None,
     ) -> None:
         super().__init__(interval, start)
+        self._stage_rows = StageRows()
         self._passages = dict(passages or {})
         self._residence = residence
         given: tuple[Mapping[str, Meter] | None, ...] = (flow_meters, wall_forces, metrics)
@@ -112,6 +158,7 @@ class TimeSeries(ScheduledObserver):
         for meters in self.meters.values():
             for meter in meters.values():
                 meter.update(snapshot, replaces_last)
+        self._stage_rows.update(snapshot, replaces_last)
         self._record_passages(snapshot)
         time_before = snapshot.time if self._time_before is None else self._time_before
         self._last = snapshot.time, time_before, snapshot.totals
@@ -166,12 +213,13 @@ class TimeSeries(ScheduledObserver):
             rows.close()
 
     def results_by_kind(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Return the final numbers of flow meters, measured walls, metrics and residence times: kind -> name
-        -> quantity -> value.
+        """Return the final numbers of flow meters, measured walls, metrics, stages and residence times: kind
+        -> name -> quantity -> value.
 
         The parts of a flow meter follow it, as `outlet.glass`.
         """
         results = {kind: {name: meter.result() for name, meter in self._named(kind)} for kind in self.meters}
+        results["stages"] = self._stage_rows.result()
         if self._residence is not None:
             results["residence_time"] = {self._residence.to: self._residence.result()}
         return results
@@ -223,6 +271,7 @@ class TimeSeries(ScheduledObserver):
             "columns": self._names,
             "time_before": self._time_before,
             "stage": self._stage,
+            "stage_rows": self._stage_rows.state_dict(),
             "files": {name: rows.state_dict() for name, rows in self._files.items()},
             "residence": self._residence.state_dict() if self._residence is not None else {},
             **meters,
@@ -235,6 +284,7 @@ class TimeSeries(ScheduledObserver):
         self._names = saved["columns"]
         self._time_before = saved["time_before"]
         self._stage = saved["stage"]
+        self._stage_rows.load_state_dict(saved["stage_rows"])
         for name, rows in self._files.items():
             rows.load_state_dict(saved["files"].get(name, NO_ROWS))
         if self._residence is not None and saved["residence"]:

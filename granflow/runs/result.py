@@ -64,6 +64,7 @@ class Result:
     on MPI ranks), output, compile.
     `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the
     meter. `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric.
+    `stages`: kinetic_energy_mean, kinetic_energy_largest, ... of the rows of a stage, by its name.
     `residence_time`: residence_mean, tanks_in_series, ... by name of the flow meter at the end.
     `insertion`: inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
 
@@ -75,6 +76,7 @@ class Result:
     run: Mapping[str, float]
     timings: Mapping[str, float]
     totals: Mapping[str, float]
+    stages: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     flow_meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     wall_forces: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     residence_time: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -126,12 +128,23 @@ class Result:
         """All numbers by their names in the `expect:` block of a scene.
 
         Totals and `run` without prefix (`kinetic_energy`, `simulated_time`), wall clock as
-        `timings.neighbor_list`; flow meters, walls and inserted groups as `mass_flow.outlet`,
+        `timings.neighbor_list`; means and largest values of totals over a stage as
+        `kinetic_energy_mean.shake`, of
+        the last stage as `kinetic_energy_mean`; flow meters, walls and inserted groups as `mass_flow.outlet`,
         `wall_force.floor`, `inserted_mass.beads`.
         """
         named = {**self.run, **self.totals}
         named.update({f"timings.{part}": seconds for part, seconds in self.timings.items()})
-        parts = (self.flow_meters, self.residence_time, self.wall_forces, self.metrics, self.insertion)
+        for stage_numbers in list(self.stages.values())[-1:]:
+            named.update(stage_numbers)
+        parts = (
+            self.stages,
+            self.flow_meters,
+            self.residence_time,
+            self.wall_forces,
+            self.metrics,
+            self.insertion,
+        )
         for part, readings in (reading for each in parts for reading in each.items()):
             named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
         return named
@@ -143,7 +156,7 @@ class Result:
 def write_result(directory: Path, result: Result) -> Path:
     """Write `result.json` atomically; a number that is not finite becomes null. Return its path.
 
-    Sections: complete (whether the last stage has ended), run, timings [s], totals, flow_meters,
+    Sections: complete (whether the last stage has ended), run, timings [s], totals, stages, flow_meters,
     residence_time, wall_forces, metrics, insertion, expect and warnings, both lists of sentences.
     All numbers are in SI units; whole numbers are written without decimals.
     """
@@ -152,6 +165,7 @@ def write_result(directory: Path, result: Result) -> Path:
         "run": _finite(result.run),
         "timings": _finite(result.timings),
         "totals": _finite(result.totals),
+        "stages": {name: _finite(readings) for name, readings in result.stages.items()},
         "flow_meters": {name: _finite(readings) for name, readings in result.flow_meters.items()},
         "residence_time": {name: _finite(readings) for name, readings in result.residence_time.items()},
         "wall_forces": {name: _finite(readings) for name, readings in result.wall_forces.items()},
@@ -189,6 +203,7 @@ def result_of(sections: Mapping[str, Any]) -> Result:
         run=_numbers(sections.get("run", {})),
         timings=_numbers(sections.get("timings", {})),
         totals=_numbers(sections.get("totals", {})),
+        stages=parts("stages"),
         flow_meters=parts("flow_meters"),
         residence_time=parts("residence_time"),
         wall_forces=parts("wall_forces"),

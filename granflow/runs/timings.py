@@ -109,6 +109,7 @@ def collect_result(
         run=run,
         timings=seconds,
         totals=totals,
+        stages=readings.get("stages", {}),
         flow_meters=readings.get("flow_meters", {}),
         residence_time=readings.get("residence_time", {}),
         wall_forces=readings.get("wall_forces", {}),

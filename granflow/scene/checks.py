@@ -22,6 +22,7 @@ from granflow.fields import (
     OUTLET_QUANTITIES,
     RESIDENCE_QUANTITIES,
     RUN_QUANTITIES,
+    STAGE_QUANTITIES,
     TOTAL_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
@@ -623,14 +624,15 @@ RESULT_ONLY = {
     *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),
 }
 """Quantities of the result that rows of the time series do not have."""
-_WHOLE = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
-"""Quantities of the whole run."""
+_WHOLE = {**TOTAL_QUANTITIES, **STAGE_QUANTITIES, **RUN_QUANTITIES}
+"""Quantities of the whole run, and those of its last stage."""
 
 
 def _parts() -> dict[str, str]:
     """What follows the point after a quantity."""
     return {
         **{name: "the name of a flow meter" for name in FLOW_METER_QUANTITIES},
+        **{name: "the name of a stage" for name in STAGE_QUANTITIES},
         **{name: "the name of an outlet" for name in OUTLET_QUANTITIES},
         **{name: "the name of the flow meter `to`" for name in RESIDENCE_QUANTITIES},
         **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
@@ -650,8 +652,13 @@ def expected_names(parts: PartialScene) -> Iterator[Fault]:
             yield Fault(path, f"{quantity} requires {known[quantity]}; write {quantity}.NAME")
         elif quantity not in _WHOLE and quantity not in known:
             yield Fault(path, f"there is no such quantity. {_similar_quantity(quantity, part)}")
-        elif quantity in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
+        elif _total(quantity) in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
             yield Fault(path, "output.energy_budget is false; set it to true")
+
+
+def _total(quantity: str) -> str:
+    """The total of which a quantity is the mean or the largest value over a stage; otherwise the quantity."""
+    return quantity.rpartition("_")[0] if quantity in STAGE_QUANTITIES else quantity
 
 
 def _similar_quantity(quantity: str, part: str | None) -> str:
@@ -670,15 +677,19 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     meters = parts.scene.output.flow_meters
     meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
     inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
+    stages = [stage.name for stage in scene.stages] or ["run"]
     ends = [] if scene.output.residence_time is None else [scene.output.residence_time.to]
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
         (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
         (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
         (INSERTION_QUANTITIES, inserted, "inserted group"),
         (RESIDENCE_QUANTITIES, ends, "flow meter"),
+        (STAGE_QUANTITIES.keys() - METRIC_QUANTITIES, stages, "stage"),
     )
     for path, quantity, part in _expected(scene):
         for quantities, names, kind in known:
+            if quantity in METRIC_QUANTITIES and part in scene.output.metrics:
+                break
             if quantity in RESIDENCE_QUANTITIES and not ends:
                 yield Fault(path, "output.residence_time is missing; give {from: inlet, to: outlet}")
                 break
@@ -689,8 +700,9 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
 def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
     """Expectations must refer to metrics that provide the quantity, or its time average NAME_mean."""
     known = parts.scene.output.metrics
+    stages = [stage.name for stage in parts.scene.stages] or ["run"]
     for path, quantity, name in _expected(parts.scene):
-        if quantity not in METRIC_QUANTITIES:
+        if quantity not in METRIC_QUANTITIES or (quantity in STAGE_QUANTITIES and name in stages):
             continue
         if name not in known:
             yield unknown(path, name, known, "metric")
@@ -712,7 +724,8 @@ def condition_columns(parts: PartialScene) -> Iterator[Fault]:
                 yield Fault(path, reason)
             elif (
                 quantity in RESULT_ONLY
-                or quantity.endswith("_mean")
+                or (quantity.endswith("_mean") and quantity not in TOTAL_QUANTITIES)
+                or quantity in STAGE_QUANTITIES
                 or quantity in {**INSERTION_QUANTITIES, **RESIDENCE_QUANTITIES}
             ):
                 yield Fault(path, "it is a result of the whole run; give a column of timeseries.csv")

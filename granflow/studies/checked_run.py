@@ -21,11 +21,13 @@ from granflow.fields import (
     OUTLET_QUANTITIES,
     RESIDENCE_QUANTITIES,
     RUN_QUANTITIES,
+    STAGE_QUANTITIES,
     TOTAL_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
 )
 from granflow.load import identity_of
+from granflow.plan.cost import typical_run_time
 from granflow.schema.messages import nearest
 from granflow.studies.run_process import RunInputs, RunRequest, source_digest
 from granflow.units import number_of
@@ -48,10 +50,12 @@ class RunSettings:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """A run that can start; `seed`: that of its scene."""
+    """A run that can start; `seed`: that of its scene; `seconds`: estimate of its computing time [s], without
+    compilation and output."""
 
     request: RunRequest
     seed: int
+    seconds: float
 
     @property
     def directory(self) -> Path:
@@ -85,7 +89,7 @@ def checked_run(
     problems += scene.problems_without_program()
     if problems:
         raise FileError(problems)
-    plan_for(scene)
+    plan = plan_for(scene)
     inputs = RunInputs.of(scene)
     directory = (common.runs / run_identity(scene, common.arch)).resolve()
     request = RunRequest(
@@ -97,7 +101,7 @@ def checked_run(
         str(common.stop_file.resolve()),
         inputs=inputs,
     )
-    return CheckedRun(request, scene.seed)
+    return CheckedRun(request, scene.seed, typical_run_time(plan))
 
 
 HASH_DIGITS = 16
@@ -175,6 +179,8 @@ def result_names(scene: Scene) -> tuple[str, ...]:
     for meter in scene.output.flow_meters:
         parts = [meter, *(f"{meter}.{part}" for part in scene.flow_meter_parts(meter))]
         names += [f"{quantity}.{part}" for quantity in FLOW_METER_QUANTITIES for part in parts]
+    stages = [stage.name for stage in scene.stages] or ["run"]
+    names += [name for each in STAGE_QUANTITIES for name in (each, *(f"{each}.{stage}" for stage in stages))]
     if (given := scene.output.residence_time) is not None:
         names += [f"{quantity}.{given.to}" for quantity in RESIDENCE_QUANTITIES]
     for name, metric in scene.output.metrics.items():

@@ -785,7 +785,7 @@ def timings(record: Run) -> PageTable | None:
     return PageTable(("", "s", "share", ""), rows, f"Total wall-clock time: {total:.4g} s.")
 
 
-SEPARATE = ("run", "timings", "expect", *(each.key for each in READINGS.values()))
+SEPARATE = ("run", "timings", "expect", "residence_time", *(each.key for each in READINGS.values()))
 """Sections of result.json that the page shows separately."""
 
 

@@ -152,6 +152,48 @@ def run_sweep(
         return table
 
 
+@dataclass(frozen=True)
+class Part:
+    """Part `number` of `count` of the runs of a sweep: every `count`-th run, from the `number`-th on."""
+
+    number: int
+    count: int
+
+    def of(self, runs: Sequence[CheckedRun]) -> list[CheckedRun]:
+        """The runs of this part; runs of equal points count once."""
+        distinct = list({run.request.directory: run for run in runs}.values())
+        return distinct[self.number - 1 :: self.count]
+
+
+def run_part(
+    sweep: SweepFile,
+    out: Path,
+    workers: Workers,
+    part: Part,
+    arch: str = "cpu",
+    stop: Event | None = None,
+    report: Report = lambda *_: None,
+    announce: Callable[[str], None] = lambda _: None,
+) -> Mapping[str, Outcome]:
+    """Carry out the runs of one part of a sweep; return the outcome of each by its directory.
+
+    Parts write nothing but their runs, so that they can run at the same time on machines with a common file
+    system, as an array of jobs; `run_sweep` then finds all runs ended, and writes tables and page. Raises as
+    `run_sweep`.
+    """
+    stop = stop or Event()
+    own = out / "parts" / f"{part.number}_of_{part.count}"
+    with naming_write_errors(out, REMEDY), locked(own):
+        common = RunSettings(out / "runs", workers.threads, arch, own / STOP_FILE)
+        common.stop_file.unlink(missing_ok=True)
+        points = checked_points(sweep, common, stop.is_set, announce)
+        runs = part.of([run for _, each in points for run in each if isinstance(run, CheckedRun)])
+        table = table_of(tuple(sweep.content.vary), sweep.content.read, points, {})
+        with executor_for(workers) as (executor, slots):
+            driver = Driver(executor, slots, stop, report, run_texts(shown(sweep.content, table)))
+            return driver.run(runs)
+
+
 class _Updates:
     """Updates the tables during the runs, at most every TABLE_INTERVAL."""
 

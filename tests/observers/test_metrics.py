@@ -16,6 +16,7 @@ from granflow.scene.blocks.metrics import (
     coordination,
     dropped_share,
     fabric_tensor,
+    granular_temperature,
     lacey_index,
     random_intensity,
     segregation_intensity,
@@ -229,6 +230,24 @@ def test_mechanical_coordination_number_excludes_rattlers():
     }  # fmt: skip
 
 
+def test_granular_temperature_is_that_of_the_fluctuations_without_their_mean():
+    """Two cells with the mean velocities 0 and 10 m/s: fluctuations of 1 and 2 m/s along x, 3 m/s along y.
+
+    About the common mean, 2 kg move with -1, 1 and 4 kg with 8, 12 (mean 20/3): m (v - V)^2 over 6 kg (1 - 1/4).
+    """
+    velocity = np.array([[-1.0, 0, 0], [1, 0, 0], [8, 3, 0], [12, -3, 0]])
+    mass = np.array([1.0, 1.0, 2.0, 2.0])
+    found = granular_temperature(velocity, mass, np.array([5, 5, 7, 7]))
+    np.testing.assert_allclose(found, [(2 * 1 + 4 * 4) / 3, 4 * 9 / 3, 0.0], rtol=1e-14)
+    mean = 40.0 / 6.0
+    common = ((1 + mean) ** 2 + (1 - mean) ** 2 + 2 * (8 - mean) ** 2 + 2 * (12 - mean) ** 2) / 4.5
+    np.testing.assert_allclose(granular_temperature(velocity, mass, np.zeros(4, int))[0], common, rtol=1e-14)
+    assert np.isnan(granular_temperature(velocity, mass, np.arange(4))).all()
+    sample = np.random.default_rng(4).normal(0.0, 0.3, (40_000, 3))
+    pairs = granular_temperature(sample, np.ones(len(sample)), np.arange(len(sample)) // 2)
+    np.testing.assert_allclose(pairs, 0.09, rtol=5 * (2 / 20_000) ** 0.5)
+
+
 def test_center_of_mass_is_weighted_by_mass():
     position = np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0]])
     center = {"center_of_mass_x": 2.0, "center_of_mass_y": 0.0, "center_of_mass_z": 1.0}
@@ -264,6 +283,7 @@ def test_scene_metrics_are_reported_by_name():
         center={"kind": "center_of_mass"}, red={"kind": "center_of_mass", "groups": ["red"]},
         segregation={"kind": "segregation", "cell": 0.2, "region": region, "groups": ["red"]},
         sliding={"kind": "sliding"}, tracer={"kind": "probe", "id": 1},
+        heat={"kind": "granular_temperature", "groups": ["red"], "cell": 0.5, "region": region},
     )  # fmt: skip
     kind = np.arange(5000) % 2
     particles = particles_of(
@@ -284,6 +304,9 @@ def test_scene_metrics_are_reported_by_name():
     assert meters["particles"].readings()["coordination_number"] == 3.0
     red = center_of_mass(particles["position"][kind == 0], particles["mass"][kind == 0])
     assert meters["red"].readings() == red != meters["center"].readings()
+    octant = (particles["position"][kind == 0] // 0.5) @ [1, 2, 4]
+    heat = granular_temperature(particles["velocity"][kind == 0], particles["mass"][kind == 0], octant)
+    assert list(meters["heat"].readings().values()) == pytest.approx([heat.mean(), *heat])
     inside = particles["position"][:, 0] <= 0.5
     volume = 4.0 / 3.0 * np.pi * (particles["radius"][inside] ** 3).sum()
     expected = [inside.sum(), particles["mass"][inside].sum(), volume]

@@ -12,6 +12,7 @@ from granflow.io.tables import read_table, table_in, write_table
 from granflow.observers.meters import FlowCounter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
 from granflow.observers.timeseries import TimeSeries
+from granflow.runs.result import Result
 from granflow.scene.blocks.metrics import Reading
 from granflow.scene.blocks.output import FlowMeter
 
@@ -42,6 +43,32 @@ def test_rows_are_exact_and_written_once(tmp_path):
     assert [float(row[0]) for row in rows] == [step / 7 for step in range(20)]
     assert [float(row[2]) for row in rows] == list(energies)
     assert {row[1] for row in rows} == {"a, b"}
+
+
+def test_totals_have_means_and_largest_values_of_each_stage(tmp_path):
+    """Energies of 1, 5 J in one stage and 2, 4 J in another; the last row, of 8 J, replaces that of 4 J."""
+    series = TimeSeries(tmp_path, 0.1)
+    rows = [
+        (0.0, "fill", 1.0),
+        (0.1, "fill", 5.0),
+        (0.2, "shake", 2.0),
+        (0.3, "shake", 4.0),
+        (0.31, "shake", 8.0),
+    ]
+    for time, stage, energy in rows:
+        if time == 0.31:
+            saved = series.state_dict()
+            series = TimeSeries(None, 0.1)
+            series.load_state_dict(saved)
+        series.observe(snapshot_of(time, stage=stage, totals={"kinetic_energy": energy, "own_number": 1.0}))
+    stages = series.results_by_kind()["stages"]
+    assert stages == {
+        "fill": {"kinetic_energy_mean": 3.0, "kinetic_energy_largest": 5.0},
+        "shake": {"kinetic_energy_mean": 5.0, "kinetic_energy_largest": 8.0},
+    }
+    numbers = Result({}, {}, {"kinetic_energy": 8.0}, stages=stages).numbers
+    assert numbers["kinetic_energy_mean"] == numbers["kinetic_energy_mean.shake"] == 5.0
+    assert (numbers["kinetic_energy"], numbers["kinetic_energy_largest.fill"]) == (8.0, 5.0)
 
 
 def test_flow_meters_have_columns(tmp_path):

@@ -327,6 +327,7 @@ def test_table_has_the_standard_errors_of_the_runs(tmp_path, values, errors, exp
     (["sweep", "sweep.yaml", "--jobs", "5000"], "5 000 runs of 1 thread need 5 000 cores"),
     (["sweep", "sweep.yaml", "--threads", "4000"], "1 run of 4 000 threads needs 4 000 cores"),
     (["sweep", "sweep.yaml", "--scheduler-file", "none.json"], "none.json: there is no such file"),
+    (["sweep", "sweep.yaml", "--part", "3/2"], "3/2 is not a part; give the number of the part and the number of"),
     (["sweep", "sweep.yaml", "--slurm", "sweep.yaml"], "cores is missing")
 ])  # fmt: skip
 def test_invalid_requests_have_a_message_and_exit_code_2(tmp_path, monkeypatch, capsys, arguments, words):

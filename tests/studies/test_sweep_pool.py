@@ -15,6 +15,7 @@ from studies.conftest import STAND_IN
 from studies.sweep_files import write_sweep
 
 import granflow as gf
+from granflow.cli.main import main
 from granflow.studies import run_process
 from granflow.studies.run_pool import Workers
 from granflow.studies.sweep import SweepStopped, read_sweep, run_sweep
@@ -82,6 +83,24 @@ def test_sweep_with_aborts_and_refusals_has_twelve_rows_and_repeats_nothing(home
     assert rows(out) == found and len(starts(out)) == 8
 
 
+def test_parts_carry_out_their_runs_and_the_whole_sweep_writes_the_same_table(home, capsys):
+    """8 of 12 points have a run: parts 1 and 2 of 3 have three each, part 3 two."""
+    out = home / "parts"
+    command = ["sweep", "sweep.yaml", "--out", str(out)]
+    assert main([*command, "--dry-run"]) == 1, "refused points"
+    text = capsys.readouterr()
+    assert "8 runs are to do, 0 have ended, 4 are refused." in text.out and not starts(out)
+    for number, runs in ((3, 2), (1, 3), (2, 3)):
+        assert main([*command, "--jobs", "2", "--part", f"{number}/3"]) == 1, "aborts"
+        said = " ".join(capsys.readouterr().out.split())
+        assert f"of {runs} runs are done. When all parts" in said and not (out / "sweep.csv").exists()
+    assert len(starts(out)) == 8
+    main([*command, "--dry-run", "--part", "3/3"])
+    assert "0 runs are to do, 2 have ended" in " ".join(capsys.readouterr().out.split())
+    executed(out)
+    assert len(starts(out)) == 8 and rows(out) == rows(home / "whole")
+
+
 def test_run_whose_scene_was_edited_after_its_check_is_not_kept(home, tmp_path, monkeypatch):
     """The scene is edited after the first result: the other runs would have the results of another scene."""
     monkeypatch.chdir(tmp_path)
@@ -143,6 +162,7 @@ def test_run_waits_for_a_process_that_still_writes_into_its_directory(home):
 DRIVER = f"""
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in background jobs, such as these tests
+from granflow.cli.main import main
 from granflow.cli.main import main
 from granflow.studies import run_process
 run_process.PROGRAM = {STAND_IN!r}

@@ -20,6 +20,7 @@ from granflow.fields import (
     INSERTION_QUANTITIES,
     OUTLET_QUANTITIES,
     RESIDENCE_QUANTITIES,
+    STAGE_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
     Quantity,
@@ -41,6 +42,7 @@ from granflow.snapshot import CONTACTS, PARTICLES, Snapshot, mobile_particles, s
 # What a metric is
 
 PART_QUANTITIES = {
+    **STAGE_QUANTITIES,
     **FLOW_METER_QUANTITIES,
     **RESIDENCE_QUANTITIES,
     **WALL_FORCE_QUANTITIES,
@@ -729,6 +731,71 @@ class CenterOfMassMetric(Metric):
         return Reading(center_of_mass(particles["position"][own], particles["mass"][own]))
 
 
+# Granular temperature
+
+
+def granular_temperature(velocity: np.ndarray, mass: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """Mean square (3,) [m2/s2] of each component of the velocity about the mean velocity of the cell.
+
+        T_k = sum_i m_i (v_ik - V_k)^2 / sum_c M_c (1 - 1/N_c)
+
+    velocity (n, 3) [m/s], mass (n,) [kg], cell (n,): index of the cell of each particle. The divisor has the
+    degrees of freedom that the mean of a cell of N particles leaves, exactly for equal masses; cells with one
+    particle do not count. NaN without cells of two.
+    """
+    _, own, count = np.unique(cell, return_inverse=True, return_counts=True)
+    masses = np.bincount(own, weights=mass, minlength=len(count))
+    freedom = float((masses * (1.0 - 1.0 / np.maximum(count, 1))).sum())
+    if freedom <= 0.0:
+        return np.full(3, np.nan)
+    found = np.zeros(3)
+    for k in range(3):
+        mean = np.bincount(own, weights=mass * velocity[:, k], minlength=len(count)) / masses
+        found[k] = float((mass * (velocity[:, k] - mean[own]) ** 2).sum()) / freedom
+    return found
+
+
+class GranularTemperatureMetric(Metric):
+    """Granular temperature [m2/s2] of the mobile particles of all or of some groups, in a box or everywhere.
+
+    >>> gf.GranularTemperatureMetric(cell="20 mm").cell
+    0.02
+    """
+
+    kind: Literal["granular_temperature"] = Field("granular_temperature", description="kind of metric")
+    region: Box | None = optional("box whose particles are evaluated", "everywhere")
+    groups: Names | None = optional("groups whose particles are evaluated", "all", examples=[["red"]])
+    cell: q.PositiveLength | None = optional(
+        "edge of cubic cells [m], with the mean velocity of each cell in place of that of all", "one cell"
+    )
+    quantities = (
+        Quantity(
+            "granular_temperature", "T", "m2/s2", "mean of the three components of the granular temperature"
+        ),
+        Quantity("granular_temperature_x", "", "m2/s2", "mean square of the x component of v - V"),
+        Quantity("granular_temperature_y", "", "m2/s2", "mean square of the y component of v - V"),
+        Quantity("granular_temperature_z", "", "m2/s2", "mean square of the z component of v - V"),
+    )
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """See `Metric`."""
+        yield from unknown_names(("groups",), self.groups, parts.names("particles"), "group")
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`; NaN if no cell has two particles."""
+        groups = [scene.groups.index(name) for name in self.groups or scene.groups]
+        particles = mobile_particles(snapshot.particles)
+        own = np.isin(particles["group"], groups) & _inside(particles["position"], self.region)
+        velocity = particles["velocity"][own].astype(float)
+        cell = np.zeros(len(velocity), np.int64)
+        if self.cell is not None:
+            at = np.floor(particles["position"][own].astype(float) / self.cell).astype(np.int64)
+            cell = np.unique(at, axis=0, return_inverse=True)[1].reshape(-1)
+        found = granular_temperature(velocity, particles["mass"][own].astype(float), cell)
+        named = {f"granular_temperature_{axis}": float(found[k]) for k, axis in enumerate("xyz")}
+        return Reading({"granular_temperature": float(found.mean()), **named})
+
+
 # Sliding contacts
 
 
@@ -820,6 +887,7 @@ AnyMetric = Annotated[
     | CoordinationMetric
     | ContentMetric
     | CenterOfMassMetric
+    | GranularTemperatureMetric
     | SlidingMetric
     | ProbeMetric,
     choose_by_key("kind"),
@@ -873,7 +941,10 @@ def _problems(metric: type[Metric]) -> Iterator[str]:
             yield f"its quantities contain {shown(each)}, which is not a Quantity"
         elif not is_name(each.name) or each.name.endswith("_mean"):
             yield f"its quantity {shown(each.name)} must have lowercase letters, digits and _, without _mean"
-        elif METRIC_QUANTITIES.get(each.name, each) != each or each.name in PART_QUANTITIES:
+        elif (
+            METRIC_QUANTITIES.get(each.name, each) != each
+            or each.name in PART_QUANTITIES.keys() - STAGE_QUANTITIES
+        ):
             yield f"the quantity {each.name} exists with another meaning"
         elif each.kind != "scalar":
             yield f"its quantity {each.name} must be a scalar"

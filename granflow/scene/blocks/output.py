@@ -13,6 +13,7 @@ from pydantic.fields import FieldInfo
 from granflow.fields import (
     FIELD_QUANTITIES,
     RUN_QUANTITIES,
+    STAGE_QUANTITIES,
     TOTAL_QUANTITIES,
 )
 from granflow.geometry.vectors import are_perpendicular
@@ -319,6 +320,6 @@ def unit_of(name: str) -> str:
     if part:
         known = {**PART_QUANTITIES, **METRIC_QUANTITIES}
     else:
-        known = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+        known = {**TOTAL_QUANTITIES, **STAGE_QUANTITIES, **RUN_QUANTITIES}
     quantity = known.get(base)
     return "" if quantity is None or quantity.unit == "1" else quantity.unit
