@@ -627,7 +627,7 @@ def _is_numeric(text: str) -> bool:
 
 
 def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
-    """The group of a pour: batches that fill the region to its fraction, as a constant rate.
+    """The groups of a pour: batches that fill the region to its fraction, or a constant rate.
 
     A batch follows when the one before has left the region: n steps with n dt = (v + sqrt(v^2 + 2 g h)) / g.
     """
@@ -635,12 +635,11 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
     gravity = next((each.data for each in deck.fixes_of("gravity") if each.data), (0.0, 0.0, -9.81))
     g = hypot(*gravity)
     height = extent[5] - extent[4]
-    flow = -given.rate
     down = abs(given.velocity)
     if given.rate:
         fix.entry.approximated("the region of the script moves with rate; here it is at rest")
     time = (sqrt(down**2 + 2.0 * g * height) - down) / g if g else height / max(down, 1e-9)
-    time = max(time - flow * 0.0, deck.time_step or 1e-6)
+    time = max(time, deck.time_step or 1e-6)
     if given.is_range:
         low, high = given.diameters[0][0], given.diameters[1][0]
         mean_cube = (high**4 - low**4) / (4.0 * (high - low))
@@ -660,26 +659,62 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
             sizes = {"distribution": "classes", "by": "number", "classes": classes}
     volume = volume_of(given.region) or _box_volume(extent)
     batch = max(1.0, floor(given.fraction * volume / (pi / 6.0 * mean_cube)))
-    rate = float(f"{batch / time:.6g}")
-    region = scene_region(deck, given.region, fix.entry)
+    margin = radii[0] if is_clear(deck, extent, radii[0]) else 0.0
+    region = scene_region(deck, given.region, fix.entry, margin)
     given.region.entry.translated(f"particles.{fix.name}.insert.region")
-    insert: dict[str, Any] = {"kind": "rain", "region": region, "rate": quantity(rate, "rate")}
     start, end = _window(deck, fix)
-    if start > 0.0:
-        insert["start"] = quantity(start, "time")
-    if end < deck.end and start + given.count / rate > end:
-        insert["end"] = quantity(end, "time")
-    keys: dict[str, Any] = {"count": given.count, "diameter": sizes}
+    keys: dict[str, Any] = {"diameter": sizes}
     mean_speed = down + 0.5 * g * time
     if mean_speed:
-        keys["velocity"] = quantities([-mean_speed * -each / g if g else 0.0 for each in gravity], "velocity")
-    fix.entry.approximated(
-        f"batches of {batch:g} particles every {time:.3g} s are a constant rate, with the mean velocity of "
-        "the "
-        "fall through the region"
-    )
-    deck.particles.append(
-        ParticleGroup(fix.name, given.type, given.density, radii, {**keys, "insert": insert}, (fix.entry,))
+        keys["velocity"] = quantities([mean_speed * each / g if g else 0.0 for each in gravity], "velocity")
+    flows = pour_flows(given.count, batch, time, start, end)
+    if len(flows) > 1:
+        fix.entry.approximated(
+            f"a batch of {batch:g} particles every {time:.3g} s enters within {BURST * time:.2g} s, with the "
+            "mean velocity of the fall through the region"
+        )
+    else:
+        fix.entry.approximated(
+            f"batches of {batch:g} particles every {time:.3g} s are a constant rate, with the mean velocity "
+            "of the fall through the region"
+        )
+    for number, (count, rate, begin, last) in enumerate(flows, 1):
+        insert: dict[str, Any] = {"kind": "rain", "region": region, "rate": quantity(rate, "rate")}
+        if begin > 0.0:
+            insert["start"] = quantity(begin, "time")
+        if last < deck.end:
+            insert["end"] = quantity(last, "time")
+        name = fix.name if number == 1 else f"{fix.name}_{number}"
+        values = {"count": count, **keys, "insert": insert}
+        deck.particles.append(ParticleGroup(name, given.type, given.density, radii, values, (fix.entry,)))
+
+
+def pour_flows(
+    count: int, batch: float, time: float, start: float, end: float
+) -> list[tuple[int, float, float, float]]:
+    """Count, rate [1/s], start and end [s] of the flows of a pour: one per batch, or one for many batches.
+
+    batch:  particles of one batch; `time` [s] between two batches; `start`, `end` of the fix [s]
+    """
+    starts: list[tuple[int, float]] = []
+    left = count
+    while left > 0 and len(starts) <= MOST_BATCHES and start + len(starts) * time < end:
+        starts.append((min(left, int(batch)), start + len(starts) * time))
+        left -= int(batch)
+    if len(starts) <= MOST_BATCHES:
+        burst = BURST * time
+        return [(n, float(f"{n / burst:.6g}"), begin, inf) for n, begin in starts]
+    rate = batch / time
+    last = end if start + count / rate > end else inf
+    return [(count, float(f"{rate:.6g}"), start, last)]
+
+
+def is_clear(deck: Deck, extent: tuple[float, ...], margin: float) -> bool:
+    """Whether a region that is enlarged by a margin [m] remains in the box."""
+    box = deck.box or extent
+    return all(
+        extent[2 * k] - margin >= box[2 * k] and extent[2 * k + 1] + margin <= box[2 * k + 1]
+        for k in range(3)
     )
 
 

@@ -12,6 +12,7 @@ import granflow as gf
 from granflow.cli.main import main
 from granflow.contact.theory import damping_ratio_for
 from granflow.importing.convert import all_commands, all_fixes, convert
+from granflow.importing.insertion import pour_flows
 from granflow.importing.language import DeckError
 from granflow.importing.materials import collision, free_restitution, plastic_collision, tsuji
 
@@ -240,6 +241,13 @@ def test_dashpot_of_hysteresis_lowers_the_restitution(tmp_path):
     parts = {"properties": HYSTERESIS, "model": "model hooke/hysteresis tangential history"}
     _, scene = imported(tmp_path, liggghts(**parts))
     assert scene["pairs"]["type1-type1"]["restitution"] < 0.5
+
+
+def test_batches_of_pour():
+    """100 particles in batches of 30 every 0.5 s are four showers; many batches are one rain."""
+    flows = pour_flows(100, 30.0, 0.5, 0.0, 10.0)
+    assert [(n, start) for n, _, start, _ in flows] == [(30, 0.0), (30, 0.5), (30, 1.0), (10, 1.5)]
+    assert pour_flows(10_000, 30.0, 0.5, 1.0, 10.0) == [(10_000, 60.0, 1.0, 10.0)]
 
 
 # Reports and errors
