@@ -26,8 +26,7 @@ sets other values.
 GRANFLOW, ON_RANKS = "granflow", "granflow --mpi"
 """Names of this code with threads and with MPI ranks."""
 BOUND = ("--bind-to", "core")
-"""Options of mpirun for granflow: each rank on a core, as the mpirun of Open MPI binds those of the other
-codes."""
+"""Options of mpirun: each rank on a core, for all codes; Open MPI does so anyway, MPICH does not."""
 SLOW = {"yade"}
 LARGEST_COUNT = {"yade": 200_000}
 """Largest particle count of a code: above it, the setup takes minutes."""
@@ -73,12 +72,19 @@ def missing(name: str, threads: list[int]) -> str | None:
     peer = PEERS[name]
     if shutil.which(peer.program) is None:
         return f"{name} is skipped: the program {peer.program} was not found; install {peer.package}."
-    if name != "yade" and max(threads) > 1 and shutil.which("mpirun") is None:
+    if name != "yade" and max(threads) > 1 and shutil.which(launcher(peer.program)) is None:
         return (
             f"{name} is skipped: several ranks need mpirun; install the Debian package openmpi-bin or use "
             "--threads 1."
         )
     return None
+
+
+def launcher(program: str) -> str:
+    """The `mpirun` in the folder of a program, as packages from PyPI have an MPI of their own; otherwise that
+    of the path."""
+    own = Path(shutil.which(program) or program).with_name("mpirun")
+    return str(own) if own.exists() else "mpirun"
 
 
 def measure(job: Job, folder: Path) -> dict[str, Any]:
@@ -174,8 +180,9 @@ def lammps(job: Job, folder: Path) -> dict[str, Any]:
 def _ranks(job: Job, folder: Path, deck: str) -> dict[str, Any]:
     (folder / f"{job.code}.in").write_text(deck)
     (folder / decks.FIRST_STEP).unlink(missing_ok=True)
-    command = [PEERS[job.code].program, "-in", f"{job.code}.in", "-log", "none"]
-    ranks = ["mpirun", "-np", str(job.threads)] if job.threads > 1 else []
+    program = PEERS[job.code].program
+    command = [program, "-in", f"{job.code}.in", "-log", "none"]
+    ranks = [launcher(program), *BOUND, "-np", str(job.threads)] if job.threads > 1 else []
     done = run([*ranks, *command], folder, MPI)
     if done.code:
         raise Failed(f"{job.code} ended with code {done.code}: {last_error_line(done.output)}")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmark import cases
+from benchmark import cases, loops
 from benchmark.cases import Case
 
 MATERIAL = f"""
@@ -115,9 +115,16 @@ def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) ->
 def measure(
     path: str, law: str, precision: str, threads: int, skin: str, warm: int, window: int
 ) -> dict[str, Any]:  # fmt: skip
-    """Rate of one time window [particle-steps/s], memory, contacts, rebuilds; first_step in s since 1970."""
+    """Rate of one time window [particle-steps/s], memory, contacts, rebuilds; first_step in s since 1970.
+
+    share_of_loops: time of the two loops in C++ over that of a step, rebuilds included.
+    """
     case = Case.load(Path(path))
-    return measured(simulation_for(case, law, precision, threads, skin), case, warm, window)
+    simulation = simulation_for(case, law, precision, threads, skin)
+    found = measured(simulation, case, warm, window)
+    in_cpp = loops.seconds(simulation.engine, law, precision, threads)
+    share = None if in_cpp is None else found["rate"] * sum(in_cpp.values()) / case.count
+    return found | {"loops": in_cpp, "share_of_loops": share}
 
 
 def measure_on_ranks(

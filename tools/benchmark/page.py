@@ -10,6 +10,7 @@ PAGE = Path(__file__).with_name("README.md")
 FIGURE = PAGE.with_name("scaling.svg")
 PHASE_COLUMNS = (
     "case", "law", "threads", "phase", "us", "MB", "GB/s", "Gop/s", "bytes alone", "arithmetic alone", "bound reached",
+    "C++ / granflow",
 )  # fmt: skip
 TEXT = """# Performance of granflow
 
@@ -35,6 +36,10 @@ This page is written by `python tools/bench.py --page`; the results are in [`{re
   affects both codes; the table shows their median and range.
 - The table lists the neighbor-list skin of each code; the comment on `SKINS` in `codes.py` explains the choice, and
   `--skin CODE=MM,...` sets other values. Threads are OpenMP threads in YADE and MPI ranks in LAMMPS and LIGGGHTS.
+- `C++ loops / step` is the fraction of the reachable speed on this processor: the time of the two loops of a step, as
+  C++ (`loops.cpp`, `g++ -O3 -march=native`) computes them on the particles and neighbor lists of the run, over the time
+  of a step of granflow. The C++ has the same layout, chunks and arithmetic, but no walls, no rebuilds, no exact sums and
+  only one of the checks. It is measured after the run, without other codes; `g++` must be installed.
 - `memory` is the peak of the process, or of all ranks together, including the program (Taichi's compiler takes a few
   hundred MB). `bytes/particle` is the memory that granflow allocates for particles and contacts. `start` is the time
   from the start of the process to the end of the first step, with kernels from Taichi's cache if available.
@@ -42,6 +47,12 @@ This page is written by `python tools/bench.py --page`; the results are in [`{re
   measurement, early in the discharge; equal flows show that all codes do the same work.
 - A measurement takes some seconds. LAMMPS and LIGGGHTS rebuild the neighbor list before the measured time of each run;
   for granflow, the measured time includes all rebuilds.
+
+## Other processors
+
+Medians of `granflow / code` of earlier results, f64.
+
+{earlier}
 
 ## Time per phase
 
@@ -77,6 +88,7 @@ def write(folder: Path, name: str) -> Path:
             machine=machine_lines(result),
             table=tables.markdown(tables.COLUMNS, list(tables.rows(result))),
             notes="\n".join(f"- {note}" for note in result["notes"]) + "\n",
+            earlier=earlier_table(folder, peer_file),
             figure=f"![Rate over size]({FIGURE.name})\n" if draw(result) else "",
             phases=phase_section(json.loads(phase_file.read_text()))
             if phase_file
@@ -84,6 +96,26 @@ def write(folder: Path, name: str) -> Path:
         )
     )
     return PAGE
+
+
+def earlier_table(folder: Path, shown: Path) -> str:
+    """Table of the ratios of all other results in double precision, newest first."""
+    head = ("processor", "date", "code", "threads", "case", "granflow / code")
+    body: list[tuple[str, list[str]]] = []
+    for path in folder.glob("*.json"):
+        result = json.loads(path.read_text())
+        if path == shown or result.get("kind") != "peers" or not is_double(result):
+            continue
+        machine = result["machine"]
+        for group in tables.groups(result):
+            found = None if group.code == "granflow" else tables.ratio(result, group)
+            if found is not None:
+                version = next((point["version"] for point in group.points if "version" in point), "")
+                day = machine["date"].split()[0]
+                code = f"{group.code} {version}"
+                row = [machine["processor"], day, code, str(group.threads), group.case, found.text()]
+                body.append((machine["date"], row))
+    return tables.markdown(head, [row for _, row in sorted(body, key=lambda each: each[0], reverse=True)])
 
 
 def newest(folder: Path, kind: str, name: str) -> Path | None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmark import codes, counts, ours
+from benchmark import codes, counts, loops, ours
 from benchmark.cases import Case, steps_for
 from benchmark.machine import last_level_cache, machine
 from granflow.kernel_language import KERNELS
@@ -27,7 +27,7 @@ PHASES = {"motion": "integration", "forces": "forces", "search": "rebuild"}
 """Phases in the result files and their labels; `search` is a rebuild of the neighbor list."""
 HEAD = (
     f"{'case':<12} {'law':<7} threads  {'phase':<11} {'us/step':>9} {'MB':>7} {'GB/s':>6} {'Gop/s':>6} "
-    f"{'bytes alone':>12} {'arithmetic alone':>17}  bound reached"
+    f"{'bytes alone':>12} {'arithmetic alone':>17}  {'bound reached':<18} C++ / granflow"
 )
 
 
@@ -68,6 +68,7 @@ def measure(
         "touching": touching / load.particles,
         "working_set": ours.field_bytes(engine),
         "kernels": {"step": step_kernels, "search": rebuild_kernels},
+        "loops": loops.seconds(engine, law, precision, threads),
     }
 
 
@@ -193,8 +194,15 @@ def rows(result: dict[str, Any]) -> list[list[str]]:
                 f"{operations / seconds / 1e9:.2f}", f"{1e6 * memory_bound:.0f} us", f"{1e6 * arithmetic_bound:.0f} us",
                 f"{max(memory_bound, arithmetic_bound) / seconds:.0%} "
                 f"({'bytes' if memory_bound > arithmetic_bound else 'arithmetic'})",
+                share_of_loop(point, PHASES[phase], seconds),
             ])  # fmt: skip
     return table
+
+
+def share_of_loop(point: dict[str, Any], phase: str, seconds: float) -> str:
+    """Time of the loop of a phase in C++ over its time [s]; empty without one."""
+    in_cpp = (point.get("loops") or {}).get(phase)
+    return "" if in_cpp is None else f"{in_cpp / seconds:.0%} ({1e6 * in_cpp:.0f} us)"
 
 
 def limit_lines(result: dict[str, Any]) -> list[str]:
@@ -215,7 +223,7 @@ def text(result: dict[str, Any]) -> str:
     for row in rows(result):
         lines.append(
             f"{row[0]:<12} {row[1]:<7} {row[2]:>7}  {row[3]:<11} {row[4]:>9} {row[5]:>7} {row[6]:>6} "
-            f"{row[7]:>6} {row[8]:>12} {row[9]:>17}  {row[10]}"
+            f"{row[7]:>6} {row[8]:>12} {row[9]:>17}  {row[10]:<18} {row[11]}"
         )
     lines.append("(rebuild: one rebuild; integration and forces: one step)")
     for point in result["points"]:

@@ -6,8 +6,8 @@ from statistics import median
 from typing import Any
 
 COLUMNS = (
-    "case", "threads", "code", "M particle-steps/s", "granflow / code", "memory [MB]", "bytes/particle", "start [s]",
-    "contacts/particle", "rebuilds/1000 steps", "skin [mm]", "mass flow [kg/s]",
+    "case", "threads", "code", "M particle-steps/s", "granflow / code", "C++ loops / step", "memory [MB]",
+    "bytes/particle", "start [s]", "contacts/particle", "rebuilds/1000 steps", "skin [mm]", "mass flow [kg/s]",
 )  # fmt: skip
 
 
@@ -87,6 +87,7 @@ def rows(result: dict[str, Any]) -> Iterator[list[str]]:
         fields = _number(group, "field_bytes", "{:.0f}".format)
         yield [
             group.case, str(group.threads), group.label, rates.text(), rate_ratio.text() if rate_ratio else "",
+            _number(group, "share_of_loops", "{:.0%}".format),
             _number(group, "memory", lambda value: f"{value / 1e6:.0f}"), fields,
             _number(group, "start", "{:.1f}".format), _number(group, "contacts", "{:.2f}".format),
             _number(group, "rebuilds", "{:.1f}".format),
