@@ -5,7 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from granflow.errors import GranflowError
-from granflow.importing import geometry, insertion, materials, meshes, motion, multisphere, regions, schedule
+from granflow.importing import (
+    geometry,
+    heat,
+    insertion,
+    materials,
+    meshes,
+    motion,
+    multisphere,
+    regions,
+    schedule,
+)
 from granflow.importing.deck import UNITS, Deck, Fix, ParticleGroup, Translation, Words
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import Entry, Report
@@ -13,7 +23,7 @@ from granflow.importing.scene_text import Draft
 
 CODES = ("liggghts", "lammps")
 """Values of --code."""
-FAMILIES = (schedule, materials, regions, geometry, meshes, motion, insertion, multisphere)
+FAMILIES = (schedule, materials, regions, geometry, meshes, motion, insertion, multisphere, heat)
 """Families of commands; each has the tables COMMANDS and FIXES."""
 SHAPES = {"sphere", "granular"}
 """Atom styles of spheres."""
@@ -211,6 +221,8 @@ def _texts(deck: Deck, path: Path, name: str) -> list[str]:
         geometry.build(part, draft)
         insertion.build(part, draft)
         schedule.build(part, draft)
+        heat.build(part, draft)
+        materials.report_properties(part)
         earlier = part.particles
         title = f"granflow import from {path.name}, a script of {code}; comments have its lines."
         texts.append(draft.text(f"Made by {title}"))

@@ -47,6 +47,8 @@ DIMENSIONS: dict[str, tuple[int, int, int]] = {
     "mass_flow": (1, 0, -1),
     "volume": (0, 3, 0),
     "hertz_damping": (0, -1, -1),
+    "conductivity": (1, 1, -3),
+    "heat_capacity": (0, 2, -2),
 }
 """Exponents of mass, length and time."""
 

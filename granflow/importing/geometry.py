@@ -8,6 +8,7 @@ import numpy as np
 
 from granflow.importing import meshes, region_walls
 from granflow.importing.deck import Deck, Fix, Run, Translation, Words, impossible
+from granflow.importing.heat import wall_temperature
 from granflow.importing.language import Command, DeckError
 from granflow.importing.materials import (
     Model,
@@ -220,7 +221,7 @@ def _wall_keywords(fix: Fix, words: Words, wall: Primitive) -> None:
         elif key == "contacts":
             fix.entry.approximated("output.contacts has the force of each contact with a wall")
         elif key == "temperature":
-            fix.entry.impossible(f"a temperature of {words.plain('the temperature'):g}", "walls without heat")
+            wall_temperature(words.deck, fix, words.plain("the temperature"))
         elif key == "contact_area":
             words.skip()
         else:

@@ -38,7 +38,6 @@ class Known:
     """Why it has no counterpart."""
 
 
-_HEAT = Known(refused="heat is not simulated")
 PROPERTIES: dict[str, Known] = {
     "youngsModulus": Known("pressure", "materials.NAME.young_modulus"),
     "poissonsRatio": Known("number", "materials.NAME.poisson_ratio"),
@@ -66,7 +65,10 @@ PROPERTIES: dict[str, Known] = {
     "maxSeparationDistanceRatio": Known("number"),
     "maxLiquidContent": Known("number"),
     "lbVolumeFraction": Known("number"),
-    **dict.fromkeys(("thermalConductivity", "thermalCapacity", "thermalExpansion"), _HEAT),
+    "thermalConductivity": Known("conductivity", "materials.NAME.thermal_conductivity"),
+    "thermalCapacity": Known("heat_capacity", "materials.NAME.heat_capacity"),
+    "youngsModulusOriginal": Known("pressure", "materials.NAME.true_young_modulus"),
+    "thermalExpansion": Known(refused="thermal expansion is not simulated"),
     "k_finnie": Known(refused="wear is not simulated"),
     "FluidViscosity": Known("viscosity"),
     "CriticalStokes": Known("number"),
@@ -562,6 +564,15 @@ def build(deck: Deck, draft: Draft) -> None:
     translator.write(draft)
 
 
+def report_properties(deck: Deck) -> None:
+    """Tell the properties what became of them, when all blocks are written."""
+    for name, each in deck.own("properties", dict).items():
+        if each.is_used and PROPERTIES[name].use:
+            each.entry.translated(PROPERTIES[name].use)
+        elif not each.is_used:
+            each.entry.not_needed(f"no contact model of the script reads {name}")
+
+
 def material_of(deck: Deck, group: ParticleGroup) -> str:
     """Name of the material of a group, after `build`."""
     return str(deck.family["sorts"][group.type, group.density])
@@ -627,11 +638,6 @@ class Contacts:
                 given = draft.get("pairs") or {}
                 if key not in given and f"{wall.material}-{first.name}" not in given:
                     self._pair(draft, key, wall.model, first, None, wall.type)
-        for name, each in self.deck.own("properties", dict).items():
-            if each.is_used and PROPERTIES[name].use:
-                each.entry.translated(PROPERTIES[name].use)
-            elif not each.is_used:
-                each.entry.not_needed(f"no contact model of the script reads {name}")
 
     def _name_walls(self) -> None:
         """Give each wall contact the name of its material."""

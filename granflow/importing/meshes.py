@@ -9,6 +9,7 @@ import numpy as np
 
 from granflow.geometry.mesh_file import read_triangles
 from granflow.importing.deck import Deck, Fix, Translation, Vector, Words
+from granflow.importing.heat import wall_temperature
 from granflow.importing.language import DeckError
 from granflow.importing.scene_text import Draft, quantities, quantity
 from granflow.importing.schedule import stages_of
@@ -116,7 +117,7 @@ def mesh_surface(deck: Deck, fix: Fix) -> None:
             if words.word("the model of wear") != "off":
                 fix.entry.impossible("wear of walls", "output.collision_energies, and the forces on the wall")
         elif key == "temperature":
-            fix.entry.impossible(f"a temperature of {words.plain('the temperature'):g}", "walls without heat")
+            wall_temperature(deck, fix, words.plain("the temperature"))
         elif key == "element_exclusion_list":
             mode, name = words.word("read or write"), words.word("the file")
             if mode == "read":

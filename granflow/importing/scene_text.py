@@ -75,6 +75,8 @@ class Draft:
     blocks: dict[str, Any] = field(default_factory=dict)
     comments: dict[tuple[str, ...], list[str]] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
+    owners: dict[tuple[str, ...], tuple[Entry, ...]] = field(default_factory=dict)
+    """The commands that a key comes from."""
 
     def put(self, path: Sequence[str], value: Any, *entries: Entry, remark: str = "") -> None:
         """Set the value of a key; the entries become its comments, and are told that they are translated."""
@@ -83,6 +85,7 @@ class Draft:
         for key in parents:
             block = block.setdefault(key, {})
         block[last] = value
+        self.owners[tuple(path)] = entries
         for entry in entries:
             entry.translated(".".join(path))
         found = [*map(comment_of, entries), *([remark] if remark else [])]

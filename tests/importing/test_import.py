@@ -12,6 +12,7 @@ import granflow as gf
 from granflow.cli.main import main
 from granflow.contact.theory import damping_ratio_for
 from granflow.importing.convert import all_commands, all_fixes, convert
+from granflow.importing.heat import is_simulated
 from granflow.importing.insertion import pour_flows
 from granflow.importing.language import DeckError
 from granflow.importing.materials import collision, free_restitution, plastic_collision, tsuji
@@ -264,13 +265,13 @@ def test_every_line_has_a_remark(tmp_path):
 @pytest.mark.parametrize(
     ("end", "part", "sentence"),
     [
-        ("fix h all heat/gran initial_temperature 300\nrun 10", "heat/gran", "heat conduction; nearest"),
+        ("fix h all heat/gran/radiation\nrun 10", "radiation", "radiation between particles; nearest"),
         ("fix h all wonder 1\nrun 10", "wonder", "fix wonder is not known"),
         ("marvel 1\nrun 10", "marvel", "the command marvel is not known"),
         ("compute c all rainbow\nrun 10", "rainbow", "compute rainbow"),
         ("shell mkdir x\nrun 10", "shell", "shell runs another program"),
         ("run 10\nclear", "clear", "a second simulation"),
-        ("fix x all property/global thermalCapacity peratomtype 1 1\nrun 10", "thermalCapacity", "heat"),
+        ("fix x all property/global thermalExpansion peratomtype 1 1\nrun 10", "thermalExpansion", "thermal"),
     ],
 )
 def test_not_possible(tmp_path, end, part, sentence):
@@ -305,6 +306,26 @@ def test_errors(tmp_path, old, new, message):
     with pytest.raises(gf.GranflowError) as caught:
         imported(tmp_path, liggghts().replace(old, new))
     assert message in str(caught.value)
+
+
+@pytest.mark.skipif(not is_simulated(), reason="this version does not simulate heat")
+def test_heat(tmp_path):
+    """LIGGGHTS conducts 2 k sqrt(2 pi R d) where granflow conducts 2 k a, a = sqrt(R d)."""
+    properties = (
+        "fix h1 all property/global thermalConductivity peratomtype 100 50\n"
+        "fix h2 all property/global thermalCapacity peratomtype 10 20\n"
+        "fix h3 all heat/gran initial_temperature 300"
+    )
+    text = liggghts(properties=properties).replace("zplane 0.0", "zplane 0.0 temperature 400")
+    found, scene = imported(tmp_path, text)
+    assert found.report.is_complete and scene["contact"]["heat"] == "conduction"
+    assert (
+        scene["particles"]["ins_1"]["temperature"] == "300 K"
+        and scene["walls"]["w"]["temperature"] == "400 K"
+    )
+    material = scene["materials"]["type2"]
+    assert material["heat_capacity"] == "20 J/kg/K"
+    assert float(material["thermal_conductivity"].split()[0]) == pytest.approx(50 * sqrt(2 * pi))
 
 
 def test_gravity_that_changes_makes_a_second_scene(tmp_path):
@@ -346,7 +367,7 @@ def test_command(tmp_path, capsys):
     assert "0 not possible" in capsys.readouterr().out
     scene = gf.load_scene(out)
     assert scene.particles["ins_1"].count + scene.particles["ins_2"].count == 50
-    deck.write_text(liggghts(end="fix h all heat/gran initial_temperature 300\nrun 100"))
+    deck.write_text(liggghts(end="fix h all heat/gran/radiation\nrun 100"))
     assert main(["import", str(deck), "--out", str(out)]) == 3  # nothing is written
     assert main(["import", str(deck), "--out", str(out), "--partial"]) == 2  # the file exists
     capsys.readouterr()
