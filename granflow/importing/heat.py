@@ -1,7 +1,8 @@
 """Heat of a script of LIGGGHTS: heat/gran, thermal properties, temperatures of particles and walls.
 
 The mechanics does not depend on it. LIGGGHTS conducts sqrt(2 pi) times the heat of two half spaces in contact
-with the contact radius of Hertz, so that the conductivity of the scene is that of the script times this factor.
+with the contact radius of Hertz, so that the conductivity of the scene is that of the script times this
+factor.
 """
 
 from math import pi, sqrt

@@ -19,6 +19,9 @@ from granflow.importing.scene_text import Draft, quantities, quantity
 
 MOST_BATCHES = 12
 """Number of batches of an insertion that become groups of their own; more become a constant rate."""
+MOST_FILLED = 0.4
+"""Largest solid fraction that insert/pack reaches, relative to the volume of the centers; measured with "
+"LIGGGHTS."""
 BURST = 0.02
 """Duration of the insertion of a batch over the time between two batches."""
 
@@ -482,7 +485,13 @@ class Amount:
                 fix.entry.command,
                 "insert/pack needs particles_in_region, mass_in_region or volumefraction_region.",
             )
-        count *= self.share
+        most = self._saturation(given.region) / mean
+        if count > most:
+            fix.entry.approximated(
+                f"{count:.0f} particles do not fit by random insertion, which in the script ends at about "
+                f"{most:.0f} particles"
+            )
+        count = min(count, most) * self.share
         first = {"count": max(1, round(count))}
         pack = {"kind": "pack", "region": region}
         step = deck.time_step or 0.0
@@ -508,7 +517,11 @@ class Amount:
         if batches <= MOST_BATCHES:
             for k in range(1, batches + 1):
                 times = {"rate": refill / (BURST * every), "start": start + k * every}
-                parts.append((f"_{k + 1}", {"count": refill}, self._rain(region, **times)))
+                rain = self._rain(region, **times)
+                rain["end"] = quantity(
+                    start + (k + 0.5) * every, "time"
+                )  # those without a place are given up
+                parts.append((f"_{k + 1}", {"count": refill}, rain))
             fix.entry.approximated(f"a refill takes {BURST * every:.2g} s, not one step")
             return parts
         # Constant flow, in which a refill is spread over the interval around its time.
@@ -519,6 +532,18 @@ class Amount:
             rain["end"] = quantity(last_time, "time")
         fix.entry.approximated(f"{batches} refills every {every:g} s are a constant rate")
         return [*parts, ("_refill", {"count": refill * batches}, rain)]
+
+    def _saturation(self, region: Region) -> float:
+        """Volume [m3] of particles at which random insertion into a region ends: MOST_FILLED of the volume in
+        which their centers lie."""
+        extent = extent_of(self.deck, region)
+        whole = _box_volume(extent)
+        volume = volume_of(region) or whole
+        if self.given.all_in:
+            size = 2.0 * max(each.radius for each in self.given.distribution.templates)
+            inner = [max(0.0, extent[2 * k + 1] - extent[2 * k] - size) for k in range(3)]
+            volume *= inner[0] * inner[1] * inner[2] / whole
+        return MOST_FILLED * volume
 
     @staticmethod
     def _rain(region: dict[str, Any], rate: float, start: float) -> dict[str, Any]:
