@@ -87,6 +87,9 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.sizes import ClassSizes as ClassSizes
     from granflow.scene.blocks.sizes import LogNormalSizes as LogNormalSizes
     from granflow.scene.blocks.sizes import NormalSizes as NormalSizes
+    from granflow.scene.blocks.sizes import RosinRammlerSizes as RosinRammlerSizes
+    from granflow.scene.blocks.sizes import Sieve as Sieve
+    from granflow.scene.blocks.sizes import SieveSizes as SieveSizes
     from granflow.scene.blocks.sizes import SizeClass as SizeClass
     from granflow.scene.blocks.sizes import UniformSizes as UniformSizes
     from granflow.scene.blocks.walls.box import BoxWall as BoxWall
@@ -170,6 +173,7 @@ _LOCATIONS = {
     "ResidenceTime": "granflow.scene.blocks.output.ResidenceTime",
     "RestitutionFit": "granflow.scene.blocks.materials.RestitutionFit",
     "Result": "granflow.runs.result.Result",
+    "RosinRammlerSizes": "granflow.scene.blocks.sizes.RosinRammlerSizes",
     "Rotation": "granflow.scene.blocks.motions.Rotation",
     "RotationStep": "granflow.scene.blocks.primitives.RotationStep",
     "Run": "granflow.runs.read_run.Run",
@@ -179,6 +183,8 @@ _LOCATIONS = {
     "SceneError": "granflow.errors.SceneError",
     "SegregationMetric": "granflow.scene.blocks.metrics.SegregationMetric",
     "Servo": "granflow.scene.blocks.motions.Servo",
+    "Sieve": "granflow.scene.blocks.sizes.Sieve",
+    "SieveSizes": "granflow.scene.blocks.sizes.SieveSizes",
     "Simulation": "granflow.simulation.Simulation",
     "SizeClass": "granflow.scene.blocks.sizes.SizeClass",
     "SlidingMetric": "granflow.scene.blocks.metrics.SlidingMetric",

@@ -27,15 +27,22 @@ def density_of(spec):
         return stats.uniform(spec["min"], spec["max"] - spec["min"]).pdf
     if spec["distribution"] == "normal":
         return stats.norm(spec["mean"], spec["deviation"]).pdf
-    return stats.lognorm(spec["sigma"], scale=spec["median"]).pdf
+    if spec["distribution"] == "rosin_rammler":
+        mass = stats.weibull_min(spec["spread"], scale=spec["size"]).pdf
+    else:
+        mass = stats.lognorm(spec["sigma"], scale=spec["median"]).pdf
+    return mass if spec.get("by") == "number" else lambda d: mass(d) * (0.004 / d) ** 3
 
 
 DISTRIBUTIONS = [
     {"distribution": "uniform", "min": 0.003, "max": 0.005},
     {"distribution": "normal", "mean": 0.004, "deviation": 0.0004, "min": 0.002, "max": 0.006},
     {"distribution": "normal", "mean": 0.0035, "deviation": 0.002, "min": 0.003, "max": 0.005},
-    {"distribution": "log_normal", "median": 0.004, "sigma": 0.3, "min": 0.002, "max": 0.008},
-    {"distribution": "log_normal", "median": 0.004, "sigma": 2.0, "min": 0.003, "max": 0.008},
+    {"distribution": "log_normal", "by": "number", "median": 0.004, "sigma": 0.3, "min": 0.002, "max": 0.008},
+    {"distribution": "log_normal", "by": "number", "median": 0.004, "sigma": 2.0, "min": 0.003, "max": 0.008},
+    {"distribution": "log_normal", "by": "mass", "median": 0.004, "sigma": 0.5, "min": 0.002, "max": 0.009},
+    {"distribution": "rosin_rammler", "size": 0.004, "spread": 2.5, "min": 0.001, "max": 0.008},
+    {"distribution": "rosin_rammler", "size": 0.004, "spread": 8, "min": 0.002, "max": 0.005},
 ]
 
 
@@ -67,6 +74,23 @@ def classes(by, *shares):
             "classes": [{"diameter": diameter, "fraction": fraction} for diameter, fraction in shares],
         }
     )
+
+
+def test_masses_follow_the_sieve_curve():
+    """30 % of the mass between 1 and 2 mm, none to 3 mm, the rest to 4 mm, linear in the diameter: within the
+    mass of the particles of one of the 1024 equal shares of the numbers."""
+    curve = [(0.001, 0.0), (0.002, 0.3), (0.003, 0.3), (0.004, 1.0)]
+    spec = sizes({"distribution": "sieve", "sieves": [{"opening": d, "passing": w} for d, w in curve]})
+    assert spec.spans() == [(0.001, 0.002), (0.003, 0.004)]
+    values = spec.draw(20 * 1024, np.random.default_rng(2))
+    share = values**3 / (values**3).sum()
+    for diameter in (0.00125, 0.0015, 0.002, 0.0025, 0.003, 0.00325, 0.0039):
+        finer = np.interp(diameter, *zip(*curve, strict=True))
+        assert share[values <= diameter].sum() == pytest.approx(finer, abs=20 * share.max())
+    np.testing.assert_array_equal(spec.draw(1500, np.random.default_rng(2)), values[:1500])
+    cubes = 1e4 * 0.003**3
+    count = spec.count_for_volume(cubes, lambda: np.random.default_rng(2))
+    assert (spec.draw(count, np.random.default_rng(2)) ** 3).sum() == pytest.approx(cubes, abs=0.004**3)
 
 
 def test_class_counts_by_number_are_exact_within_one_particle():

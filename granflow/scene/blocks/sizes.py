@@ -1,13 +1,15 @@
 """Schema of the key `diameter` of a group: one diameter, one per particle, or a size distribution.
 
-A distribution is one class: its keys, its checks, and how diameters are drawn. Numbers of particles, not
-masses, follow a distribution, except for classes with fractions by mass. Normal and log-normal distributions
-are truncated: values beyond the limits are excluded, not clamped.
+A distribution is one class: its keys, its checks, and how diameters are drawn. Uniform and normal
+distributions are those of the numbers of particles; log-normal ones and classes of numbers or masses; sieve
+curves and Rosin-Rammler distributions of masses. Distributions with limits are truncated: values beyond them
+are excluded, not clamped.
 """
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import NormalDist
 from typing import Annotated, ClassVar, Literal
 
@@ -144,6 +146,9 @@ class NormalSizes(TruncatedSizes):
 class LogNormalSizes(TruncatedSizes):
     """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
 
+    By mass, the numbers follow the log-normal distribution with the median multiplied by exp(-3 sigma^2)
+    (Hatch & Choate 1929, J. Franklin Inst. 207, 369-387).
+
     >>> gf.LogNormalSizes(median="4 mm", sigma=0.2, min="2 mm", max="8 mm").sigma
     0.2
     """
@@ -153,6 +158,9 @@ class LogNormalSizes(TruncatedSizes):
     sigma: q.Positive = Field(
         description="standard deviation of ln(diameter) before truncation", examples=[0.3]
     )
+    by: Literal["number", "mass"] = Field(
+        "number", description="number: the numbers of particles are log-normal; mass: their masses"
+    )
 
     def faults(self) -> Iterator[Fault]:
         yield from super().faults()
@@ -160,10 +168,129 @@ class LogNormalSizes(TruncatedSizes):
 
     def draw(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Diameters (count,) [m]."""
-        logarithm = NormalDist(math.log(self.median), self.sigma)
+        shift = 3.0 * self.sigma**2 if self.by == "mass" else 0.0
+        logarithm = NormalDist(math.log(self.median) - shift, self.sigma)
         low, high = math.log(self.min), math.log(self.max)
         drawn = np.exp(truncated_normal(logarithm, low, high, count, random))
         return np.clip(drawn, self.min, self.max)  # exp(log(max)) may round to beyond max
+
+
+BLOCK = 1024
+"""Number of diameters among which each equal share of a distribution by mass occurs exactly once."""
+
+
+def stratified(count: int, random: np.random.Generator) -> np.ndarray:
+    """Uniform numbers (count,) in [0, 1): one in each of BLOCK equal intervals, in random order, then again.
+
+    The large particles of a distribution by mass are few, so that independent numbers would scatter about its
+    mass curve. The first numbers do not depend on the count.
+    """
+    blocks = [(random.permutation(BLOCK) + random.random(BLOCK)) / BLOCK for _ in range(0, count, BLOCK)]
+    return np.concatenate(blocks)[:count] if blocks else np.zeros(0)
+
+
+class RosinRammlerSizes(TruncatedSizes):
+    """Diameters [m] whose mass follows Rosin, Rammler & Sperling, truncated to [`min`, `max`].
+
+        mass share finer than d = 1 - exp(-(d / size)^spread) before truncation
+
+    Rosin & Rammler 1933, J. Inst. Fuel 7, 29-36.
+
+    >>> gf.RosinRammlerSizes(size="2 mm", spread=3, min="0.5 mm", max="4 mm").spread
+    3.0
+    """
+
+    distribution: Literal["rosin_rammler"] = Field("rosin_rammler", description="kind of size distribution")
+    size: q.Diameter = Field(description="diameter below which 63.2 % of the mass is, before truncation [m]")
+    spread: q.Positive = Field(description="exponent: larger for a narrower distribution", examples=[3])
+
+    def draw(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Diameters (count,) [m]; the inverse of the share by number, from a table with TABLE entries.
+
+        The share by number of sizes between d and d + dd is proportional to d^(n - 4) exp(-(d/size)^n) dd.
+        """
+        grid = np.geomspace(self.min, self.max, TABLE)
+        relative = grid / self.size
+        exponent = (self.spread - 3.0) * np.log(relative) - relative**self.spread
+        density = np.exp(exponent - exponent.max())  # per ln(d)
+        share = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+        drawn = np.interp(stratified(count, random) * share[-1], share, np.log(grid))
+        return np.clip(np.exp(drawn), self.min, self.max)
+
+
+TABLE = 20_000
+"""Number of entries of the table of a distribution without a closed inverse."""
+
+
+class Sieve(Model):
+    """The opening of a sieve and the share of the mass that passes it.
+
+    >>> gf.Sieve(opening="2 mm", passing=0.3)
+    Sieve(opening=0.002, passing=0.3)
+    """
+
+    opening: q.Diameter = Field(description="opening [m]")
+    passing: q.Share = Field(description="share of the mass that is finer, from 0 to 1")
+
+
+class SieveSizes(SizeDistribution, Model):
+    """A sieve curve: the cumulative mass that passes each sieve; linear in the diameter between two sieves.
+
+    The first sieve passes nothing, the last one everything.
+
+    >>> curve = [{"opening": "1 mm", "passing": 0}, {"opening": "2 mm", "passing": 0.3},
+    ...          {"opening": "4 mm", "passing": 1}]
+    >>> gf.SieveSizes(sieves=curve).sieves[1].opening
+    0.002
+    """
+
+    distribution: Literal["sieve"] = Field("sieve", description="kind of size distribution")
+    sieves: Annotated[tuple[Sieve, ...], ListOf(some="[{opening: 1 mm, passing: 0}, ...]")] = Field(
+        description="list of {opening, passing}, from the smallest opening to the largest"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless openings and shares increase, from the share 0 to 1."""
+        for index, (before, now) in enumerate(pairwise(self.sieves), 1):
+            if now.opening <= before.opening:
+                reason = f"it must be above the opening before it, {before.opening:g} m"
+                yield Fault(("sieves", index, "opening"), reason)
+            if now.passing < before.passing:
+                reason = f"it must be at least the share before it, {before.passing:g}"
+                yield Fault(("sieves", index, "passing"), reason)
+        if self.sieves[0].passing != 0.0:
+            yield Fault(("sieves", 0, "passing"), "the first sieve must pass 0; add the smallest diameter")
+        if self.sieves[-1].passing != 1.0:
+            last = len(self.sieves) - 1
+            yield Fault(("sieves", last, "passing"), "the last sieve must pass 1; add the largest diameter")
+
+    def spans(self) -> list[tuple[float, float]]:
+        """The ranges between sieves of which the lower one retains something."""
+        ranges = [(a.opening, b.opening) for a, b in pairwise(self.sieves) if b.passing > a.passing]
+        joined = ranges[:1]
+        for low, high in ranges[1:]:
+            if low == joined[-1][1]:
+                joined[-1] = (joined[-1][0], high)
+            else:
+                joined.append((low, high))
+        return joined
+
+    def draw(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Diameters (count,) [m].
+
+        Between the sieves a and b with the mass share w, the number of particles is proportional to
+        w (a^-2 - b^-2) / (2 (b - a)), and d^-2 is uniform.
+        """
+        opening = np.array([each.opening for each in self.sieves])
+        low, high = opening[:-1] ** -2.0, opening[1:] ** -2.0
+        mass = np.diff([each.passing for each in self.sieves])
+        number = np.cumsum(mass * (low - high) / np.diff(opening))
+        share = stratified(count, random) * number[-1]
+        between = np.minimum(np.searchsorted(number, share, side="right"), len(mass) - 1)
+        before = np.concatenate([[0.0], number])[between]
+        within = (share - before) / (number[between] - before)
+        drawn = (low[between] - within * (low - high)[between]) ** -0.5
+        return np.clip(drawn, opening[between], opening[between + 1])
 
 
 class SizeClass(Model):
@@ -293,7 +420,15 @@ class GivenSizes(SizeDistribution):
 
 
 Sizes = Annotated[
-    q.Diameter | tuple[q.Diameter, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes | None,
+    q.Diameter
+    | tuple[q.Diameter, ...]
+    | UniformSizes
+    | NormalSizes
+    | LogNormalSizes
+    | RosinRammlerSizes
+    | SieveSizes
+    | ClassSizes
+    | None,
     choose_by_key("distribution"),
 ]
 """Diameters as in a scene; None if a file defines them."""
