@@ -119,6 +119,16 @@ DIMENSIONS: dict[str, Dimension] = {
     ),
     "damping": Dimension("a damping constant", "5 kg/s", _unit_table("kg/s 1, g/s 1e-3, Ns/m 1")),
     "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
+    "temperature": Dimension("a temperature", "300 K", _unit_table("K 1, mK 1e-3")),
+    "heat_capacity": Dimension(
+        "a specific heat capacity",
+        "500 J/(kg*K)",
+        _unit_table("J/(kg*K) 1, J/kg/K 1, kJ/(kg*K) 1e3, kJ/kg/K 1e3, J/(g*K) 1e3"),
+    ),
+    "thermal_conductivity": Dimension(
+        "a thermal conductivity", "50 W/(m*K)", _unit_table("W/(m*K) 1, W/m/K 1, mW/(m*K) 1e-3")
+    ),
+    "heat_flux": Dimension("a heat flux", "1 kW/m2", _unit_table("W/m2 1, W/m^2 1, W/m² 1, kW/m2 1e3")),
 }
 """Dimensions by name; the first unit of each is the SI unit."""
 _ANY = Dimension("a number or text with a unit", "2 t/h", {})

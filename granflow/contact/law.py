@@ -36,8 +36,8 @@ To write a model:
 """
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from types import SimpleNamespace
 from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 
@@ -46,7 +46,9 @@ from pydantic import Field
 
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
+from granflow.contact.particle_equation import MaterialProperties
 from granflow.device_functions import DeviceObject, is_from_outside, ti
+from granflow.schema.faults import Fault
 from granflow.schema.model import Model, example_of
 from granflow.schema.quantities import Number
 
@@ -108,16 +110,31 @@ class Flow:
 class FlowCase:
     """Contacts of two materials, for bounds of the flows through them.
 
-    pair:        mixed constants of the materials
-    radius_eff:  largest effective radius [m]
-    overlap:     largest overlap [m]
-    values:      smallest and largest initial value of each property that a particle equation integrates
+    pair:         mixed constants of the materials
+    radius_eff:   largest effective radius [m]
+    overlap:      largest overlap [m]
+    values:       smallest and largest initial value of each property that a particle equation integrates,
+                  those of walls included
+    wall_values:  smallest and largest value of each of `wall_properties`
     """
 
     pair: PairMaterial
     radius_eff: float
     overlap: float
     values: Mapping[str, tuple[float, float]]
+    wall_values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+class WallProperties(Model):
+    """Keys of a wall that a contact model reads, all optional; this class has none.
+
+    A subclass declares them as fields, each with a description, without a default.
+    """
+
+    @classmethod
+    def wall_faults(cls, wall: Any) -> Iterator[Fault]:
+        """Yield inconsistencies between these keys of a wall."""
+        yield from ()
 
 
 @dataclass(frozen=True)
@@ -147,6 +164,8 @@ class Law(DeviceObject):
     """What flows through a contact, by name, see `flow`; particle equations read the sums."""
     particle_properties: ClassVar[tuple[str, ...]] = ()
     """Properties of the particles that `flow` reads."""
+    wall_properties: ClassVar[type[WallProperties]] = WallProperties
+    """Class of the keys of a wall that `wall_flow` reads."""
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Law":
@@ -175,16 +194,20 @@ class Law(DeviceObject):
     def flow(self, constants, contact, first, partner):
         """Struct of the flows from the partner to the first particle, by the names of `flows`.
 
-        contact:         as of a normal model, before its force is evaluated: without history and force
+        contact:         as of a normal model, before its force is evaluated: without history and force; with
+                         the `contact_radius` [m] of the models
         first, partner:  structs of `particle_properties`
 
         If both are exchanged, each flow changes its sign to the last bit: then sums are conserved.
         """
 
     @ti.func
-    def at_wall(self, constants, first):
-        """The struct `partner` at a wall; by default nothing flows, because it equals `first`."""
-        return first
+    def wall_flow(self, constants, contact, first, wall):
+        """Struct of the flows from a wall to a particle; by default nothing flows.
+
+        wall:  struct of `wall_properties`, 0 for one that the wall does not give, and of NAME_given, 1 or 0
+        """
+        return self.flow(constants, contact, first, first)
 
     def flow_bounds(self, name: str, case: FlowCase) -> tuple[float, float]:
         """Largest flow of a contact, and its largest derivative by a property of the particle.
@@ -193,6 +216,15 @@ class Law(DeviceObject):
         times as large. The second limits the time step of each equation that reads the sum.
         """
         raise NotImplementedError
+
+    @ti.func
+    def contact_radius(self, constants, contact):
+        """Radius [m] of the contact area, for models of what flows through it; a cohesion model that defines
+        it has priority over the normal model.
+
+        a = sqrt(R d)        of Hertz contacts
+        """
+        return ti.sqrt(contact.radius_eff * contact.overlap)
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
@@ -772,6 +804,21 @@ class CohesionLaw(Law):
         return theory.velocity_for_radius(pair.modulus_eff, radius_eff, mass_eff, contact_radius)
 
 
+# Heat models
+
+
+@dataclass(frozen=True)
+class HeatLaw(Law):
+    """A model of the heat that flows through contacts; it exerts no force.
+
+    Its flow is `heat_flow` [W], from which the temperature of the particles follows.
+    """
+
+    required = ("flow", "wall_flow", "flow_bounds")
+    flows = {"heat_flow": Flow("W", "heat that flows to the particle through its contacts")}
+    particle_properties = ("temperature",)
+
+
 # Records: the keys that a model adds to a scene
 
 
@@ -873,6 +920,7 @@ SLOTS: Mapping[str, Slot] = {
         Slot("rolling", RollingLaw, "rolling_dissipation"),
         Slot("twisting", TwistingLaw, "rolling_dissipation", optional=True),
         Slot("cohesion", CohesionLaw, optional=True, remark=", with any normal contact model"),
+        Slot("heat", HeatLaw, optional=True),
     )
 }
 """Keys of `contact` in the order of evaluation, by name."""
@@ -885,17 +933,20 @@ materials."""
 class ContactModel:
     """A contact model of one slot, declared in one file.
 
-    law:              class with the functions of the model and its `name`, `source` and `limits`
-    summary:          description in one sentence
-    options:          class of the keys of the model in `contact`, in addition to its name
-    pair_properties:  class of the keys of `pairs` that the model requires
-    restitution:      form of the restitution that a normal model requires of a pair
+    law:                  class with the functions of the model and its `name`, `source` and `limits`
+    summary:              description in one sentence
+    options:              class of the keys of the model in `contact`, in addition to its name
+    pair_properties:      class of the keys of `pairs` that the model requires
+    material_properties:  class of the keys of materials that the model requires of particles, and of walls
+                          with which they exchange a property; those of which the default is None are optional
+    restitution:          form of the restitution that a normal model requires of a pair
     """
 
     law: type[Law]
     summary: str
     options: type[Options] = Options
     pair_properties: type[PairProperties] = PairProperties
+    material_properties: type[MaterialProperties] = MaterialProperties
     restitution: RestitutionInput = "positive number"
 
     @property

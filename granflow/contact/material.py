@@ -5,7 +5,7 @@ SI units throughout. Symbols as in Zhou (2011).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -64,6 +64,7 @@ class PairMaterial:
     shear_modulus_eff:  G [Pa], see `shear_modulus_eff`
     friction:           coefficient of sliding friction [-]
     properties:         keys of `pairs` that contact models declare, other than friction, in SI units
+    materials:          the two materials, with the keys that contact models declare as attributes
     """
 
     modulus_eff: float
@@ -75,6 +76,7 @@ class PairMaterial:
     yield_strength: float | None = None
     """Yield strength of the softer material [Pa]; None if neither material has one."""
     properties: Mapping[str, float] = field(default_factory=dict)
+    materials: tuple[Any, ...] = ()
     has_tangential_force: bool = False
     """Whether a tangential or rolling model acts between the two."""
     tangential_stiffness: float | None = None

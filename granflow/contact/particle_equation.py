@@ -21,7 +21,7 @@ from granflow.schema.quantities import Number
 
 
 class MaterialProperties(Model):
-    """Keys of a material that a particle equation requires; this class has none.
+    """Keys of a material that a particle equation or a contact model requires; this class has none.
 
     A subclass declares them as fields, each with a description, without a default.
     """

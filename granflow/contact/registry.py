@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 from granflow import fields
 from granflow.arguments import shown
 from granflow.contact.cohesion import capillary, capillary_transfer, dmt, jkr, sjkr, van_der_waals
+from granflow.contact.heat import conduction, temperature
 from granflow.contact.law import (
     SLOTS,
     CohesionLaw,
@@ -25,6 +26,7 @@ from granflow.contact.law import (
     PairProperties,
     SurfaceLaw,
     TangentialLaw,
+    WallProperties,
 )
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
@@ -35,6 +37,7 @@ from granflow.contact.twisting import marshall, torsion_spring
 from granflow.schema.model import example_of, is_name
 
 _MODELS: dict[str, dict[str, ContactModel]] = {slot: {} for slot in SLOTS}
+_EQUATIONS: dict[str, ParticleEquation] = {}
 
 
 def add(model: ContactModel) -> None:
@@ -67,6 +70,30 @@ def pair_properties() -> dict[str, FieldInfo]:
         for slot in _MODELS.values()
         for model in slot.values()
         for key, each in model.pair_properties.model_fields.items()
+    }
+
+
+def material_properties() -> dict[str, tuple[FieldInfo, str]]:
+    """The keys of materials that particle equations and models require: declaration, and what needs it."""
+    found = {
+        key: (each, f"for the {equation.name}")
+        for equation in _EQUATIONS.values()
+        for key, each in equation.material_properties.model_fields.items()
+    }
+    for slot, named in _MODELS.items():
+        for model in named.values():
+            for key, each in model.material_properties.model_fields.items():
+                found[key] = each, f"for contact.{slot}: {model.name}"
+    return found
+
+
+def wall_properties() -> dict[str, FieldInfo]:
+    """The keys of walls that any model reads, with their declarations."""
+    return {
+        key: each
+        for named in _MODELS.values()
+        for model in named.values()
+        for key, each in model.law.wall_properties.model_fields.items()
     }
 
 
@@ -111,7 +138,13 @@ def _problems(model: ContactModel) -> Iterator[str]:
 
 def _undeclared(model: ContactModel) -> Iterator[str]:
     """Reasons why the options of a model or its properties of pairs are not valid."""
-    for given, base in ((model.options, Options), (model.pair_properties, PairProperties)):
+    classes = (
+        (model.options, Options),
+        (model.pair_properties, PairProperties),
+        (model.material_properties, MaterialProperties),
+        (model.law.wall_properties, WallProperties),
+    )
+    for given, base in classes:
         if not (isinstance(given, type) and issubclass(given, base)):
             yield f"{shown(given)} is not a subclass of {base.__module__}.{base.__name__}"
             return
@@ -146,13 +179,12 @@ def _undefined(model: ContactModel) -> Iterator[str]:
 
 
 _NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono)
+_OTHER = (sjkr, dmt, jkr, capillary, capillary_transfer, van_der_waals, conduction)
 _SURFACE = (mindlin, linear_history, epsd, cdt, sds, viscous, marshall, torsion_spring)
-for _module in (*_NORMAL, *_SURFACE, sjkr, dmt, jkr, capillary, capillary_transfer, van_der_waals):
+for _module in (*_NORMAL, *_SURFACE, *_OTHER):
     add(_module.MODEL)
 
 # Particle equations
-
-_EQUATIONS: dict[str, ParticleEquation] = {}
 
 
 def add_equation(equation: ParticleEquation) -> None:
@@ -208,8 +240,7 @@ def _problems_of_equation(equation: ParticleEquation) -> Iterator[str]:
         yield f"{shown(equation.material_properties)} is not a subclass of {MaterialProperties.__module__}"
 
 
-_BUILT_IN_EQUATIONS: tuple[ParticleEquation, ...] = ()
-for _equation in _BUILT_IN_EQUATIONS:
+for _equation in (temperature.EQUATION,):
     add_equation(_equation)
 
 # The laws of one scene
@@ -255,6 +286,12 @@ class ContactLaws:
         return next((law for law in self.laws if isinstance(law, CohesionLaw)), None)
 
     @property
+    def of_contact_radius(self) -> str:
+        """Slot of the law that defines the contact radius."""
+        own = self.cohesion is not None and type(self.cohesion).contact_radius is not Law.contact_radius
+        return "cohesion" if own else "normal"
+
+    @property
     def has_tangential(self) -> bool:
         """Whether a tangential model acts; kernels cannot compare with None."""
         return self.tangential is not None
@@ -268,6 +305,11 @@ class ContactLaws:
     def on_surface(self) -> tuple[tuple[str, SurfaceLaw], ...]:
         """Slot and law of each model that acts on surfaces that touch, in the order of evaluation."""
         return tuple((slot, law) for slot, law in self.by_slot.items() if isinstance(law, SurfaceLaw))
+
+    @property
+    def wall_properties(self) -> tuple[str, ...]:
+        """Keys of walls that the laws read, each once."""
+        return tuple(dict.fromkeys(key for law in self.laws for key in law.wall_properties.model_fields))
 
     @property
     def flows(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from granflow.engine.codes import ABORT_FLOW
 from granflow.engine.pair import member
 from granflow.engine.state import State
 from granflow.engine.sums import build_to_grid
+from granflow.engine.walls import Faces
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import SUM_BITS
 
@@ -36,6 +37,14 @@ class Flows:
             (slot, law, self._fields(law.particle_properties), self._sums_of(law.flows))
             for slot, law in laws.by_slot.items()
             if law.flows
+        ]
+        self.radius_slot = laws.of_contact_radius
+        self.radius_law = laws.by_slot[self.radius_slot]
+        self.wall_of = state.built(Faces).wall_of
+        self.wall_values = [
+            (name, field)
+            for key, (value, given) in state.walls.values.items()
+            for name, field in ((key, value), (f"{key}_given", given))
         ]
         self.equations = [
             (
@@ -74,19 +83,34 @@ class Flows:
         Writes:  the sums
         """
         begin = chunk * self.chunk_size()
+        touching = ti.Struct(
+            radius_eff=contact.radius_eff,
+            mass_eff=contact.mass_eff,
+            time_step=contact.time_step,
+            overlap=contact.overlap,
+            overlap_rate=contact.overlap_rate,
+            contact_radius=self.radius_law.contact_radius(member(constants, self.radius_slot), contact),
+        )
         for slot, law, read, sums in ti.static(self.laws):
             first = ti.Struct({name: field[i] for name, field in ti.static(read)})
-            partner = first
-            if ti.static(with_wall):
-                partner = law.at_wall(member(constants, slot), first)
-            else:
-                partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
-            flows = law.flow(member(constants, slot), contact, first, partner)
+            flows = self._flows(law, member(constants, slot), touching, first, j, read, with_wall)
             for name, field, shift in ti.static(sums):
                 flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
                 field[i] = field[i] + flow
                 if j >= begin and j < begin + self.chunk_size():
                     field[j] = field[j] - flow
+
+    @ti.func
+    def _flows(
+        self, law: ti.template(), constants, contact, first, j, read: ti.template(), with_wall: ti.template()
+    ):
+        """Struct of the flows of a law from partner j."""
+        if ti.static(with_wall):
+            w = self.wall_of(j)
+            wall = ti.Struct({name: field[w] for name, field in ti.static(self.wall_values)})
+            return law.wall_flow(constants, contact, first, wall)
+        partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
+        return law.flow(constants, contact, first, partner)
 
     @ti.func
     def integrate(self, i, dt):

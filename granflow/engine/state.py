@@ -379,6 +379,8 @@ class Walls:
     surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane;
                        None without belts
     impulse_row:       row in `Control.impulses`, or NOT_MEASURED
+    values:            keys that contact models read, and 1 or 0 for whether a wall gives them: two fields by
+                       key
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
@@ -398,6 +400,10 @@ class Walls:
         self.angular_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
         has_belt = plan.features.surface_velocity
         self.surface_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if has_belt else None
+        self.values = {
+            key: (block.scalar(ti.f64, count), block.scalar(ti.f64, count))
+            for key in plan.laws.wall_properties
+        }
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""
@@ -411,6 +417,10 @@ class Walls:
             if self.impulse_row is not None:
                 measured = plan.scene.measured_walls
                 self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
+            for key, (values, given) in self.values.items():
+                value = plan.wall_values[key][index]
+                values[index] = value or 0.0
+                given[index] = float(value is not None)
         self.fill_joints(plan)
 
     def fill_joints(self, plan: Plan) -> None:

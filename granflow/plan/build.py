@@ -11,8 +11,7 @@ from math import ceil
 
 import numpy as np
 
-from granflow.contact.law import FlowCase, NormalLaw
-from granflow.contact.particle_equation import ParticleEquation
+from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.sphere import sphere_mass
 from granflow.load import Scene, refuse_other_object
@@ -43,6 +42,7 @@ from granflow.plan.pairs import (
     pair_materials,
     pair_table,
 )
+from granflow.plan.particle_equations import refuse_long_step
 from granflow.plan.plan import Plan
 from granflow.plan.size_classes import size_classes
 from granflow.plan.stages import refuse_unresolved_drag
@@ -141,7 +141,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
         controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
         wall_notes=_wall_notes(scene, walls, 2.0 * radius_min),
     )
-    _refuse_long_step(plan)
+    refuse_long_step(plan)
     _refuse_fast(plan, speeds)
     _refuse_collision_energies(plan)
     return plan
@@ -290,44 +290,6 @@ def _refuse_collision_energies(plan: Plan) -> None:
             f"model with a history, and contact.normal {scene.contact.name('normal')} without friction has "
             "none. Give a pair a friction above 0, set contact.normal to zhou, or remove the block."
         )
-
-
-# The limit of the time step of particle equations.
-
-CONTACTS = 12
-"""Contacts of the smallest particle that limit the time step: equal spheres around it."""
-
-
-def _refuse_long_step(plan: Plan) -> None:
-    """Raise SceneError if the time step exceeds the limit of a particle equation."""
-    scene = plan.scene
-    for equation in plan.scene.equations:
-        longest = min(_longest_steps(plan, equation))
-        if plan.longest_time_step > longest:
-            raise SceneError(
-                f"{scene.locate('run', 'time_step')}: the time step {plan.longest_time_step:.3g} s is longer "
-                f"than {longest:.3g} s, up to which the equation of the {equation.name} is stable; give a "
-                "smaller run.time_step."
-            )
-
-
-def _longest_steps(plan: Plan, equation: ParticleEquation) -> Iterator[float]:
-    """Limit of the time step [s] of the smallest particle of each group."""
-    for group in plan.scene.particles.values():
-        radius = 0.5 * group.diameters[0]
-        mass = sphere_mass(radius, plan.scene.materials[group.material].density)
-        slope = max(_slopes(plan, equation, group.material, radius), default=0.0)
-        constants = plan.material_constants(equation, group.material)
-        yield equation.longest_time_step(constants, radius, mass, CONTACTS * slope)
-
-
-def _slopes(plan: Plan, equation: ParticleEquation, material: str, radius: float) -> Iterator[float]:
-    """Largest derivative by the property of a flow through a contact of a particle."""
-    overlap = plan.scene.numerics.max_overlap * radius
-    for (first, _), pair in plan.pair_materials.items():
-        case = FlowCase(pair, radius, overlap, plan.value_ranges)
-        for law in plan.laws.laws if first == material else ():
-            yield from (law.flow_bounds(name, case)[1] for name in law.flows if name in equation.flows)
 
 
 # The plan of one of several MPI ranks.

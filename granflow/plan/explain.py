@@ -23,6 +23,7 @@ from granflow.plan.cost import (
     typical_run_time,
 )
 from granflow.plan.features import Reason
+from granflow.plan.particle_equations import longest_step
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import rayleigh_time
 from granflow.scene.blocks.contact import LawSettings
@@ -99,6 +100,12 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         f"{step.stable_below:.4g} s",
         f"{step.stable_limit} at {impact_velocity.value:.3g} m/s",
     )
+    for equation in plan.scene.equations:
+        yield ExplainRow(
+            f"limit of {equation.name}",
+            f"{longest_step(plan, equation):.4g} s",
+            f"up to which the equation of the {equation.name} is stable",
+        )
     yield ExplainRow(
         "Rayleigh time",
         f"{shortest:.4g} s",

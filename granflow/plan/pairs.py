@@ -112,6 +112,7 @@ def _pair_material(
         pair.friction,
         yield_strength(a, b),
         properties,
+        (a, b),
         has_tangential_force=any(model.acts([pair]) for model in surface),
         tangential_stiffness=getattr(scene.contact.options("tangential"), "stiffness", None),
     )

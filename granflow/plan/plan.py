@@ -428,8 +428,25 @@ class Plan:
 
     @cached_property
     def value_ranges(self) -> dict[str, tuple[float, float]]:
-        """Smallest and largest initial value of these properties."""
-        return {name: (min(values), max(values)) for name, values in self.initial_values.items()}
+        """Smallest and largest initial value of these properties, and of walls that have one."""
+        found = {}
+        for name, values in self.initial_values.items():
+            given = (*values, *(each for each in self.wall_values.get(name, ()) if each is not None))
+            found[name] = min(given), max(given)
+        return found
+
+    @cached_property
+    def wall_values(self) -> dict[str, tuple[float | None, ...]]:
+        """Value of each wall, None if not given, by the keys that contact models read."""
+        return {
+            key: tuple(getattr(wall.spec, key) for wall in self.walls) for key in self.laws.wall_properties
+        }
+
+    @cached_property
+    def wall_value_ranges(self) -> dict[str, tuple[float, float]]:
+        """Smallest and largest of them; 0 if none is given."""
+        given = {key: [each or 0.0 for each in values] or [0.0] for key, values in self.wall_values.items()}
+        return {key: (min(values), max(values)) for key, values in given.items()}
 
     def material_constants(self, equation: ParticleEquation, material: str) -> dict[str, float]:
         """Values of the keys of a material that a particle equation requires; 0 for one of walls only."""
@@ -439,7 +456,13 @@ class Plan:
     @cached_property
     def flow_units(self) -> dict[str, float]:
         """Units of the sums that contact models declare, see `sum_units.flow_units`."""
-        return flow_units(self.laws, self.pair_cases, self.scene.numerics.max_overlap, self.value_ranges)
+        return flow_units(
+            self.laws,
+            self.pair_cases,
+            self.scene.numerics.max_overlap,
+            self.value_ranges,
+            self.wall_value_ranges,
+        )
 
     @cached_property
     def liquid_unit(self) -> float:

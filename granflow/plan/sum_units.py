@@ -145,17 +145,20 @@ def flow_units(
     pair_cases: Sequence[PairCase],
     max_overlap: float,
     values: Mapping[str, tuple[float, float]],
+    wall_values: Mapping[str, tuple[float, float]],
 ) -> dict[str, float]:
     """Unit of each sum of `laws.flows`, a power of two: the largest flow of a contact over 2^FORCE_BITS.
 
-    values:  smallest and largest initial value of each property that a particle equation integrates
+    values, wall_values:  as of `FlowCase`
     """
     found = {}
     for name in laws.flows:
         bounds = [
             law.flow_bounds(
                 name,
-                FlowCase(case.pair, case.overlap_radius, max_overlap * case.overlap_radius, values),
+                FlowCase(
+                    case.pair, case.overlap_radius, max_overlap * case.overlap_radius, values, wall_values
+                ),
             )[0]
             for law in laws.laws
             if name in law.flows

@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import BaseModel, Field, create_model
 
 from granflow.contact import registry
-from granflow.contact.law import Remedy
+from granflow.contact.law import SLOTS, Remedy
 from granflow.fields import (
     ENERGY_BUDGET_QUANTITIES,
     FLOW_METER_QUANTITIES,
@@ -436,6 +436,51 @@ def equation_values(parts: PartialScene) -> Iterator[Fault]:
             yield whole(("start_from",), f"{reason}; remove one of the two")
 
 
+def wall_values(parts: PartialScene) -> Iterator[Fault]:
+    """Keys of walls that contact models declare require such a model, and must agree with each other."""
+    scene = parts.scene
+    known = {
+        key: f"contact.{slot}: {name}"
+        for slot in SLOTS
+        for name, model in registry.models(slot).items()
+        for key in model.law.wall_properties.model_fields
+    }
+    chosen = [model.law.wall_properties for model in scene.chosen_models.values()]
+    for name, wall in scene.walls.items():
+        read = {key for each in chosen for key in each.model_fields}
+        for key, user in known.items():
+            if getattr(wall, key) is not None and key not in read:
+                reason = f"has no effect: no contact model reads it; remove it, or select {user}"
+                yield whole(("walls", name, key), reason)
+        for each in chosen:
+            for fault in each.wall_faults(wall):
+                yield replace(fault, path=("walls", name, *fault.path))
+
+
+def material_values(parts: PartialScene) -> Iterator[Fault]:
+    """A contact model requires its keys of the materials of particles, and of walls that have a value of a
+    property of the particles."""
+    scene = parts.scene
+    for slot, model in scene.active_models.items():
+        keys = [*model.law.wall_properties.model_fields]
+        exchanged = [key for key in model.law.particle_properties if key in keys]
+        used = [(f"particles.{name}", group) for name, group in scene.particles.items()]
+        used += [
+            (f"walls.{name}", wall)
+            for name, wall in scene.walls.items()
+            if any(getattr(wall, key) is not None for key in exchanged)
+        ]
+        users: dict[str, str] = {}
+        for user, part in used:
+            users.setdefault(part.material, user)
+        for name, user in users.items():
+            for key, each in model.material_properties.model_fields.items():
+                known = scene.materials.get(name)
+                if each.is_required() and known is not None and getattr(known, key) is None:
+                    reason = f"{each.description}, of {user} with contact.{slot}: {model.name}"
+                    yield missing(("materials", name, key), reason)
+
+
 # Features that Lees-Edwards boundaries exclude
 
 
@@ -782,6 +827,8 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("domain", "run", "output"), unsupported_shapes),
     (("contact",), liquid_content),
     (("contact", "pairs"), equation_values),
+    (("contact",), wall_values),
+    (("contact", "pairs"), material_values),
     (("output", "stages", "domain"), field_grids),
     (("output", "gravity", "domain"), metrics),
     (("output",), residence_time),

@@ -15,6 +15,7 @@ from granflow.errors import GranflowError
 from granflow.scene import checks, reference
 from granflow.scene.blocks import contact, materials, metrics, output, particles
 from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.blocks.walls import kinds
 from granflow.schema.model import Model
 
 
@@ -156,9 +157,11 @@ def _use_registry() -> None:
     materials.use_registry()
     output.use_metrics()
     particles.use_registry()
+    kinds.use_registry()
     blocks: list[type[Model]] = [
         contact.Contact,
         materials.Material,
+        *kinds.WALLS,
         particles.Group,
         materials.MaterialPair,
         output.Output,

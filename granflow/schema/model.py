@@ -116,7 +116,8 @@ def faults_of(value: Any, path: KeyPath = ()) -> Iterator[Fault]:
 def add_keys(model: type[Model], keys: Mapping[str, FieldInfo]) -> None:
     """Set the keys of a model that records outside of its class declare, in place of those set before."""
     own = model.__pydantic_fields__
-    for name in set(own) - set(model.__annotations__):
+    declared = {name for each in model.__mro__ for name in getattr(each, "__annotations__", ())}
+    for name in set(own) - declared:
         del own[name]
     own.update(keys)
 

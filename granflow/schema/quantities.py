@@ -217,6 +217,10 @@ Damping = Annotated[float, Number("damping", at_least=0)]
 Pressure = Annotated[float, Number("pressure", above=0)]
 Density = Annotated[float, Number("density", above=0)]
 Energy = Annotated[float, Number("energy", above=0)]
+Temperature = Annotated[float, Number("temperature", above=0)]
+HeatCapacity = Annotated[float, Number("heat_capacity", above=0)]
+ThermalConductivity = Annotated[float, Number("thermal_conductivity", above=0)]
+HeatFlux = Annotated[float, Number("heat_flux")]
 AnyQuantity = Annotated[float, Number("any")]
 """Number in SI units, or text with a unit that has the same factor in all dimensions that know it."""
 

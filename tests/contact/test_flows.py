@@ -1,4 +1,4 @@
-"""A conduction-like contact model and the equation of a temperature, registered by a program: sums that models
+"""A contact model of electric conduction and the equation of a potential, registered by a program: sums that models
 declare, and particle equations."""
 
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ from granflow.scene.registration import (
 )
 from granflow.schema.quantities import NotNegative, Number
 
-CONDUCTANCE, HEAT_CAPACITY, DENSITY, RADIUS = 2e-2, 0.5, 2500.0, 0.005
+CONDUCTANCE, CAPACITANCE, DENSITY, RADIUS = 2e-2, 0.5, 2500.0, 0.005
 MASS = DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3
 TIME_STEP = 1e-5
-HOT, COLD = 310.0, 290.0
+HIGH, LOW = 310.0, 290.0
 
 
 @dataclass(frozen=True)
@@ -36,73 +36,73 @@ class Conducting(Hertz):
     source = "this test, 2026"
     limits = "a conductance without dependence on the load"
     constant_names = (*Hertz.constant_names, "conductance")
-    flows = {"heat_flow": Flow("W", "heat from the contacts")}
-    particle_properties = ("temperature",)
+    flows = {"current": Flow("A", "current from the contacts")}
+    particle_properties = ("potential",)
 
     def pair_constants(self, pair):
         return *super().pair_constants(pair), pair.properties["conductance"]
 
     @ti.func
     def flow(self, constants, contact, first, partner):
-        return ti.Struct(heat_flow=constants.conductance * (partner.temperature - first.temperature))
+        return ti.Struct(current=constants.conductance * (partner.potential - first.potential))
 
     def flow_bounds(self, name, case):
-        low, high = case.values["temperature"]
+        low, high = case.values["potential"]
         return case.pair.properties["conductance"] * (high - low), case.pair.properties["conductance"]
 
 
 @dataclass(frozen=True)
-class Heated(Conducting):
-    """The same, with walls at 300 K, and a bound of the flow that is too low by a factor."""
+class Grounded(Conducting):
+    """The same, with walls at 300 V, and a bound of the flow that is too low by a factor."""
 
-    name = "heated"
+    name = "grounded"
 
     @ti.func
-    def at_wall(self, constants, first):
-        return ti.Struct(temperature=0.0 * first.temperature + 300.0)
+    def wall_flow(self, constants, contact, first, wall):
+        return self.flow(constants, contact, first, ti.Struct(potential=0.0 * first.potential + 300.0))
 
     def flow_bounds(self, name, case):
-        low, high = case.values["temperature"]
+        low, high = case.values["potential"]
         conductance, share = (case.pair.properties[key] for key in ("conductance", "bound_share"))
         return share * conductance * (max(high, 300.0) - min(low, 300.0)), share * conductance
 
 
 class ConductancePair(PairProperties):
-    conductance: NotNegative = Field(description="conductance [W/K]", examples=["1e-3"])
+    conductance: NotNegative = Field(description="conductance [S]", examples=["1e-3"])
 
 
-class HeatedPair(ConductancePair):
+class GroundedPair(ConductancePair):
     bound_share: NotNegative = Field(description="bound of the flow over its largest value", examples=["1"])
 
 
-class Heat(MaterialProperties):
-    heat_capacity: Annotated[float, Number(above=0)] = Field(description="specific heat capacity [J/(kg K)]")
+class Capacitance(MaterialProperties):
+    specific_capacitance: Annotated[float, Number(above=0)] = Field(description="specific capacitance [F/kg]")
 
 
-class Temperature(ParticleEquation):
-    """dT/dt = q / (m c)."""
+class Potential(ParticleEquation):
+    """dV/dt = I / (m c)."""
 
-    name = "temperature"
-    symbol = "T"
-    unit = "K"
-    meaning = "temperature of the particle"
+    name = "potential"
+    symbol = "V"
+    unit = "V"
+    meaning = "potential of the particle"
     initial = Number(above=0)
-    flows = ("heat_flow",)
-    material_properties = Heat
+    flows = ("current",)
+    material_properties = Capacitance
 
     @ti.func
     def rate(self, constants, particle, flows):
-        return flows.heat_flow / (particle.mass * constants.heat_capacity)
+        return flows.current / (particle.mass * constants.specific_capacitance)
 
     def longest_time_step(self, constants, radius, mass, slope):
-        return mass * constants["heat_capacity"] / slope if slope else np.inf
+        return mass * constants["specific_capacitance"] / slope if slope else np.inf
 
 
 MODELS = [
     ContactModel(law, "Hertz contacts that conduct", pair_properties=properties)
-    for law, properties in ((Conducting, ConductancePair), (Heated, HeatedPair))
+    for law, properties in ((Conducting, ConductancePair), (Grounded, GroundedPair))
 ]
-EQUATION = Temperature()
+EQUATION = Potential()
 
 
 @pytest.fixture(autouse=True)
@@ -118,9 +118,9 @@ def registered():
 
 
 FLOOR = {"shape": "plane", "point": [0, 0, -0.99 * RADIUS], "normal": [0, 0, 1], "material": "glass"}
-GLASS = {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": DENSITY, "heat_capacity": HEAT_CAPACITY}
+GLASS = {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": DENSITY, "specific_capacitance": CAPACITANCE}
 USUAL = {
-    "title": "Conduction",
+    "title": "Electric conduction",
     "gravity": [0, 0, -9.81],
     "materials": {"glass": GLASS},
     "walls": {"floor": FLOOR},
@@ -130,8 +130,8 @@ USUAL = {
 }
 
 
-def scene_of(positions, temperatures, chunk_size=1, law="conducting", pair=None, **parts):
-    """A scene of spheres above a floor, one group per temperature; the first is fixed.
+def scene_of(positions, potentials, chunk_size=1, law="conducting", pair=None, **parts):
+    """A scene of spheres above a floor, one group per potential; the first is fixed.
 
     The floor touches a sphere at the origin. All these scenes share their kernels, but for chunks and precision.
     """
@@ -139,11 +139,11 @@ def scene_of(positions, temperatures, chunk_size=1, law="conducting", pair=None,
         f"group_{number}": {
             "material": "glass",
             "diameter": 2.0 * RADIUS,
-            "temperature": temperature,
+            "potential": potential,
             "fixed": number == 0,
             "insert": {"kind": "positions", "positions": np.atleast_2d(own).tolist()},
         }
-        for number, (own, temperature) in enumerate(zip(positions, temperatures, strict=True))
+        for number, (own, potential) in enumerate(zip(positions, potentials, strict=True))
     }
     given = {"restitution": 0.8, "friction": 0.0, "conductance": CONDUCTANCE} | (pair or {})
     return Scene.from_dict(
@@ -163,36 +163,36 @@ PAIR = [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 2.0 * RADIUS - 1.1e-5]]]
 
 
 def check_exchange(chunk_size, precision):
-    """Two spheres exchange heat until their temperatures are equal.
+    """Two spheres exchange charge until their potentials are equal.
 
-    T1 - T2 = D exp(-2 h t / (m c)), and T1 + T2 is constant.
+    V1 - V2 = D exp(-2 h t / (m c)), and V1 + V2 is constant.
     """
-    scene = scene_of(PAIR, (HOT, COLD), chunk_size)
+    scene = scene_of(PAIR, (HIGH, LOW), chunk_size)
     with Simulation(scene, threads=2, precision=precision) as simulation:
         assert (simulation.engine.state.batch is not None) == (chunk_size > 1)
-        samples = [simulation.snapshot().particles["temperature"].tolist()]
+        samples = [simulation.snapshot().particles["potential"].tolist()]
         for _ in range(8):
             simulation.step(50)
-            samples.append(simulation.snapshot().particles["temperature"].tolist())
+            samples.append(simulation.snapshot().particles["potential"].tolist())
         particles = simulation.snapshot().particles
-    assert particles["heat_flow"][0] == -particles["heat_flow"][1] != 0.0
-    temperatures = np.array(samples)
-    assert len(set(temperatures.sum(axis=1).tolist())) == 1
-    decay = 2.0 * CONDUCTANCE * TIME_STEP / (MASS * HEAT_CAPACITY)
+    assert particles["current"][0] == -particles["current"][1] != 0.0
+    potentials = np.array(samples)
+    assert len(set(potentials.sum(axis=1).tolist())) == 1
+    decay = 2.0 * CONDUCTANCE * TIME_STEP / (MASS * CAPACITANCE)
     steps = 50 * np.arange(9)
-    explicit = (HOT - COLD) * (1.0 - decay) ** steps
+    explicit = (HIGH - LOW) * (1.0 - decay) ** steps
     tolerance = 1e-12 if precision == "f64" else 1e-6
-    difference = -np.diff(temperatures, axis=1)[:, 0]
+    difference = -np.diff(potentials, axis=1)[:, 0]
     np.testing.assert_allclose(difference, explicit, rtol=tolerance)
-    np.testing.assert_allclose(difference, (HOT - COLD) * np.exp(-decay * steps), rtol=decay)
+    np.testing.assert_allclose(difference, (HIGH - LOW) * np.exp(-decay * steps), rtol=decay)
 
 
 def bed(chunk_size, **parts):
-    """Touching spheres in motion above a floor, in four groups of different temperatures, and a fixed one."""
+    """Touching spheres in motion above a floor, in four groups of different potentials, and a fixed one."""
     positions = 1.99 * RADIUS * np.argwhere(np.ones((4, 4, 4)))
     rng = np.random.default_rng(2)
     groups = [positions[:1], *(positions[1 + k :: 4] for k in range(4))]
-    scene = scene_of(groups, (300.0, HOT, COLD, 297.0, 306.0), chunk_size, **parts).to_dict()
+    scene = scene_of(groups, (300.0, HIGH, LOW, 297.0, 306.0), chunk_size, **parts).to_dict()
     for group in scene["particles"].values():
         count = len(group["insert"]["positions"])
         group["velocity"] = rng.normal(0.0, 0.3, (count, 3)).tolist() if not group["fixed"] else [0, 0, 0]
@@ -205,85 +205,85 @@ def state_of(simulation):
 
 
 def check_bed(chunk_sizes, precision):
-    """A bed that touches the floor conserves its heat, with the same bits for chunks."""
+    """A bed that touches the floor conserves its charge, with the same bits for chunks."""
     found = []
     for chunk_size in chunk_sizes:
         with Simulation(bed(chunk_size), threads=2, precision=precision) as simulation:
-            before = simulation.snapshot().particles["temperature"].sum()
+            before = simulation.snapshot().particles["potential"].sum()
             simulation.step(300)
             found.append(state_of(simulation))
-            flows = simulation.snapshot().particles["heat_flow"]
+            flows = simulation.snapshot().particles["current"]
             assert simulation.snapshot().totals["wall_contact_count"] > 0
     assert all(each == found[0] for each in found[1:])
     assert np.count_nonzero(flows) > 10 and flows.sum() == 0.0
-    temperature = np.array(found[0]["temperature"])
-    assert temperature.sum() == pytest.approx(before, rel=1e-14 if precision == "f64" else 1e-8)
-    assert temperature.std() > 0 and COLD <= temperature.min() and temperature.max() <= HOT
+    potential = np.array(found[0]["potential"])
+    assert potential.sum() == pytest.approx(before, rel=1e-14 if precision == "f64" else 1e-8)
+    assert potential.std() > 0 and LOW <= potential.min() and potential.max() <= HIGH
 
 
 @pytest.mark.parametrize("chunk_size", [1, 16])
-def test_two_spheres_exchange_heat_until_their_temperatures_are_equal(chunk_size):
+def test_two_spheres_exchange_charge_until_their_potentials_are_equal(chunk_size):
     check_exchange(chunk_size, "f64")
 
 
-def test_a_bed_has_the_same_bits_for_chunks_and_conserves_its_heat():
+def test_a_bed_has_the_same_bits_for_chunks_and_conserves_its_charge():
     check_bed((1, 16), "f64")
 
 
 def test_walls_have_the_value_that_the_model_gives_them():
-    """With a model that gives them none, the bed above, which touches the floor, conserves its heat."""
+    """With a model that gives them none, the bed above, which touches the floor, conserves its charge."""
     pair = {"bound_share": 1.0, "conductance": CONDUCTANCE}
-    scene = scene_of([[[0.5, 0.0, 0.0]], [[0.0, 0.0, 0.0]]], (HOT, HOT), law="heated", pair=pair)
+    scene = scene_of([[[0.5, 0.0, 0.0]], [[0.0, 0.0, 0.0]]], (HIGH, HIGH), law="grounded", pair=pair)
     with Simulation(scene, threads=2) as simulation:
         simulation.step(5)
-        found = simulation.snapshot().particles["temperature"][1]
-    decay = CONDUCTANCE * TIME_STEP / (MASS * HEAT_CAPACITY)
-    assert found == pytest.approx(300.0 + (HOT - 300.0) * (1.0 - decay) ** 5, rel=1e-9)
+        found = simulation.snapshot().particles["potential"][1]
+    decay = CONDUCTANCE * TIME_STEP / (MASS * CAPACITANCE)
+    assert found == pytest.approx(300.0 + (HIGH - 300.0) * (1.0 - decay) ** 5, rel=1e-9)
 
 
 def test_a_flow_above_its_bound_is_an_error():
     pair = {"bound_share": 1e-9, "conductance": CONDUCTANCE}
     with (
-        Simulation(scene_of(PAIR, (HOT, COLD), law="heated", pair=pair), threads=2) as simulation,
-        pytest.raises(RunError, match=r"one of the flows to particle 0 .*heat_flow, is not a number or more"),
+        Simulation(scene_of(PAIR, (HIGH, LOW), law="grounded", pair=pair), threads=2) as simulation,
+        pytest.raises(RunError, match=r"one of the flows to particle 0 .*current, is not a number or more"),
     ):
         simulation.step(2)
 
 
 def test_missing_keys_and_a_long_time_step_are_errors():
-    scene = scene_of(PAIR, (HOT, COLD)).to_dict()
-    del scene["particles"]["group_0"]["temperature"], scene["materials"]["glass"]["heat_capacity"]
+    scene = scene_of(PAIR, (HIGH, LOW)).to_dict()
+    del scene["particles"]["group_0"]["potential"], scene["materials"]["glass"]["specific_capacitance"]
     with pytest.raises(SceneError) as error:
         plan_for(Scene.from_dict(scene))
-    assert "particles.group_0.temperature is missing" in str(error.value)
-    assert "materials.glass.heat_capacity is missing" in str(error.value)
-    scene = scene_of(PAIR, (HOT, COLD)).to_dict()
-    scene["materials"]["glass"]["heat_capacity"] = 1e-5
-    with pytest.raises(SceneError, match=r"up to which the equation of the temperature is stable"):
+    assert "particles.group_0.potential is missing" in str(error.value)
+    assert "materials.glass.specific_capacitance is missing" in str(error.value)
+    scene = scene_of(PAIR, (HIGH, LOW)).to_dict()
+    scene["materials"]["glass"]["specific_capacitance"] = 1e-5
+    with pytest.raises(SceneError, match=r"up to which the equation of the potential is stable"):
         plan_for(Scene.from_dict(scene))
-    with pytest.raises(SceneError, match=r"run.precision is f32, but the change of temperature in one step"):
-        plan_for(scene_of(PAIR, (HOT, COLD)).with_precision("f32"))
+    with pytest.raises(SceneError, match=r"run.precision is f32, but the change of potential in one step"):
+        plan_for(scene_of(PAIR, (HIGH, LOW)).with_precision("f32"))
 
 
 def test_a_scene_without_the_model_has_no_sums():
-    scene = scene_of(PAIR, (HOT, COLD)).to_dict()
+    scene = scene_of(PAIR, (HIGH, LOW)).to_dict()
     scene["contact"]["normal"] = "hertz"
     del scene["pairs"]["glass-glass"]["conductance"]
-    with pytest.raises(SceneError, match=r"temperature has no effect: no contact model .* flow heat_flow"):
+    with pytest.raises(SceneError, match=r"potential has no effect: no contact model .* flow current"):
         Scene.from_dict(scene)
     for group in scene["particles"].values():
-        del group["temperature"]
+        del group["potential"]
     plan = plan_for(Scene.from_dict(scene))
     assert plan.features.flows == plan.laws.flows == plan.scene.equations == ()
     assert not plan.flow_units and all(a != b for a, b in pairwise(plan.laws.names))
 
 
 def test_a_normal_model_acts_without_the_values_of_its_properties():
-    """A conductance of 0: the force is that of Hertz, the temperatures stay."""
-    with Simulation(scene_of(PAIR, (HOT, COLD), pair={"conductance": 0.0}), threads=2) as simulation:
+    """A conductance of 0: the force is that of Hertz, the potentials stay."""
+    with Simulation(scene_of(PAIR, (HIGH, LOW), pair={"conductance": 0.0}), threads=2) as simulation:
         simulation.step(10)
         particles = simulation.snapshot().particles
-    assert particles["temperature"].tolist() == [HOT, COLD]
+    assert particles["potential"].tolist() == [HIGH, LOW]
     assert particles["coordination_number"].tolist() == [1, 1]
 
 
@@ -291,16 +291,16 @@ def test_a_normal_model_acts_without_the_values_of_its_properties():
     ("changes", "message"),
     [
         ({"name": "count"}, "particle equation count: a key of particle groups has this name"),
-        ({"name": "heat", "flows": "heat_flow"}, "flows is 'heat_flow', but must be a tuple of names"),
-        ({}, "particle equation temperature: an equation of this name exists"),
+        ({"name": "charge", "flows": "current"}, "flows is 'current', but must be a tuple of names"),
+        ({}, "particle equation potential: an equation of this name exists"),
     ],
 )
 def test_an_equation_that_is_not_valid_is_refused(changes, message):
     with pytest.raises(GranflowError, match=message):
-        register_particle_equation(type("Other", (Temperature,), changes)())
+        register_particle_equation(type("Other", (Potential,), changes)())
 
 
-def test_heat_is_exchanged_and_conserved_in_mixed_precision():
+def test_charge_is_exchanged_and_conserved_in_mixed_precision():
     """The last test of this file, because another precision restarts Taichi, which loses all compiled kernels."""
     check_exchange(16, "mixed")
     check_bed((16,), "mixed")

@@ -107,6 +107,13 @@ class Jkr(BondLaw):
         return unit * (4.0 / 3.0 * (above * ti.sqrt(above) - cube * cube) + 2.0 * cube)
 
     @ti.func
+    def contact_radius(self, constants, contact):
+        """Contact radius a = a_s y^2 [m], with adhesion larger than that of Hertz."""
+        scale = length_scale(constants, contact)
+        y = root_of_contact_radius(contact.overlap * contact.radius_eff / (scale * scale))
+        return scale * y * y
+
+    @ti.func
     def bond_energy(self, constants, contact):
         """Elastic and surface energy [J] minus the energy of the Hertz contact."""
         scale = length_scale(constants, contact)

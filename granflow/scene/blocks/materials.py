@@ -231,16 +231,15 @@ def _annotation(field: FieldInfo) -> Any:
 
 def use_registry() -> None:
     """Add the keys that contact models require of `pairs`, except those that every pair has, and those that
-    particle equations require of materials.
+    particle equations and contact models require of materials.
 
     A schema that is built must be rebuilt afterwards.
     """
-    of_equations = {
-        key: optional_key(_annotation(each), f"{each.description}; for the {equation.name}", each.examples)
-        for equation in registry.equations()
-        for key, each in equation.material_properties.model_fields.items()
+    of_materials = {
+        key: optional_key(_annotation(each), f"{each.description}; {purpose}", each.examples)
+        for key, (each, purpose) in registry.material_properties().items()
     }
-    add_keys(Material, of_equations)
+    add_keys(Material, of_materials)
     of_models = {}
     for key, each in registry.pair_properties().items():
         needed = " or ".join(

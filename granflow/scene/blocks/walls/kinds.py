@@ -1,7 +1,8 @@
 """The kinds of walls."""
 
-from typing import Annotated, get_args
+from typing import Annotated, Any, get_args
 
+from granflow.contact import registry
 from granflow.scene.blocks.walls.box import BoxWall
 from granflow.scene.blocks.walls.half_space import Plane
 from granflow.scene.blocks.walls.mesh import MeshWall
@@ -9,7 +10,7 @@ from granflow.scene.blocks.walls.rectangle import Rectangle
 from granflow.scene.blocks.walls.revolved import Cone, Cylinder, Disc
 from granflow.scene.blocks.walls.wall import Wall
 from granflow.schema.faults import value_error
-from granflow.schema.model import choose_by_key
+from granflow.schema.model import add_keys, choose_by_key, optional_key
 
 AnyWall = Annotated[Plane | Rectangle | Cylinder | Cone | Disc | BoxWall | MeshWall, choose_by_key("shape")]
 """A wall of any kind; the key `shape` selects it."""
@@ -29,3 +30,21 @@ def with_faces(walls: dict[str, Wall]) -> dict[str, Wall]:
                 raise value_error(f"{name} is also a face of the box {given}; rename one of them")
             found[name] = each
     return found
+
+
+def use_registry() -> None:
+    """Add the keys that contact models read of walls to all kinds.
+
+    A schema that is built must be rebuilt afterwards.
+    """
+    keys = {}
+    for key, each in registry.wall_properties().items():
+        annotation: Any = each.annotation
+        for note in each.metadata:
+            annotation = Annotated[annotation, note]
+        keys[key] = optional_key(annotation, each.description or "", each.examples)
+    for kind in (Wall, *WALLS):
+        add_keys(kind, keys)
+
+
+use_registry()

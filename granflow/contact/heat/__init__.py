@@ -1,0 +1,1 @@
+"""Heat models, and the temperature of the particles."""
