@@ -5,7 +5,7 @@ what depends on these. Each has its own module; this one contains their order, t
 (skin, chunk size), and the checks that need several decisions.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import ceil
 
@@ -13,7 +13,6 @@ import numpy as np
 
 from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
-from granflow.geometry.sphere import sphere_mass
 from granflow.load import Scene, refuse_other_object
 from granflow.particles.group import groups_of
 from granflow.plan.features import features_of

@@ -464,15 +464,12 @@ def material_values(parts: PartialScene) -> Iterator[Fault]:
     for slot, model in scene.active_models.items():
         keys = [*model.law.wall_properties.model_fields]
         exchanged = [key for key in model.law.particle_properties if key in keys]
-        used = [(f"particles.{name}", group) for name, group in scene.particles.items()]
-        used += [
-            (f"walls.{name}", wall)
-            for name, wall in scene.walls.items()
-            if any(getattr(wall, key) is not None for key in exchanged)
-        ]
         users: dict[str, str] = {}
-        for user, part in used:
-            users.setdefault(part.material, user)
+        for name, group in scene.particles.items():
+            users.setdefault(group.material, f"particles.{name}")
+        for name, wall in scene.walls.items():
+            if any(getattr(wall, key) is not None for key in exchanged):
+                users.setdefault(wall.material, f"walls.{name}")
         for name, user in users.items():
             for key, each in model.material_properties.model_fields.items():
                 known = scene.materials.get(name)

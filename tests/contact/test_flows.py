@@ -1,5 +1,5 @@
-"""A contact model of electric conduction and the equation of a potential, registered by a program: sums that models
-declare, and particle equations."""
+"""A contact model of electric conduction and the equation of a potential, registered by a program: sums that
+models declare, and particle equations."""
 
 from dataclasses import dataclass
 from itertools import pairwise

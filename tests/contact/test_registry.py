@@ -1,5 +1,7 @@
 """Requirements on the record of every contact model, and on its host functions."""
 
+from types import SimpleNamespace
+
 import pytest
 from contact.cases import SHEAR_MODULUS
 
@@ -15,7 +17,12 @@ def law_of(model):
     given = model.options(**model.example)
     restitution = None if model.restitution == "nothing" else 0.7
     options = dict.fromkeys(model.pair_properties.model_fields, 0.1)
-    pair = PairMaterial(4e7, SHEAR_MODULUS, restitution, 0.3, yield_strength=1e6, properties=options)
+    solid = SimpleNamespace(
+        young_modulus=1e7, poisson_ratio=0.3, thermal_conductivity=50.0, true_young_modulus=None
+    )
+    pair = PairMaterial(
+        4e7, SHEAR_MODULUS, restitution, 0.3, yield_strength=1e6, properties=options, materials=(solid, solid)
+    )
     return model.law.from_scene(ModelRequest(given, (pair,), 1.0, 0.5, energy_budget=True)), pair
 
 

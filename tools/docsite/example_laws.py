@@ -20,6 +20,7 @@ SOLID = Material(
     density=STEEL.density,
     yield_strength=STEEL.yield_strength,
 )
+CONDUCTOR = SOLID.model_copy(update={"thermal_conductivity": 15.0})
 DIAMETER = 25.4e-3
 """Diameter [m] of the two spheres of the pictures, as in Figs. 3 and 4 of Zhou (2011)."""
 RESTITUTION = 0.8
@@ -50,6 +51,7 @@ def pair(restitution: float | VelocityRestitution | None = RESTITUTION) -> PairM
             "twisting_friction": 1e-5,
         }
         | ADHESION,
+        (CONDUCTOR, CONDUCTOR),
     )
 
 

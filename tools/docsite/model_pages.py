@@ -21,6 +21,7 @@ PICTURES = {
     "rolling": "Rolling torque at constant normal load.",
     "twisting": "Twisting torque at constant normal load: loading, reversal, and one full cycle.",
     "cohesion": "Hertz force with and without the attraction; particles of 2 mm diameter with E = 5 MPa.",
+    "heat": "Conductance versus normal force: two spheres of steel (50 W/(m K)) of 10 mm diameter.",
 }
 """Caption of the picture of a model, by slot."""
 ALTERNATIVES = {
@@ -29,6 +30,7 @@ ALTERNATIVES = {
     "rolling": "rolling torque",
     "twisting": "twisting torque versus twist angle",
     "cohesion": "force versus overlap",
+    "heat": "conductance versus normal force",
 }
 """Alternative text of the picture of a model, by slot."""
 RESTITUTION = {
@@ -84,12 +86,19 @@ def names() -> Iterator[str]:
 
 
 def _options(slot: str, model: ContactModel) -> str:
-    """Table of the keys of a model in `contact` and in `pairs`."""
+    """Table of the keys of a model in `contact`, `pairs`, `materials` and `walls`; those of walls are
+    optional."""
     rows = [
         (code(f"contact.{slot}.{key}"), *_facts(each)) for key, each in model.options.model_fields.items()
     ]
     rows += [
-        (code(f"pairs.NAME.{key}"), *_facts(each)) for key, each in model.pair_properties.model_fields.items()
+        (code(f"{block}.NAME.{key}"), *_facts(each))
+        for block, keys in (
+            ("pairs", model.pair_properties),
+            ("materials", model.material_properties),
+            ("walls", model.law.wall_properties),
+        )
+        for key, each in keys.model_fields.items()
     ]
     if not rows:
         return f"**Keys:** none besides {code(f'contact.{slot}: {model.name}')}.\n"

@@ -61,6 +61,7 @@ def picture(slot: str, name: str) -> str:
         "rolling": _rolling,
         "twisting": lambda name: _loop("twist angle / angle at the limit", "torque / limit"),
         "cohesion": lambda name: _sjkr() if name == "sjkr" else _cohesion(name),
+        "heat": lambda name: _conductance(),
     }
     return draw[slot](name)
 
@@ -220,6 +221,23 @@ def _sjkr() -> str:
     axis.axhline(0.0, color=GRAY, lw=0.6)
     axis.legend(frameon=False, labelcolor=GRAY, fontsize=9)
     _label(axis, "overlap [um]", "repulsive force [mN]")
+    return _svg(figure)
+
+
+def _conductance() -> str:
+    """Conductance 2 k a of a Hertz contact versus force, for the true modulus and a softened one."""
+    figure, (axis,) = _figure(1)
+    radius, conductivity = 0.5 * 0.005, 50.0
+    force = np.geomspace(1e-3, 1.0, 100)
+    for color, modulus in zip(COLORS, (200e9, 200e6, 5e6), strict=True):
+        effective = modulus / (2.0 * (1.0 - 0.3**2))
+        contact_radius = (3.0 * force * radius / (4.0 * effective)) ** (1.0 / 3.0)
+        label = f"E = {modulus / 1e6:g} MPa"
+        axis.plot(force, 2.0 * conductivity * contact_radius, color=color, label=label)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.legend(frameon=False, labelcolor=GRAY, fontsize=9)
+    _label(axis, "normal force [N]", "conductance [W/K]")
     return _svg(figure)
 
 

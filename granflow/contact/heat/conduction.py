@@ -17,17 +17,17 @@ particle q times its projected area pi R^2.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from granflow.contact.law import ContactModel, FlowCase, HeatLaw, WallProperties
-from granflow.contact.material import PairMaterial, modulus_eff
+from granflow.contact.material import PairMaterial
 from granflow.contact.particle_equation import MaterialProperties
 from granflow.device_functions import ti
 from granflow.schema import quantities as q
-from granflow.schema.quantities import Number
 from granflow.schema.faults import Fault, redundant
+from granflow.schema.quantities import Number
 
 
 class ConductingWall(WallProperties):
@@ -65,21 +65,14 @@ class ConductingMaterial(MaterialProperties):
     )
 
 
-class _TrueSolid(NamedTuple):
-    """Elastic constants of the real material."""
-
-    young_modulus: float
-    poisson_ratio: float
-
-
 @dataclass(frozen=True)
 class Conduction(HeatLaw):
     """Conduction through the contact area."""
 
     name = "conduction"
     source = (
-        "Batchelor & O'Brien 1977, Proc. R. Soc. A 355:313, doi 10.1098/rspa.1977.0100; Chaudhuri et al. 2006, "
-        "Chem. Eng. Sci. 61:6348"
+        "Batchelor & O'Brien 1977, Proc. R. Soc. A 355:313, doi 10.1098/rspa.1977.0100; Chaudhuri et al. "
+        "2006, Chem. Eng. Sci. 61:6348"
     )
     limits = (
         "one temperature per particle, for Biot numbers of a contact 2 k a / (k R) well below 1; no "
@@ -95,11 +88,11 @@ class Conduction(HeatLaw):
         first, second = (each.thermal_conductivity or 0.0 for each in pair.materials)
         if first * second == 0.0:
             return (0.0,)
-        solids = [
-            _TrueSolid(each.true_young_modulus or each.young_modulus, each.poisson_ratio)
+        true_compliance = sum(
+            (1.0 - each.poisson_ratio**2) / (each.true_young_modulus or each.young_modulus)
             for each in pair.materials
-        ]
-        softening = (pair.modulus_eff / modulus_eff(*solids)) ** (1.0 / 3.0)
+        )
+        softening = (pair.modulus_eff * true_compliance) ** (1.0 / 3.0)
         return (4.0 * (first * second) / (first + second) * softening,)
 
     @ti.func

@@ -43,7 +43,8 @@ def use_registry() -> None:
         for note in each.metadata:
             annotation = Annotated[annotation, note]
         keys[key] = optional_key(annotation, each.description or "", each.examples)
-    for kind in (Wall, *WALLS):
+    kinds: tuple[type[Wall], ...] = (Wall, *WALLS)
+    for kind in kinds:
         add_keys(kind, keys)
 
 

@@ -1,0 +1,260 @@
+"""Heat: conduction between particles and with walls, compared with closed forms, and messages on its keys."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scene_builders import SOFT, box, build_scene, moving_lattice
+
+from granflow import Scene, Simulation
+from granflow.contact.heat.conduction import Conduction
+from granflow.contact.material import PairMaterial, modulus_eff
+from granflow.errors import SceneError
+from granflow.plan.build import plan_for
+from granflow.plan.explain import explain
+
+RADIUS, DENSITY, YOUNG, POISSON = 0.005, 2500.0, 1e7, 0.25
+MASS = DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3
+TIME_STEP, STEPS = 1e-5, 2000
+OVERLAP = 1e-5
+"""Overlap of two spheres; a sphere and a wall with the same force have WALL_OVERLAP: F ~ sqrt(R*) d^1.5."""
+WALL_OVERLAP = OVERLAP * 0.5 ** (1.0 / 3.0)
+SPACING = 2.0 * RADIUS - OVERLAP
+END = RADIUS - WALL_OVERLAP
+CONTACT_RADIUS = np.sqrt(0.5 * RADIUS * OVERLAP)
+WALL_RADIUS = np.sqrt(RADIUS * WALL_OVERLAP)
+CONDUCTIVITY, OTHER_CONDUCTIVITY = 1.0, 3.0
+CAPACITY, OTHER_CAPACITY = 8e-4 * MASS, 2e-3 * MASS
+RATIO = WALL_RADIUS / CONTACT_RADIUS
+PLATE_CONDUCTIVITY = CONDUCTIVITY / (RATIO - 1.0)
+"""Conductivity k_p with which a contact with a plate conducts twice as well as one of two spheres: then the
+plate is where the rod that a chain represents ends. With the radius ratio r, r 2 k k_p / (k + k_p) = 2 k."""
+FLUX = 2e3
+HOT, COLD = 400.0, 300.0
+LENGTH = 10
+"""Spheres in the chain."""
+
+
+def material(conductivity, capacity):
+    return {
+        "young_modulus": YOUNG, "poisson_ratio": POISSON, "density": DENSITY,
+        "thermal_conductivity": conductivity, "heat_capacity": capacity / MASS,
+    }  # fmt: skip
+
+
+MATERIALS = {
+    "sphere": material(CONDUCTIVITY, CAPACITY),
+    "other": material(OTHER_CONDUCTIVITY, OTHER_CAPACITY),
+    "plate": material(PLATE_CONDUCTIVITY, 1.0),
+}
+
+
+def line(y, temperatures, left, right, materials=None):
+    """Groups and walls of a line of spheres, squeezed between two plates with these keys.
+
+    All contacts have the same force, so that the spheres stay where they are.
+    """
+    count = len(temperatures)
+    materials = materials or ["sphere"] * count
+    groups = {
+        f"line_{y}_{k}": {
+            "material": materials[k],
+            "diameter": 2.0 * RADIUS,
+            "temperature": temperatures[k],
+            "insert": {"kind": "positions", "positions": [[END + k * SPACING, 0.03 * y, 0.0]]},
+        }
+        for k in range(count)
+    }
+    end = 2.0 * END + (count - 1) * SPACING
+    walls = {
+        f"plate_{y}_{side}": {
+            "shape": "rectangle",
+            "corner": [x, 0.03 * y - RADIUS, -RADIUS],
+            "sides": [[0, 2 * RADIUS, 0], [0, 0, 2 * RADIUS]],
+            "material": "plate",
+        }
+        | keys
+        for side, x, keys in (("left", 0.0, left), ("right", end, right))
+    }
+    return groups, walls
+
+
+def lines_scene():
+    """A chain between a hot and a cold plate, two spheres of different materials between insulated plates, a
+    sphere at a hot plate, and one at a plate with a heat flux."""
+    parts = [
+        line(0, [COLD] * LENGTH, {"temperature": HOT}, {"temperature": COLD}),
+        line(1, [HOT, COLD], {}, {}, ["sphere", "other"]),
+        line(2, [COLD], {"temperature": HOT}, {}),
+        line(3, [COLD], {}, {"heat_flux": FLUX}),
+    ]
+    names = list(MATERIALS)
+    pair = {"restitution": 1.0, "friction": 0.0}
+    return Scene.from_dict(
+        {
+            "title": "Lines of spheres between plates",
+            "gravity": [0, 0, 0],
+            "materials": MATERIALS,
+            "pairs": {f"{a}-{b}": pair for i, a in enumerate(names) for b in names[i:]},
+            "contact": {"normal": "hertz", "tangential": "none", "rolling": "none", "heat": "conduction"},
+            "particles": {name: group for groups, _ in parts for name, group in groups.items()},
+            "walls": {name: wall for _, walls in parts for name, wall in walls.items()},
+            "domain": {"min": [-0.1] * 3, "max": [0.2] * 3, "on_exit": "error"},
+            "run": {"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 0.1},
+            "output": {"interval": 1.0},
+        }
+    )
+
+
+def rod_temperature(x, time, diffusivity):
+    """Temperature at x (n,) in a rod of length 1 that is cold at first, with ends that are hot and cold.
+
+    (T - T_c) / (T_h - T_c) = 1 - x - sum over n of 2 / (n pi) sin(n pi x) exp(-n^2 pi^2 D t)
+    """
+    n = np.arange(1, 200)[:, None]
+    terms = 2.0 / (n * np.pi) * np.sin(n * np.pi * x) * np.exp(-(n**2) * np.pi**2 * diffusivity * time)
+    return COLD + (HOT - COLD) * (1.0 - x - terms.sum(axis=0))
+
+
+def test_lines_of_spheres_conduct_as_the_closed_forms_say():
+    with Simulation(lines_scene(), threads=2) as simulation:
+        simulation.step(STEPS)
+        found = simulation.snapshot().particles["temperature"]
+        time = simulation.time
+    chain, (first, second), at_plate, heated = np.split(found, np.cumsum([LENGTH, 2, 1]))
+    conductance = 2.0 * CONDUCTIVITY * CONTACT_RADIUS
+    # The chain as explicit steps of m c dT_i/dt = sum of h (T_j - T_i), with 2 h at the plates.
+    rates = np.diag([-2.0] * LENGTH) + np.diag([1.0] * (LENGTH - 1), 1) + np.diag([1.0] * (LENGTH - 1), -1)
+    rates[0, 0] = rates[-1, -1] = -3.0
+    source = np.zeros(LENGTH)
+    source[0], source[-1] = 2.0 * HOT, 2.0 * COLD
+    stepped = np.full(LENGTH, COLD)
+    for _ in range(STEPS):
+        stepped = stepped + TIME_STEP * conductance / CAPACITY * (rates @ stepped + source)
+    np.testing.assert_allclose(chain, stepped, rtol=1e-9)
+    # A rod in finite volumes of the width 1/n has an error of pi^2 / (12 n^2) of the slowest rate.
+    x = (np.arange(LENGTH) + 0.5) / LENGTH
+    series = rod_temperature(x, time, conductance / (CAPACITY * LENGTH**2))
+    assert series[LENGTH // 2] - COLD > 0.1 * (HOT - COLD)
+    np.testing.assert_allclose(chain, series, atol=(HOT - COLD) * np.pi**2 / (12 * LENGTH**2))
+    # Two spheres: the harmonic mean of both conductivities.
+    mean = 2.0 * CONDUCTIVITY * OTHER_CONDUCTIVITY / (CONDUCTIVITY + OTHER_CONDUCTIVITY)
+    rate = 2.0 * mean * CONTACT_RADIUS * (1.0 / CAPACITY + 1.0 / OTHER_CAPACITY)
+    assert first - second == pytest.approx(
+        (HOT - COLD) * np.exp(-rate * time), rel=rate**2 * TIME_STEP * time
+    )
+    assert CAPACITY * first + OTHER_CAPACITY * second == pytest.approx(
+        CAPACITY * HOT + OTHER_CAPACITY * COLD, rel=1e-12
+    )
+    rate = 2.0 * conductance / CAPACITY
+    assert HOT - at_plate[0] == pytest.approx((HOT - COLD) * (1.0 - rate * TIME_STEP) ** STEPS, rel=1e-9)
+    assert heated[0] == pytest.approx(COLD + FLUX * np.pi * RADIUS**2 * time / CAPACITY, rel=1e-9)
+
+
+def bed(**contact):
+    """A lattice in fast motion between walls, one of which is hot."""
+    walls = box(0.042)
+    materials = {"glass": SOFT}
+    lattice = moving_lattice((6, 6, 4), largest=0.0062, speed=1.0)
+    if contact:
+        walls["low_x"]["temperature"] = HOT
+        lattice["temperature"] = COLD
+        materials = {"glass": SOFT | {"thermal_conductivity": 50.0, "heat_capacity": 1.0}}
+    models = {"normal": "hertz", "tangential": "mindlin", "rolling": "none"} | contact
+    return build_scene(
+        {"lattice": lattice}, walls, materials=materials, contact=models,
+        pair={"friction": 0.4, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
+        numerics={"chunk_size": 32, "skin": 2e-4},
+        run={"duration": 3e-3, "velocity_max": 6.0, "time_step": 2e-6},
+    )  # fmt: skip
+
+
+def test_heat_does_not_change_the_motion():
+    found = []
+    for scene in (bed(), bed(heat="conduction")):
+        with Simulation(scene, threads=2) as simulation:
+            simulation.step(800)
+            found.append(simulation.snapshot().particles)
+    without, with_heat = found
+    assert with_heat["temperature"].max() > COLD
+    assert set(with_heat) - set(without) == {"temperature", "heat_flow"}
+    assert all(without[name].tolist() == with_heat[name].tolist() for name in without)
+
+
+def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():
+    """At the force F, a = (3 F R / (4 E))^(1/3): contacts of the true modulus are smaller by the cube root."""
+    soft = SimpleNamespace(
+        young_modulus=1e7, poisson_ratio=0.3, thermal_conductivity=50.0, true_young_modulus=None
+    )
+    hard = SimpleNamespace(**{**vars(soft), "true_young_modulus": 2e11, "thermal_conductivity": 10.0})
+    pair = PairMaterial(modulus_eff(soft, soft), 1.0, 0.5, 0.0, materials=(soft, hard))
+    true = 1.0 / ((1.0 - 0.09) / 1e7 + (1.0 - 0.09) / 2e11)
+    (found,) = Conduction().pair_constants(pair)
+    assert found == pytest.approx(2.0 * (2.0 * 500.0 / 60.0) * (0.5e7 / (1.0 - 0.09) / true) ** (1.0 / 3.0))
+    assert 0.79 < found / (2000.0 / 60.0) < 0.8
+
+
+def problems(change):
+    """Messages of the scene of lines after a change of its dictionary."""
+    scene = lines_scene().to_dict()
+    change(scene)
+    with pytest.raises(SceneError) as error:
+        plan_for(Scene.from_dict(scene))
+    return error.value.problems
+
+
+def set_key(*path, value=None):
+    """Change that sets a key of a scene, or deletes it."""
+
+    def change(scene):
+        for key in path[:-1]:
+            scene = scene[key]
+        if value is None:
+            del scene[path[-1]]
+        else:
+            scene[path[-1]] = value
+
+    return change
+
+
+CASES = [
+    (set_key("materials", "sphere", "thermal_conductivity"), "materials.sphere.thermal_conductivity is "
+     "missing: thermal conductivity of the solid [W/(m K)], of particles.line_0_0 with contact.heat: conduction"),
+    (set_key("materials", "plate", "thermal_conductivity"), "materials.plate.thermal_conductivity is "
+     "missing: thermal conductivity of the solid [W/(m K)], of walls.plate_0_left with contact.heat: conduction"),
+    (set_key("materials", "other", "heat_capacity"), "materials.other.heat_capacity is missing: specific heat "
+     "capacity of the solid [J/(kg K)], for the equation of the temperature"),
+    (set_key("materials", "other", "heat_capacity", value=-1), "materials.other.heat_capacity is -1, but a "
+     "specific heat capacity must be above 0"),
+    (set_key("particles", "line_0_0", "temperature"), "particles.line_0_0.temperature is missing: give the "
+     "initial value, temperature of the particle [K]"),
+    (set_key("particles", "line_0_0", "temperature", value=-20), "particles.line_0_0.temperature is -20, but a "
+     "temperature must be above 0"),
+    (set_key("walls", "plate_1_left", "temperature", value=0), "walls.plate_1_left.temperature is 0, but a "
+     "temperature must be above 0"),
+    (set_key("walls", "plate_0_left", "heat_flux", value=1.0), "walls.plate_0_left.heat_flux is 1.0, but "
+     "temperature is given too: keep one of them"),
+    (set_key("contact", "heat"), "walls.plate_3_right.heat_flux has no effect: no contact model reads it; "
+     "remove it, or select contact.heat: conduction"),
+    (set_key("contact", "heat", value="convection"), "contact.heat is convection, but"),
+    (set_key("materials", "sphere", "heat_capacity", value=1e-6), "is longer than"),
+    (set_key("run", "precision", value="f32"), "run.precision is f32, but the change of temperature"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "sentence"), CASES)
+def test_invalid_heat_has_its_message(change, sentence):
+    found = problems(change)
+    assert any(sentence in each for each in found), found
+
+
+def test_explain_shows_the_limit_of_the_temperature():
+    """The largest contact has the overlap limit: m c / (12 h) of the sphere with the least capacity."""
+    scene = lines_scene()
+    radius = np.sqrt(RADIUS * RADIUS * scene.numerics.max_overlap)
+    limits = [
+        capacity / (2.0 * 2.0 * k * other / (k + other) * radius)
+        for k, capacity in ((CONDUCTIVITY, CAPACITY), (OTHER_CONDUCTIVITY, OTHER_CAPACITY))
+        for other in (CONDUCTIVITY, OTHER_CONDUCTIVITY, PLATE_CONDUCTIVITY)
+    ]
+    assert f"limit of temperature  {min(limits) / 12.0:.4g} s" in explain(plan_for(scene))
