@@ -122,11 +122,13 @@ DIMENSIONS: dict[str, Dimension] = {
     "temperature": Dimension("a temperature", "300 K", _unit_table("K 1, mK 1e-3")),
     "heat_capacity": Dimension(
         "a specific heat capacity",
-        "500 J/(kg*K)",
-        _unit_table("J/(kg*K) 1, J/kg/K 1, kJ/(kg*K) 1e3, kJ/kg/K 1e3, J/(g*K) 1e3"),
+        "500 J/kg/K",
+        _unit_table("J/kg/K 1, J/(kg*K) 1, kJ/kg/K 1e3, kJ/(kg*K) 1e3, J/g/K 1e3, J/(g*K) 1e3"),
     ),
     "thermal_conductivity": Dimension(
-        "a thermal conductivity", "50 W/(m*K)", _unit_table("W/(m*K) 1, W/m/K 1, mW/(m*K) 1e-3")
+        "a thermal conductivity",
+        "50 W/m/K",
+        _unit_table("W/m/K 1, W/(m*K) 1, mW/m/K 1e-3, mW/(m*K) 1e-3"),
     ),
     "heat_flux": Dimension("a heat flux", "1 kW/m2", _unit_table("W/m2 1, W/m^2 1, W/m² 1, kW/m2 1e3")),
 }

@@ -9,13 +9,11 @@ import os
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from clumps import clump_group
-from contact import test_flows
 from geometry.meshes import cube, write
 from resume.runs import complex_scene
 from scene_builders import (
@@ -30,9 +28,7 @@ from scene_builders import (
 )
 from sheared_scenes import sheared_gas
 
-from granflow import register_contact_model
 from granflow.load import Scene
-from granflow.scene.registration import register_particle_equation
 from granflow.simulation import Simulation
 
 FILES = tempfile.TemporaryDirectory()
@@ -133,15 +129,20 @@ def sheared_films() -> Scene:
     return Scene.from_dict(scene)
 
 
-@cache
 def conducting() -> Scene:
-    """Particles with a temperature: contact model and equation are registered as by a program, once."""
-    for model in test_flows.MODELS:
-        register_contact_model(model)
-    register_particle_equation(test_flows.EQUATION)
-    output = {"interval": 1e-3, "checkpoint": {"interval": 3e-4, "keep": 100}}
-    run = {"duration": 3e-3, "time_step": test_flows.TIME_STEP, "velocity_max": 1.0}
-    return test_flows.bed(32, output=output, run=run)
+    """The poured bed with temperatures, of which one wall has one and another one a heat flux."""
+    thermal = {"thermal_conductivity": 50.0, "heat_capacity": 0.5}
+    contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "epsd", "heat": "conduction"}
+    scene = complex_scene(
+        0.009,
+        of_groups={"temperature": 300.0},
+        contact=contact,
+        materials={"glass": SOFT | thermal, "steel": SOFT | thermal | {"thermal_conductivity": 10.0}},
+    ).to_dict()
+    scene["particles"]["lattice"]["temperature"] = 350.0
+    scene["walls"]["low_x"]["temperature"] = 400.0
+    scene["walls"]["floor"]["heat_flux"] = 1e3
+    return Scene.from_dict(scene)
 
 
 def disturb(simulation: Simulation) -> None:
@@ -200,7 +201,7 @@ QUICK = {
     "walls": Row(moved_walls, ("wall_displacement.high_z", "wall_displacement.high_y", "wall_work")),
     "clumps": Row(wet_clumps, ("rotational_energy", "contact_count"), on_ranks=False),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
-    "heat": Row(conducting, ("contact_count",)),
+    "heat": Row(conducting, ("friction_dissipation",)),
 }
 """Scenes of the usual test run."""
 

@@ -55,7 +55,7 @@ class ConductingMaterial(MaterialProperties):
     """Keys of materials."""
 
     thermal_conductivity: q.ThermalConductivity = Field(
-        description="thermal conductivity of the solid [W/(m K)]", examples=["50 W/(m*K)"]
+        description="thermal conductivity of the solid [W/m/K]", examples=["50 W/m/K"]
     )
     true_young_modulus: Annotated[float | None, Number("pressure", noun="Young's modulus", above=0)] = Field(
         None,

@@ -15,7 +15,7 @@ class HeatCapacity(MaterialProperties):
     """Keys of materials."""
 
     heat_capacity: q.HeatCapacity = Field(
-        description="specific heat capacity of the solid [J/(kg K)]", examples=["500 J/(kg*K)"]
+        description="specific heat capacity of the solid [J/kg/K]", examples=["500 J/kg/K"]
     )
 
 
