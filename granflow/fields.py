@@ -527,6 +527,10 @@ def remove(name: str) -> None:
     del _PARTICLE_FIELDS[name]
 
 
+WALL_FLOW_QUANTITIES: dict[str, Quantity] = {}
+"""Numbers of each wall that gives something to particles; contact models add them."""
+
+
 # Arrays of contacts, of fields on grids, and of walls
 
 CONTACT_QUANTITIES = by_name(
@@ -558,6 +562,9 @@ FIELD_QUANTITIES = by_name(
         Quantity("solid_fraction", "phi", "1", "volume of particles per volume of space"),
         Quantity("momentum", "rho V", "kg/(m2 s)", "momentum per volume of space", "vector"),
         Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
+        Quantity(
+            "temperature", "T", "K", "mean temperature of the particles, by mass; only with contact.heat"
+        ),
         Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
         Quantity(
             "granular_temperature_of_frames",

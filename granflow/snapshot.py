@@ -12,6 +12,7 @@ from granflow.fields import (
     ENERGY_BUDGET_QUANTITIES,
     PARTICLE_QUANTITIES,
     TOTAL_QUANTITIES,
+    WALL_FLOW_QUANTITIES,
 )
 from granflow.visible_text import html_table, numbered, readable
 
@@ -130,7 +131,9 @@ class Snapshot:
                 )
         rows.append(("walls", ", ".join(self.walls) or "none"))
         for name, number in self.totals.items():
-            unit = TOTAL_QUANTITIES[name].unit if name in TOTAL_QUANTITIES else "1"
+            known = {**TOTAL_QUANTITIES, **WALL_FLOW_QUANTITIES}
+            quantity = known.get(name.partition(".")[0])
+            unit = "1" if quantity is None else quantity.unit
             rows.append((f"totals[{name!r}]", f"{readable(number)}{f' {unit}' * (unit != '1')}"))
         count = max((len(values) for values in self.particles.values()), default=0)
         return html_table(f"Snapshot of {numbered(count, 'particle')}", rows)

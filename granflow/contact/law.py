@@ -48,6 +48,7 @@ from granflow.contact import theory
 from granflow.contact.material import PairMaterial
 from granflow.contact.particle_equation import MaterialProperties
 from granflow.device_functions import DeviceObject, is_from_outside, ti
+from granflow.fields import Quantity
 from granflow.schema.faults import Fault
 from granflow.schema.model import Model, example_of
 from granflow.schema.quantities import Number
@@ -98,12 +99,15 @@ class HistoryField:
 class Flow:
     """A quantity that flows through contacts, such as heat; the engine sums it over those of each particle.
 
-    unit:     SI unit
-    meaning:  description in a few words
+    unit:        SI unit
+    meaning:     description in a few words
+    from_walls:  what has flowed from a wall since the start, a number of each wall with a key of
+                 `wall_properties`
     """
 
     unit: str
     meaning: str
+    from_walls: Quantity | None = None
 
 
 @dataclass(frozen=True)
@@ -815,7 +819,13 @@ class HeatLaw(Law):
     """
 
     required = ("flow", "wall_flow", "flow_bounds")
-    flows = {"heat_flow": Flow("W", "heat that flows to the particle through its contacts")}
+    flows = {
+        "heat_flow": Flow(
+            "W",
+            "heat that flows to the particle through its contacts",
+            Quantity("wall_heat", "", "J", "heat that the wall has given to the particles since the start"),
+        )
+    }
     particle_properties = ("temperature",)
 
 

@@ -14,8 +14,10 @@ is one file, and an entry of the list in `granflow.contact.registry`; a program 
 from collections.abc import Mapping
 from typing import ClassVar
 
+import numpy as np
+
 from granflow.device_functions import DeviceObject, ti
-from granflow.fields import FieldSpec
+from granflow.fields import FieldSpec, Quantity
 from granflow.schema.model import Model
 from granflow.schema.quantities import Number
 
@@ -35,6 +37,8 @@ class ParticleEquation(DeviceObject):
     initial:                type of the initial value, which every group requires
     flows:                  names of the flows whose sums the rate reads
     material_properties:    class of the keys of a material that the rate reads
+    content:                what changes with the property and is conserved, such as heat: a total of
+                            snapshots, see `capacity`, with the mean NAME_mean; None: no totals
     """
 
     name: ClassVar[str]
@@ -44,6 +48,7 @@ class ParticleEquation(DeviceObject):
     initial: ClassVar[Number]
     flows: ClassVar[tuple[str, ...]]
     material_properties: ClassVar[type[MaterialProperties]] = MaterialProperties
+    content: ClassVar[Quantity | None] = None
 
     @ti.func
     def rate(self, constants, particle, flows):
@@ -64,6 +69,22 @@ class ParticleEquation(DeviceObject):
         slope:         largest derivative of the sum of its flows by the property, for all its contacts
         """
         raise NotImplementedError
+
+    def capacity(self, constants: Mapping[str, np.ndarray], mass: np.ndarray) -> np.ndarray:
+        """Ratio (n,) of the content of particles to their property.
+
+        constants:  values (n,) of `material_properties`
+        mass:       (n,) [kg]
+        """
+        raise NotImplementedError
+
+    @property
+    def totals(self) -> tuple[Quantity, ...]:
+        """The content of all particles, and the mean of the property, weighted by the capacity."""
+        if self.content is None:
+            return ()
+        mean = Quantity(f"{self.name}_mean", self.symbol, self.unit, f"{self.meaning}, mean by its capacity")
+        return mean, self.content
 
     @property
     def material_keys(self) -> tuple[str, ...]:

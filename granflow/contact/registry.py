@@ -34,6 +34,7 @@ from granflow.contact.particle_equation import MaterialProperties, ParticleEquat
 from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import linear_history, mindlin
 from granflow.contact.twisting import marshall, torsion_spring
+from granflow.fields import Quantity
 from granflow.schema.model import example_of, is_name
 
 _MODELS: dict[str, dict[str, ContactModel]] = {slot: {} for slot in SLOTS}
@@ -47,6 +48,8 @@ def add(model: ContactModel) -> None:
         raise ValueError(f"contact model {getattr(model.law, 'name', model.law.__name__)}: {problem}")
     for name, each in model.law.flows.items():
         fields.add(flow_field(name, each.unit, each.meaning))
+        if each.from_walls is not None:
+            fields.WALL_FLOW_QUANTITIES[each.from_walls.name] = each.from_walls
     _MODELS[model.slot][model.name] = model
 
 
@@ -56,6 +59,9 @@ def remove(model: ContactModel) -> None:
     others = {name for slot in _MODELS.values() for other in slot.values() for name in other.law.flows}
     for name in set(model.law.flows) - others:
         fields.remove(name)
+        from_walls = model.law.flows[name].from_walls
+        if from_walls is not None:
+            del fields.WALL_FLOW_QUANTITIES[from_walls.name]
 
 
 def models(slot: str) -> Mapping[str, ContactModel]:
@@ -193,12 +199,15 @@ def add_equation(equation: ParticleEquation) -> None:
     if problem:
         raise ValueError(f"particle equation {getattr(equation, 'name', type(equation).__name__)}: {problem}")
     fields.add(equation.field)
+    fields.TOTAL_QUANTITIES.update({each.name: each for each in equation.totals})
     _EQUATIONS[equation.name] = equation
 
 
 def remove_equation(equation: ParticleEquation) -> None:
     """Remove an equation that was added."""
     fields.remove(equation.name)
+    for each in equation.totals:
+        del fields.TOTAL_QUANTITIES[each.name]
     del _EQUATIONS[equation.name]
 
 
@@ -305,6 +314,12 @@ class ContactLaws:
     def on_surface(self) -> tuple[tuple[str, SurfaceLaw], ...]:
         """Slot and law of each model that acts on surfaces that touch, in the order of evaluation."""
         return tuple((slot, law) for slot, law in self.by_slot.items() if isinstance(law, SurfaceLaw))
+
+    @property
+    def flows_from_walls(self) -> Mapping[str, Quantity]:
+        """Flows that are summed for each wall, with the quantity of the sum."""
+        found = {name: each.from_walls for law in self.laws for name, each in law.flows.items()}
+        return {name: each for name, each in found.items() if each is not None}
 
     @property
     def wall_properties(self) -> tuple[str, ...]:

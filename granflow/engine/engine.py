@@ -8,7 +8,7 @@ snapshots, sums and the state for a checkpoint. It knows neither stages nor obse
 
 import weakref
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any, TypeVar
 
@@ -41,6 +41,7 @@ from granflow.engine.totals import (
     ParticleSums,
     StabilityMonitor,
     account_deleted,
+    contents_of,
     deleted_particles,
     device_sums,
     ended_contacts_dissipation,
@@ -427,10 +428,14 @@ class Engine:
 
         A GPU adds them up by itself.
         """
-        if not (needs_arrays or self.state.backend.on_cpu or self.plan.features.clumps):
+        equations = [each.name for each in self.plan.scene.equations]
+        if not (needs_arrays or self.state.backend.on_cpu or self.plan.features.clumps or equations):
             return {}, device_sums(self.state, 0.5 * self.time_step * self._velocities_lag)
-        own = self._own_synchronized(self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS))
+        needed = (*MOTION, *CONTACT_COUNTS, *(("material", *equations) if equations else ()))
+        own = self._own_synchronized(self._shown if needs_arrays else needed)
         sums = host_sums(own, self._gravity, self.state.ranks)
+        if equations:
+            sums = replace(sums, contents=contents_of(self.plan, own, self.state.ranks))
         return self._in_box(self.state.ranks.gathered(own)) if needs_arrays else {}, sums
 
     def own_particles(self) -> dict[str, np.ndarray]:

@@ -7,13 +7,15 @@ are exact and do not depend on the order of the contacts.
 
 from typing import Any
 
+import numpy as np
+
 from granflow.engine.codes import ABORT_FLOW
 from granflow.engine.pair import member
 from granflow.engine.state import State
-from granflow.engine.sums import build_to_grid
+from granflow.engine.sums import build_to_grid, carried, exact_totals, shares_rows, to_units
 from granflow.engine.walls import Faces
 from granflow.kernel_language import ti
-from granflow.plan.sum_units import SUM_BITS
+from granflow.plan.sum_units import CARRY_BITS, SUM_BITS
 
 
 class Flows:
@@ -41,6 +43,17 @@ class Flows:
         self.radius_slot = laws.of_contact_radius
         self.radius_law = laws.by_slot[self.radius_slot]
         self.wall_of = state.built(Faces).wall_of
+        self.neighbors = state.neighbors
+        self.wall_flows = state.control.wall_flows
+        self.wall_sums = [
+            (k, state.parameter(f"per_unit.wall.{name}")) for k, name in enumerate(state.plan.wall_flows)
+        ]
+        self.high_word = len(self.wall_sums)
+        self.sums_walls = bool(self.wall_sums)
+        self.wall_term = {name: k for k, name in enumerate(state.plan.wall_flows)}
+        self.shared = shares_rows(state)
+        self.rows = state.capacities.wall_rows
+        self.wall_count = state.parameter("wall_count")
         self.wall_values = [
             (name, field)
             for key, (value, given) in state.walls.values.items()
@@ -72,9 +85,12 @@ class Flows:
         """
         for field, _ in ti.static(self.sums):
             field[i] = 0.0
+        if ti.static(self.sums_walls):
+            for list_index in range(self.neighbors.list_begin[i], self.neighbors.list_walls_end[i]):
+                self.neighbors.wall_flow[list_index] = 0.0 * self.neighbors.wall_flow[list_index]
 
     @ti.func
-    def add(self, chunk, i, j, constants, contact, with_wall: ti.template()):
+    def add(self, chunk, i, list_index, j, constants, contact, with_wall: ti.template()):
         """Add the flows of a contact to particle i, and to partner j if it is in the same chunk.
 
         constants, contact:  of all slots; as of a normal model
@@ -97,6 +113,8 @@ class Flows:
             for name, field, shift in ti.static(sums):
                 flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
                 field[i] = field[i] + flow
+                if ti.static(with_wall and name in self.wall_term):
+                    self.neighbors.wall_flow[list_index][self.wall_term[name]] += flow
                 if j >= begin and j < begin + self.chunk_size():
                     field[j] = field[j] - flow
 
@@ -113,12 +131,15 @@ class Flows:
         return law.flow(constants, contact, first, partner)
 
     @ti.func
-    def integrate(self, i, dt):
-        """One step of all particle equations; abort if a sum is not exact.
+    def integrate(self, chunk, i, dt):
+        """One step of all particle equations, and of the integrals at walls; abort if a sum is not exact.
 
-        Reads:   the sums, radius, mass, material, id
-        Writes:  the properties, abort, abort_particle
+        Reads:   the sums, radius, mass, material, id, neighbor lists, wall_flow
+        Writes:  the properties, wall_flows, abort, abort_particle
         """
+        if ti.static(self.sums_walls):
+            for list_index in range(self.neighbors.list_begin[i], self.neighbors.list_walls_end[i]):
+                self._add_of_wall(chunk, list_index, dt)
         for field, per_unit in ti.static(self.sums):
             if not ti.abs(field[i]) * per_unit() <= 2.0**SUM_BITS:  # also if it is not a number
                 ti.atomic_max(self.control.abort[0], ABORT_FLOW)
@@ -137,9 +158,59 @@ class Flows:
             values[i] = values[i] + ti.cast(dt * equation.rate(constants, particle, found), values.dtype)
 
     @ti.func
+    def _add_of_wall(self, chunk, list_index, dt):
+        """Add the flows of a wall entry in this step to the integrals of its wall."""
+        w = self.wall_of(self.neighbors.partner[list_index])
+        row = chunk
+        if ti.static(self.shared):
+            row = chunk % self.rows
+        for k, per_unit in ti.static(self.wall_sums):
+            flow = self.neighbors.wall_flow[list_index][k]
+            if flow != 0.0:
+                units = to_units(per_unit() * (ti.cast(dt, ti.f64) * flow))
+                high = units >> CARRY_BITS
+                low = units - (high << CARRY_BITS)
+                if ti.static(self.shared):
+                    ti.atomic_add(self.wall_flows[row, w][k], low)
+                    ti.atomic_add(self.wall_flows[row, w][self.high_word + k], high)
+                else:
+                    sums = self.wall_flows[row, w]
+                    sums[k] += low
+                    sums[self.high_word + k] += high
+                    self.wall_flows[row, w] = sums
+
+    @ti.func
+    def carry(self, chunk):
+        """Move the carries of the integrals, once per step and not beside additions.
+
+        Writes:  wall_flows
+        """
+        if ti.static(self.sums_walls):
+            if chunk < self.rows:
+                for w in range(self.wall_count()):
+                    self.wall_flows[chunk, w] = carried(self.wall_flows[chunk, w], self.high_word)
+
+    @ti.func
     def _of_material(self, parameter: ti.template(), material):
         """Value of a parameter of all materials for one of them."""
         found = parameter()
         if ti.static(self.several_materials):
             return found[material]
         return found
+
+
+def wall_flow_totals(state: State) -> dict[str, float]:
+    """Integral of each flow since the start, of each wall that gives it; QUANTITY.WALL."""
+    plan = state.plan
+    if not plan.wall_flows:
+        return {}
+    sums = state.ranks.total(state.control.wall_flows.to_numpy())
+    units = np.array(list(plan.wall_flow_units.values()))
+    found = {}
+    for index, wall in enumerate(plan.walls):
+        if all(values[index] is None for values in plan.wall_values.values()):
+            continue
+        totals = exact_totals(sums[:, index], units).tolist()
+        for flow, total in zip(plan.wall_flows, totals, strict=True):
+            found[f"{plan.laws.flows_from_walls[flow].name}.{wall.name}"] = total
+    return found

@@ -135,6 +135,8 @@ class TimeStep:
         """Kick and drift the particles of one chunk, check their limits, wrap them into the periodic box."""
         if ti.static(self.carries_impulses):
             self.impulses.carry(chunk)
+        if ti.static(self.has_flows):
+            self.flows.carry(chunk)
         size = self.chunk_size()
         gravity = ti.cast(self.gravity(), self.real)
         shift = self.shift()[UNIT_FORCE]
@@ -160,7 +162,7 @@ class TimeStep:
         if ti.static(self.features.liquid_transfer):
             self.films.save(i)
         if ti.static(self.has_flows):
-            self.flows.integrate(i, dt)
+            self.flows.integrate(chunk, i, dt)
         mass = self.particles.mass[i]
         force = self.particles.force[i] + self._weight_rest(mass * gravity, shift)
         kick = self.particles.mobility(i) * dt / mass * force

@@ -10,6 +10,7 @@ import numpy as np
 
 from granflow.engine.clumps import CLUMP_MOTION, ROTATION_SHARE, of_clumps
 from granflow.engine.codes import ABORT_LEFT_DOMAIN, REMOVED_BELOW
+from granflow.engine.flows import wall_flow_totals
 from granflow.engine.host import copy_to_host
 from granflow.engine.state import ALONE, Gathering, State, mobility_mask
 from granflow.engine.statistics import LIQUID_SUMS
@@ -155,6 +156,7 @@ class ParticleSums:
     speed:                largest speed [m/s]
     coordination_number:  mean number of contacts with particles, of mobile particles
     wall_contact_count:   number of contacts with walls
+    contents:             totals of particle equations by name
     """
 
     count: int
@@ -162,6 +164,7 @@ class ParticleSums:
     speed: float
     coordination_number: float
     wall_contact_count: float
+    contents: Mapping[str, float] = field(default_factory=dict)
 
 
 # The totals of a snapshot.
@@ -201,6 +204,7 @@ def totals_of(
         totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
     if accounting.queued_count is not None:
         totals["queued_count"] = float(accounting.queued_count)
+    totals |= {**sums.contents, **wall_flow_totals(state)}
     for name, (outlet_count, outlet_mass) in accounting.outlets.items():
         totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
     if plan.features.energy_budget:
@@ -404,6 +408,29 @@ def host_sums(
         coordination_number=contacts / max(mobile_count, 1.0),
         wall_contact_count=wall_contacts,
     )
+
+
+def contents_of(plan: Plan, arrays: Mapping[str, np.ndarray], ranks: Gathering) -> dict[str, float]:
+    """Totals of the particle equations, see `ParticleEquation.totals`; a mean without particles is NaN.
+
+    arrays:  mass (n,) [kg], the properties (n,), and with several materials material (n,), in the plan
+    """
+    found: dict[str, float] = {}
+    mass = arrays["mass"].astype(float)
+    material = arrays.get("material", np.zeros(len(mass), int))
+    for equation in plan.scene.equations:
+        if equation.content is None:
+            continue
+        by_material = [plan.material_constants(equation, name) for name in plan.materials]
+        constants = {
+            key: np.array([each[key] for each in by_material])[material] for key in equation.material_keys
+        }
+        capacity = equation.capacity(constants, mass)
+        content = exact_sum(capacity * arrays[equation.name], ranks)
+        total = exact_sum(capacity, ranks)
+        mean, content_total = equation.totals
+        found |= {mean.name: content / total if total else np.nan, content_total.name: content}
+    return found
 
 
 def largest_speed(velocity: np.ndarray) -> float:

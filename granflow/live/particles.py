@@ -240,6 +240,18 @@ class LiveParticles:
         self._assign("diameter", value)
 
     @property
+    def temperature(self) -> ParticleArray:
+        """Temperatures (n,) [K]. Raises GranflowError in a scene without contact.heat."""
+        self._refuse_without_temperature()
+        return ParticleArray(
+            self, "temperature", lambda: self._field("temperature").astype(float), self._write_temperature
+        )
+
+    @temperature.setter
+    def temperature(self, value: Any) -> None:
+        self._assign("temperature", value)
+
+    @property
     def mass(self) -> ParticleArray:
         """Masses (n,) [kg]. Read-only: they follow from diameter and material."""
         return ParticleArray(self, "mass", lambda: self._field("mass").astype(float))
@@ -407,6 +419,21 @@ class LiveParticles:
             raise GranflowError(
                 f"particles.{name}: particles of a fixed group cannot move; write 0 for them."
             )
+
+    def _refuse_without_temperature(self) -> None:
+        """Raise GranflowError if the particles have no temperature."""
+        if "temperature" not in [each.name for each in self._engine.plan.scene.equations]:
+            raise GranflowError(
+                "particles.temperature: the particles have none, because contact.heat is none; write "
+                "contact.heat: conduction in the scene."
+            )
+
+    def _write_temperature(self, values: np.ndarray) -> None:
+        if len(finite("particles.temperature", values)) and values.min() <= 0.0:
+            raise GranflowError(
+                f"particles.temperature would be {values.min():.6g} K, but a temperature is above 0 K."
+            )
+        self._write("temperature", values)
 
     def _write_diameter(self, values: np.ndarray) -> None:
         plan = self._engine.plan

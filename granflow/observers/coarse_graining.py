@@ -58,10 +58,16 @@ def accumulate(
     """Return the sums over the particles of a snapshot, and over its contacts unless None.
 
     `particles`: arrays `mass` [kg], `radius` [m], `coordination_number` (n,), `position` [m], `velocity`
-    [m/s] (n, 3), and `fixed` (n,) if the scene has fixed particles, which are excluded. `contacts`: arrays
+    [m/s] (n, 3), and `fixed` (n,) if the scene has fixed particles, which are excluded, and
+    `temperature` (n,) [K] if particles have one. `contacts`: arrays
     `position_i`, `position_j` [m], `force` [N] on particle i, each (k, 3). Sums are in double precision.
     """
     found = _accumulate_particles(particles, grid, kernel)
+    if "temperature" in particles:
+        mobile = mobile_particles(particles)
+        weighted = mobile["mass"].astype(float) * mobile["temperature"]
+        total = grid.deposit(kernel, mobile["position"].astype(float), weighted[:, None])
+        found["mass_temperature"] = total / grid.cell_volume
     found["thermal"] = -_trace(_kinetic_stress(found))[:, None] / 3.0
     if contacts is not None:
         found |= _accumulate_contacts(contacts, grid, kernel)
@@ -95,6 +101,8 @@ def fields_from(accumulated: AccumulatedFields) -> dict[str, np.ndarray]:
         "kinetic_stress": kinetic_stress,
         "coordination_number": _ratio(s["touching"], s["number"])[:, 0],
     }
+    if "mass_temperature" in s:
+        found["temperature"] = _ratio(s["mass_temperature"], density)[:, 0]
     if "contact_stress" in s:
         found["contact_stress"] = s["contact_stress"]
         found["pressure"] = -_trace(kinetic_stress + s["contact_stress"]) / 3.0

@@ -446,6 +446,6 @@ class FieldFrames(Frames):
     def _mesh_of(self, accumulated: AccumulatedFields) -> VtuMesh:
         fields = fields_from(accumulated)
         arrays: dict[str, np.ndarray] = {
-            name: FIELD_QUANTITIES[name].for_file(fields[name]) for name in self._quantities
+            name: FIELD_QUANTITIES[name].for_file(fields[name]) for name in self._quantities if name in fields
         }
         return self.grid.mesh(arrays)

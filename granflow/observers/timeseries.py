@@ -15,6 +15,7 @@ from granflow.fields import (
     FLOW_METER_QUANTITIES,
     OUTLET_QUANTITIES,
     TOTAL_QUANTITIES,
+    WALL_FLOW_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
     Quantity,
@@ -308,8 +309,8 @@ class TimeSeries(ScheduledObserver):
 def _column_label(name: str) -> str:
     """Return the column name of a total with its unit, also for totals of one outlet or wall."""
     quantity, _, part = name.partition(".")
-    if quantity in PARTS:
-        return PARTS[quantity].label_of(part)
+    if part and quantity in (known := {**PARTS, **WALL_FLOW_QUANTITIES}):
+        return known[quantity].label_of(part)
     return TOTAL_QUANTITIES[name].label if name in TOTAL_QUANTITIES else name
 
 

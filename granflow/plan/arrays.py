@@ -107,6 +107,7 @@ def neighbor_arrays(plan: Plan, capacities: Capacities) -> list[DeviceArray]:
         *(DeviceArray(f"history.{name}", "real", entries, width) for name, width in histories),
         *(DeviceArray(f"saved.{name}", "real", saved_entries, width) for name, width in histories),
         DeviceArray("in_contact", "i32", entries, wanted=has_history),
+        DeviceArray("wall_flow", "f64", entries, len(plan.wall_flows), wanted=bool(plan.wall_flows)),
         DeviceArray("list_begin_before", "i32", count, wanted=has_history, per_particle=True),
         DeviceArray("list_end_before", "i32", count, wanted=has_history, per_particle=True),
         DeviceArray("partner_saved", "i32", saved_entries, wanted=has_history),
@@ -174,6 +175,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     wall_rows = plan.capacities.wall_rows
     energy_budget = plan.features.energy_budget
     classes = 2 * plan.capacities.energy_classes
+    wall_flows = len(plan.wall_flows)
     has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
     has_wall_work = energy_budget and plan.features.moving_walls
@@ -188,6 +190,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
         sums("boundary_work", (chunks,), 1, has_image_work),
         sums("external_work", (chunks,), 1, has_external_work),
         sums("collisions", (wall_rows, classes), 1, classes > 0),
+        sums("wall_flows", (wall_rows, plan.capacities.walls), wall_flows, wall_flows > 0),
     ]
 
 
@@ -307,10 +310,13 @@ def _of_sums(plan: Plan) -> Iterator[Parameter]:
 
 
 def _of_flows(plan: Plan) -> Iterator[Parameter]:
-    """Reciprocal unit and `shift` of each flow; constants of the materials of particle equations."""
+    """Reciprocal unit and `shift` of each flow, reciprocal unit of its integral at walls; constants of the
+    materials of particle equations."""
     for name, unit in plan.flow_units.items():
         yield _scalar(f"per_unit.{name}", "f64", 1.0 / unit)
         yield _scalar(f"shift.{name}", "f64", 1.5 * unit * 2.0**52)
+    for name, unit in plan.wall_flow_units.items():
+        yield _scalar(f"per_unit.wall.{name}", "f64", 1.0 / unit)
     for equation in plan.scene.equations:
         constants = [plan.material_constants(equation, material) for material in plan.materials]
         for key in equation.material_keys:
@@ -340,6 +346,7 @@ def structure_of(plan: Plan) -> Hashable:
         plan.features,
         plan.laws.structure,
         plan.scene.equations,
+        plan.wall_flows,
         plan.external_forces,
         plan.periodic_box.axes,
         _shear_axes(plan),

@@ -42,7 +42,7 @@ from granflow.plan.capacities import (
 from granflow.plan.features import Features, Reason
 from granflow.plan.limits import coordinate_limit
 from granflow.plan.pair_case import PairCase
-from granflow.plan.sum_units import SumUnits, flow_units, liquid_unit, sum_units
+from granflow.plan.sum_units import SumUnits, flow_units, integral_unit, liquid_unit, sum_units
 from granflow.plan.time_step import (
     STEP_SHARE,
     AdaptiveTimeStep,
@@ -463,6 +463,19 @@ class Plan:
             self.value_ranges,
             self.wall_value_ranges,
         )
+
+    @cached_property
+    def wall_flows(self) -> tuple[str, ...]:
+        """Flows that are summed for each wall; empty without walls that have one."""
+        given = any(each is not None for values in self.wall_values.values() for each in values)
+        return tuple(self.laws.flows_from_walls) if given else ()
+
+    @cached_property
+    def wall_flow_units(self) -> dict[str, float]:
+        """Units of their integrals over time, see `sum_units.integral_unit`."""
+        return {
+            name: integral_unit(self.flow_units[name], self.longest_time_step) for name in self.wall_flows
+        }
 
     @cached_property
     def liquid_unit(self) -> float:

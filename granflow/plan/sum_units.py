@@ -168,6 +168,12 @@ def flow_units(
     return found
 
 
+def integral_unit(flow_unit: float, time_step: float) -> float:
+    """Unit of the integral over time of a flow of a wall, as finer than that of a flow as that of an impulse
+    than that of a force."""
+    return flow_unit * _power_of_two(time_step) / 2.0 ** (IMPULSE_BITS - FORCE_BITS)
+
+
 TINY = 1e-200
 """Largest flow of a model whose bound is 0: nothing flows."""
 

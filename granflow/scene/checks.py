@@ -24,8 +24,10 @@ from granflow.fields import (
     RUN_QUANTITIES,
     STAGE_QUANTITIES,
     TOTAL_QUANTITIES,
+    WALL_FLOW_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
+    Quantity,
 )
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain
@@ -595,6 +597,11 @@ def field_grids(parts: PartialScene) -> Iterator[Fault]:
         if grid.region is not None:
             yield from _periodic_extent(domain, (*path, "region"), grid.region)
         yield from unknown_names((*path, "stages"), grid.stages, stages, "stage")
+        given = parts.document.find((*path, "quantities")) is not None
+        if given and "temperature" in grid.quantities and parts.scene.contact.name("heat") == "none":
+            index = grid.quantities.index("temperature")
+            reason = "particles have no temperature: contact.heat is none; write conduction, or remove it"
+            yield Fault((*path, "quantities", index), reason)
 
 
 def residence_time(parts: PartialScene) -> Iterator[Fault]:
@@ -666,8 +673,11 @@ RESULT_ONLY = {
     *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),
 }
 """Quantities of the result that rows of the time series do not have."""
-_WHOLE = {**TOTAL_QUANTITIES, **STAGE_QUANTITIES, **RUN_QUANTITIES}
-"""Quantities of the whole run, and those of its last stage."""
+
+
+def _whole() -> dict[str, Quantity]:
+    """Quantities of the whole run, and those of its last stage."""
+    return {**TOTAL_QUANTITIES, **STAGE_QUANTITIES, **RUN_QUANTITIES}
 
 
 def _parts() -> dict[str, str]:
@@ -678,7 +688,10 @@ def _parts() -> dict[str, str]:
         **{name: "the name of an outlet" for name in OUTLET_QUANTITIES},
         **{name: "the name of the flow meter `to`" for name in RESIDENCE_QUANTITIES},
         **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
-        **{name: "the name of a wall" for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES)},
+        **{
+            name: "the name of a wall"
+            for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES, *WALL_FLOW_QUANTITIES)
+        },
         **{name: "the name of a metric" for name in METRIC_QUANTITIES},
         "timings": "forces or another phase",
     }
@@ -687,12 +700,13 @@ def _parts() -> dict[str, str]:
 def expected_names(parts: PartialScene) -> Iterator[Fault]:
     """Expectations must refer to existing quantities, with a name of the kind that the quantity requires."""
     known = _parts()
+    whole_run = _whole()
     for path, quantity, part in _all_expected(parts.scene):
-        if part is not None and quantity not in known and quantity in _WHOLE:
+        if part is not None and quantity not in known and quantity in whole_run:
             yield Fault(path, f"{quantity} is a quantity of the whole run; write {quantity}")
-        elif part is None and quantity not in _WHOLE and quantity in known:
+        elif part is None and quantity not in whole_run and quantity in known:
             yield Fault(path, f"{quantity} requires {known[quantity]}; write {quantity}.NAME")
-        elif quantity not in _WHOLE and quantity not in known:
+        elif quantity not in whole_run and quantity not in known:
             yield Fault(path, f"there is no such quantity. {_similar_quantity(quantity, part)}")
         elif _total(quantity) in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
             yield Fault(path, "output.energy_budget is false; set it to true")
@@ -706,7 +720,7 @@ def _total(quantity: str) -> str:
 def _similar_quantity(quantity: str, part: str | None) -> str:
     """Remedy for an unknown quantity with the name `part` behind the point, or None."""
     known = _parts()
-    found = nearest(quantity, [*_WHOLE, *known])
+    found = nearest(quantity, [*_whole(), *known])
     if found is None:
         return "Give one such as kinetic_energy or mass_flow.NAME"
     end = f".{part or 'NAME'}" if found in known else ""
@@ -719,14 +733,25 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     meters = parts.scene.output.flow_meters
     meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
     inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
+<<<<<<< HEAD
     stages = [stage.name for stage in scene.stages] or ["run"]
     ends = [] if scene.output.residence_time is None else [scene.output.residence_time.to]
+=======
+    read = [key for each in scene.chosen_models.values() for key in each.law.wall_properties.model_fields]
+    giving = [
+        name for name, wall in scene.walls.items() if any(getattr(wall, key) is not None for key in read)
+    ]
+>>>>>>> bae24e27 (Heat: totals, heat of walls, field of the temperature, particles.temperature, verification scene)
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
         (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
         (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
         (INSERTION_QUANTITIES, inserted, "inserted group"),
+<<<<<<< HEAD
         (RESIDENCE_QUANTITIES, ends, "flow meter"),
         (STAGE_QUANTITIES.keys() - METRIC_QUANTITIES, stages, "stage"),
+=======
+        (WALL_FLOW_QUANTITIES, giving, "wall that gives heat to particles"),
+>>>>>>> bae24e27 (Heat: totals, heat of walls, field of the temperature, particles.temperature, verification scene)
     )
     for path, quantity, part in _expected(scene):
         for quantities, names, kind in known:
@@ -826,7 +851,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact", "pairs"), equation_values),
     (("contact",), wall_values),
     (("contact", "pairs"), material_values),
-    (("output", "stages", "domain"), field_grids),
+    (("output", "stages", "domain", "contact"), field_grids),
     (("output", "gravity", "domain"), metrics),
     (("output",), residence_time),
     (("output", "expect", "stages"), expected_names),

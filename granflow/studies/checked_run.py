@@ -23,6 +23,7 @@ from granflow.fields import (
     RUN_QUANTITIES,
     STAGE_QUANTITIES,
     TOTAL_QUANTITIES,
+    WALL_FLOW_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
 )
@@ -192,6 +193,7 @@ def result_names(scene: Scene) -> tuple[str, ...]:
         for wall, each in scene.walls.items()
         if each.motion
     ]
+    names += [f"{quantity}.{wall}" for quantity in WALL_FLOW_QUANTITIES for wall in scene.walls]
     names += [f"{quantity}.{outlet}" for quantity in OUTLET_QUANTITIES for outlet in scene.outlets]
     names += [f"{quantity}.{group}" for quantity in INSERTION_QUANTITIES for group in scene.particles]
     return tuple(names)

@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from math import inf
 
+import numpy as np
 from pydantic import Field
 
 from granflow.contact.particle_equation import MaterialProperties, ParticleEquation
 from granflow.device_functions import ti
+from granflow.fields import Quantity
 from granflow.schema import quantities as q
 from granflow.schema.quantities import Number
 
@@ -29,11 +31,16 @@ class Temperature(ParticleEquation):
     initial = Number("temperature", above=0)
     flows = ("heat_flow",)
     material_properties = HeatCapacity
+    content = Quantity("heat_content", "H", "J", "heat of the particles, the sum of m c T")
 
     @ti.func
     def rate(self, constants, particle, flows):
         """Rate of change [K/s]."""
         return flows.heat_flow / (particle.mass * constants.heat_capacity)
+
+    def capacity(self, constants: Mapping[str, np.ndarray], mass: np.ndarray) -> np.ndarray:
+        """m c [J/K]."""
+        return mass * constants["heat_capacity"]
 
     def longest_time_step(
         self, constants: Mapping[str, float], radius: float, mass: float, slope: float
