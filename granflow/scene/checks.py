@@ -855,7 +855,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("output", "gravity", "domain"), metrics),
     (("output",), residence_time),
     (("output", "expect", "stages"), expected_names),
-    (("output", "expect", "stages"), expected_parts),
+    (("output", "expect", "stages", "contact"), expected_parts),
     (("output", "expect", "stages"), expected_metrics),
     (("output", "expect", "stages"), wall_forces),
     (("stages", "walls"), condition_columns),

@@ -9,7 +9,7 @@ from scene_builders import SOFT, box, build_scene, moving_lattice
 from granflow import Scene, Simulation
 from granflow.contact.heat.conduction import Conduction
 from granflow.contact.material import PairMaterial, modulus_eff
-from granflow.errors import SceneError
+from granflow.errors import GranflowError, SceneError
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
 
@@ -118,11 +118,14 @@ def rod_temperature(x, time, diffusivity):
 
 def test_lines_of_spheres_conduct_as_the_closed_forms_say():
     with Simulation(lines_scene(), threads=2) as simulation:
+        start = simulation.snapshot().totals
         simulation.step(FIRST_STEPS)
         early = simulation.snapshot().particles["temperature"]
         simulation.step(STEPS - FIRST_STEPS)
         found = simulation.snapshot().particles["temperature"]
         time = simulation.time
+        totals = simulation.snapshot().totals
+        check_changes_from_python(simulation)
     chain, _, _, heated = np.split(found, np.cumsum([LENGTH, 2, 1]))
     _, (first, second), at_plate, _ = np.split(early, np.cumsum([LENGTH, 2, 1]))
     conductance = 2.0 * CONDUCTIVITY * CONTACT_RADIUS
@@ -155,6 +158,31 @@ def test_lines_of_spheres_conduct_as_the_closed_forms_say():
         (HOT - COLD) * (1.0 - rate * TIME_STEP) ** FIRST_STEPS, rel=1e-9
     )
     assert heated[0] == pytest.approx(COLD + FLUX * np.pi * RADIUS**2 * time / CAPACITY, rel=1e-9)
+    # The heat of the particles is that of the walls; the mean is weighted by the capacity.
+    capacities = np.full(len(found), CAPACITY)
+    capacities[LENGTH + 1] = OTHER_CAPACITY
+    assert totals["heat_content"] == pytest.approx(capacities @ found, rel=1e-13)
+    assert totals["temperature_mean"] == pytest.approx(np.average(found, weights=capacities), rel=1e-13)
+    of_walls = {name: value for name, value in totals.items() if name.startswith("wall_heat.")}
+    assert set(of_walls) == {f"wall_heat.plate_{line}" for line in ("0_left", "0_right", "2_left", "3_right")}
+    gained = totals["heat_content"] - start["heat_content"]
+    assert gained == pytest.approx(sum(of_walls.values()), rel=1e-9)
+    assert of_walls["wall_heat.plate_3_right"] == pytest.approx(FLUX * np.pi * RADIUS**2 * time, rel=1e-9)
+    assert of_walls["wall_heat.plate_0_right"] < 0.0
+
+
+def check_changes_from_python(simulation):
+    """Temperatures are read and set; a temperature that is not above 0 K is refused."""
+    particles = simulation.particles
+    particles.temperature[:LENGTH] = 350.0
+    assert particles.temperature.tolist()[:LENGTH] == [350.0] * LENGTH
+    content = simulation.snapshot().totals["heat_content"]
+    simulation.step(1)
+    assert simulation.particles.temperature[0] != 350.0
+    particles.temperature *= 2.0
+    assert simulation.snapshot().totals["heat_content"] == pytest.approx(2.0 * content, rel=0.01)
+    with pytest.raises(GranflowError, match=r"temperature would be 0 K, but a temperature is above 0 K"):
+        particles.temperature[0] = 0.0
 
 
 def bed(**contact):
@@ -198,6 +226,20 @@ def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():
     (found,) = Conduction().pair_constants(pair)
     assert found == pytest.approx(2.0 * (2.0 * 500.0 / 60.0) * (0.5e7 / (1.0 - 0.09) / true) ** (1.0 / 3.0))
     assert 0.79 < found / (2000.0 / 60.0) < 0.8
+
+
+def test_the_field_of_the_temperature_requires_heat_and_so_does_a_program():
+    scene = bed().to_dict()
+    scene["output"]["fields"] = {"bed": {"cell": 0.01, "quantities": ["temperature"]}}
+    with pytest.raises(SceneError, match=r"particles have no temperature: contact.heat is none; write cond"):
+        Scene.from_dict(scene)
+    with (
+        Simulation(bed(), threads=2) as simulation,
+        pytest.raises(
+            GranflowError, match=r"particles.temperature: the particles have none, because contact"
+        ),
+    ):
+        simulation.particles.temperature[0] = 1.0
 
 
 def problems(change):
@@ -244,6 +286,8 @@ CASES = [
      "remove it, or select contact.heat: conduction"),
     (set_key("contact", "heat", value="convection"), "contact.heat is convection, but"),
     (set_key("materials", "sphere", "heat_capacity", value=1e-6), "is longer than"),
+    (set_key("expect", value=[{"quantity": "wall_heat.plate_1_left", "above": 0}]), "there is no such wall that gives "
+     "heat to particles"),
     (set_key("run", "precision", value="f32"), "run.precision is f32, but the change of temperature"),
 ]  # fmt: skip
 

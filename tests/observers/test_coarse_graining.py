@@ -232,6 +232,15 @@ def test_frames_and_their_mean_contain_the_fields(tmp_path):
     np.testing.assert_allclose(density[:, None] * velocity, mean.cell_data["momentum"][0], rtol=1e-4)
 
 
+def test_the_field_of_the_temperature_is_the_mean_by_mass():
+    """One cell that contains all particles, in the periodic kernel of the usual width."""
+    particles, _ = cloud(200)
+    particles["temperature"] = np.linspace(280.0, 400.0, 200)
+    fields = fields_from(accumulate(particles, None, cube(1), GaussianKernel(0.05, 3.0)))
+    mean = np.average(particles["temperature"], weights=particles["mass"])
+    assert fields["temperature"].tolist() == pytest.approx([mean], rel=1e-9)
+
+
 def test_mean_temperature_of_frames_excludes_the_bounce_of_the_bed():
     """A gas with the temperature 0.09 m2/s2 that moves up at 1 m/s and down at 2 m/s, with half of the mass
     each.
@@ -269,7 +278,7 @@ def test_mean_temperature_of_frames_excludes_the_bounce_of_the_bed():
 def test_intensive_fields_of_empty_cells_are_nan():
     particles, contacts = cloud(1)
     fields = fields_from(accumulate(particles, contacts, cube(3, 10.0, 11.0), GaussianKernel(0.1, 3.0)))
-    temperatures = {"granular_temperature", "granular_temperature_of_frames"}
+    temperatures = {"temperature", "granular_temperature", "granular_temperature_of_frames"}
     quotients = {"velocity", "coordination_number", "fabric"} | temperatures
     for name, values in fields.items():
         assert np.all(np.isnan(values) if name in quotients else values == 0.0), name
