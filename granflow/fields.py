@@ -488,6 +488,17 @@ _PARTICLE_FIELDS = {
         ),
         *_CLUMP_FIELDS,
         *_LIQUID_FIELDS,
+        FieldSpec(
+            "loss_heat",
+            "",
+            "J",
+            "heat from the losses of the last step, in units of `plan.loss_heat_unit`",
+            file_type="int64",
+            in_snapshot=False,
+            dtype="i64",
+            condition=lambda features: features.loss_heat,
+            displayed=False,
+        ),
         FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
         FieldSpec(
             "insertion_time", "", "s", "simulated time of the insertion", file_type="float64", displayed=False

@@ -213,6 +213,16 @@ class Law(DeviceObject):
         """
         return self.flow(constants, contact, first, first)
 
+    @property
+    def loss_flow(self) -> str:
+        """Flow to which the losses of contacts are added, in equal shares for both particles; empty: none."""
+        return ""
+
+    @ti.func
+    def wall_share(self, wall):
+        """Share of the losses of a contact that a wall takes; `wall` as of `wall_flow`."""
+        return 0.0
+
     def flow_bounds(self, name: str, case: FlowCase) -> tuple[float, float]:
         """Largest flow of a contact, and its largest derivative by a property of the particle.
 

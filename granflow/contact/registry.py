@@ -316,6 +316,11 @@ class ContactLaws:
         return tuple((slot, law) for slot, law in self.by_slot.items() if isinstance(law, SurfaceLaw))
 
     @property
+    def of_losses(self) -> Law | None:
+        """The law that adds losses of contacts to one of its flows."""
+        return next((law for law in self.laws if law.loss_flow), None)
+
+    @property
     def flows_from_walls(self) -> Mapping[str, Quantity]:
         """Flows that are summed for each wall, with the quantity of the sum."""
         found = {name: each.from_walls for law in self.laws for name, each in law.flows.items()}

@@ -80,6 +80,7 @@ class BatchedContacts:
         self.max_overlap = state.parameter("max_overlap")
         self.longest_time_step = state.parameter("longest_time_step")
         self.shift = state.parameter("shift", UNIT_FORCE)
+        self.high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
         self.evaluate = _build_evaluate(state)
         self.forces, self.torques, self.torques_partner = _result_columns(state.batch)
 
@@ -145,6 +146,8 @@ class BatchedContacts:
         constants = self.pair.constants(i, j)
         energy_lost = self.histories.end(list_index, constants, self.pair.bodies(i, j), dt)
         self.histories.add_plastic_loss(chunk, j, energy_lost)
+        if ti.static(self.has_flows):
+            self.flows.add_loss(chunk, i, j, energy_lost, False)
 
     @ti.func
     def _attract(self, worker, chunk, i, j, list_index, branch, contact_distance, first, end, pose, dt):
@@ -273,7 +276,7 @@ class BatchedContacts:
                 self.accounting.count_collision(chunk, list_index, j, self.pair.bodies(i, j), rate, False)
             self._store_history(worker, entry, list_index)
             if ti.static(self.features.energy_budget):
-                self._add_losses(worker, chunk, j, entry)
+                self._add_losses(worker, chunk, i, j, entry)
                 if ti.static(self.features.lees_edwards):
                     force_on_owner = vector_of(self.forces, worker, entry)
                     self.accounting.add_boundary_work(chunk, i, j, force_on_owner, pose, dt)
@@ -287,11 +290,16 @@ class BatchedContacts:
                 self.neighbors.history[slot][list_index][k] = self.batch.history[slot][k][worker, entry]
 
     @ti.func
-    def _add_losses(self, worker, chunk, j, entry):
+    def _add_losses(self, worker, chunk, i, j, entry):
         shares = self.list_shares(chunk, j)
+        lost = ti.cast(0.0, ti.f64)
         for k, loss in ti.static(enumerate(PAIR_LOSSES)):
             value = self.batch.losses[k][worker, entry]
             add_energy(self.control.losses, chunk, loss, self.loss_count, shares, value)
+            lost += ti.cast(value, ti.f64)
+        if ti.static(self.has_flows):
+            per_joule = ti.cast(self.high_words_per_joule(), ti.f64)
+            self.flows.add_loss(chunk, i, j, lost / per_joule, False)
 
 
 # Evaluate

@@ -109,6 +109,10 @@ class Contact:
             if ti.static(self.has_flows):
                 touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest))
                 self.flows.add(chunk, i, list_index, j, constants, touching, self.with_wall)
+                lost = ti.cast(0.0, ti.f64)
+                for k in ti.static(range(len(PAIR_LOSSES))):
+                    lost += ti.cast(found.losses[k], ti.f64)
+                self.flows.add_loss(chunk, i, j, lost, self.with_wall)
         elif self.pair.in_range(i, j, kinematics.overlap):
             if ti.static(self.laws.acts_at_distance):
                 if ti.static(self.transfers):
@@ -126,7 +130,7 @@ class Contact:
                 if ti.static(self.liquid):
                     self.films.return_liquid(chunk, i, j, list_index)
                 energy_lost = self.histories.end(list_index, constants, bodies, dt)
-            self.histories.add_plastic_loss(chunk, j, energy_lost)
+            self._add_plastic_loss(chunk, i, j, energy_lost)
         return force, torque
 
     @ti.func
@@ -175,8 +179,16 @@ class Contact:
                 energy_lost = self._end_surface_contact(list_index, constants, bodies, dt)
         if not is_kept:
             energy_lost = self.histories.end(list_index, constants, bodies, dt)
-        self.histories.add_plastic_loss(chunk, j, energy_lost)
+        self._add_plastic_loss(chunk, i, j, energy_lost)
         return attraction
+
+    @ti.func
+    def _add_plastic_loss(self, chunk, i, j, energy_lost):
+        """Add the plastic work [J] of a contact that has ended to the losses, and to the heat of its
+        partners."""
+        self.histories.add_plastic_loss(chunk, j, energy_lost)
+        if ti.static(self.has_flows):
+            self.flows.add_loss(chunk, i, j, energy_lost, self.with_wall)
 
     @ti.func
     def _end_surface_contact(self, list_index, constants, bodies, dt):

@@ -431,11 +431,13 @@ class Engine:
         equations = [each.name for each in self.plan.scene.equations]
         if not (needs_arrays or self.state.backend.on_cpu or self.plan.features.clumps or equations):
             return {}, device_sums(self.state, 0.5 * self.time_step * self._velocities_lag)
-        needed = (*MOTION, *CONTACT_COUNTS, *(("material", *equations) if equations else ()))
-        own = self._own_synchronized(self._shown if needs_arrays else needed)
+        of_equations = ("material", "loss_heat", *equations) if equations else ()
+        shown = self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS)
+        own = self._own_synchronized((*shown, *of_equations))
         sums = host_sums(own, self._gravity, self.state.ranks)
         if equations:
             sums = replace(sums, contents=contents_of(self.plan, own, self.state.ranks))
+            own.pop("loss_heat", None)
         return self._in_box(self.state.ranks.gathered(own)) if needs_arrays else {}, sums
 
     def own_particles(self) -> dict[str, np.ndarray]:

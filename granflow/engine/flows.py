@@ -52,6 +52,11 @@ class Flows:
         self.sums_walls = bool(self.wall_sums)
         self.wall_term = {name: k for k, name in enumerate(state.plan.wall_flows)}
         self.shared = shares_rows(state)
+        self.has_loss_heat = state.plan.features.loss_heat
+        self.loss_law: Any = laws.of_losses
+        self.loss_flow = self.loss_law.loss_flow if self.loss_law else ""
+        self.loss_heat: Any = self.particles.loss_heat if self.has_loss_heat else None
+        self.loss_heat_unit = state.parameter("loss_heat_unit") if self.has_loss_heat else None
         self.rows = state.capacities.wall_rows
         self.wall_count = state.parameter("wall_count")
         self.wall_values = [
@@ -124,11 +129,47 @@ class Flows:
     ):
         """Struct of the flows of a law from partner j."""
         if ti.static(with_wall):
-            w = self.wall_of(j)
-            wall = ti.Struct({name: field[w] for name, field in ti.static(self.wall_values)})
-            return law.wall_flow(constants, contact, first, wall)
+            return law.wall_flow(constants, contact, first, self._wall(self.wall_of(j)))
         partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
         return law.flow(constants, contact, first, partner)
+
+    @ti.func
+    def add_loss(self, chunk, i, j, energy, with_wall: ti.template()):
+        """Add the energy [J] that a contact has lost in this step to the heat of its partners.
+
+        Reads:   keys of walls
+        Writes:  loss_heat, wall_flows
+        """
+        if ti.static(self.has_loss_heat):
+            lost = ti.cast(energy, ti.f64)
+            if ti.static(with_wall):
+                w = self.wall_of(j)
+                share = self.loss_law.wall_share(self._wall(w))
+                self._add_loss_heat(i, (1.0 - share) * lost)
+                if ti.static(self.loss_flow in self.wall_term):
+                    self._add_to_wall(chunk, w, self.wall_term[self.loss_flow], -share * lost)
+            else:
+                self._add_loss_heat(i, 0.5 * lost)
+                begin = chunk * self.chunk_size()
+                if j >= begin and j < begin + self.chunk_size():
+                    self._add_loss_heat(j, 0.5 * lost)
+
+    @ti.func
+    def _add_loss_heat(self, i, energy):
+        self.loss_heat[i] = self.loss_heat[i] + to_units(energy / self.loss_heat_unit())
+
+    @ti.func
+    def _wall(self, w):
+        """Struct of the keys of a wall that laws read."""
+        return ti.Struct({name: field[w] for name, field in ti.static(self.wall_values)})
+
+    @ti.func
+    def _flow(self, i, dt, name: ti.template(), field: ti.template()):
+        """Sum of a flow, with the losses of the step that has ended."""
+        found = field[i]
+        if ti.static(self.has_loss_heat and name == self.loss_flow):
+            found += ti.cast(self.loss_heat[i], ti.f64) * self.loss_heat_unit() / dt
+        return found
 
     @ti.func
     def integrate(self, chunk, i, dt):
@@ -154,30 +195,34 @@ class Flows:
             particle = ti.Struct(
                 radius=self.particles.radius[i], mass=self.particles.mass[i], value=values[i]
             )
-            found = ti.Struct({name: field[i] for name, field in ti.static(sums)})
+            found = ti.Struct({name: self._flow(i, dt, name, field) for name, field in ti.static(sums)})
             values[i] = values[i] + ti.cast(dt * equation.rate(constants, particle, found), values.dtype)
+        if ti.static(self.has_loss_heat):
+            self.loss_heat[i] = ti.cast(0, ti.i64)
 
     @ti.func
     def _add_of_wall(self, chunk, list_index, dt):
         """Add the flows of a wall entry in this step to the integrals of its wall."""
         w = self.wall_of(self.neighbors.partner[list_index])
-        row = chunk
-        if ti.static(self.shared):
-            row = chunk % self.rows
-        for k, per_unit in ti.static(self.wall_sums):
+        for k, _ in ti.static(self.wall_sums):
             flow = self.neighbors.wall_flow[list_index][k]
             if flow != 0.0:
-                units = to_units(per_unit() * (ti.cast(dt, ti.f64) * flow))
-                high = units >> CARRY_BITS
-                low = units - (high << CARRY_BITS)
-                if ti.static(self.shared):
-                    ti.atomic_add(self.wall_flows[row, w][k], low)
-                    ti.atomic_add(self.wall_flows[row, w][self.high_word + k], high)
-                else:
-                    sums = self.wall_flows[row, w]
-                    sums[k] += low
-                    sums[self.high_word + k] += high
-                    self.wall_flows[row, w] = sums
+                self._add_to_wall(chunk, w, k, ti.cast(dt, ti.f64) * flow)
+
+    @ti.func
+    def _add_to_wall(self, chunk, w, k: ti.template(), amount):
+        """Add an amount to the integral k of wall w."""
+        units = to_units(self.wall_sums[k][1]() * amount)
+        high = units >> CARRY_BITS
+        low = units - (high << CARRY_BITS)
+        if ti.static(self.shared):
+            ti.atomic_add(self.wall_flows[chunk % self.rows, w][k], low)
+            ti.atomic_add(self.wall_flows[chunk % self.rows, w][self.high_word + k], high)
+        else:
+            sums = self.wall_flows[chunk, w]
+            sums[k] += low
+            sums[self.high_word + k] += high
+            self.wall_flows[chunk, w] = sums
 
     @ti.func
     def carry(self, chunk):

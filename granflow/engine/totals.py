@@ -413,7 +413,8 @@ def host_sums(
 def contents_of(plan: Plan, arrays: Mapping[str, np.ndarray], ranks: Gathering) -> dict[str, float]:
     """Totals of the particle equations, see `ParticleEquation.totals`; a mean without particles is NaN.
 
-    arrays:  mass (n,) [kg], the properties (n,), and with several materials material (n,), in the plan
+    arrays:  mass (n,) [kg], the properties (n,), with several materials material (n,), in the plan, and
+             with heat of losses loss_heat (n,)
     """
     found: dict[str, float] = {}
     mass = arrays["mass"].astype(float)
@@ -427,6 +428,10 @@ def contents_of(plan: Plan, arrays: Mapping[str, np.ndarray], ranks: Gathering) 
         }
         capacity = equation.capacity(constants, mass)
         content = exact_sum(capacity * arrays[equation.name], ranks)
+        law = plan.laws.of_losses
+        if law is not None and law.loss_flow in equation.flows:
+            units = ranks.total(np.array([arrays["loss_heat"].astype(object).sum()], float))
+            content += float(units[0]) * plan.loss_heat_unit
         total = exact_sum(capacity, ranks)
         mean, content_total = equation.totals
         found |= {mean.name: content / total if total else np.nan, content_total.name: content}

@@ -315,6 +315,8 @@ def _of_flows(plan: Plan) -> Iterator[Parameter]:
     for name, unit in plan.flow_units.items():
         yield _scalar(f"per_unit.{name}", "f64", 1.0 / unit)
         yield _scalar(f"shift.{name}", "f64", 1.5 * unit * 2.0**52)
+    if plan.features.loss_heat:
+        yield _scalar("loss_heat_unit", "f64", plan.loss_heat_unit)
     for name, unit in plan.wall_flow_units.items():
         yield _scalar(f"per_unit.wall.{name}", "f64", 1.0 / unit)
     for equation in plan.scene.equations:

@@ -53,6 +53,8 @@ class Features:
     """Whether velocities in float32 keep what rounding takes from their changes."""
     flows: tuple[str, ...] = ()
     """What flows through contacts and is summed for each particle; particle equations read the sums."""
+    loss_heat: bool = False
+    """Whether the losses of contacts become heat of the particles."""
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
@@ -265,6 +267,9 @@ def _rows(
         why = f"through the contacts of {', '.join(dict.fromkeys(flows.values()))}"
         changed = [each.name for each in registry.equations_with(tuple(flows))]
         yield "flows", tuple(flows), why + (f"; they change the {' and '.join(changed)}" if changed else "")
+    if getattr(scene.contact.options("heat"), "from_dissipation", False):
+        place = where("contact", "heat", "from_dissipation")
+        yield "loss_heat", True, f"contact.heat.from_dissipation is true ({place})"
     yield "external_forces", False, "forces are added from Python only"
 
 

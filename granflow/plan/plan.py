@@ -42,7 +42,14 @@ from granflow.plan.capacities import (
 from granflow.plan.features import Features, Reason
 from granflow.plan.limits import coordinate_limit
 from granflow.plan.pair_case import PairCase
-from granflow.plan.sum_units import SumUnits, flow_units, integral_unit, liquid_unit, sum_units
+from granflow.plan.sum_units import (
+    LOSS_HEAT_UNITS,
+    SumUnits,
+    flow_units,
+    integral_unit,
+    liquid_unit,
+    sum_units,
+)
 from granflow.plan.time_step import (
     STEP_SHARE,
     AdaptiveTimeStep,
@@ -476,6 +483,11 @@ class Plan:
         return {
             name: integral_unit(self.flow_units[name], self.longest_time_step) for name in self.wall_flows
         }
+
+    @property
+    def loss_heat_unit(self) -> float:
+        """Unit [J] of the heat that a particle receives from losses in one step."""
+        return self.sum_units.energy * LOSS_HEAT_UNITS
 
     @cached_property
     def liquid_unit(self) -> float:

@@ -54,6 +54,9 @@ FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 53, 43
 An energy is added in two words, so that the contacts of small particles count in the presence of very large
 ones.
 """
+LOSS_HEAT_UNITS = 2.0**10
+"""Unit of the heat of one particle in one step over that of energies: 64-bit integers hold 8 times the
+largest energy of a contact."""
 SUM_BITS = 50
 """Binary digits of the largest sum of forces on a particle in its unit, a quarter of what f64 represents
 exactly in half units: partial sums can be larger than the sum."""

@@ -459,6 +459,14 @@ def wall_values(parts: PartialScene) -> Iterator[Fault]:
                 yield replace(fault, path=("walls", name, *fault.path))
 
 
+def heat_of_losses(parts: PartialScene) -> Iterator[Fault]:
+    """The losses of contacts are known with the energy budget only."""
+    scene = parts.scene
+    if getattr(scene.contact.options("heat"), "from_dissipation", False) and not scene.output.energy_budget:
+        reason = "it needs the losses of the energy budget; set output.energy_budget to true as well"
+        yield Fault(("contact", "heat", "from_dissipation"), reason)
+
+
 def material_values(parts: PartialScene) -> Iterator[Fault]:
     """A contact model requires its keys of the materials of particles, and of walls that have a value of a
     property of the particles."""
@@ -850,6 +858,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact",), liquid_content),
     (("contact", "pairs"), equation_values),
     (("contact",), wall_values),
+    (("contact", "output"), heat_of_losses),
     (("contact", "pairs"), material_values),
     (("output", "stages", "domain", "contact"), field_grids),
     (("output", "gravity", "domain"), metrics),

@@ -132,7 +132,8 @@ def sheared_films() -> Scene:
 def conducting() -> Scene:
     """The poured bed with temperatures, of which one wall has one and another one a heat flux."""
     thermal = {"thermal_conductivity": 50.0, "heat_capacity": 0.5}
-    contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "epsd", "heat": "conduction"}
+    contact: dict[str, Any] = {"normal": "zhou", "tangential": "mindlin", "rolling": "epsd"}
+    contact["heat"] = {"law": "conduction", "from_dissipation": True}
     scene = complex_scene(
         0.009,
         of_groups={"temperature": 300.0},

@@ -9,6 +9,7 @@ from scene_builders import SOFT, box, build_scene, moving_lattice
 from granflow import Scene, Simulation
 from granflow.contact.heat.conduction import Conduction
 from granflow.contact.material import PairMaterial, modulus_eff
+from granflow.engine.totals import ended_contacts_dissipation
 from granflow.errors import GranflowError, SceneError
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
@@ -185,8 +186,8 @@ def check_changes_from_python(simulation):
         particles.temperature[0] = 0.0
 
 
-def bed(**contact):
-    """A lattice in fast motion between walls, one of which is hot."""
+def bed(normal="hertz", **contact):
+    """A lattice in fast motion between walls, one of which is hot; without `contact` it has no heat."""
     walls = box(0.042)
     materials = {"glass": SOFT}
     lattice = moving_lattice((6, 6, 4), largest=0.0062, speed=1.0)
@@ -194,11 +195,11 @@ def bed(**contact):
         walls["low_x"]["temperature"] = HOT
         lattice["temperature"] = COLD
         materials = {"glass": SOFT | {"thermal_conductivity": 50.0, "heat_capacity": 1.0}}
-    models = {"normal": "hertz", "tangential": "mindlin", "rolling": "none"} | contact
+    models = {"normal": normal, "tangential": "mindlin", "rolling": "epsd"} | contact
     return build_scene(
         {"lattice": lattice}, walls, materials=materials, contact=models,
-        pair={"friction": 0.4, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
-        numerics={"chunk_size": 32, "skin": 2e-4},
+        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
+        numerics={"chunk_size": 32, "skin": 2e-4}, output={"interval": 1.0, "energy_budget": True},
         run={"duration": 3e-3, "velocity_max": 6.0, "time_step": 2e-6},
     )  # fmt: skip
 
@@ -213,6 +214,27 @@ def test_heat_does_not_change_the_motion():
     assert with_heat["temperature"].max() > COLD
     assert set(with_heat) - set(without) == {"temperature", "heat_flow"}
     assert all(without[name].tolist() == with_heat[name].tolist() for name in without)
+
+
+def test_the_losses_of_contacts_become_heat():
+    """What the energy budget loses is the heat of the particles and of the wall with a temperature.
+
+    The plastic work of a contact becomes heat when the contact ends; the budget has that of the others, too.
+    """
+    scene = bed("zhou", heat={"law": "conduction", "from_dissipation": True})
+    with Simulation(scene, threads=2) as simulation:
+        start = simulation.snapshot().totals
+        simulation.step(1500)
+        totals = simulation.snapshot().totals
+        ended = ended_contacts_dissipation(simulation.engine.state)
+    assert 0.0 < ended < totals["plastic_dissipation"]
+    losses = [totals[f"{name}_dissipation"] for name in ("friction", "rolling", "damping")]
+    assert min(losses) > 0.0
+    lost = sum(losses) + ended
+    gained = totals["heat_content"] - start["heat_content"] - totals["wall_heat.low_x"]
+    assert gained == pytest.approx(lost, rel=1e-10)
+    # Total energy: the residual of the budget is that of the mechanical energy, below 1e-3 at this time step.
+    assert abs(totals["energy_error"]) < 1e-3
 
 
 def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():
@@ -288,6 +310,9 @@ CASES = [
     (set_key("materials", "sphere", "heat_capacity", value=1e-6), "is longer than"),
     (set_key("expect", value=[{"quantity": "wall_heat.plate_1_left", "above": 0}]), "there is no such wall that gives "
      "heat to particles"),
+    (set_key("contact", "heat", value={"law": "conduction", "from_dissipation": True}),
+     "contact.heat.from_dissipation is true, but it needs the losses of the energy budget; set "
+     "output.energy_budget to true"),
     (set_key("run", "precision", value="f32"), "run.precision is f32, but the change of temperature"),
 ]  # fmt: skip
 

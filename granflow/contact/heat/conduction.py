@@ -21,12 +21,13 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from granflow.contact.law import ContactModel, FlowCase, HeatLaw, WallProperties
+from granflow.contact.law import ContactModel, FlowCase, HeatLaw, ModelRequest, Options, WallProperties
 from granflow.contact.material import PairMaterial
 from granflow.contact.particle_equation import MaterialProperties
 from granflow.device_functions import ti
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, redundant
+from granflow.schema.model import Flag
 from granflow.schema.quantities import Number
 
 
@@ -67,7 +68,12 @@ class ConductingMaterial(MaterialProperties):
 
 @dataclass(frozen=True)
 class Conduction(HeatLaw):
-    """Conduction through the contact area."""
+    """Conduction through the contact area.
+
+    from_dissipation:  whether the losses of contacts become heat
+    """
+
+    from_dissipation: bool = False
 
     name = "conduction"
     source = (
@@ -81,6 +87,21 @@ class Conduction(HeatLaw):
     constant_names = ("conductivity",)
     """2 k (E / E_true)^(1/3) [W/(m K)]: conductance of a contact over its radius."""
     wall_properties = ConductingWall
+
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "Conduction":
+        """The law that a scene requests."""
+        return cls(request.options.from_dissipation)
+
+    @property
+    def loss_flow(self) -> str:
+        """The heat flow, if losses become heat."""
+        return "heat_flow" if self.from_dissipation else ""
+
+    @ti.func
+    def wall_share(self, wall):
+        """Half of the losses, if the wall has a temperature; an insulated wall takes none."""
+        return 0.5 * wall.temperature_given
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names`; 0 if a material has no conductivity, which is that of an insulated
@@ -119,8 +140,19 @@ class Conduction(HeatLaw):
         return max(conductance * highest, flux * pi * case.radius_eff**2), conductance
 
 
+class ConductionOptions(Options):
+    """Options of the model."""
+
+    from_dissipation: Flag = Field(
+        False,
+        description="true: the losses of contacts by friction, rolling, damping and plastic work become heat "
+        "of both partners in equal shares",
+    )
+
+
 MODEL = ContactModel(
     Conduction,
     "conduction through the contact area, between particles with temperatures and with walls",
+    options=ConductionOptions,
     material_properties=ConductingMaterial,
 )
