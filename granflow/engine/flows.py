@@ -114,7 +114,12 @@ class Flows:
         )
         for slot, law, read, sums in ti.static(self.laws):
             first = ti.Struct({name: field[i] for name, field in ti.static(read)})
-            flows = self._flows(law, member(constants, slot), touching, first, j, read, with_wall)
+            partner = first
+            if ti.static(not with_wall):
+                partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
+            flows = law.flow(member(constants, slot), touching, first, partner)
+            if ti.static(with_wall):
+                flows = law.wall_flow(member(constants, slot), touching, first, self._wall(self.wall_of(j)))
             for name, field, shift in ti.static(sums):
                 flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
                 field[i] = field[i] + flow
@@ -122,16 +127,6 @@ class Flows:
                     self.neighbors.wall_flow[list_index][self.wall_term[name]] += flow
                 if j >= begin and j < begin + self.chunk_size():
                     field[j] = field[j] - flow
-
-    @ti.func
-    def _flows(
-        self, law: ti.template(), constants, contact, first, j, read: ti.template(), with_wall: ti.template()
-    ):
-        """Struct of the flows of a law from partner j."""
-        if ti.static(with_wall):
-            return law.wall_flow(constants, contact, first, self._wall(self.wall_of(j)))
-        partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
-        return law.flow(constants, contact, first, partner)
 
     @ti.func
     def add_loss(self, chunk, i, j, energy, with_wall: ti.template()):

@@ -51,12 +51,14 @@ class Row:
     on_ranks: bool = True
 
 
+SIDE = {"side": {"box": {"min": [0.05, 0.0, 0.0], "max": [0.07, 0.06, 0.03]}}}
+"""Outlet that deletes particles before they leave the domain."""
+
+
 def poured() -> Scene:
     """Rain, an inlet, fixed particles, three stages with other walls, an outlet, a domain that deletes, all
     outputs."""
-    return complex_scene(
-        0.012, outlets={"side": {"box": {"min": [0.05, 0.0, 0.0], "max": [0.07, 0.06, 0.03]}}}
-    )
+    return complex_scene(0.012, outlets=SIDE)
 
 
 def moved_walls() -> Scene:
@@ -137,6 +139,7 @@ def conducting() -> Scene:
     scene = complex_scene(
         0.009,
         of_groups={"temperature": 300.0},
+        outlets=SIDE,
         contact=contact,
         materials={"glass": SOFT | thermal, "steel": SOFT | thermal | {"thermal_conductivity": 10.0}},
     ).to_dict()
