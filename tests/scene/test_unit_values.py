@@ -42,7 +42,12 @@ VALUES = {
     "mass": {"kg": 1.0, "g": 0.001, "mg": 0.000001, "t": 1000.0},
     "mass_flow": {"kg/s": 1.0, "g/s": 0.001, "kg/min": PER_MINUTE, "kg/h": PER_HOUR,
                   "t/h": 0.2777777777777778},
-    "damping": {"kg/s": 1.0, "g/s": 0.001, "Ns/m": 1.0}, "force": {"N": 1.0, "kN": 1000.0, "mN": 0.001}
+    "damping": {"kg/s": 1.0, "g/s": 0.001, "Ns/m": 1.0}, "force": {"N": 1.0, "kN": 1000.0, "mN": 0.001},
+    "temperature": {"K": 1.0, "mK": 0.001},
+    "heat_capacity": {"J/kg/K": 1.0, "J/(kg*K)": 1.0, "kJ/kg/K": 1000.0, "kJ/(kg*K)": 1000.0, "J/g/K": 1000.0,
+                      "J/(g*K)": 1000.0},
+    "thermal_conductivity": {"W/m/K": 1.0, "W/(m*K)": 1.0, "mW/m/K": 0.001, "mW/(m*K)": 0.001},
+    "heat_flux": {"W/m2": 1.0, "W/m^2": 1.0, "W/m²": 1.0, "kW/m2": 1000.0}
 }  # fmt: skip
 
 
