@@ -197,7 +197,7 @@ class BatchedContacts:
             self._gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt)
             if ti.static(self.has_flows):
                 contact = self._contact_of(worker, entry, i, j, velocity_rel, dt)
-                self.flows.add(chunk, i, list_index, j, self.pair.constants(i, j), contact, False)
+                self.flows.add(chunk, i, j, self.pair.constants(i, j), contact, False)
             if ti.static(not self.features.one_material):
                 row = self.control.pair_constants[self.pair.row(i, j)]
                 store_vector(self.batch.constants, worker, entry, row)

@@ -108,7 +108,7 @@ class Contact:
             self._account(chunk, i, j, pose, kinematics.normal, found, dt)
             if ti.static(self.has_flows):
                 touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest))
-                self.flows.add(chunk, i, list_index, j, constants, touching, self.with_wall)
+                self.flows.add(chunk, i, j, constants, touching, self.with_wall)
                 lost = ti.cast(0.0, ti.f64)
                 for k in ti.static(range(len(PAIR_LOSSES))):
                     lost += ti.cast(found.losses[k], ti.f64)

@@ -22,7 +22,8 @@ class Flows:
     """The sums of the flows, and the particle equations.
 
     The force phase clears the sums and adds each contact with an overlap. The integration takes one explicit
-    step of the equations with them.
+    step of the equations with them. What flows from walls is summed over the run: the force phase adds what
+    will flow in the next step, which is ahead of the particles until then.
     """
 
     def __init__(self, state: State) -> None:
@@ -43,8 +44,8 @@ class Flows:
         self.radius_slot = laws.of_contact_radius
         self.radius_law = laws.by_slot[self.radius_slot]
         self.wall_of = state.built(Faces).wall_of
-        self.neighbors = state.neighbors
         self.wall_flows = state.control.wall_flows
+        self.wall_flows_ahead = state.control.wall_flows_ahead
         self.wall_sums = [
             (k, state.parameter(f"per_unit.wall.{name}")) for k, name in enumerate(state.plan.wall_flows)
         ]
@@ -90,12 +91,9 @@ class Flows:
         """
         for field, _ in ti.static(self.sums):
             field[i] = 0.0
-        if ti.static(self.sums_walls):
-            for list_index in range(self.neighbors.list_begin[i], self.neighbors.list_walls_end[i]):
-                self.neighbors.wall_flow[list_index] = 0.0 * self.neighbors.wall_flow[list_index]
 
     @ti.func
-    def add(self, chunk, i, list_index, j, constants, contact, with_wall: ti.template()):
+    def add(self, chunk, i, j, constants, contact, with_wall: ti.template()):
         """Add the flows of a contact to particle i, and to partner j if it is in the same chunk.
 
         constants, contact:  of all slots; as of a normal model
@@ -124,7 +122,8 @@ class Flows:
                 flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
                 field[i] = field[i] + flow
                 if ti.static(with_wall and name in self.wall_term):
-                    self.neighbors.wall_flow[list_index][self.wall_term[name]] += flow
+                    given = ti.cast(contact.time_step, ti.f64) * flow
+                    self._add_to_wall(chunk, self.wall_of(j), self.wall_term[name], given, True)
                 if j >= begin and j < begin + self.chunk_size():
                     field[j] = field[j] - flow
 
@@ -142,7 +141,7 @@ class Flows:
                 share = self.loss_law.wall_share(self._wall(w))
                 self._add_loss_heat(i, (1.0 - share) * lost)
                 if ti.static(self.loss_flow in self.wall_term):
-                    self._add_to_wall(chunk, w, self.wall_term[self.loss_flow], -share * lost)
+                    self._add_to_wall(chunk, w, self.wall_term[self.loss_flow], -share * lost, False)
             else:
                 self._add_loss_heat(i, 0.5 * lost)
                 begin = chunk * self.chunk_size()
@@ -167,15 +166,12 @@ class Flows:
         return found
 
     @ti.func
-    def integrate(self, chunk, i, dt):
-        """One step of all particle equations, and of the integrals at walls; abort if a sum is not exact.
+    def integrate(self, i, dt):
+        """One step of all particle equations; abort if a sum is not exact.
 
-        Reads:   the sums, radius, mass, material, id, neighbor lists, wall_flow
-        Writes:  the properties, wall_flows, abort, abort_particle
+        Reads:   the sums, radius, mass, material, id
+        Writes:  the properties, loss_heat, abort, abort_particle
         """
-        if ti.static(self.sums_walls):
-            for list_index in range(self.neighbors.list_begin[i], self.neighbors.list_walls_end[i]):
-                self._add_of_wall(chunk, list_index, dt)
         for field, per_unit in ti.static(self.sums):
             if not ti.abs(field[i]) * per_unit() <= 2.0**SUM_BITS:  # also if it is not a number
                 ti.atomic_max(self.control.abort[0], ABORT_FLOW)
@@ -196,39 +192,37 @@ class Flows:
             self.loss_heat[i] = ti.cast(0, ti.i64)
 
     @ti.func
-    def _add_of_wall(self, chunk, list_index, dt):
-        """Add the flows of a wall entry in this step to the integrals of its wall."""
-        w = self.wall_of(self.neighbors.partner[list_index])
-        for k, _ in ti.static(self.wall_sums):
-            flow = self.neighbors.wall_flow[list_index][k]
-            if flow != 0.0:
-                self._add_to_wall(chunk, w, k, ti.cast(dt, ti.f64) * flow)
-
-    @ti.func
-    def _add_to_wall(self, chunk, w, k: ti.template(), amount):
-        """Add an amount to the integral k of wall w."""
+    def _add_to_wall(self, chunk, w, k: ti.template(), amount, ahead: ti.template()):
+        """Add an amount to the integral k of wall w; `ahead`: in the next step."""
         units = to_units(self.wall_sums[k][1]() * amount)
         high = units >> CARRY_BITS
         low = units - (high << CARRY_BITS)
-        if ti.static(self.shared):
-            ti.atomic_add(self.wall_flows[chunk % self.rows, w][k], low)
-            ti.atomic_add(self.wall_flows[chunk % self.rows, w][self.high_word + k], high)
-        else:
-            sums = self.wall_flows[chunk, w]
-            sums[k] += low
-            sums[self.high_word + k] += high
-            self.wall_flows[chunk, w] = sums
+        self._add_words(self.wall_flows, chunk, w, k, low, high)
+        if ti.static(ahead):
+            self._add_words(self.wall_flows_ahead, chunk, w, k, low, high)
 
     @ti.func
-    def carry(self, chunk):
-        """Move the carries of the integrals, once per step and not beside additions.
+    def _add_words(self, field: ti.template(), chunk, w, k: ti.template(), low, high):
+        if ti.static(self.shared):
+            ti.atomic_add(field[chunk % self.rows, w][k], low)
+            ti.atomic_add(field[chunk % self.rows, w][self.high_word + k], high)
+        else:
+            sums = field[chunk, w]
+            sums[k] += low
+            sums[self.high_word + k] += high
+            field[chunk, w] = sums
 
-        Writes:  wall_flows
+    @ti.func
+    def begin_step(self, chunk):
+        """Move the carries of the integrals of walls; the step takes what was ahead. Not beside additions.
+
+        Writes:  wall_flows, wall_flows_ahead
         """
         if ti.static(self.sums_walls):
             if chunk < self.rows:
                 for w in range(self.wall_count()):
                     self.wall_flows[chunk, w] = carried(self.wall_flows[chunk, w], self.high_word)
+                    self.wall_flows_ahead[chunk, w] = ti.Vector.zero(ti.i64, ti.static(2 * self.high_word))
 
     @ti.func
     def _of_material(self, parameter: ti.template(), material):
@@ -239,12 +233,32 @@ class Flows:
         return found
 
 
+def build_withdraw(state: State) -> Any:
+    """Kernel (): take what is ahead from the integrals of walls, before forces that count it again.
+
+    Writes:  wall_flows, wall_flows_ahead
+    """
+    control = state.control
+    rows = state.capacities.wall_rows
+    walls = state.capacities.walls
+
+    @ti.kernel
+    def withdraw():
+        for row in range(rows):
+            for w in range(walls):
+                control.wall_flows[row, w] = control.wall_flows[row, w] - control.wall_flows_ahead[row, w]
+                control.wall_flows_ahead[row, w] = 0 * control.wall_flows_ahead[row, w]
+
+    return withdraw
+
+
 def wall_flow_totals(state: State) -> dict[str, float]:
     """Integral of each flow since the start, of each wall that gives it; QUANTITY.WALL."""
     plan = state.plan
     if not plan.wall_flows:
         return {}
-    sums = state.ranks.total(state.control.wall_flows.to_numpy())
+    control = state.control
+    sums = state.ranks.total(control.wall_flows.to_numpy() - control.wall_flows_ahead.to_numpy())
     units = np.array(list(plan.wall_flow_units.values()))
     found = {}
     for index, wall in enumerate(plan.walls):

@@ -136,7 +136,7 @@ class TimeStep:
         if ti.static(self.carries_impulses):
             self.impulses.carry(chunk)
         if ti.static(self.has_flows):
-            self.flows.carry(chunk)
+            self.flows.begin_step(chunk)
         size = self.chunk_size()
         gravity = ti.cast(self.gravity(), self.real)
         shift = self.shift()[UNIT_FORCE]
@@ -162,7 +162,7 @@ class TimeStep:
         if ti.static(self.features.liquid_transfer):
             self.films.save(i)
         if ti.static(self.has_flows):
-            self.flows.integrate(chunk, i, dt)
+            self.flows.integrate(i, dt)
         mass = self.particles.mass[i]
         force = self.particles.force[i] + self._weight_rest(mass * gravity, shift)
         kick = self.particles.mobility(i) * dt / mass * force

@@ -15,6 +15,7 @@ import numpy as np
 from granflow.engine.backend import free_device_memory
 from granflow.engine.codes import NOT_HALTED
 from granflow.engine.contact import build_end_wall_work
+from granflow.engine.flows import build_withdraw
 from granflow.engine.host import HistoryTable, HostParticles, saved_particle_table
 from granflow.engine.neighbor.rebuild import NeighborListRebuild, Rebuild
 from granflow.engine.particle_forces import write_force_inputs
@@ -152,6 +153,8 @@ class Stepper:
         """
         pose = self.poses.index_at(step)
         self._end_wall_work(withdraws=True)
+        if self.state.control.wall_flows is not None:
+            self.state.built(build_withdraw)()
         self.rebuild_neighbor_lists(step, pose)
         self._write_force_inputs(step, velocities_lag)
         self.forces(pose, history_step=0.0)

@@ -107,7 +107,6 @@ def neighbor_arrays(plan: Plan, capacities: Capacities) -> list[DeviceArray]:
         *(DeviceArray(f"history.{name}", "real", entries, width) for name, width in histories),
         *(DeviceArray(f"saved.{name}", "real", saved_entries, width) for name, width in histories),
         DeviceArray("in_contact", "i32", entries, wanted=has_history),
-        DeviceArray("wall_flow", "f64", entries, len(plan.wall_flows), wanted=bool(plan.wall_flows)),
         DeviceArray("list_begin_before", "i32", count, wanted=has_history, per_particle=True),
         DeviceArray("list_end_before", "i32", count, wanted=has_history, per_particle=True),
         DeviceArray("partner_saved", "i32", saved_entries, wanted=has_history),
@@ -191,6 +190,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
         sums("external_work", (chunks,), 1, has_external_work),
         sums("collisions", (wall_rows, classes), 1, classes > 0),
         sums("wall_flows", (wall_rows, plan.capacities.walls), wall_flows, wall_flows > 0),
+        sums("wall_flows_ahead", (wall_rows, plan.capacities.walls), wall_flows, wall_flows > 0),
     ]
 
 
