@@ -15,6 +15,7 @@ from granflow.fields import (
     RUN_QUANTITIES,
     STAGE_QUANTITIES,
     TOTAL_QUANTITIES,
+    WALL_FLOW_QUANTITIES,
 )
 from granflow.geometry.vectors import are_perpendicular
 from granflow.scene.blocks.grids import GridSpec
@@ -318,7 +319,7 @@ def unit_of(name: str) -> str:
     if base == "timings" and part:
         return "s"
     if part:
-        known = {**PART_QUANTITIES, **METRIC_QUANTITIES}
+        known = {**PART_QUANTITIES, **METRIC_QUANTITIES, **WALL_FLOW_QUANTITIES}
     else:
         known = {**TOTAL_QUANTITIES, **STAGE_QUANTITIES, **RUN_QUANTITIES}
     quantity = known.get(base)
