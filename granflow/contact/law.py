@@ -99,15 +99,18 @@ class HistoryField:
 class Flow:
     """A quantity that flows through contacts, such as heat; the engine sums it over those of each particle.
 
-    unit:        SI unit
-    meaning:     description in a few words
-    from_walls:  what has flowed from a wall since the start, a number of each wall with a key of
-                 `wall_properties`
+    unit:               SI unit
+    meaning:            description in a few words
+    from_walls:         what has flowed from a wall since the start, a number of each wall with a key of
+                        `wall_properties`
+    from_surroundings:  what has flowed from the surroundings since the start, a total of a scene whose model
+                        has some
     """
 
     unit: str
     meaning: str
     from_walls: Quantity | None = None
+    from_surroundings: Quantity | None = None
 
 
 @dataclass(frozen=True)
@@ -212,6 +215,19 @@ class Law(DeviceObject):
         wall:  struct of `wall_properties`, 0 for one that the wall does not give, and of NAME_given, 1 or 0
         """
         return self.flow(constants, contact, first, first)
+
+    @property
+    def has_surroundings(self) -> bool:
+        """Whether particles exchange something with their surroundings, see `surroundings_flow`."""
+        return False
+
+    @ti.func
+    def surroundings_flow(self, constants, particle):
+        """Struct of the flows from the surroundings to a particle.
+
+        constants:  keys of its material that the model declares, 0 if not given, and `parameters`
+        particle:   struct of its radius [m] and `particle_properties`
+        """
 
     @property
     def loss_flow(self) -> str:
@@ -834,6 +850,12 @@ class HeatLaw(Law):
             "W",
             "heat that flows to the particle through its contacts",
             Quantity("wall_heat", "", "J", "heat that the wall has given to the particles since the start"),
+            Quantity(
+                "surroundings_heat",
+                "",
+                "J",
+                "heat that the surroundings have given to the particles since the start",
+            ),
         )
     }
     particle_properties = ("temperature",)

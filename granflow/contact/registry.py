@@ -50,6 +50,8 @@ def add(model: ContactModel) -> None:
         fields.add(flow_field(name, each.unit, each.meaning))
         if each.from_walls is not None:
             fields.WALL_FLOW_QUANTITIES[each.from_walls.name] = each.from_walls
+        if each.from_surroundings is not None:
+            fields.TOTAL_QUANTITIES[each.from_surroundings.name] = each.from_surroundings
     _MODELS[model.slot][model.name] = model
 
 
@@ -62,6 +64,9 @@ def remove(model: ContactModel) -> None:
         from_walls = model.law.flows[name].from_walls
         if from_walls is not None:
             del fields.WALL_FLOW_QUANTITIES[from_walls.name]
+        from_surroundings = model.law.flows[name].from_surroundings
+        if from_surroundings is not None:
+            del fields.TOTAL_QUANTITIES[from_surroundings.name]
 
 
 def models(slot: str) -> Mapping[str, ContactModel]:
@@ -314,6 +319,11 @@ class ContactLaws:
     def on_surface(self) -> tuple[tuple[str, SurfaceLaw], ...]:
         """Slot and law of each model that acts on surfaces that touch, in the order of evaluation."""
         return tuple((slot, law) for slot, law in self.by_slot.items() if isinstance(law, SurfaceLaw))
+
+    @property
+    def of_surroundings(self) -> tuple[str, Law] | None:
+        """Slot and law with which particles exchange something with their surroundings."""
+        return next((each for each in self.by_slot.items() if each[1].has_surroundings), None)
 
     @property
     def of_losses(self) -> Law | None:

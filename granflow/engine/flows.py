@@ -65,6 +65,18 @@ class Flows:
             for key, (value, given) in state.walls.values.items()
             for name, field in ((key, value), (f"{key}_given", given))
         ]
+        self.surroundings = state.capacities.walls
+        self.has_surroundings = laws.of_surroundings is not None
+        self.surroundings_law: Any = None
+        if laws.of_surroundings is not None:
+            slot, self.surroundings_law = laws.of_surroundings
+            law = self.surroundings_law
+            keys = state.plan.law_constants(slot, state.plan.materials[0])
+            self.surroundings_constants = [
+                (key, state.parameter(f"{slot}.{key}"), key in keys) for key in (*keys, *law.parameters)
+            ]
+            self.surroundings_read = self._fields(("radius", *law.particle_properties))
+            self.surroundings_sums = self._sums_of(law.flows)
         self.equations = [
             (
                 equation,
@@ -84,13 +96,45 @@ class Flows:
         return [(name, field, self.state.parameter(f"shift.{name}")) for name, field in self._fields(names)]
 
     @ti.func
-    def clear(self, i):
-        """Begin the sums of particle i.
+    def begin(self, chunk, i, time_step):
+        """Begin the sums of particle i with what its surroundings give.
 
-        Writes:  the sums
+        time_step:  as of a normal model [s]
+
+        Reads:   radius, material, properties that the laws read
+        Writes:  the sums, wall_flows, wall_flows_ahead
         """
         for field, _ in ti.static(self.sums):
             field[i] = 0.0
+        if ti.static(self.has_surroundings):
+            self._add_surroundings(chunk, i, time_step)
+
+    @ti.func
+    def _add_surroundings(self, chunk, i, time_step):
+        material = 0
+        if ti.static(not self.one_material):
+            material = self.particles.material[i]
+        constants = ti.Struct(
+            {
+                key: self._constant(each, material, by_material)
+                for key, each, by_material in ti.static(self.surroundings_constants)
+            }
+        )
+        particle = ti.Struct({name: field[i] for name, field in ti.static(self.surroundings_read)})
+        flows = self.surroundings_law.surroundings_flow(constants, particle)
+        for name, field, shift in ti.static(self.surroundings_sums):
+            flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
+            field[i] = field[i] + flow
+            given = ti.cast(time_step, ti.f64) * flow
+            self._add_to_wall(chunk, self.surroundings, self.wall_term[name], given, True)
+
+    @ti.func
+    def _constant(self, parameter: ti.template(), material, by_material: ti.template()):
+        """Value of a parameter, or that for a material."""
+        found = parameter()
+        if ti.static(by_material and self.several_materials):
+            return found[material]
+        return found
 
     @ti.func
     def add(self, chunk, i, j, constants, contact, with_wall: ti.template()):
@@ -221,8 +265,14 @@ class Flows:
         if ti.static(self.sums_walls):
             if chunk < self.rows:
                 for w in range(self.wall_count()):
-                    self.wall_flows[chunk, w] = carried(self.wall_flows[chunk, w], self.high_word)
-                    self.wall_flows_ahead[chunk, w] = ti.Vector.zero(ti.i64, ti.static(2 * self.high_word))
+                    self._carry(chunk, w)
+                if ti.static(self.has_surroundings):
+                    self._carry(chunk, self.surroundings)
+
+    @ti.func
+    def _carry(self, row, w):
+        self.wall_flows[row, w] = carried(self.wall_flows[row, w], self.high_word)
+        self.wall_flows_ahead[row, w] = ti.Vector.zero(ti.i64, ti.static(2 * self.high_word))
 
     @ti.func
     def _of_material(self, parameter: ti.template(), material):
@@ -240,7 +290,7 @@ def build_withdraw(state: State) -> Any:
     """
     control = state.control
     rows = state.capacities.wall_rows
-    walls = state.capacities.walls
+    walls = state.capacities.walls + 1
 
     @ti.kernel
     def withdraw():
@@ -253,7 +303,8 @@ def build_withdraw(state: State) -> Any:
 
 
 def wall_flow_totals(state: State) -> dict[str, float]:
-    """Integral of each flow since the start, of each wall that gives it; QUANTITY.WALL."""
+    """Integral of each flow since the start, of each wall that gives it, QUANTITY.WALL, and of the
+    surroundings."""
     plan = state.plan
     if not plan.wall_flows:
         return {}
@@ -267,4 +318,10 @@ def wall_flow_totals(state: State) -> dict[str, float]:
         totals = exact_totals(sums[:, index], units).tolist()
         for flow, total in zip(plan.wall_flows, totals, strict=True):
             found[f"{plan.laws.flows_from_walls[flow].name}.{wall.name}"] = total
+    if plan.laws.of_surroundings is not None:
+        totals = exact_totals(sums[:, state.capacities.walls], units).tolist()
+        _, law = plan.laws.of_surroundings
+        for flow, total in zip(plan.wall_flows, totals, strict=True):
+            quantity = law.flows[flow].from_surroundings if flow in law.flows else None
+            found |= {quantity.name: total} if quantity is not None else {}
     return found

@@ -574,7 +574,8 @@ class Control(Fields):
     law_parameters:             one row, the parameters of the contact laws
     losses:                     terms LOSSES of each chunk, see `engine.sums`
     impulses:                   time integrals of the wall forces of each chunk, see `engine.sums`
-    wall_flows:                 time integrals of the flows of walls, see `engine.flows`
+    wall_flows:                 time integrals of the flows of walls, and in the last place of the
+                                surroundings, see `engine.flows`
     wall_flows_ahead:           part of them that belongs to the next step
     collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
     wall_work_ahead:            part of the work of moving walls of each chunk that belongs to the next step,

@@ -55,6 +55,7 @@ from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.flows import Flows
 from granflow.engine.history import CONTACT_ORDER, transfers_history
 from granflow.engine.liquid import LiquidFilms
+from granflow.engine.pair import normal_time_step
 from granflow.engine.particle_forces import Damping, ExternalForces
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.sums import VelocitySum, build_to_grid, holds_sums, shares_rows
@@ -104,6 +105,7 @@ class TimeStep:
         self.films = state.built(LiquidFilms) if features.liquid_transfer else None
         self.has_flows = len(features.flows) > 0
         self.flows = state.built(Flows) if self.has_flows else None
+        self.longest_time_step = state.parameter("longest_time_step")
         self.clumps = state.built(ClumpMotion)
         self.velocity_sum = VelocitySum(state, "velocity")
         self.rotation_sum = VelocitySum(state, "angular_velocity")
@@ -288,7 +290,7 @@ class TimeStep:
         force_sum = ti.Vector.zero(ti.f64, 3)
         torque_sum = ti.Vector.zero(ti.f64, 3)
         if ti.static(self.has_flows):
-            self.flows.clear(i)
+            self.flows.begin(chunk, i, normal_time_step(dt, self.longest_time_step()))
         if ti.static(self.exact):
             force_sum = self.to_grid(self.particles.mass[i] * gravity, self.shift()[UNIT_FORCE])
             if ti.static(self.features.clumps):  # the weight of a clump acts at its center of mass

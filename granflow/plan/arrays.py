@@ -189,8 +189,8 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
         sums("boundary_work", (chunks,), 1, has_image_work),
         sums("external_work", (chunks,), 1, has_external_work),
         sums("collisions", (wall_rows, classes), 1, classes > 0),
-        sums("wall_flows", (wall_rows, plan.capacities.walls), wall_flows, wall_flows > 0),
-        sums("wall_flows_ahead", (wall_rows, plan.capacities.walls), wall_flows, wall_flows > 0),
+        sums("wall_flows", (wall_rows, plan.capacities.walls + 1), wall_flows, wall_flows > 0),
+        sums("wall_flows_ahead", (wall_rows, plan.capacities.walls + 1), wall_flows, wall_flows > 0),
     ]
 
 
@@ -315,6 +315,13 @@ def _of_flows(plan: Plan) -> Iterator[Parameter]:
     for name, unit in plan.flow_units.items():
         yield _scalar(f"per_unit.{name}", "f64", 1.0 / unit)
         yield _scalar(f"shift.{name}", "f64", 1.5 * unit * 2.0**52)
+    if plan.laws.of_surroundings is not None:
+        slot, law = plan.laws.of_surroundings
+        by_material = [plan.law_constants(slot, material) for material in plan.materials]
+        for key in by_material[0]:
+            yield _vector(f"{slot}.{key}", "f64", tuple(each[key] for each in by_material))
+        for key, value in law.parameters.items():
+            yield _scalar(f"{slot}.{key}", "f64", value)
     if plan.features.loss_heat:
         yield _scalar("loss_heat_unit", "f64", plan.loss_heat_unit)
     for name, unit in plan.wall_flow_units.items():

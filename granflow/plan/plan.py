@@ -460,6 +460,12 @@ class Plan:
         given = self.scene.materials[material]
         return {key: getattr(given, key) or 0.0 for key in equation.material_keys}
 
+    def law_constants(self, slot: str, material: str) -> dict[str, float]:
+        """Values of the keys of a material that the contact model of a slot declares; 0 if not given."""
+        given = self.scene.materials[material]
+        model = self.scene.active_models[slot]
+        return {key: getattr(given, key) or 0.0 for key in model.material_properties.model_fields}
+
     @cached_property
     def flow_units(self) -> dict[str, float]:
         """Units of the sums that contact models declare, see `sum_units.flow_units`."""
@@ -473,8 +479,10 @@ class Plan:
 
     @cached_property
     def wall_flows(self) -> tuple[str, ...]:
-        """Flows that are summed for each wall; empty without walls that have one."""
+        """Flows that are summed for each wall, and for the surroundings; empty without walls that have one,
+        and without surroundings."""
         given = any(each is not None for values in self.wall_values.values() for each in values)
+        given = given or self.laws.of_surroundings is not None
         return tuple(self.laws.flows_from_walls) if given else ()
 
     @cached_property

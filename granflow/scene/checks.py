@@ -459,9 +459,14 @@ def wall_values(parts: PartialScene) -> Iterator[Fault]:
                 yield replace(fault, path=("walls", name, *fault.path))
 
 
-def heat_of_losses(parts: PartialScene) -> Iterator[Fault]:
-    """The losses of contacts are known with the energy budget only."""
+def heat_options(parts: PartialScene) -> Iterator[Fault]:
+    """The losses of contacts are known with the energy budget only; radiation requires emissivities."""
     scene = parts.scene
+    if getattr(scene.contact.options("heat"), "surroundings", None) is not None:
+        for name in dict.fromkeys(group.material for group in scene.particles.values()):
+            if name in scene.materials and scene.materials[name].emissivity is None:  # type: ignore[attr-defined]
+                reason = "emissivity of the surface, in [0, 1], with contact.heat.surroundings"
+                yield missing(("materials", name, "emissivity"), reason)
     if getattr(scene.contact.options("heat"), "from_dissipation", False) and not scene.output.energy_budget:
         reason = "it needs the losses of the energy budget; set output.energy_budget to true as well"
         yield Fault(("contact", "heat", "from_dissipation"), reason)
@@ -858,7 +863,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact",), liquid_content),
     (("contact", "pairs"), equation_values),
     (("contact",), wall_values),
-    (("contact", "output"), heat_of_losses),
+    (("contact", "output"), heat_options),
     (("contact", "pairs"), material_values),
     (("output", "stages", "domain", "contact"), field_grids),
     (("output", "gravity", "domain"), metrics),

@@ -133,9 +133,9 @@ def sheared_films() -> Scene:
 
 def conducting() -> Scene:
     """The poured bed with temperatures, of which one wall has one and another one a heat flux."""
-    thermal = {"thermal_conductivity": 50.0, "heat_capacity": 0.5}
+    thermal = {"thermal_conductivity": 50.0, "heat_capacity": 0.5, "emissivity": 0.9}
     contact: dict[str, Any] = {"normal": "zhou", "tangential": "mindlin", "rolling": "epsd"}
-    contact["heat"] = {"law": "conduction", "from_dissipation": True}
+    contact["heat"] = {"law": "conduction", "from_dissipation": True, "surroundings": 280.0}
     scene = complex_scene(
         0.009,
         of_groups={"temperature": 300.0},
@@ -205,7 +205,7 @@ QUICK = {
     "walls": Row(moved_walls, ("wall_displacement.high_z", "wall_displacement.high_y", "wall_work")),
     "clumps": Row(wet_clumps, ("rotational_energy", "contact_count"), on_ranks=False),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
-    "heat": Row(conducting, ("friction_dissipation",)),
+    "heat": Row(conducting, ("friction_dissipation", "surroundings_heat", "wall_heat.low_x")),
 }
 """Scenes of the usual test run."""
 

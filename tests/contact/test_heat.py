@@ -237,6 +237,34 @@ def test_the_losses_of_contacts_become_heat():
     assert abs(totals["energy_error"]) < 1e-3
 
 
+def test_a_sphere_radiates_to_its_surroundings():
+    """Spheres between plates that they do not touch: explicit steps of m c dT/dt = e s 4 pi R^2 (Ts^4 - T^4)."""
+    emissivity, there = 0.8, 350.0
+    scene = lines_scene().to_dict()
+    scene["contact"]["heat"] = {"law": "conduction", "surroundings": there}
+    scene["run"]["time_step"] = TIME_STEP
+    for name, each in scene["materials"].items():
+        each["emissivity"] = emissivity if name == "sphere" else 0.0
+        each["heat_capacity"] *= 20.0
+    group = scene["particles"]["line_2_0"]
+    scene["particles"] = {
+        "hot": group | {"temperature": 900.0, "insert": {"kind": "positions", "positions": [[0.1, 0.1, 0.1]]}},
+        "other": group | {"material": "other", "temperature": 300.0, "insert": {"kind": "positions", "positions": [[0.1, 0.1, 0]]}},
+    }  # fmt: skip
+    with Simulation(Scene.from_dict(scene), threads=2) as simulation:
+        start = simulation.snapshot().totals
+        simulation.step(FIRST_STEPS)
+        found = simulation.snapshot()
+    expected = 900.0
+    for _ in range(FIRST_STEPS):
+        flow = emissivity * 5.670374419e-8 * 4.0 * np.pi * RADIUS**2 * (there**4 - expected**4)
+        expected += TIME_STEP * flow / (20.0 * CAPACITY)
+    assert expected < 700.0
+    assert found.particles["temperature"].tolist() == pytest.approx([expected, 300.0], rel=1e-10)
+    gained = found.totals["heat_content"] - start["heat_content"]
+    assert found.totals["surroundings_heat"] == pytest.approx(gained, rel=1e-9)
+
+
 def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():
     """At the force F, a = (3 F R / (4 E))^(1/3): contacts of the true modulus are smaller by the cube root."""
     soft = SimpleNamespace(
@@ -310,6 +338,10 @@ CASES = [
     (set_key("materials", "sphere", "heat_capacity", value=1e-6), "is longer than"),
     (set_key("expect", value=[{"quantity": "wall_heat.plate_1_left", "above": 0}]), "there is no such wall that gives "
      "heat to particles"),
+    (set_key("contact", "heat", value={"law": "conduction", "surroundings": 300}), "materials.other.emissivity is "
+     "missing: emissivity of the surface, in [0, 1], with contact.heat.surroundings"),
+    (set_key("materials", "sphere", "emissivity", value=1.5), "materials.sphere.emissivity is 1.5, but an "
+     "emissivity must"),
     (set_key("contact", "heat", value={"law": "conduction", "from_dissipation": True}),
      "contact.heat.from_dissipation is true, but it needs the losses of the energy budget; set "
      "output.energy_budget to true"),

@@ -10,11 +10,15 @@ at the same force, the area of a Hertz contact of the real moduli is smaller, by
 
     a_true / a = (E / E_true)^(1/3)
 
+Particles radiate to surroundings of the temperature T_s as gray bodies of the emissivity e:
+
+    Q = e s 4 pi R^2 (T_s^4 - T^4),      s = 5.670e-8 W/(m2 K4)
+
 A wall with a temperature is a body of its material that stays at it; a wall with a heat flux q gives a
 particle q times its projected area pi R^2.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import pi, sqrt
 from typing import Annotated, Any
@@ -27,7 +31,7 @@ from granflow.contact.particle_equation import MaterialProperties
 from granflow.device_functions import ti
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, redundant
-from granflow.schema.model import Flag
+from granflow.schema.model import Flag, optional
 from granflow.schema.quantities import Number
 
 
@@ -58,6 +62,11 @@ class ConductingMaterial(MaterialProperties):
     thermal_conductivity: q.ThermalConductivity = Field(
         description="thermal conductivity of the solid [W/m/K]", examples=["50 W/m/K"]
     )
+    emissivity: Annotated[float | None, Number(noun="an emissivity", at_least=0, at_most=1)] = Field(
+        None,
+        description="emissivity of the surface, in [0, 1]; required with contact.heat.surroundings",
+        examples=["0.8"],
+    )
     true_young_modulus: Annotated[float | None, Number("pressure", noun="Young's modulus", above=0)] = Field(
         None,
         description="Young's modulus of the real material [Pa], if young_modulus is a smaller one: contact "
@@ -66,14 +75,20 @@ class ConductingMaterial(MaterialProperties):
     )
 
 
+STEFAN_BOLTZMANN = 5.670374419e-8
+"""Constant of Stefan and Boltzmann [W/(m2 K4)]."""
+
+
 @dataclass(frozen=True)
 class Conduction(HeatLaw):
     """Conduction through the contact area.
 
     from_dissipation:  whether the losses of contacts become heat
+    surroundings:      temperature [K] of the surroundings to which particles radiate; 0 without radiation
     """
 
     from_dissipation: bool = False
+    surroundings: float = 0.0
 
     name = "conduction"
     source = (
@@ -91,7 +106,27 @@ class Conduction(HeatLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Conduction":
         """The law that a scene requests."""
-        return cls(request.options.from_dissipation)
+        return cls(request.options.from_dissipation, request.options.surroundings or 0.0)
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The temperature of the surroundings, if there are some."""
+        return {"surroundings": self.surroundings} if self.has_surroundings else {}
+
+    @property
+    def has_surroundings(self) -> bool:
+        """Whether particles radiate."""
+        return self.surroundings > 0.0
+
+    @ti.func
+    def surroundings_flow(self, constants, particle):
+        """Radiation [W] of a gray sphere, of which nothing hides a part: e s 4 pi R^2 (T_s^4 - T^4)."""
+        there = constants.surroundings * constants.surroundings
+        here = particle.temperature * particle.temperature
+        area = 4.0 * pi * particle.radius * particle.radius
+        return ti.Struct(
+            heat_flow=constants.emissivity * STEFAN_BOLTZMANN * area * (there * there - here * here)
+        )
 
     @property
     def loss_flow(self) -> str:
@@ -133,11 +168,18 @@ class Conduction(HeatLaw):
 
     def flow_bounds(self, name: str, case: FlowCase) -> tuple[float, float]:
         """Flow from the highest temperature to one at 0 K, which no temperature difference exceeds without
-        sources of heat, or the largest flux; and the conductance of the largest contact."""
+        sources of heat, the largest flux, or the radiation of a black sphere; and the conductance of the
+        largest contact with that of radiation."""
         conductance = self.pair_constants(case.pair)[0] * sqrt(case.radius_eff * case.overlap)
         flux = max(map(abs, case.wall_values["heat_flux"]))
         highest = case.values["temperature"][1]
-        return max(conductance * highest, flux * pi * case.radius_eff**2), conductance
+        radiated = slope = 0.0
+        if self.has_surroundings:
+            hottest = max(highest, self.surroundings)
+            radiated = STEFAN_BOLTZMANN * 4.0 * pi * case.radius_eff**2 * hottest**4
+            slope = 4.0 * radiated / hottest
+        largest = max(conductance * highest, flux * pi * case.radius_eff**2, radiated)
+        return largest, conductance + slope
 
 
 class ConductionOptions(Options):
@@ -147,6 +189,12 @@ class ConductionOptions(Options):
         False,
         description="true: the losses of contacts by friction, rolling, damping and plastic work become heat "
         "of both partners in equal shares",
+    )
+    surroundings: q.Temperature | None = optional(
+        "temperature of the surroundings [K] to which every particle radiates, as a gray body of the "
+        "emissivity of its material",
+        "no radiation",
+        examples=["300 K"],
     )
 
 
