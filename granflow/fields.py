@@ -671,12 +671,40 @@ ENERGY_BUDGET_QUANTITIES = by_name(
 """Totals that require `output.energy_budget`."""
 TOTAL_QUANTITIES = {**_STATE_QUANTITIES, **ENERGY_BUDGET_QUANTITIES}
 """Numbers of Snapshot.totals and columns of the time series."""
-STAGE_QUANTITIES = by_name(
-    replace(each, name=f"{name}_{end}", symbol="", meaning=f"{kind} of the rows of a stage: {each.meaning}")
-    for name, each in TOTAL_QUANTITIES.items()
-    for end, kind in (("mean", "mean"), ("largest", "largest value"))
-)
+
+
+def _over_stages(total: Quantity) -> dict[str, Quantity]:
+    """Mean and largest value of a total over the rows of a stage."""
+    return {
+        f"{total.name}_{end}": replace(
+            total,
+            name=f"{total.name}_{end}",
+            symbol="",
+            meaning=f"{kind} of the rows of a stage: {total.meaning}",
+        )
+        for end, kind in (("mean", "mean"), ("largest", "largest value"))
+    }
+
+
+STAGE_QUANTITIES = {
+    name: each for total in TOTAL_QUANTITIES.values() for name, each in _over_stages(total).items()
+}
 """Numbers of the totals over the rows of each stage; the part is the stage, without it the last one."""
+
+
+def add_total(total: Quantity) -> None:
+    """Add a total that a contact model or a particle equation declares."""
+    TOTAL_QUANTITIES[total.name] = total
+    STAGE_QUANTITIES.update(_over_stages(total))
+
+
+def remove_total(total: Quantity) -> None:
+    """Remove a total that was added."""
+    del TOTAL_QUANTITIES[total.name]
+    for name in _over_stages(total):
+        del STAGE_QUANTITIES[name]
+
+
 FLOW_METER_QUANTITIES = by_name(
     (
         Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),

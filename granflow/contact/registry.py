@@ -51,7 +51,7 @@ def add(model: ContactModel) -> None:
         if each.from_walls is not None:
             fields.WALL_FLOW_QUANTITIES[each.from_walls.name] = each.from_walls
         if each.from_surroundings is not None:
-            fields.TOTAL_QUANTITIES[each.from_surroundings.name] = each.from_surroundings
+            fields.add_total(each.from_surroundings)
     _MODELS[model.slot][model.name] = model
 
 
@@ -66,7 +66,7 @@ def remove(model: ContactModel) -> None:
             del fields.WALL_FLOW_QUANTITIES[from_walls.name]
         from_surroundings = model.law.flows[name].from_surroundings
         if from_surroundings is not None:
-            del fields.TOTAL_QUANTITIES[from_surroundings.name]
+            fields.remove_total(from_surroundings)
 
 
 def models(slot: str) -> Mapping[str, ContactModel]:
@@ -204,7 +204,8 @@ def add_equation(equation: ParticleEquation) -> None:
     if problem:
         raise ValueError(f"particle equation {getattr(equation, 'name', type(equation).__name__)}: {problem}")
     fields.add(equation.field)
-    fields.TOTAL_QUANTITIES.update({each.name: each for each in equation.totals})
+    for each in equation.totals:
+        fields.add_total(each)
     _EQUATIONS[equation.name] = equation
 
 
@@ -212,7 +213,7 @@ def remove_equation(equation: ParticleEquation) -> None:
     """Remove an equation that was added."""
     fields.remove(equation.name)
     for each in equation.totals:
-        del fields.TOTAL_QUANTITIES[each.name]
+        fields.remove_total(each)
     del _EQUATIONS[equation.name]
 
 

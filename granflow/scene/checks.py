@@ -746,25 +746,19 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     meters = parts.scene.output.flow_meters
     meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
     inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
-<<<<<<< HEAD
     stages = [stage.name for stage in scene.stages] or ["run"]
     ends = [] if scene.output.residence_time is None else [scene.output.residence_time.to]
-=======
     read = [key for each in scene.chosen_models.values() for key in each.law.wall_properties.model_fields]
     giving = [
         name for name, wall in scene.walls.items() if any(getattr(wall, key) is not None for key in read)
     ]
->>>>>>> bae24e27 (Heat: totals, heat of walls, field of the temperature, particles.temperature, verification scene)
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
         (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
         (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
         (INSERTION_QUANTITIES, inserted, "inserted group"),
-<<<<<<< HEAD
         (RESIDENCE_QUANTITIES, ends, "flow meter"),
         (STAGE_QUANTITIES.keys() - METRIC_QUANTITIES, stages, "stage"),
-=======
         (WALL_FLOW_QUANTITIES, giving, "wall that gives heat to particles"),
->>>>>>> bae24e27 (Heat: totals, heat of walls, field of the temperature, particles.temperature, verification scene)
     )
     for path, quantity, part in _expected(scene):
         for quantities, names, kind in known:

@@ -319,7 +319,7 @@ def unit_of(name: str) -> str:
     if base == "timings" and part:
         return "s"
     if part:
-        known = {**PART_QUANTITIES, **METRIC_QUANTITIES, **WALL_FLOW_QUANTITIES}
+        known = {**PART_QUANTITIES, **STAGE_QUANTITIES, **METRIC_QUANTITIES, **WALL_FLOW_QUANTITIES}
     else:
         known = {**TOTAL_QUANTITIES, **STAGE_QUANTITIES, **RUN_QUANTITIES}
     quantity = known.get(base)
