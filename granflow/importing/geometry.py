@@ -150,6 +150,7 @@ class Primitive:
     planes: dict[str, float]
     cylinder: tuple[float, ...]
     contact: WallContact
+    is_lammps: bool
     wiggle: tuple[str, float, float] | None = None
     shear: tuple[str, float] | None = None
 
@@ -173,7 +174,7 @@ def wall_gran(deck: Deck, fix: Fix) -> None:
     if style not in PLANES + CYLINDERS:
         shapes = ", ".join(PLANES + CYLINDERS)
         raise DeckError(fix.entry.command, f"there is no wall {style}; there are {shapes} and meshes.")
-    wall = Primitive(style, {}, (), wall_contact(deck, model, type))
+    wall = Primitive(style, {}, (), wall_contact(deck, model, type), is_lammps)
     if style in PLANES and is_lammps:
         for side in ("low", "high"):
             if words.next == "NULL":
@@ -187,6 +188,8 @@ def wall_gran(deck: Deck, fix: Fix) -> None:
     else:
         wall.cylinder = (words.number("the radius", "length"), *(words.number("c", "length") for _ in "12"))
     _wall_keywords(fix, words, wall)
+    if wall.shear is not None and style == "ycylinder" and wall.shear[0] != "y":
+        fix.entry.approximated("the cylinder turns; LIGGGHTS 3.8 computes no friction of such a ycylinder")
     fix.data = wall
 
 
@@ -388,8 +391,8 @@ def _primitive_motions(wall: Primitive, axis: int, runs: list[Run]) -> list[dict
             radius, *center = wall.cylinder
             point = np.zeros(3)
             point[[k for k in range(3) if k != axis]] = center
-            # The codes turn clockwise for a speed above 0, about y the other way round.
-            sign = 1.0 if axis == 1 else -1.0
+            # Particles in a cylinder of LIGGGHTS turn counterclockwise, of LAMMPS clockwise (as documented).
+            sign = -1.0 if wall.is_lammps else 1.0
             rate = quantity(sign * speed / radius, "angular_velocity")
             place = {"point": quantities(point, "length"), "axis": [int(k == axis) for k in range(3)]}
             found.append({"kind": "rotation", **place, "angular_velocity": rate, **when})
@@ -400,6 +403,7 @@ def _primitive_motions(wall: Primitive, axis: int, runs: list[Run]) -> list[dict
 
 
 def _mesh(deck: Deck, draft: Draft, fix: Fix, mesh: Fix, contact: WallContact) -> None:
+    mesh = next(each for each in deck.all_fixes if each.entry is mesh.entry)
     name = region_walls.wall_name(draft, mesh.name)
     keys = {**mesh_keys(draft, mesh.data), "material": contact.material}
     motions = [*surface_motions(deck, mesh, name), *mesh_motions(deck, draft, mesh, name)]

@@ -285,32 +285,35 @@ def extent_of(deck: Deck, region: Region) -> tuple[float, ...]:
 def scene_region(deck: Deck, region: Region, entry: Entry, margin: float = 0.0) -> dict[str, Any]:
     """A region of the scene; `margin` [m] enlarges it, so that centers lie in the region of the script."""
     low_high = list(extent_of(deck, region))
+    box = deck.box or (-inf, inf) * 3
     if not region.inside:
         entry.impossible("insertion outside a region", "a region with side in")
     if region.kind == "cylinder":
         k = "xyz".index(region.axis)
         others = [each for each in range(3) if each != k]
         ends = []
-        for along in (low_high[2 * k] - margin, low_high[2 * k + 1] + margin):
+        bottom = max(low_high[2 * k] - margin, box[2 * k])
+        for along in (bottom, min(low_high[2 * k + 1] + margin, box[2 * k + 1])):
             end = [0.0, 0.0, 0.0]
             end[k] = along
             end[others[0]], end[others[1]] = region.numbers[0], region.numbers[1]
             ends.append(quantities(end, "length"))
-        radius = quantity(region.numbers[2] + margin, "length")
+        room = [abs(region.numbers[i] - box[2 * k + side]) for i, k in enumerate(others) for side in (0, 1)]
+        radius = quantity(max(region.numbers[2], min(region.numbers[2] + margin, *room)), "length")
         return {"cylinder": {"from": ends[0], "to": ends[1], "radius": radius}}
     if region.kind != "block":
         scale = 1.0
         volume = volume_of(region)
         if volume:
-            box = np.prod([low_high[2 * k + 1] - low_high[2 * k] for k in range(3)])
-            scale = float((volume / box) ** (1.0 / 3.0))
+            around = np.prod([low_high[2 * k + 1] - low_high[2 * k] for k in range(3)])
+            scale = float((volume / around) ** (1.0 / 3.0))
         for k in range(3):
             middle = 0.5 * (low_high[2 * k] + low_high[2 * k + 1])
             half = 0.5 * scale * (low_high[2 * k + 1] - low_high[2 * k])
             low_high[2 * k], low_high[2 * k + 1] = middle - half, middle + half
         entry.approximated(f"the {region.kind} is replaced by a box of the same volume")
-    low = [each - margin for each in low_high[::2]]
-    high = [each + margin for each in low_high[1::2]]
+    low = [max(each - margin, limit) for each, limit in zip(low_high[::2], box[::2], strict=True)]
+    high = [min(each + margin, limit) for each, limit in zip(low_high[1::2], box[1::2], strict=True)]
     return {"box": {"min": quantities(low, "length"), "max": quantities(high, "length")}}
 
 

@@ -36,7 +36,7 @@ class Track:
     """The values of some variables over time, run by run.
 
     names:    names of the variables; empty for one that is 0
-    samples:  for each run its times [s] and values (n, len(names)), in the units of the script
+    samples:  for each run its times [s] from its start and values (n, len(names)), in the units of the script
     """
 
     names: tuple[str, ...]
@@ -65,7 +65,7 @@ class Track:
                 f"a motion by variables that follow the simulation ({error})", "a motion that time determines"
             )
             return
-        self.samples.append((run, run.start + steps * run.time_step, values))
+        self.samples.append((run, steps * run.time_step, values))
 
     @staticmethod
     def _value(deck: Deck, run: Run, name: str, step: float) -> float:
@@ -82,7 +82,12 @@ class Track:
 
     def over(self, runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
         """Times [s] and values of some runs, one after the other."""
-        chosen = [(t, v) for run, t, v in self.samples if any(run is each for each in runs)]
+        chosen = [
+            (run.start + times, values)
+            for run in runs
+            for sampled, times, values in self.samples
+            if sampled.entry is run.entry and sampled.first_step == run.first_step
+        ]
         if not chosen:
             return np.zeros(0), np.zeros((0, len(self.names)))
         return np.concatenate([t for t, _ in chosen]), np.concatenate([v for _, v in chosen])
@@ -288,7 +293,7 @@ def region_of(deck: Deck, command: Command, name: str) -> Region:
 def region_at(deck: Deck, name: str, time: float) -> Region | None:
     """The region that has a name at a time [s]: the newest that was defined until then."""
     regions: list[Region] = deck.own("all_regions", list)
-    slack = 1e-3 * (deck.time_step or 0.0)
+    slack = 1e-3 * (deck.time_step or 0.0) + deck.origin
     return next(
         (each for each in reversed(regions) if each.name == name and each.start <= time + slack), None
     )

@@ -262,7 +262,7 @@ def _part(deck: Deck, runs: list[Run]) -> Deck:
         for fix in deck.all_fixes
     ]
     own = [replace(run, start=run.start - origin, end=run.end - origin) for run in runs]
-    return replace(deck, runs=own, all_fixes=fixes)
+    return replace(deck, runs=own, all_fixes=fixes, origin=origin)
 
 
 def _gravity(deck: Deck, draft: Draft) -> None:
@@ -309,6 +309,8 @@ def _domain(deck: Deck, draft: Draft) -> None:
     keys = {"min": quantities(low, "length"), "max": quantities(high, "length")}
     if periodic:
         keys["periodic"] = periodic
+    if "lees_edwards" in deck.family:
+        keys["lees_edwards"] = deck.family["lees_edwards"]
     draft.put(("domain",), {**keys, "on_exit": on_exit}, deck.box_entry, *entries)
 
 
@@ -323,7 +325,7 @@ def stage_names(deck: Deck) -> dict[int, str]:
         for time in (fix.start, fix.end)
         if time is not None
     }
-    changes |= deck.own("changes", set)
+    changes |= {round(time - deck.origin, 12) for time in deck.own("changes", set)}
     count = 0
     for index, run in enumerate(deck.runs):
         if not run.steps:

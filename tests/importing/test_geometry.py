@@ -1,0 +1,447 @@
+"""Walls, meshes and motions of scripts: keys, report and geometry of small scripts."""
+
+import struct
+from math import cos, pi, sin
+
+import numpy as np
+import pytest
+import yaml
+
+import granflow as gf
+from granflow.importing.convert import convert
+from granflow.importing.language import DeckError
+from granflow.importing.region_walls import icosphere
+from granflow.plan.build import plan_for
+from granflow.scene.blocks.motions import poses_at
+
+LIGGGHTS = """
+atom_style granular
+boundary {boundary}
+units si
+region box block 0 0.1 0 0.1 0 0.2 units box
+create_box 1 box
+fix m1 all property/global youngsModulus peratomtype 5e6
+fix m2 all property/global poissonsRatio peratomtype 0.45
+fix m3 all property/global coefficientRestitution peratomtypepair 1 0.5
+fix m4 all property/global coefficientFriction peratomtypepair 1 0.1
+pair_style gran model hertz tangential history
+pair_coeff * *
+timestep 1e-5
+fix g all gravity 9.81 vector 0 0 -1
+fix p1 all {template}
+fix d all particledistribution/discrete 1 1 p1 1.0
+fix ins all insert/pack seed 1 distributiontemplate d all_in yes region box particles_in_region 5
+fix i all nve/sphere
+{walls}
+"""
+SPHERE = "particletemplate/sphere 1 atom_type 1 density constant 2500 radius constant 0.002"
+GRANULAR = "wall/gran model hertz tangential history"
+LAMMPS = """
+units si
+atom_style sphere
+boundary {boundary}
+region box block 0 0.1 0 0.1 0 0.2
+create_box 1 box
+pair_style gran/hooke/history 1e4 NULL 100 NULL 0.5 1
+pair_coeff * *
+timestep 1e-5
+fix g all gravity 10 vector 0 0 -1
+region source block 0.04 0.06 0.04 0.06 0.1 0.15
+fix p all pour 10 1 7 region source diam one 0.004 dens 2500 2500
+fix i all nve/sphere
+{walls}
+"""
+HOOKE = "hooke/history 1e4 NULL 100 NULL 0.5 1"
+
+
+def liggghts(walls, boundary="f f f", template=SPHERE):
+    """A script of LIGGGHTS with walls and runs."""
+    return LIGGGHTS.format(**locals())
+
+
+def lammps(walls, boundary="f f f"):
+    """A script of LAMMPS with walls and runs."""
+    return LAMMPS.format(**locals())
+
+
+def imported(tmp_path, text):
+    """The translation of a script, and its scene as nested dictionaries."""
+    path = tmp_path / "in.deck"
+    path.write_text(text)
+    found = convert(path)
+    return found, yaml.safe_load(found.texts[0]) if found.texts else {}
+
+
+def checked(tmp_path, found):
+    """The scene, written with its files and loaded."""
+    for name, content in found.files.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "scene.yaml").write_text(found.texts[0])
+    return gf.load_scene(tmp_path / "scene.yaml")
+
+
+def sentences(found, part):
+    """What the report says on the lines with a text."""
+    return " ".join(f"{kind}: {text}" for _, line, kind, text in found.report.lines() if part in line)
+
+
+def write_stl(path, triangles):
+    """A binary STL file."""
+    rows = b"".join(struct.pack("<12fH", 0, 0, 0, *np.ravel(each), 0) for each in triangles)
+    path.write_bytes(b" " * 80 + struct.pack("<I", len(triangles)) + rows)
+
+
+SQUARE = 0.02 * np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
+
+
+@pytest.fixture
+def square(tmp_path):
+    """A square of 20 mm in the plane z = 0, with a corner at the origin."""
+    write_stl(tmp_path / "square.stl", SQUARE)
+    return "mesh/surface file square.stl type 1"
+
+
+@pytest.mark.parametrize(
+    ("wall", "expected"),
+    [
+        ("zplane 0.0", {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1]}),
+        ("zplane 0.2", {"shape": "plane", "point": [0, 0, "200 mm"], "normal": [0, 0, -1]}),
+        (
+            "zplane 0.05",  # inside the box: particles on both sides
+            {
+                "shape": "rectangle",
+                "corner": ["-100 mm", "-100 mm", "50 mm"],
+                "sides": [["300 mm", 0, 0], [0, "300 mm", 0]],
+            },
+        ),
+        (
+            "zcylinder 0.04 0.05 0.06",
+            {
+                "shape": "cylinder",
+                "from": ["50 mm", "60 mm", "-200 mm"],
+                "to": ["50 mm", "60 mm", "400 mm"],
+                "radius": "40 mm",
+            },
+        ),
+        (
+            "zplane 0.0 shear x 0.5",
+            {"motion": {"kind": "surface_velocity", "velocity": ["500 mm/s", 0, 0]}},
+        ),
+        (
+            "zcylinder 0.05 0.05 0.05 shear x 0.5",
+            {
+                "motion": {
+                    "kind": "rotation",
+                    "point": ["50 mm", "50 mm", 0],
+                    "axis": [0, 0, 1],
+                    "angular_velocity": "10 rad/s",  # 0.5 m/s over 50 mm
+                }
+            },
+        ),
+    ],
+)
+def test_primitive_wall(tmp_path, wall, expected):
+    walls = f"fix w all {GRANULAR} primitive type 1 {wall}\nrun 100"
+    found, scene = imported(tmp_path, liggghts(walls))
+    assert expected.items() <= scene["walls"]["w"].items()
+    assert found.report.is_complete
+
+
+@pytest.mark.parametrize(
+    ("wall", "names", "expected"),
+    [
+        ("zplane 0 0.2", ["w_low", "w_high"], {"normal": [0, 0, 1]}),
+        ("xplane NULL 0.1", ["w"], {"point": ["100 mm", 0, 0], "normal": [-1, 0, 0]}),
+        (
+            "zplane 0 NULL wiggle z 0.001 0.02",  # at 1 mm - 1 mm cos(w t), as sin(w t - 90 deg) + 1
+            ["w"],
+            {
+                "motion": {
+                    "kind": "vibration",
+                    "direction": [0, 0, 1],
+                    "amplitude": "1 mm",
+                    "frequency": "50 Hz",
+                    "phase": "-90 deg",
+                }
+            },
+        ),
+        (
+            "zcylinder 0.05 shear y 0.5",
+            ["w"],
+            {
+                "motion": {
+                    "kind": "rotation",
+                    "point": [0, 0, 0],
+                    "axis": [0, 0, 1],
+                    "angular_velocity": "-10 rad/s",
+                }
+            },
+        ),
+    ],
+)
+def test_wall_of_lammps(tmp_path, wall, names, expected):
+    _, scene = imported(tmp_path, lammps(f"fix w all wall/gran {HOOKE} {wall}\nrun 100"))
+    assert list(scene["walls"]) == names
+    assert expected.items() <= scene["walls"][names[0]].items()
+
+
+def test_mesh_is_transformed_in_the_order_of_the_script(tmp_path, square):
+    steps = "move 0.01 0 0 scale 2.0 rotate axis 0 0 1 angle 90 move 0 0 0.03"
+    found, _ = imported(
+        tmp_path,
+        liggghts(f"fix cad all {square} {steps}\nfix w all {GRANULAR} mesh n_meshes 1 meshes cad\nrun 9"),
+    )
+    mesh = checked(tmp_path, found).walls["cad"].surface(tmp_path)
+    # x of 10 to 30 mm is doubled to 20 to 60 mm and turned to y; y of 0 to 40 mm to -x.
+    np.testing.assert_allclose(mesh.points.min(axis=0), [-0.04, 0.02, 0.03], atol=1e-7)
+    np.testing.assert_allclose(mesh.points.max(axis=0), [0.0, 0.06, 0.03], atol=1e-7)
+
+
+MOVED = f"fix w all {GRANULAR} mesh n_meshes 1 meshes cad\n"
+
+
+@pytest.mark.parametrize(
+    ("style", "time", "place"),
+    [
+        ("linear 0.1 0 0.2", 0.02, [0.002, 0, 0.004]),
+        ("wiggle amplitude 0 0 0.001 period 0.02", 0.005, [0, 0, 0.001]),
+        ("viblin axis 0 0 2 order 2 amplitude 0.001 0.002 phase 0 0.5 period 0.02 0.05", 0.013,
+         [0, 0, 0.001 * (cos(1.3 * pi) - 1) + 0.002 * (cos(0.52 * pi + 0.5) - cos(0.5))]),
+        ("rotate origin 0 0 0 axis 0 0 1 period 0.08", 0.02, [0, 0, 0]),
+        ("riggle origin 0.02 0 0 axis 0 0 1 period 0.04 amplitude 30", 0.01,
+         [0.02 - 0.02 * cos(pi / 6), -0.02 * sin(pi / 6), 0]),
+        ("vibrot origin 0.02 0 0 axis 0 0 -1 order 1 amplitude 0.5 phase 0 period 0.02", 0.01,
+         [0.02 - 0.02 * cos(1.0), -0.02 * sin(1.0), 0]),
+        ("linear/variable v_a v_b v_b", 0.02, [0.0002, 0, 0]),
+        ("rotate/variable origin 0.02 0 0 axis 0 0 1 omega v_w", 0.02,
+         [0.02 - 0.02 * cos(0.2), -0.02 * sin(0.2), 0]),
+    ],
+)  # fmt: skip
+def test_place_of_a_moving_mesh(tmp_path, square, style, time, place):
+    """The corner at the origin, after a time."""
+    variables = "variable a equal step*1e-5\nvariable b equal 0\nvariable w equal 1e-2*step\n"
+    walls = f"{variables}fix cad all {square}\n{MOVED}fix move all move/mesh mesh cad {style}\nrun 2000"
+    found, _ = imported(tmp_path, liggghts(walls))
+    assert found.report.is_complete
+    (wall,) = plan_for(checked(tmp_path, found)).walls
+    poses = poses_at(wall.motions, np.array([time]))
+    corner = poses.rotation[0] @ (0 - poses.pivot) + poses.pivot + poses.offset[0]
+    # Velocities that are linear between 100 rows per period: angles up to 1 rad within (2 pi/100)^2 / 12.
+    np.testing.assert_allclose(corner, place, atol=0.02 * (2 * pi / 100) ** 2 / 12)
+
+
+def test_motions_of_a_mesh_in_sequence(tmp_path, square):
+    """A translation that ends shifts the axis of the rotation that follows, in the frame of the mesh at rest."""
+    walls = (
+        f"fix cad all {square}\n{MOVED}fix m1 all move/mesh mesh cad linear 0.5 0 0\nrun 2000\nunfix m1\n"
+        "fix m2 all move/mesh mesh cad rotate origin 0.03 0 0 axis 0 0 1 period -0.5\nrun 1000"
+    )
+    found, scene = imported(tmp_path, liggghts(walls))
+    translation, rotation = scene["walls"]["cad"]["motion"]
+    assert translation == {"kind": "translation", "velocity": ["500 mm/s", 0, 0], "stages": ["stage_1"]}
+    assert rotation["point"] == ["20 mm", 0, 0]  # 30 mm - 0.5 m/s 20 ms
+    assert rotation["angular_velocity"] == f"{-4 * pi:.12g} rad/s" and rotation["stages"] == ["stage_2"]
+    assert found.report.is_complete
+
+
+def test_two_axes_of_rotation_are_not_possible(tmp_path, square):
+    walls = (
+        f"fix cad all {square}\n{MOVED}fix m1 all move/mesh mesh cad rotate origin 0 0 0 axis 0 0 1 period 1\n"
+        "fix m2 all move/mesh mesh cad rotate origin 0 0 0 axis 1 0 0 period 1\nrun 1000"
+    )
+    found, _ = imported(tmp_path, liggghts(walls))
+    assert "a second rotation of a mesh about another axis" in sentences(found, "fix m2")
+
+
+def test_rotations_about_one_axis_are_a_table(tmp_path, square):
+    walls = (
+        f"fix cad all {square}\n{MOVED}fix m1 all move/mesh mesh cad rotate origin 0 0 0 axis 0 0 1 period 1\n"
+        "run 1000\nunfix m1\n"
+        "fix m2 all move/mesh mesh cad rotate origin 0 0 0 axis 0 0 -1 period 2\nrun 2000"
+    )
+    found, scene = imported(tmp_path, liggghts(walls))
+    motion = scene["walls"]["cad"]["motion"]
+    rows = np.loadtxt(found.files[motion["file"]].decode().splitlines(), skiprows=1, delimiter=",")
+    # 2 pi/s for 10 ms, then -pi/s for 20 ms
+    angle = np.sum(0.5 * (rows[1:, 1] + rows[:-1, 1]) * np.diff(rows[:, 0]))
+    assert angle == pytest.approx(0.02 * pi - 0.02 * pi, abs=2e-4)
+    assert rows[0].tolist() == pytest.approx([0, 2 * pi]) and rows[-2, 1] == pytest.approx(-pi)
+
+
+def test_wall_that_vanishes(tmp_path):
+    walls = f"fix lid all {GRANULAR} primitive type 1 zplane 0.2\nfix w all {GRANULAR} primitive type 1 zplane 0\n"
+    _, scene = imported(tmp_path, liggghts(f"{walls}run 100\nunfix lid\nrun 200"))
+    assert scene["walls"]["lid"]["stages"] == ["stage_1"] and "stages" not in scene["walls"]["w"]
+    assert [each["duration"] for each in scene["stages"]] == ["1 ms", "2 ms"]
+
+
+def test_belt_and_its_inclined_faces(tmp_path, square):
+    walls = f"fix cad all {square} surface_vel 0.4 0 0.3\n{MOVED}run 9"
+    found, scene = imported(tmp_path, liggghts(walls))
+    motion = scene["walls"]["cad"]["motion"]
+    assert motion == {"kind": "surface_velocity", "velocity": ["400 mm/s", 0, "300 mm/s"]}
+    assert "down to 0.8 of 0.5 m/s" in sentences(found, "surface_vel")  # 0.4 over hypot(0.4, 0.3)
+
+
+def test_servo_and_forces(tmp_path, square):
+    style = square.replace("mesh/surface", "mesh/surface/stress/servo")
+    servo = "com 0 0 0 ctrlPV force axis 0 0 1 target_val -10 vel_max 0.2 kp 5"
+    _, scene = imported(tmp_path, liggghts(f"fix cad all {style} {servo}\n{MOVED}run 9"))
+    assert scene["walls"]["cad"]["motion"] == {
+        "kind": "servo",
+        "direction": [0, 0, -1],
+        "force": "10 N",
+        "velocity_max": "200 mm/s",
+    }
+    assert scene["output"]["wall_forces"] == ["cad"]
+
+
+def test_mass_flow_through_a_mesh(tmp_path, square):
+    walls = f"fix cad all {square} move 0 0 0.05\nfix flow all massflow/mesh mesh cad vec_side 0.2 0 -1 "
+    floor = f"fix w all {GRANULAR} primitive type 1 zplane 0\n"
+    found, scene = imported(tmp_path, liggghts(f"{floor}{walls} count once delete_atoms yes\nrun 9"))
+    assert scene["output"]["flow_meters"]["flow"]["normal"] == [0, 0, -1]
+    box = scene["outlets"]["flow"]["box"]
+    assert box["min"][:2] == [0, 0] and box["max"][2] == "50 mm"
+    assert [float(each.split()[0]) for each in box["max"][:2]] == pytest.approx([20, 20], rel=1e-7)
+    checked(tmp_path, found)
+
+
+# Regions
+
+
+@pytest.mark.parametrize(
+    ("region", "expected"),
+    [
+        ("block 0 0.1 0 0.1 0 0.2", {"w": {"shape": "box", "min": [0, 0, 0], "max": ["100 mm", "100 mm", "200 mm"]}}),
+        ("block 0 0.1 0 0.1 0 0.2 open 6", {"w": {"open": ["top"], "finite": True}}),
+        ("block 0.04 0.06 0.04 0.06 0 0.02 side out", {"w": {"shape": "box", "finite": True}}),
+        ("plane 0 0 0.01 0 0 2", {"w": {"shape": "plane", "normal": [0, 0, 2]}}),
+        ("plane 0 0 0.01 0 0 -1 side out", {"w": {"shape": "plane", "normal": [0, 0, 1]}}),
+        ("cylinder z 0.05 0.05 0.04 0 0.2", {"w_bottom": {"radius": "40 mm"}, "w_top": {}, "w_side": {"shape": "cylinder"}}),
+        ("cone z 0.05 0.05 0.01 0.04 0 0.2 open 1 open 2", {"w": {"shape": "cone", "radius_from": "10 mm"}}),
+    ],
+)  # fmt: skip
+def test_wall_on_a_region(tmp_path, region, expected):
+    walls = f"region r {region}\nfix w all wall/gran/region {HOOKE} region r\nrun 100"
+    found, scene = imported(tmp_path, lammps(walls))
+    assert set(scene["walls"]) == set(expected)
+    for name, keys in expected.items():
+        assert keys.items() <= scene["walls"][name].items()
+    checked(tmp_path, found)
+
+
+def test_faces_inside_a_union_are_left_out(tmp_path):
+    walls = (
+        "region tube cylinder z 0.05 0.05 0.01 0 0.1\nregion hopper cone z 0.05 0.05 0.01 0.04 0.1 0.2 open 2\n"
+        f"region both union 2 tube hopper\nfix w all wall/gran/region {HOOKE} region both\nrun 100"
+    )
+    found, scene = imported(tmp_path, lammps(walls))
+    assert set(scene["walls"]) == {"w_tube_bottom", "w_tube_side", "w_hopper"}
+    assert found.report.is_complete
+
+
+def test_union_with_an_opening_is_not_possible(tmp_path):
+    walls = (
+        "region tube cylinder z 0.05 0.05 0.02 0 0.1\nregion bin block 0 0.1 0 0.1 0.1 0.2 open 6\n"
+        f"region both union 2 tube bin\nfix w all wall/gran/region {HOOKE} region both\nrun 100"
+    )
+    found, _ = imported(tmp_path, lammps(walls))
+    assert "the face bottom of region bin has an opening" in sentences(found, "fix w")
+
+
+def test_region_that_turns_between_runs(tmp_path):
+    """Each definition is a wall of its own; the second begins at 0.2 rad and turns by 2 rad/s."""
+    block = "region r block 0.01 0.09 0.01 0.09 0 0.2"
+    walls = (
+        f"{block}\nfix w all wall/gran/region {HOOKE} region r\nrun 1000\nregion r delete\n"
+        f"variable theta equal 0.2+2*(step-1000)*dt\n{block} rotate v_theta 0.05 0.05 0 0 0 1\nrun 2000"
+    )
+    found, scene = imported(tmp_path, lammps(walls))
+    assert scene["walls"]["w"]["stages"] == ["stage_1"]
+    left = scene["walls"]["w_2_left"]
+    assert left["stages"] == ["stage_2"] and left["motion"]["angular_velocity"] == "2 rad/s"
+    corner = np.array([float(each.split()[0]) for each in left["corner"][:2]])
+    offset = 40 * np.array([-cos(0.2) + sin(0.2), -sin(0.2) - cos(0.2)])  # (-40, -40) mm turned by 0.2 rad
+    np.testing.assert_allclose(corner, 50 + offset, atol=1e-6)
+    assert found.report.is_complete
+
+
+def test_region_that_swings_is_a_table(tmp_path):
+    walls = (
+        "variable dz equal 0.001*sin(2*PI*100*step*dt)\nregion r block 0 0.1 0 0.1 0 0.2 move NULL NULL v_dz\n"
+        f"fix w all wall/gran/region {HOOKE} region r\nrun 2000"
+    )
+    found, scene = imported(tmp_path, lammps(walls))
+    motion = scene["walls"]["w"]["motion"]
+    rows = np.loadtxt(found.files[motion["file"]].decode().splitlines(), skiprows=1, delimiter=",")
+    assert motion["direction"] == [0, 0, 1]
+    np.testing.assert_allclose(rows[:, 1], 1e-3 * np.sin(200 * pi * rows[:, 0]), atol=1e-9)
+
+
+def test_axes_behind_a_container_are_not_periodic(tmp_path):
+    walls = f"region r cylinder z 0.05 0.05 0.05 0 INF\nfix w all wall/gran/region {HOOKE} region r\nrun 100"
+    found, scene = imported(tmp_path, lammps(walls, boundary="p p f"))
+    assert "periodic" not in scene["domain"]
+    assert "not periodic along x: region r is around it" in sentences(found, "boundary")
+
+
+def test_motion_that_follows_the_simulation_is_not_possible(tmp_path):
+    walls = (
+        "compute c all ke\nvariable dz equal c_c\nregion r block 0 0.1 0 0.1 0 0.2 move NULL NULL v_dz\n"
+        f"fix w all wall/gran/region {HOOKE} region r\nrun 100"
+    )
+    found, _ = imported(tmp_path, lammps(walls))
+    assert "c_c is a result of the simulation" in sentences(found, "region r")
+
+
+def test_sphere_is_a_mesh():
+    """V - E + F = 2 with E = 3 F / 2, corners on the unit sphere."""
+    triangles = icosphere(2)
+    corners = np.unique(np.round(triangles.reshape(-1, 3), 9), axis=0)
+    assert len(triangles) == 320 and len(corners) == 2 + len(triangles) // 2
+    np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 1.0, rtol=1e-8)
+
+
+# Box, shear, clumps, errors
+
+
+def test_shear_of_the_box(tmp_path):
+    text = lammps("fix s all deform 1 xz erate 20 remap v\nrun 100", boundary="p p p")
+    found, scene = imported(tmp_path, text.replace("fix g all gravity 10 vector 0 0 -1", ""))
+    assert scene["domain"]["lees_edwards"] == {"flow": "x", "gradient": "z", "rate": "20 1/s"}
+    assert "domain.lees_edwards" in sentences(found, "deform")
+
+
+def test_clump_of_a_template(tmp_path):
+    (tmp_path / "rod.txt").write_text("# x y z r\n-1 0 0 1\n1 0 0 1\n")
+    template = (
+        "particletemplate/multisphere 1 atom_type 1 density constant 2500 nspheres 2 ntry 1000 "
+        "spheres file rod.txt scale 0.002 type 1"
+    )
+    walls = f"fix w all {GRANULAR} primitive type 1 zplane 0\nrun 9"
+    text = liggghts(walls, template=template).replace("nve/sphere", "multisphere")
+    found, scene = imported(tmp_path, text)
+    spheres = scene["particles"]["ins"]["clump"]["spheres"]
+    assert spheres == [{"position": [f"{x} mm", 0, 0], "radius": "2 mm"} for x in (-2, 2)]
+    checked(tmp_path, found)
+
+
+@pytest.mark.parametrize(
+    ("walls", "message"),
+    [
+        (f"fix w all {GRANULAR} mesh n_meshes 1 meshes no", "there is no fix mesh/surface no"),
+        (f"fix w all {GRANULAR} primitive type 1 wplane 0", "there is no wall wplane"),
+        ("fix cad all mesh/surface file no.stl type 1", "is missing: there is no such file"),
+        ("fix m all move/mesh mesh cad linear 1 0 0", "there is no fix mesh/surface cad"),
+        ("region r block 1 0 0 1 0 1 units box", "begins at 1"),
+        ("region r ball 1 0 0 1", "there is no region style ball"),
+        ("region r sphere 0 0 0 -1 units box", "the radius is -1"),
+        ("boundary f f q", "the boundary of z is q"),
+        ("create_box 1 none", "there is no region none"),
+    ],
+)
+def test_errors_name_the_line(tmp_path, walls, message):
+    with pytest.raises(DeckError, match=message) as error:
+        imported(tmp_path, liggghts(f"{walls}\nrun 9"))
+    assert "in.deck:19" in str(error.value)
