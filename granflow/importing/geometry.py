@@ -131,6 +131,34 @@ def _shear(deck: Deck, draft: Draft) -> None:
         fix.entry.translated("domain.lees_edwards")
 
 
+def freeze(deck: Deck, fix: Fix) -> None:
+    """fix ID group freeze: particles that do not move."""
+    fix.data = fix.group
+
+
+def _freeze(deck: Deck) -> None:
+    """Make the groups of particles fixed that fix freeze holds: all, or those of some types."""
+    for fix in deck.fixes_of("freeze"):
+        if not deck.acting(fix):
+            continue
+        group = deck.groups.get(fix.group)
+        if fix.group == "all":
+            frozen = list(deck.particles)
+        elif group is not None and group.rule == "type" and all(each.isdigit() for each in group.words):
+            frozen = [each for each in deck.particles if str(each.type) in group.words]
+        else:
+            fix.entry.impossible(
+                f"particles of the group {fix.group} that do not move",
+                "a type of their own for these particles: fixed: true belongs to a group of the scene",
+            )
+            continue
+        for each in frozen:
+            each.keys["fixed"] = True
+            fix.entry.translated(f"particles.{each.name}.fixed")
+        if len(deck.acting(fix)) < sum(run.steps > 0 for run in deck.runs):
+            fix.entry.approximated("the particles are fixed in all runs")
+
+
 # Walls
 
 PLANES = ("xplane", "yplane", "zplane")
@@ -294,6 +322,7 @@ def build(deck: Deck, draft: Draft) -> None:
     """Write the block walls, flow meters and outlets."""
     region_walls.release_periodic_axes(deck)
     _shear(deck, draft)
+    _freeze(deck)
     for fix in deck.fixes_of("wall/gran", "wall/gran/region"):
         if fix.data is None or not deck.acting(fix):
             continue
@@ -430,6 +459,7 @@ FIXES: dict[str, Translation] = {
         wall_gran_region, "walls", "block, cylinder, cone, sphere (a mesh), plane, union, intersect"
     ),
     "deform": Translation(deform, "domain.lees_edwards", "shear xy, xz or yz at a constant rate (erate)"),
+    "freeze": Translation(freeze, "particles.NAME.fixed", "groups of types"),
     **dict.fromkeys(
         ("wall/reflect", "wall/region", "wall/lj93", "wall/lj126", "wall/harmonic", "wall/colloid"),
         impossible(_REFLECT, "a plane of LAMMPS: fix wall/gran"),

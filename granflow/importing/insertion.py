@@ -670,7 +670,7 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
     time = max(time, deck.time_step or 1e-6)
     if given.is_range:
         low, high = given.diameters[0][0], given.diameters[1][0]
-        mean_cube = (high**4 - low**4) / (4.0 * (high - low))
+        mean_cube = high**3  # a batch of LAMMPS is counted with the largest particle
         sizes: Any = {
             "distribution": "uniform",
             "min": quantity(low, "length"),

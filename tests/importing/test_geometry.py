@@ -413,6 +413,19 @@ def test_shear_of_the_box(tmp_path):
     assert "domain.lees_edwards" in sentences(found, "deform")
 
 
+def test_frozen_particles(tmp_path):
+    walls = (
+        "create_atoms 1 single 0.05 0.05 0.01\nset type 1 diameter 0.004\nset type 1 density 2500\n"
+        "group base type 1\nfix f base freeze\n"
+        f"fix w all wall/gran {HOOKE} zplane 0 NULL\nrun 100"
+    )
+    text = lammps(walls).replace("fix p all pour 10 1 7 region source diam one 0.004 dens 2500 2500", "")
+    found, scene = imported(tmp_path, text)
+    (group,) = scene["particles"].values()
+    assert group["fixed"] is True
+    checked(tmp_path, found)
+
+
 def test_clump_of_a_template(tmp_path):
     (tmp_path / "rod.txt").write_text("# x y z r\n-1 0 0 1\n1 0 0 1\n")
     template = (
