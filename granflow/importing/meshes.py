@@ -27,6 +27,7 @@ FLAT = 1e-6
 class Mesh:
     """One fix mesh/surface.
 
+    unit:       length [m] of the unit of the script, which the file has as well
     steps:      scale, move and rotate in the order of the script: ("scale", s), ("move", v), ("rotate", axis,
                 degrees)
     velocity:   of the surface [m/s]
@@ -36,6 +37,7 @@ class Mesh:
 
     path: Path
     type: int
+    unit: float = 1.0
     steps: list[tuple[Any, ...]] = field(default_factory=list)
     velocity: Vector | None = None
     spin: tuple[Vector, Vector, float] | None = None
@@ -46,7 +48,7 @@ class Mesh:
     def triangles(self) -> np.ndarray:
         """Triangles (n, 3, 3) [m] after the transformations of the script, in their order."""
         raw = read_triangles(self.path)
-        triangles = raw.points[raw.corners]
+        triangles = raw.points[raw.corners] * self.unit
         for kind, *values in self.steps:
             if kind == "scale":
                 triangles = triangles * values[0]
@@ -83,7 +85,7 @@ def mesh_surface(deck: Deck, fix: Fix) -> None:
     """fix ID group mesh/surface[/stress[/servo]] file NAME type N [scale S] [move X Y Z] [rotate ...] ..."""
     words = Words(deck, fix.entry.command, fix.words)
     file, type = "", 0
-    mesh = Mesh(Path(), 0, measured="stress" in fix.style.split("/"))
+    mesh = Mesh(Path(), 0, deck.si(1.0, "length"), measured="stress" in fix.style.split("/"))
     while words:
         key = words.word("a keyword")
         if key == "file":
@@ -195,7 +197,7 @@ def mesh_keys(draft: Draft, mesh: Mesh) -> dict[str, Any]:
     granflow scales, rotates and moves in this order; other orders are rewritten, as s (x + v) = s x + s v.
     """
     name = draft.add_file(mesh.path.name, mesh.path.read_bytes())
-    scale = 1.0
+    scale = mesh.unit
     shift: np.ndarray = np.zeros(3)
     rotations: list[tuple[Vector, float]] = []
     for kind, *values in mesh.steps:

@@ -197,6 +197,14 @@ def test_mesh_is_transformed_in_the_order_of_the_script(tmp_path, square):
     np.testing.assert_allclose(mesh.points.max(axis=0), [0.0, 0.06, 0.03], atol=1e-7)
 
 
+def test_mesh_in_centimeters(tmp_path, square):
+    """The file and the displacement are in the unit of the script: 0.02 cm are 0.2 mm."""
+    walls = f"fix cad all {square} move 0 0 3\nfix w all {GRANULAR} mesh n_meshes 1 meshes cad\nrun 9"
+    _, scene = imported(tmp_path, liggghts(walls).replace("units si", "units cgs"))
+    assert scene["walls"]["cad"]["scale"] == 0.01
+    assert scene["walls"]["cad"]["translate"] == [0, 0, "30 mm"]
+
+
 MOVED = f"fix w all {GRANULAR} mesh n_meshes 1 meshes cad\n"
 
 
