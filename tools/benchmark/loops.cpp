@@ -2,7 +2,7 @@
 // particle contacts in batches. Same layout, chunks and arithmetic (Hertz with damping, Mindlin friction with history,
 // float64), but no walls, no exact sums, no energies and no checks besides the displacement since the rebuild.
 //
-//     loops FILE THREADS        prints the mean seconds of each loop in one step, as JSON; loops.py writes the file
+//     loops FILE THREADS        prints the median seconds of each loop in one step, as JSON; loops.py writes the file
 
 #include <algorithm>
 #include <cmath>
@@ -161,6 +161,11 @@ struct Run {
     }
 };
 
+static double median(std::vector<double>& values) {
+    std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
+    return values[values.size() / 2];
+}
+
 int main(int, char** words) {
     Run run;
     std::ifstream file(words[1], std::ios::binary);
@@ -183,9 +188,9 @@ int main(int, char** words) {
     const int chunks = static_cast<int>((run.count + run.chunk - 1) / run.chunk);
     std::vector<Batch> batches(omp_get_max_threads());
     int due = 0;
-    double seconds[2] = {0.0, 0.0}, began = omp_get_wtime();
-    int steps = 0;
-    for (; steps < 10 || omp_get_wtime() - began < SHORTEST; steps++) {
+    std::vector<double> seconds[2];
+    double began = omp_get_wtime();
+    while (seconds[1].size() < 10 || omp_get_wtime() - began < SHORTEST) {
         for (int phase = 0; phase < 2; phase++) {
             double start = omp_get_wtime();
 #pragma omp parallel for schedule(dynamic)
@@ -197,11 +202,11 @@ int main(int, char** words) {
                 else  // without motion, so that the pairs remain those of the run
                     kick_and_drift(run.particles.data(), run.loads.data(), run.rebuilt.data(), first, last, 0.0, &due);
             }
-            seconds[phase] += omp_get_wtime() - start;
+            seconds[phase].push_back(omp_get_wtime() - start);
         }
     }
     double sum = 0.0;
     for (const Load& load : run.loads) sum += load.force[2];
-    std::printf("{\"integration\": %.9g, \"forces\": %.9g, \"force_z\": %.9g}\n", seconds[0] / steps,
-                seconds[1] / steps, sum);
+    std::printf("{\"integration\": %.9g, \"forces\": %.9g, \"force_z\": %.9g}\n", median(seconds[0]),
+                median(seconds[1]), sum);
 }

@@ -2,6 +2,7 @@
 program with the same layout reaches on this processor."""
 
 import json
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -15,11 +16,13 @@ SOURCE = Path(__file__).with_name("loops.cpp")
 OPTIONS = ("-std=c++17", "-O3", "-march=native", "-fopenmp", "-fno-math-errno", "-fno-trapping-math")
 LAW = "hertz"
 """The contact model of the C++ program."""
+PLACEMENT = {"OMP_PROC_BIND": "spread", "OMP_PLACES": "cores"}
+"""Each thread has a core of its own, as the workers of granflow have."""
 PARTICLE = ("position", "radius", "mass", "velocity", "angular_velocity", "velocity_synchronized")
 
 
 def seconds(engine: Any, law: str, precision: str, threads: int) -> dict[str, float] | None:
-    """Mean time [s] of each loop in C++ at the state of an engine, in the working directory.
+    """Median time [s] of each loop in C++ at the state of an engine, in the working directory.
 
     None without a compiler, with another contact model or precision, or with ranks.
     """
@@ -31,7 +34,9 @@ def seconds(engine: Any, law: str, precision: str, threads: int) -> dict[str, fl
         subprocess.run([compiler, *OPTIONS, str(SOURCE), "-o", str(program)], check=True)
     data = Path("loops.bin")
     write(engine.state, data)
-    done = subprocess.run([str(program), str(data), str(threads)], capture_output=True, text=True, check=True)
+    command = [str(program), str(data), str(threads)]
+    placed = os.environ | PLACEMENT
+    done = subprocess.run(command, env=placed, capture_output=True, text=True, check=True)
     data.unlink()
     found = json.loads(done.stdout)
     return {"integration": found["integration"], "forces": found["forces"]}

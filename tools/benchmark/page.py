@@ -14,7 +14,7 @@ PHASE_COLUMNS = (
 )  # fmt: skip
 TEXT = """# Performance of granflow
 
-This page is written by `python tools/bench.py --page`; the results are in [`{results}`]({results}).
+This page is written by `python tools/bench.py --page {name}`; the results are in [`{results}`]({results}).
 
 {machine}
 
@@ -50,13 +50,28 @@ This page is written by `python tools/bench.py --page`; the results are in [`{re
 
 ## Other processors
 
-Medians of `granflow / code` of earlier results, f64.
+Medians of `granflow / code` with their ranges, f64, from the other files in `results/`.
 
-{earlier}
+{others}
 
 ## Time per phase
 
 {phases}
+
+## What limits a step
+
+Measured on 2026-11-28 on an AMD EPYC (Zen 4, AVX-512) that others used too: ranges of pairs of runs one after the other.
+
+- **Quadrants and Taichi** take the same time per step within the noise, since Quadrants inlines the batch of contacts
+  (hopper, one thread, f64, `hertz` and `zhou`: 151 to 220 and 152 to 198 ns per particle; before, Quadrants took 274 to
+  320 ns).
+- **Integration** takes 8 to 13 ns per particle between 10 000 and 200 000 particles, 10 to 17 after the forces have
+  displaced its data from the cache, of 100 to 150 ns for the step; the same loop in C++ takes 9 to 12. Without any check
+  of limits it takes 5 to 8. Without quotients (stored 1/m and 1/I) the C++ gains 2 ns at 1000 particles, 0.3 to 0.7 at
+  10 000 and 50 000 and nothing at 200 000: at most 2 % of a step, so that the quotients remain. With each component
+  of all particles in an array of its own, C++ takes 3 ns in the cache, but 14 and 15 at 1000 and 200 000 particles.
+- **Launches**: the times of phases contain a launch each, 35 to 70 us, which for 1000 particles is more than the
+  integration. Steps of a run are taken many per launch: with two particles a step takes 0.3 to 0.5 us.
 
 ## Repeat the measurement
 
@@ -84,11 +99,12 @@ def write(folder: Path, name: str) -> Path:
     result = json.loads(peer_file.read_text())
     PAGE.write_text(
         TEXT.format(
+            name=peer_file.stem,
             results=f"results/{peer_file.name}",
             machine=machine_lines(result),
             table=tables.markdown(tables.COLUMNS, list(tables.rows(result))),
             notes="\n".join(f"- {note}" for note in result["notes"]) + "\n",
-            earlier=earlier_table(folder, peer_file),
+            others=other_results(folder, peer_file),
             figure=f"![Rate over size]({FIGURE.name})\n" if draw(result) else "",
             phases=phase_section(json.loads(phase_file.read_text()))
             if phase_file
@@ -98,15 +114,17 @@ def write(folder: Path, name: str) -> Path:
     return PAGE
 
 
-def earlier_table(folder: Path, shown: Path) -> str:
-    """Table of the ratios of all other results in double precision, newest first."""
+def other_results(folder: Path, shown: Path) -> str:
+    """Table of the ratios of all other results in double precision, newest first, and their notes."""
     head = ("processor", "date", "code", "threads", "case", "granflow / code")
     body: list[tuple[str, list[str]]] = []
+    notes: list[str] = []
     for path in folder.glob("*.json"):
         result = json.loads(path.read_text())
         if path == shown or result.get("kind") != "peers" or not is_double(result):
             continue
         machine = result["machine"]
+        notes += result["notes"]
         for group in tables.groups(result):
             found = None if group.code == "granflow" else tables.ratio(result, group)
             if found is not None:
@@ -115,7 +133,8 @@ def earlier_table(folder: Path, shown: Path) -> str:
                 code = f"{group.code} {version}"
                 row = [machine["processor"], day, code, str(group.threads), group.case, found.text()]
                 body.append((machine["date"], row))
-    return tables.markdown(head, [row for _, row in sorted(body, key=lambda each: each[0], reverse=True)])
+    rows = [row for _, row in sorted(body, key=lambda each: each[0], reverse=True)]
+    return "\n".join([tables.markdown(head, rows), "", *(f"- {note}" for note in notes)])
 
 
 def newest(folder: Path, kind: str, name: str) -> Path | None:
