@@ -20,6 +20,7 @@ from granflow.importing.deck import UNITS, Deck, Fix, ParticleGroup, Translation
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import Entry, Report
 from granflow.importing.scene_text import Draft
+from granflow.schema.messages import nearest
 
 CODES = ("liggghts", "lammps")
 """Values of --code."""
@@ -111,9 +112,14 @@ def fix(deck: Deck, command: Command, entry: Entry, fixes: Mapping[str, Translat
     deck.all_fixes.append(made)
     translation = fixes.get(style)
     if translation is None:
-        entry.impossible(f"fix {style} is not known")
+        entry.impossible(f"fix {style} is not known", _similar(style, fixes))
         return
     translation.handler(deck, made)
+
+
+def _similar(word: str, known: Iterable[str]) -> str:
+    """The known word that is nearest to an unknown one; empty without one."""
+    return nearest(word, list(known)) or ""
 
 
 def _tell_box(deck: Deck) -> None:
@@ -181,7 +187,7 @@ def convert(
         elif command.name in commands:
             commands[command.name].handler(deck, command, entry)
         else:
-            entry.impossible(f"the command {command.name} is not known")
+            entry.impossible(f"the command {command.name} is not known", _similar(command.name, commands))
         _tell_box(deck)
         if command.name == "clear":
             break

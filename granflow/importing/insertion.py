@@ -16,6 +16,8 @@ from granflow.importing.meshes import flat_face
 from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
+from granflow.schema.messages import suggestion_sentence
+from granflow.units import to_si
 
 MOST_BATCHES = 12
 """Number of batches of an insertion that become groups of their own; more become a constant rate."""
@@ -39,6 +41,16 @@ class Template:
     clump: dict[str, Any] | None = None
     volume: float = 0.0
     """Volume [m3] of the particle."""
+    sizes: dict[str, Any] | None = None
+    """The key diameter of a random radius."""
+
+    @property
+    def radii(self) -> tuple[float, float]:
+        """Smallest and largest radius [m], that of three standard deviations of a normal distribution."""
+        if self.sizes is None:
+            return self.radius, self.radius
+        low, high = (0.5 * to_si(self.sizes[key], "length") for key in ("min", "max"))
+        return low, high
 
 
 def template_sphere(deck: Deck, fix: Fix) -> None:
@@ -47,21 +59,22 @@ def template_sphere(deck: Deck, fix: Fix) -> None:
     if words.next not in ("atom_type", "density", "radius"):
         words.word("the seed")
     type, density, radius = 1, deck.si(1.0, "density"), deck.si(1.0, "length")
+    sizes: dict[str, Any] | None = None
+    cube = 0.0
     while words:
         key = words.word("a keyword")
         if key == "atom_type":
             type = words.whole("the type")
         elif key in ("density", "radius"):
+            dimension = "density" if key == "density" else "length"
             style = words.word("constant")
-            number = words.number(f"the {key}", "density" if key == "density" else "length")
+            if words.next in ("number", "mass"):  # what the shares of a random radius refer to
+                words.word("number or mass")
+            number = words.number(f"the {key}", dimension)
             if style != "constant":
-                other = words.number(
-                    f"the second number of the {key}", "density" if key == "density" else "length"
-                )
-                fix.entry.approximated(
-                    f"the {key} is {style} from {number:g} to {other:g}; the mean is taken"
-                )
-                number = 0.5 * (number + other)
+                other = words.number(f"the second number of the {key}", dimension)
+                number, drawn, cube = _random(fix, key, style, number, other)
+                sizes = drawn or sizes
             if number <= 0.0:
                 raise DeckError(fix.entry.command, f"the {key} is {number:g}; give a number above 0.")
             density, radius = (number, radius) if key == "density" else (density, number)
@@ -70,7 +83,36 @@ def template_sphere(deck: Deck, fix: Fix) -> None:
         else:
             fix.entry.impossible(f"the keyword {key} of a template")
             words.skip()
-    fix.data = Template(type, density, radius, fix.entry, volume=4.0 / 3.0 * pi * radius**3)
+    cube = cube if sizes else radius**3
+    fix.data = Template(type, density, radius, fix.entry, None, 4.0 / 3.0 * pi * cube, sizes)
+
+
+def _random(
+    fix: Fix, key: str, style: str, first: float, second: float
+) -> tuple[float, dict[str, Any] | None, float]:
+    """Mean, key diameter and mean cube of a radius or density.
+
+    `first`, `second`: limits (uniform), or mean and standard deviation (gaussian).
+    """
+    if style not in ("uniform", "gaussian"):
+        raise DeckError(fix.entry.command, f"the {key} is {style}; give constant, uniform or gaussian.")
+    mean = 0.5 * (first + second) if style == "uniform" else first
+    if key == "density":
+        fix.entry.approximated(f"the density is {style}; the mean, {mean:g}, is taken")
+        return mean, None, 0.0
+    if style == "uniform":
+        ends = {"min": quantity(2.0 * first, "length"), "max": quantity(2.0 * second, "length")}
+        return mean, {"distribution": "uniform", **ends}, (first + second) * (first**2 + second**2) / 4.0
+    low, high = max(first - 3.0 * second, 0.1 * first), first + 3.0 * second
+    fix.entry.approximated("the normal distribution of the radius is cut at three standard deviations")
+    sizes = {
+        "distribution": "normal",
+        "mean": quantity(2.0 * first, "length"),
+        "deviation": quantity(2.0 * second, "length"),
+        "min": quantity(2.0 * low, "length"),
+        "max": quantity(2.0 * high, "length"),
+    }
+    return mean, sizes, first**3 + 3.0 * first * second**2
 
 
 @dataclass
@@ -219,9 +261,8 @@ def insertion(deck: Deck, fix: Fix) -> None:
         elif key in IGNORED:
             words.word(f"a value of {key}")
         else:
-            raise DeckError(
-                fix.entry.command, f"{fix.style} has no keyword {key}. Is it spelled as in the documentation?"
-            )
+            remedy = suggestion_sentence(key, {*KEYWORDS, *IGNORED}, "keywords")
+            raise DeckError(fix.entry.command, f"{fix.style} has no keyword {key}. {remedy}")
     if found is None:
         raise DeckError(fix.entry.command, "distributiontemplate is missing.")
     for key, value in given.items():
@@ -229,6 +270,12 @@ def insertion(deck: Deck, fix: Fix) -> None:
     fix.data = found
 
 
+KEYWORDS = (
+    *("distributiontemplate", "region", "insertion_face", "nparticles", "particles_in_region", "mass"),
+    *("mass_in_region", "particlerate", "massrate", "volumefraction_region", "insert_every", "start"),
+    *("duration", "extrude_length", "all_in", "vel", "omega", "orientation", "overlapcheck", "set_property"),
+)
+"""Keywords of insertions that are translated."""
 IGNORED = {
     *(
         "seed",
@@ -343,6 +390,8 @@ def _sizes(distribution: Distribution, members: list[Template]) -> Any:
     """The key diameter of some templates of a distribution."""
     shares = dict(zip(map(id, distribution.templates), distribution.shares, strict=True))
     if len(members) == 1:
+        if members[0].sizes is not None:
+            return members[0].sizes
         return quantity(2.0 * members[0].radius, "length")
     classes = [
         {"diameter": quantity(2.0 * each.radius, "length"), "fraction": shares[id(each)]} for each in members
@@ -368,21 +417,25 @@ def _travel(deck: Deck, velocity: Vector, time: float, extent: tuple[float, ...]
 
 def _insert(deck: Deck, fix: Fix, given: Insertion) -> None:
     """The groups of one insertion of LIGGGHTS: one for each type and density of its templates."""
-    kinds: dict[tuple[int, float, bool], list[Template]] = {}
+    kinds: dict[tuple[int, float, int], list[Template]] = {}
     for each in given.distribution.templates:
-        kinds.setdefault((each.type, each.density, each.clump is not None), []).append(each)
+        own = 0 if each.clump is None and each.sizes is None else id(each)  # a group of its own
+        kinds.setdefault((each.type, each.density, own), []).append(each)
     numbers = given.distribution.number_shares()
     masses = [s * t.volume * t.density for s, t in zip(numbers, given.distribution.templates, strict=True)]
-    for index, ((type, density, is_clump), members) in enumerate(kinds.items()):
-        chosen = [k for k, each in enumerate(given.distribution.templates) if each in members]
+    for index, ((type, density, _), members) in enumerate(kinds.items()):
+        chosen = [
+            k
+            for k, each in enumerate(given.distribution.templates)
+            if any(each is member for member in members)
+        ]
         share = sum(numbers[k] for k in chosen)
         mass_share = sum(masses[k] for k in chosen) / sum(masses)
         name = fix.name if len(kinds) == 1 else f"{fix.name}_{index + 1}"
-        if is_clump and len(members) > 1:
-            fix.entry.approximated("of several multisphere templates only the first is inserted")
+        clump = members[0].clump
         amount = Amount(deck, fix, given, share, mass_share)
         keys: dict[str, Any] = {}
-        keys |= {"clump": members[0].clump} if is_clump else {"diameter": _sizes(given.distribution, members)}
+        keys |= {"clump": clump} if clump else {"diameter": _sizes(given.distribution, members)}
         if any(given.velocity):
             keys["velocity"] = list(given.velocity)
         if any(given.omega):
@@ -391,7 +444,7 @@ def _insert(deck: Deck, fix: Fix, given: Insertion) -> None:
             fix.entry.approximated(
                 f"velocities fluctuate by {max(given.fluctuation):.3g} m/s in the script; here they are equal"
             )
-        radii = [each.radius for each in members]
+        radii = [radius for each in members for radius in each.radii]
         for suffix, amounts, insert in amount.parts(min(radii)):
             group = ParticleGroup(
                 f"{name}{suffix}",

@@ -18,6 +18,7 @@ from granflow.importing.deck import Deck, Fix, ParticleGroup, Translation, Words
 from granflow.importing.language import Command, DeckError
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantity
+from granflow.schema.messages import nearest, suggestion_sentence
 
 REFERENCE_DENSITY = 2500.0
 """Density [kg/m3] of the material of a wall whose type no particle has; no result depends on it."""
@@ -118,7 +119,7 @@ def property_global(deck: Deck, fix: Fix) -> None:
     form = {"atomtype": "peratomtype", "atomtypepair": "peratomtypepair"}.get(form, form)
     known = PROPERTIES.get(name)
     if known is None:
-        fix.entry.impossible(f"the property {name} is not known")
+        fix.entry.impossible(f"the property {name} is not known", nearest(name, list(PROPERTIES)) or "")
         return
     if known.refused:
         fix.entry.impossible(known.refused, "mechanics without it (--partial)")
@@ -236,10 +237,8 @@ def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
         elif key in OPTIONS:
             options[key] = words.flag(key)
         else:
-            raise DeckError(
-                entry.command,
-                f"contact models have no keyword {key}. Keywords: {', '.join([*chosen, *OPTIONS])}.",
-            )
+            remedy = suggestion_sentence(key, ["model", *chosen, *OPTIONS], "keywords")
+            raise DeckError(entry.command, f"contact models have no keyword {key}. {remedy}")
     for kind, name, known in (
         ("normal", normal, NORMALS),
         ("tangential", chosen["tangential"], TANGENTIALS),
@@ -824,6 +823,7 @@ class Contacts:
         if name in ("none", "off"):
             return "none"
         damping = self._tangential_damping(main)
+        self._remark_on_dashpots(main, damping)
         keys: dict[str, Any] = {"damping": round(damping, 6)} if damping else {}
         if name in ("no_history", "linear_nohistory"):
             main.entry.approximated(
@@ -874,9 +874,29 @@ class Contacts:
         stiffness = self._stiffness("kn", main, i, i)
         return gt * mass / (2.0 * zeta * sqrt(stiffness * mass))
 
-    def _beta(self, model: Model, i: int) -> float:
+    def _remark_on_dashpots(self, main: Model, damping: float) -> None:
+        """Say how the ratio of the dashpots of other pairs differs (model hertz of LIGGGHTS)."""
+        if main.normal != "hertz" or "E" in main.numbers or not damping:
+            return
+        types = {each.type for each in self.sorts}
+        found = []
+        for i in types:
+            for j in types | {each.type for each in self.walls}:
+                young = [self._moduli(each) for each in (i, j)]
+                shear = 1.0 / sum(2.0 * (2.0 - nu) * (1.0 + nu) / e for e, nu in young)
+                plane = 1.0 / sum((1.0 - nu**2) / e for e, nu in young)
+                e = self._number("coefficientRestitution", main, i, j)
+                zeta = damping_ratio_for(min(max(e, LEAST_RESTITUTION), 0.9999))
+                found.append(sqrt(4.0 * shear / plane) * self._beta(main, i, j) / zeta)
+        if max(found) > 1.02 * damping or min(found) < 0.98 * damping:
+            main.entry.approximated(
+                f"the tangential dashpot over the normal one is {damping:.3g} for all pairs; in the script it "
+                f"is {min(found):.3g} to {max(found):.3g}"
+            )
+
+    def _beta(self, model: Model, i: int, j: int | None = None) -> float:
         """Damping ratio of LIGGGHTS for its restitution."""
-        e = max(self._number("coefficientRestitution", model, i, i), 1e-6)
+        e = min(max(self._number("coefficientRestitution", model, i, j or i), 1e-6), 0.9999)
         return -log(e) / sqrt(pi**2 + log(e) ** 2)
 
     def _gamma(self, model: Model, i: int, mass: float) -> tuple[float, float]:

@@ -126,6 +126,9 @@ def remarks(found, part):
             "particles.ins_1.insert.mass_flow",
             "500 g/s",
         ),
+        ({"insertion": "fix p1 all particletemplate/sphere 1 atom_type 1 density constant 2500 radius uniform 0.001 0.002\n"
+                       "fix d all particledistribution/discrete 1 1 p1 1\n" + PACK},
+         "particles.ins.diameter", {"distribution": "uniform", "min": "2 mm", "max": "4 mm"}),
         ({"properties": "fix m5 all property/global characteristicVelocity scalar 2",
           "model": "model hooke tangential history"}, "contact.normal.stiffness.reference_velocity", "2 m/s"),
         ({"properties": "fix m5 all property/global characteristicVelocity scalar 2",
@@ -271,6 +274,11 @@ def test_every_line_has_a_remark(tmp_path):
         ("compute c all rainbow\nrun 10", "rainbow", "compute rainbow"),
         ("shell mkdir x\nrun 10", "shell", "shell runs another program"),
         ("run 10\nclear", "clear", "a second simulation"),
+        (
+            "fix w2 all wall/grann model hertz\nrun 10",
+            "wall/grann",
+            "fix wall/grann is not known; nearest: wall/gran",
+        ),
         ("fix x all property/global thermalExpansion peratomtype 1 1\nrun 10", "thermalExpansion", "thermal"),
     ],
 )
@@ -289,7 +297,8 @@ def test_not_possible(tmp_path, end, part, sentence):
         ("fix m3", "#", "needs fix property/global coefficientRestitution"),
         ("0.1 0.2 0.2 0.3", "0.1 0.2 0.3 0.3", "not symmetric: types 1 and 2"),
         ("region box part", "region no part", "there is no region no. Regions: box"),
-        ("model hertz", "modle hertz", "contact models have no keyword modle"),
+        ("model hertz", "modle hertz", "contact models have no keyword modle. Did you mean model?"),
+        ("all_in yes", "allin yes", "insert/pack has no keyword allin. Did you mean all_in?"),
         (
             "distributiontemplate d",
             "distributiontemplate e",
