@@ -191,8 +191,8 @@ def convert(
         _tell_box(deck)
         if command.name == "clear":
             break
-    for command, reason, nearest in interpreter.problems:
-        report.entry(command).impossible(reason, nearest)
+    for command, reason, alternative in interpreter.problems:
+        report.entry(command).impossible(reason, alternative)
     try:
         texts = _texts(deck, path, name or path.stem)
     except GranflowError:

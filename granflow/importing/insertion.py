@@ -24,6 +24,8 @@ MOST_BATCHES = 12
 MOST_FILLED = 0.4
 """Largest solid fraction that insert/pack reaches, relative to the volume of the centers; measured with "
 "LIGGGHTS."""
+CHANGES = "a Python program: simulation.particles.temperature, velocity, ... between two runs"
+"""The nearest alternative of a change of particles after the first run."""
 BURST = 0.02
 """Duration of the insertion of a batch over the time between two batches."""
 
@@ -910,10 +912,8 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
     words = Words(deck, command, command.words)
     style, which = words.word("the style"), words.word("the name")
     points: Points | None = deck.family.get("points")
-    if points is None:
-        entry.impossible(
-            "properties of particles that are inserted during the run", "the keys of their group"
-        )
+    if points is None or deck.time > 0.0:
+        entry.impossible("changes of particles during the simulation", CHANGES)
         return
     chosen = _chosen(deck, command, points, style, which)
     while words:
@@ -976,6 +976,9 @@ def velocity(deck: Deck, command: Command, entry: Entry) -> None:
     words.word("a group")
     style = words.word("the style")
     points: Points | None = deck.family.get("points")
+    if points is not None and deck.time > 0.0:
+        entry.impossible("changes of particles during the simulation", CHANGES)
+        return
     if style != "set" or points is None:
         entry.impossible(f"velocity {style}", "velocity or thermal of the group")
         return

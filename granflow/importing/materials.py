@@ -890,8 +890,8 @@ class Contacts:
                 found.append(sqrt(4.0 * shear / plane) * self._beta(main, i, j) / zeta)
         if max(found) > 1.02 * damping or min(found) < 0.98 * damping:
             main.entry.approximated(
-                f"the tangential dashpot over the normal one is {damping:.3g} for all pairs; in the script it "
-                f"is {min(found):.3g} to {max(found):.3g}"
+                f"the tangential dashpot over the normal one is {damping:.3g} for all pairs; in the script "
+                f"it is {min(found):.3g} to {max(found):.3g}"
             )
 
     def _beta(self, model: Model, i: int, j: int | None = None) -> float:
