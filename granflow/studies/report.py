@@ -93,6 +93,7 @@ def report_text(record: Run, script: str, pictures: "RunPictures | None") -> str
         expected=expected_topic(record, bool(script)),
         topics=[
             *topics(record, bool(script)),
+            *size_topics(record, bool(script)),
             *residence_topics(record, bool(script)),
             *collision_topics(record.directory, bool(script)),
         ],
@@ -542,6 +543,59 @@ def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
                 [column.text, *(f"{number + 0.0:.4g}" for number in kept), known.meaning if known else ""]
             )
     return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
+
+
+# Sizes of the particles
+
+SIZE_TITLE = "Particle sizes"
+
+
+def size_topics(record: Run, with_plots: bool) -> Iterator[Topic]:
+    """The section on the sizes of groups with several diameters, at the frame with the largest file.
+
+    Shares are by mass. None without such a group, and if the scene cannot be read.
+    """
+    paths = record.frames.paths
+    if not paths or record.scene_problem:
+        return
+    frame = record.frames[max(range(len(paths)), key=lambda k: paths[k].stat().st_size)]
+    rows = []
+    curves = []
+    for number, name in enumerate(record.scene.particles):
+        diameter = np.sort(frame.particles["diameter"][frame.particles["group"] == number].astype(np.float64))
+        if not len(diameter) or diameter[0] == diameter[-1]:
+            continue
+        share = np.cumsum(diameter**3) / np.sum(diameter**3)
+        reached = (1e3 * diameter[np.searchsorted(share, part)] for part in (0.1, 0.5, 0.9))
+        rows.append((name, readable(float(len(diameter))), *(f"{each:.4g}" for each in reached)))
+        kept = np.unique(np.linspace(0, len(diameter) - 1, MOST_SIZES).astype(int))
+        curves.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": name,
+                "x": plain_numbers(1e3 * diameter[kept]),
+                "y": plain_numbers(share[kept]),
+                "line": {"color": COLORS[len(curves) % len(COLORS)], "width": 1.8},
+            }
+        )
+    if not rows:
+        return
+    heads = ("group", "particles", "d10 (mm)", "d50 (mm)", "d90 (mm)")
+    caption = (
+        f"Particles at {frame.time:.4g} s, when they are most: 10, 50 and 90 % of the mass of a group are "
+        "finer than d10, d50 and d90."
+    )
+    figure = {
+        "data": curves,
+        "layout": curve_layout("diameter (mm)", "share of the mass that is finer", True),
+    }
+    plots = [Plot(SIZE_TITLE, figure)] if with_plots else []
+    yield Topic(SIZE_TITLE, [PageTable(heads, rows, caption)], [], plots)
+
+
+MOST_SIZES = 400
+"""Largest number of points of a curve of sizes."""
 
 
 # Residence times (`output.residence_time`)

@@ -5,6 +5,7 @@ import re
 import shutil
 import sys
 from dataclasses import asdict
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from granflow.io.log import RecordEntry, SessionFacts, read_record, sessions, wa
 from granflow.io.tables import SeriesColumn, TimeSeriesTable
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.timeseries import CollisionEnergies
+from granflow.runs.read_run import Frames
 from granflow.snapshot import Snapshot
 from granflow.studies import report as report_module
 from granflow.studies.interactive_plots import MOST_POINTS, groups_of, plot_of, thinned
@@ -25,6 +27,7 @@ from granflow.studies.report import (
     field_content,
     report_text,
     residence_topics,
+    size_topics,
 )
 
 HEAD = (
@@ -266,6 +269,24 @@ def test_fields_of_a_row_of_cells_are_profiles(tmp_path):
     (curve,) = plots[0].figure["data"]
     assert curve["x"] == [0.5, 1.5, 2.5] and curve["y"] == [0.0, 1.0, 2.0] and curve["name"] == "0.5 s"
     assert len(field_content(tmp_path, with_plots=False)[0]) == 1
+
+
+def test_sizes_of_the_frame_with_most_particles_are_shares_of_the_mass(tmp_path):
+    """Group a: 8 of 1 mm and 1 of 2 mm, half of the mass each; group b has one size."""
+    for name, size in (("first", 9), ("second", 99)):
+        (tmp_path / name).write_text(size * " ")
+    particles = {"diameter": np.array([1e-3] * 8 + [2e-3, 3e-3, 3e-3]), "group": np.array([0] * 9 + [1, 1])}
+    record = SimpleNamespace(
+        frames=Frames(
+            [(0.5, tmp_path / "first"), (1.5, tmp_path / "second"), (2.5, tmp_path / "first")],
+            lambda time, _: SimpleNamespace(time=time, particles=particles),
+        ),
+        scene_problem="", scene=SimpleNamespace(particles={"a": None, "b": None}),
+    )  # fmt: skip
+    (topic,) = size_topics(record, True)
+    assert topic.tables[0].rows == [("a", "9", "1", "1", "2")] and "1.5 s" in topic.tables[0].caption
+    (curve,) = topic.plots[0].figure["data"]
+    assert curve["y"] == pytest.approx([k / 16 for k in range(1, 9)] + [1.0]) and curve["x"][-1] == 2.0
 
 
 def test_residence_times_have_their_distributions_by_mass(run):
