@@ -144,8 +144,8 @@ def conducting() -> Scene:
         materials={"glass": SOFT | thermal, "steel": SOFT | thermal | {"thermal_conductivity": 10.0}},
     ).to_dict()
     scene["particles"]["lattice"]["temperature"] = 350.0
-    scene["walls"]["low_x"]["temperature"] = 400.0
-    scene["walls"]["floor"]["heat_flux"] = 1e3
+    scene["walls"]["floor"]["temperature"] = 400.0
+    scene["walls"]["low_x"]["heat_flux"] = 1e3
     return Scene.from_dict(scene)
 
 
@@ -205,7 +205,7 @@ QUICK = {
     "walls": Row(moved_walls, ("wall_displacement.high_z", "wall_displacement.high_y", "wall_work")),
     "clumps": Row(wet_clumps, ("rotational_energy", "contact_count"), on_ranks=False),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
-    "heat": Row(conducting, ("friction_dissipation", "surroundings_heat", "wall_heat.low_x")),
+    "heat": Row(conducting, ("friction_dissipation", "surroundings_heat", "wall_heat.floor")),
 }
 """Scenes of the usual test run."""
 
