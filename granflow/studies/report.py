@@ -560,7 +560,7 @@ def size_topics(record: Run, with_plots: bool) -> Iterator[Topic]:
         return
     frame = record.frames[max(range(len(paths)), key=lambda k: paths[k].stat().st_size)]
     rows = []
-    curves = []
+    curves: list[dict[str, Any]] = []
     for number, name in enumerate(record.scene.particles):
         diameter = np.sort(frame.particles["diameter"][frame.particles["group"] == number].astype(np.float64))
         if not len(diameter) or diameter[0] == diameter[-1]:
