@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import inf, nan
+from math import hypot, inf, nan
 
 import numpy as np
 
@@ -216,6 +216,14 @@ def _read_keywords(deck: Deck, words: Words, found: Region) -> None:
             x, y, z = numbers.vector("the point of the axis", "length")
             motion.point = (x * spacing, y * spacing, z * spacing)
             motion.axis = numbers.vector("the axis")
+            length = hypot(*motion.axis)
+            if length == 0.0:
+                raise DeckError(command, "the axis is zero; give a direction, such as 0 0 1.")
+            if abs(length - 1.0) > 1e-3 and deck.code == "lammps":
+                entry.approximated(
+                    f"walls of LAMMPS drag particles {length:.3g} times as fast as they turn, by the length "
+                    "of the axis; here as fast as they turn"
+                )
         found.motion = motion
         track_variables(deck, motion.track, lambda: deck.regions.get(found.name) is found)
 

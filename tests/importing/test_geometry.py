@@ -375,6 +375,16 @@ def test_region_that_turns_between_runs(tmp_path):
     assert found.report.is_complete
 
 
+def test_length_of_the_axis_of_a_region(tmp_path):
+    walls = (
+        "variable t equal step*dt\nregion r block 0 0.1 0 0.1 0 0.2 rotate v_t 0.05 0.05 0.1 0 3 4\n"
+        f"fix w all wall/gran/region {HOOKE} region r\nrun 100"
+    )
+    found, scene = imported(tmp_path, lammps(walls))
+    assert scene["walls"]["w"]["motion"]["angular_velocity"] == "1 rad/s"
+    assert "5 times as fast as they turn" in sentences(found, "region r block")
+
+
 def test_region_that_swings_is_a_table(tmp_path):
     walls = (
         "variable dz equal 0.001*sin(2*PI*100*step*dt)\nregion r block 0 0.1 0 0.1 0 0.2 move NULL NULL v_dz\n"
