@@ -8,6 +8,7 @@ import numpy as np
 
 from granflow.arguments import path_of, refuse_other, shown
 from granflow.errors import GranflowError
+from granflow.fields import FIELD_QUANTITIES
 from granflow.geometry.coarse_grid import GaussianKernel
 from granflow.io.files import BackgroundWriter
 from granflow.io.tables import write_table
@@ -171,7 +172,7 @@ def field_frames(
         spec.interval or plan.scene.output.interval,
         grid,
         GaussianKernel(width, spec.cutoff),
-        spec.quantities,
+        spec.quantities or tuple(FIELD_QUANTITIES),
         spec.stages or (),
         writer,
         plan.scene.output.compression,

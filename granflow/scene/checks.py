@@ -610,9 +610,9 @@ def field_grids(parts: PartialScene) -> Iterator[Fault]:
         if grid.region is not None:
             yield from _periodic_extent(domain, (*path, "region"), grid.region)
         yield from unknown_names((*path, "stages"), grid.stages, stages, "stage")
-        given = parts.document.find((*path, "quantities")) is not None
-        if given and "temperature" in grid.quantities and parts.scene.contact.name("heat") == "none":
-            index = grid.quantities.index("temperature")
+        named = grid.quantities or ()
+        if "temperature" in named and parts.scene.contact.name("heat") == "none":
+            index = named.index("temperature")
             reason = "particles have no temperature: contact.heat is none; write conduction, or remove it"
             yield Fault((*path, "quantities", index), reason)
 

@@ -3,7 +3,6 @@
 import errno
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from api.scenes import beads
+from resume.runs import delete
 from scene_builders import particle_group
 
 import granflow as gf
@@ -225,7 +225,7 @@ def test_a_failed_observer_is_named_although_no_checkpoint_can_be_written(
         if loss == "renamed":
             out.rename(tmp_path / "out_x")
         elif loss == "deleted":
-            shutil.rmtree(out)
+            delete(out)
         else:
             monkeypatch.setattr(CheckpointWriter, "write", full)
         raise ValueError("user bug")

@@ -3,7 +3,7 @@ kernels."""
 
 import os
 from dataclasses import dataclass
-from typing import Literal, get_args, get_origin
+from typing import Annotated, Literal, get_args, get_origin
 
 import numpy as np
 from contact.cases import kernel_for
@@ -24,8 +24,12 @@ def choices(annotation, number):
     """Values of an option by its type: the number, each word, or a mapping with each key."""
     if get_origin(annotation) is Literal:
         return list(get_args(annotation))
+    if get_origin(annotation) is Annotated:
+        return choices(get_args(annotation)[0], number)
     if members := get_args(annotation):
         return [value for member in members for value in choices(member, number)]
+    if annotation in (bool, type(None)):
+        return [False, True] if annotation is bool else [None]
     return [number] if annotation is float else [dict.fromkeys(annotation.model_fields, number)]
 
 

@@ -92,6 +92,12 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, coun
     )
 
 
+def delete(folder):
+    """Delete a folder in which another thread may just write a frame."""
+    while folder.exists():
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def balls(positions=None, lid_speed=0.1, gate_until=1.0, friction=0.3, groups=None, **parts):
     """Four balls that fall on a gate, on which they are after 18 ms; a lid rises far above them.
 

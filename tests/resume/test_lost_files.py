@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from resume.runs import balls, files_of
+from resume.runs import balls, delete, files_of
 
 import granflow as gf
 from granflow.cli.main import main
@@ -57,12 +57,6 @@ def rename(out):
 def rename_and_run_another(out):
     out.rename(out.with_name("old"))
     shutil.copytree(out.with_name("whole"), out)
-
-
-def delete(out):
-    """Delete a folder in which another thread may just write a frame."""
-    while out.exists():
-        shutil.rmtree(out, ignore_errors=True)
 
 
 def replace_by_another(out):

@@ -225,7 +225,7 @@ class Instant:
 def run(folder, name):
     directory = folder / name
     directory.mkdir(exist_ok=True)
-    return CheckedRun(RunRequest("scene.yaml", (), str(directory), 1, "cpu", str(folder / ".stop")), 1)
+    return CheckedRun(RunRequest("scene.yaml", (), str(directory), 1, "cpu", str(folder / ".stop")), 1, 0.0)
 
 
 def drive(executor, runs, slots=1):

@@ -172,14 +172,14 @@ class FieldGrid(GridSpec):
     cutoff: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
     interval: q.PositiveTime | None = optional("time between frames [s]", "output.interval")
     stages: Names | None = optional("stages in which the fields are written", "all")
-    quantities: Annotated[tuple[Text, ...], ListOf(some="[density, velocity]")] = optional(
-        "fields that are written", "all", default=tuple(FIELD_QUANTITIES)
+    quantities: Annotated[tuple[Text, ...], ListOf(some="[density, velocity]")] | None = optional(
+        "fields that are written", "all", examples=[["density", "velocity"]]
     )
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for each quantity that is not a known field."""
         yield from super().faults()
-        for index, name in enumerate(self.quantities):
+        for index, name in enumerate(self.quantities or ()):
             if name not in FIELD_QUANTITIES:
                 remedy = suggestion_or_list(name, FIELD_QUANTITIES, "fields")
                 yield Fault(("quantities", index), f"there is no such field. {remedy}")
