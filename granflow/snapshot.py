@@ -130,8 +130,8 @@ class Snapshot:
                     (f"{kind}[{name!r}]", f"{values.shape}{_range(values)}{f' {unit}' * (unit != '1')}")
                 )
         rows.append(("walls", ", ".join(self.walls) or "none"))
+        known = {**TOTAL_QUANTITIES, **WALL_FLOW_QUANTITIES}
         for name, number in self.totals.items():
-            known = {**TOTAL_QUANTITIES, **WALL_FLOW_QUANTITIES}
             quantity = known.get(name.partition(".")[0])
             unit = "1" if quantity is None else quantity.unit
             rows.append((f"totals[{name!r}]", f"{readable(number)}{f' {unit}' * (unit != '1')}"))

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,9 +27,7 @@ def import_(options: argparse.Namespace) -> int:
     """
     from granflow.importing.convert import convert
 
-    out = options.out or Path(re.sub(r"^in\.", "", options.deck.name) + ".yaml")
-    if out.suffix == ".yaml" and options.out is None:
-        out = out.with_name(out.name.removesuffix(".yaml").removesuffix(".in") + ".yaml")
+    out = options.out or Path(options.deck.name.removeprefix("in.").removesuffix(".in") + ".yaml")
     settings = dict(_setting(each) for each in options.settings)
     name = out.name.removesuffix(out.suffix)
     found = convert(options.deck, settings, options.code, name=name)

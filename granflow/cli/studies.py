@@ -542,28 +542,26 @@ def run_one_part(study: "SweepFile", out: Path, options: argparse.Namespace) -> 
 def show_points(study: "SweepFile", out: Path, options: argparse.Namespace) -> int:
     """Print the points of a sweep with the state and the estimated time of their runs, without a run."""
     from granflow.plan.explain import duration
-    from granflow.studies.checked_run import CheckedRun, RunSettings
+    from granflow.studies.checked_run import RunSettings
     from granflow.studies.run_process import final_outcome
-    from granflow.studies.sweep import STOP_FILE, Part, checked_points
-    from granflow.studies.sweep_table import run_texts, shown, table_of
+    from granflow.studies.sweep import STOP_FILE, Part, checked_points, runs_of, texts_of
 
     common = RunSettings(out / "runs", options.threads, options.arch, out / STOP_FILE)
     points = checked_points(study, common, announce=say_progress)
-    table = table_of(tuple(study.content.vary), study.content.read, points, {})
-    texts = run_texts(shown(study.content, table))
-    part = Part(*(options.part or (1, 1)))
-    runs = part.of([run for _, each in points for run in each if isinstance(run, CheckedRun)])
-    ended = {run.request.directory: final_outcome(run.directory) for run in runs}
+    texts = texts_of(study, points)
+    runs = Part(*(options.part or (1, 1))).of(runs_of(points))
     rows = []
+    left = []
     for run in runs:
-        known = ended[run.request.directory]
-        state = "to do" if known is None else known.status
+        ended = final_outcome(run.directory)
+        if ended is None:
+            left.append(run.seconds)
+        state = "to do" if ended is None else ended.status
         rows.append((texts[run.request.directory], state, duration(run.seconds)))
     show_table(f"{len(rows)} runs", ("run", "status", "estimated time"), rows)
     refused = [run for _, each in points for run in each if isinstance(run, str)]
     for reason in dict.fromkeys(refused):
         say(f"refused: {reason}")
-    left = [run.seconds for run in runs if ended[run.request.directory] is None]
     say(
         f"{len(left)} runs are to do, {len(runs) - len(left)} have ended, {len(refused)} are refused. "
         f"Estimated computing time of those to do: {duration(sum(left))}, without compilation and output, "

@@ -7,7 +7,6 @@ factor.
 
 from math import pi, sqrt
 
-from granflow.contact.law import SLOTS
 from granflow.importing.deck import Deck, Fix, Translation, Words, impossible
 from granflow.importing.materials import Property
 from granflow.importing.scene_text import Draft, number
@@ -22,17 +21,9 @@ KEYS = {
 """Key of a material, unit and factor of a property."""
 
 
-def is_simulated() -> bool:
-    """Whether this version of granflow simulates heat."""
-    return "heat" in SLOTS
-
-
 def heat_gran(deck: Deck, fix: Fix) -> None:
     """fix ID group heat/gran initial_temperature T [area_correction yes|no] [contact_area STYLE]"""
     words = Words(deck, fix.entry.command, fix.words)
-    if not is_simulated():
-        fix.entry.impossible("heat conduction", "mechanics without heat (--partial)")
-        return
     temperature = 0.0
     while words:
         key = words.word("a keyword")
@@ -53,10 +44,7 @@ def heat_gran(deck: Deck, fix: Fix) -> None:
 
 def wall_temperature(deck: Deck, fix: Fix, temperature: float) -> None:
     """Remember the temperature [K] of a wall or mesh of a fix."""
-    if is_simulated():
-        deck.own("wall_temperatures", dict)[id(fix.entry)] = temperature
-    else:
-        fix.entry.impossible(f"a temperature of {temperature:g}", "walls without heat")
+    deck.own("wall_temperatures", dict)[id(fix.entry)] = temperature
 
 
 def build(deck: Deck, draft: Draft) -> None:

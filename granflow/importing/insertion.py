@@ -16,6 +16,7 @@ from granflow.importing.meshes import flat_face
 from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
+from granflow.io.tables import is_number
 from granflow.schema.messages import suggestion_sentence
 from granflow.units import to_si
 
@@ -675,7 +676,7 @@ def pour(deck: Deck, fix: Fix) -> None:
             rate = words.number("the rate", "velocity")
         elif key == "vel":
             numbers = []
-            while words and _is_numeric(words.next):
+            while words and is_number(words.next):
                 numbers.append(words.number("a velocity", "velocity"))
             if len(numbers) >= 5:
                 velocity = numbers[-1]
@@ -699,14 +700,6 @@ def pour(deck: Deck, fix: Fix) -> None:
     if type < 1:
         return
     fix.data = Pour(count, type, region, diameters, is_range, density, fraction, rate, velocity)
-
-
-def _is_numeric(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _pour(deck: Deck, fix: Fix, given: Pour) -> None:

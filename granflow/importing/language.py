@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from granflow.errors import GranflowError
+from granflow.io.tables import is_number
 
 MOST_COMMANDS = 100_000
 """Number of executed commands above which a script is taken for an endless loop."""
@@ -301,7 +302,7 @@ class Interpreter:
             left, found, right = text.partition(symbol)
             if found and not any(each in text for each in ("&&", "||", "|^", "<", ">", "(")):
                 first, second = left.strip(), right.strip()
-                if not (_is_number(first) and _is_number(second)):
+                if not (is_number(first) and is_number(second)):
                     try:
                         return (self.evaluate(first) == self.evaluate(second)) == (symbol == "==")
                     except (NotKnown, ValueError):
@@ -322,7 +323,7 @@ class Interpreter:
         if name in self.given or (name in self.variables and style in ("index", "loop", "universe", "uloop")):
             return
         if style in ("loop", "uloop"):
-            numbers = [int(float(each)) for each in values if _is_number(each)]
+            numbers = [int(float(each)) for each in values if is_number(each)]
             first, last = (numbers[0], numbers[1]) if len(numbers) > 1 else (1, numbers[0])
             width = len(str(last)) if "pad" in values else 1
             self.variables[name] = Variable("index", [str(n).zfill(width) for n in range(first, last + 1)])
@@ -447,14 +448,6 @@ def _closing(text: str, start: int) -> int:
         if depth == 0:
             return index
     raise ValueError(text)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def shortest(value: float) -> str:
@@ -583,7 +576,7 @@ class Formula:
             elif not (letter.isdigit() or letter == "."):
                 break
             end += 1
-        if not _is_number(self.text[self.at : end]):
+        if not is_number(self.text[self.at : end]):
             return None
         found = float(self.text[self.at : end])
         self.at = end

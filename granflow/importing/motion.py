@@ -94,6 +94,14 @@ def _axis(words: Words) -> Vector:
     return axis
 
 
+def _origin_and_axis(words: Words) -> tuple[Vector, Vector]:
+    """The point [m] and the unit vector of the axis of a rotation: `origin x y z axis x y z`."""
+    _expect(words, "origin")
+    point = words.vector("the origin", "length")
+    _expect(words, "axis")
+    return point, _axis(words)
+
+
 def _linear(deck: Deck, fix: Fix, words: Words, mesh: str) -> Move:
     velocity = words.vector("the velocity", "velocity")
     part = {"kind": "translation", "velocity": quantities(velocity, "velocity")}
@@ -131,10 +139,7 @@ def vibration(amplitude: np.ndarray, omega: float, phase: float) -> dict[str, An
 
 
 def _rotate(deck: Deck, fix: Fix, words: Words, mesh: str) -> Move:
-    _expect(words, "origin")
-    point = words.vector("the origin", "length")
-    _expect(words, "axis")
-    axis = _axis(words)
+    point, axis = _origin_and_axis(words)
     _expect(words, "period")
     period = words.number("the period", "time")
     if period == 0.0:
@@ -144,10 +149,7 @@ def _rotate(deck: Deck, fix: Fix, words: Words, mesh: str) -> Move:
 
 
 def _rotate_variable(deck: Deck, fix: Fix, words: Words, mesh: str) -> Move:
-    _expect(words, "origin")
-    point = words.vector("the origin", "length")
-    _expect(words, "axis")
-    axis = _axis(words)
+    point, axis = _origin_and_axis(words)
     _expect(words, "omega")
     track = Track((words.word("the variable of the angular velocity").removeprefix("v_"),), fix.entry)
     track_variables(deck, track, lambda: fix.end is None)
@@ -155,10 +157,7 @@ def _rotate_variable(deck: Deck, fix: Fix, words: Words, mesh: str) -> Move:
 
 
 def _riggle(deck: Deck, fix: Fix, words: Words, mesh: str) -> Move:
-    _expect(words, "origin")
-    point = words.vector("the origin", "length")
-    _expect(words, "axis")
-    axis = _axis(words)
+    point, axis = _origin_and_axis(words)
     _expect(words, "period")
     period = _period(words)
     _expect(words, "amplitude")
@@ -196,10 +195,7 @@ def _viblin(deck: Deck, fix: Fix, words: Words, mesh: str) -> Move:
 
 
 def _vibrot(deck: Deck, fix: Fix, words: Words, mesh: str) -> Move:
-    _expect(words, "origin")
-    point = words.vector("the origin", "length")
-    _expect(words, "axis")
-    axis = _axis(words)
+    point, axis = _origin_and_axis(words)
     terms = _series(words, "number")
     period = min(2.0 * pi / w for _, w, _ in terms)
     return Move(mesh, [], _nowhere, point, axis, partial(_sum_of, terms), period=period)

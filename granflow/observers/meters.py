@@ -9,7 +9,7 @@ see `observers.metrics`.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import nan, sqrt
+from math import inf, nan, sqrt
 from numbers import Real
 from typing import Any
 
@@ -20,6 +20,60 @@ from granflow.errors import GranflowError
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.scene.blocks.output import FlowMeter
 from granflow.snapshot import Snapshot
+
+# Means over stages
+
+
+class StageRows:
+    """Mean and largest value of each number over the rows of each stage; rows in which it is NaN do not
+    count."""
+
+    def __init__(self) -> None:
+        self._stages: dict[str, dict[str, tuple[int, float, float]]] = {}
+        self._before: dict[str, tuple[int, float, float]] = {}
+
+    def update(self, stage: str, numbers: Mapping[str, float], replaces_last: bool) -> None:
+        """Add a row. `replaces_last`: the row before, of the same stage, does not count."""
+        if replaces_last:
+            self._stages[stage] = self._before
+        rows = self._stages.get(stage, {})
+        self._before = rows
+        added = {}
+        for name, number in numbers.items():
+            if number == number:
+                count, total, largest = rows.get(name, (0, 0.0, -inf))
+                added[name] = (count + 1, total + float(number), max(largest, float(number)))
+        self._stages[stage] = rows | added
+
+    def means(self, stage: str) -> dict[str, float]:
+        """Return the means over a stage, of the numbers that have a value in one of its rows."""
+        rows = self._stages.get(stage, {})
+        return {name: total / count for name, (count, total, _) in rows.items()}
+
+    def by_stage(self) -> dict[str, dict[str, float]]:
+        """Return NAME_mean and NAME_largest by stage, in the order of the stages."""
+        return {
+            stage: {
+                f"{name}_{end}": number
+                for name, (count, total, largest) in rows.items()
+                for end, number in (("mean", total / count), ("largest", largest))
+            }
+            for stage, rows in self._stages.items()
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return counts, sums and largest values, also without the last row."""
+        return {"stages": self._stages, "before": self._before}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`."""
+
+        def rows(given: dict[str, Any]) -> dict[str, tuple[int, float, float]]:
+            return {name: (int(count), total, largest) for name, (count, total, largest) in given.items()}
+
+        self._stages = {stage: rows(each) for stage, each in saved["stages"].items()}
+        self._before = rows(saved["before"])
+
 
 # Flow through a plane
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from granflow.arguments import shown
 from granflow.errors import FunctionError
+from granflow.observers.meters import StageRows
 from granflow.plan.plan import Plan
 from granflow.scene.blocks.metrics import MeasuredScene, Metric, Reading
 from granflow.snapshot import Snapshot
@@ -29,32 +30,18 @@ class MetricMeter:
         self.remark = ""
         self._stage = ""
         self._last: dict[str, float] = {}
-        self._sums: dict[str, float] = {}
-        self._counts: dict[str, int] = {}
-        self._sums_before: dict[str, float] = {}
-        self._counts_before: dict[str, int] = {}
+        self._rows = StageRows()
 
     def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
         """Evaluate the metric with a snapshot, which must have the parts `wants`.
 
         `replaces_last`: the last values, of the same stage, do not enter the mean any more.
         """
-        if replaces_last:
-            self._sums = self._sums_before
-            self._counts = self._counts_before
-        if snapshot.stage != self._stage:
-            self._stage = snapshot.stage
-            self._sums = {}
-            self._counts = {}
-        self._sums_before = dict(self._sums)
-        self._counts_before = dict(self._counts)
+        self._stage = snapshot.stage
         reading = self._measure(snapshot)
         self._last = {name: float(value) for name, value in reading.numbers.items()}
         self.remark = reading.remark
-        for name, number in self._last.items():
-            known = number == number
-            self._sums[name] = self._sums.get(name, 0.0) + (number if known else 0.0)
-            self._counts[name] = self._counts.get(name, 0) + known
+        self._rows.update(snapshot.stage, self._last, replaces_last)
 
     def readings(self) -> dict[str, float]:
         """Return the values of the last snapshot, in the units of METRIC_QUANTITIES; empty before the
@@ -64,23 +51,16 @@ class MetricMeter:
     def result(self) -> dict[str, float]:
         """Return the last values, and as `NAME_mean` the means over the values of the last stage that are not
         NaN."""
-        means = {
-            f"{name}_mean": self._sums[name] / count if count else float("nan")
-            for name, count in self._counts.items()
-        }
-        return self._last | means
+        means = self._rows.means(self._stage)
+        return self._last | {f"{name}_mean": means.get(name, float("nan")) for name in self._last}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the stage, the last values and their remark, and sums and counts of the stage, also without
-        these."""
+        """Return the stage, the last values and their remark, and the means over the rows."""
         return {
             "stage": self._stage,
             "last": self._last,
             "remark": self.remark,
-            "sums": self._sums,
-            "counts": self._counts,
-            "sums_before": self._sums_before,
-            "counts_before": self._counts_before,
+            "rows": self._rows.state_dict(),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -88,10 +68,7 @@ class MetricMeter:
         self._stage = saved["stage"]
         self._last = saved["last"]
         self.remark = saved["remark"]
-        self._sums = saved["sums"]
-        self._counts = saved["counts"]
-        self._sums_before = saved["sums_before"]
-        self._counts_before = saved["counts_before"]
+        self._rows.load_state_dict(saved["rows"])
 
 
 def metric_meters(plan: Plan) -> dict[str, MetricMeter]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from granflow.io.tables import RESIDENCE_FILE, RowFile
-from granflow.observers.meters import FlowCounter, Passages, joined
+from granflow.observers.meters import FlowCounter, Passages
 from granflow.scene.blocks.output import ResidenceTime
 from granflow.snapshot import Snapshot
 
@@ -97,11 +97,11 @@ class ResidenceTimes:
         if self.rows is not None and self.rows.is_empty:
             self.rows.write(_RESIDENCE)
         out = meters[self.to].passages
-        if out is not None:
+        entering = out if self.begins_at is None else meters[self.begins_at].passages
+        if out is not None and entering is not None:
             if self.begins_at is None:
                 left, begun = self._inserted_and_left(out)
             else:
-                entering = meters[self.begins_at].passages
                 left, begun = self._entered_and_left(entering, out)
             self._mass += left.mass.tolist()
             self._time += (left.time - begun).tolist()
@@ -128,25 +128,29 @@ class ResidenceTimes:
         self._left.add(number)
         return is_new
 
-    def _entered_and_left(self, entering: Passages | None, out: Passages) -> tuple[Passages, np.ndarray]:
+    def _entered_and_left(self, entering: Passages, out: Passages) -> tuple[Passages, np.ndarray]:
         """The passages of `to` that end a residence, and the times (k,) [s] of the passages of `from`."""
-        both = out if entering is None else joined([entering, out])
-        entering_times = np.zeros(0) if entering is None else entering.time
-        order = np.argsort(np.concatenate([entering_times, out.time]), kind="stable")
-        is_out = order >= len(entering_times)
-        may_enter = self._counts(both.group, both.time)
+        events = sorted(
+            (time, leaves, k)
+            for leaves, passages in ((False, entering), (True, out))
+            for k, time in enumerate(passages.time.tolist())
+        )
+        may_enter = self._counts(entering.group, entering.time)
         ended = []
         begun = []
-        for k, number in enumerate(both.id.tolist()):
-            forward = both.direction[k] > 0
-            if not is_out[k] and forward and may_enter[k]:
-                self._entered.setdefault(number, float(both.time[k]))
-            elif not is_out[k] and not forward:
+        for time, leaves, k in events:
+            passages = out if leaves else entering
+            number = int(passages.id[k])
+            forward = passages.direction[k] > 0
+            if leaves:
+                if forward and number in self._entered:
+                    ended.append(k)
+                    begun.append(self._entered.pop(number))
+            elif not forward:
                 self._entered.pop(number, None)
-            elif is_out[k] and forward and number in self._entered:
-                ended.append(k)
-                begun.append(self._entered.pop(number))
-        return both.select(np.array(ended, dtype=int)), np.array(begun)
+            elif may_enter[k]:
+                self._entered.setdefault(number, time)
+        return out.select(np.array(ended, dtype=int)), np.array(begun)
 
     def _count_residing(self, snapshot: Snapshot) -> int:
         """Number of particles present that have entered and not left; forgets those that were deleted."""

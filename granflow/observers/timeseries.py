@@ -21,7 +21,7 @@ from granflow.fields import (
     Quantity,
 )
 from granflow.io.tables import COLLISION_COLUMNS, COLLISION_FILE, RowFile
-from granflow.observers.meters import FlowCount, FlowCounter, WallForceMeter
+from granflow.observers.meters import FlowCount, FlowCounter, StageRows, WallForceMeter
 from granflow.observers.metrics import MetricMeter
 from granflow.observers.observer import ScheduledObserver
 from granflow.observers.passages import PassageTable, ResidenceTimes
@@ -54,51 +54,6 @@ class Row:
     time: float
     time_before: float
     numbers: Mapping[str, float]
-
-
-class StageRows:
-    """Mean and largest value of each total over the rows of each stage."""
-
-    def __init__(self) -> None:
-        self._stages: dict[str, dict[str, tuple[int, float, float]]] = {}
-        self._before: dict[str, tuple[int, float, float]] = {}
-
-    def update(self, snapshot: Snapshot, replaces_last: bool) -> None:
-        """Add the totals of a row. `replaces_last`: the row before, of the same stage, does not count."""
-        if replaces_last:
-            self._stages[snapshot.stage] = self._before
-        rows = self._stages.get(snapshot.stage, {})
-        self._before = rows
-        added = {}
-        for name, number in snapshot.totals.items():
-            if name in TOTAL_QUANTITIES and np.isfinite(number):
-                count, total, largest = rows.get(name, (0, 0.0, -np.inf))
-                added[name] = (count + 1, total + float(number), max(largest, float(number)))
-        self._stages[snapshot.stage] = rows | added
-
-    def result(self) -> dict[str, dict[str, float]]:
-        """Return the numbers of STAGE_QUANTITIES by stage, in the order of the stages."""
-        return {
-            stage: {
-                f"{name}_{end}": number
-                for name, (count, total, largest) in rows.items()
-                for end, number in (("mean", total / count), ("largest", largest))
-            }
-            for stage, rows in self._stages.items()
-        }
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return counts, sums and largest values, also without the last row."""
-        return {"stages": self._stages, "before": self._before}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state of `state_dict`."""
-
-        def rows(given: dict[str, Any]) -> dict[str, tuple[int, float, float]]:
-            return {name: (int(count), total, largest) for name, (count, total, largest) in given.items()}
-
-        self._stages = {stage: rows(each) for stage, each in saved["stages"].items()}
-        self._before = rows(saved["before"])
 
 
 class TimeSeries(ScheduledObserver):
@@ -159,7 +114,8 @@ class TimeSeries(ScheduledObserver):
         for meters in self.meters.values():
             for meter in meters.values():
                 meter.update(snapshot, replaces_last)
-        self._stage_rows.update(snapshot, replaces_last)
+        known = {name: number for name, number in snapshot.totals.items() if name in TOTAL_QUANTITIES}
+        self._stage_rows.update(snapshot.stage, known, replaces_last)
         self._record_passages(snapshot)
         time_before = snapshot.time if self._time_before is None else self._time_before
         self._last = snapshot.time, time_before, snapshot.totals
@@ -167,8 +123,8 @@ class TimeSeries(ScheduledObserver):
             return
         readings = self._readings()
         if self._rows.is_empty:
-            known = [name for name in TOTAL_QUANTITIES if name in snapshot.totals]
-            self._names = known + [name for name in snapshot.totals if name not in TOTAL_QUANTITIES]
+            first = [name for name in TOTAL_QUANTITIES if name in snapshot.totals]
+            self._names = first + [name for name in snapshot.totals if name not in TOTAL_QUANTITIES]
             self._rows.write(["time [s]", "stage", *map(_column_label, self._names), *readings])
         totals = [snapshot.totals.get(name, "") for name in self._names]
         self._rows.write([snapshot.time, snapshot.stage, *totals, *readings.values()], replaces_last)
@@ -220,7 +176,7 @@ class TimeSeries(ScheduledObserver):
         The parts of a flow meter follow it, as `outlet.glass`.
         """
         results = {kind: {name: meter.result() for name, meter in self._named(kind)} for kind in self.meters}
-        results["stages"] = self._stage_rows.result()
+        results["stages"] = self._stage_rows.by_stage()
         if self._residence is not None:
             results["residence_time"] = {self._residence.to: self._residence.result()}
         return results

@@ -527,8 +527,7 @@ def stage_names(parts: PartialScene) -> Iterator[Fault]:
 
     A scene without stages has the single stage "run".
     """
-    stages = parts.scene.stages
-    known = [stage.name for stage in stages] or ["run"]
+    known = parts.scene.stage_names
     for index, name in enumerate(known):
         if name in known[:index]:
             reason = f"stages.{known.index(name)} has the same name; give each stage a different name"
@@ -536,7 +535,7 @@ def stage_names(parts: PartialScene) -> Iterator[Fault]:
     for path, part in [*_walls(parts.scene), *_motions(parts.scene), *_damping(parts.scene)]:
         for index, name in enumerate(part.stages or ()):
             location = (*path, "stages", index)
-            if name not in known and stages:
+            if name not in known and parts.scene.stages:
                 yield unknown(location, name, known, "stage")
             elif name not in known:
                 remedy = "remove stages" if path == ("damping",) else "give times instead of stages"
@@ -746,7 +745,7 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     meters = parts.scene.output.flow_meters
     meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
     inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
-    stages = [stage.name for stage in scene.stages] or ["run"]
+    stages = scene.stage_names
     ends = [] if scene.output.residence_time is None else [scene.output.residence_time.to]
     read = [key for each in scene.chosen_models.values() for key in each.law.wall_properties.model_fields]
     giving = [
@@ -774,7 +773,7 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
 def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
     """Expectations must refer to metrics that provide the quantity, or its time average NAME_mean."""
     known = parts.scene.output.metrics
-    stages = [stage.name for stage in parts.scene.stages] or ["run"]
+    stages = parts.scene.stage_names
     for path, quantity, name in _expected(parts.scene):
         if quantity not in METRIC_QUANTITIES or (quantity in STAGE_QUANTITIES and name in stages):
             continue

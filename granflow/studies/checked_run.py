@@ -180,8 +180,8 @@ def result_names(scene: Scene) -> tuple[str, ...]:
     for meter in scene.output.flow_meters:
         parts = [meter, *(f"{meter}.{part}" for part in scene.flow_meter_parts(meter))]
         names += [f"{quantity}.{part}" for quantity in FLOW_METER_QUANTITIES for part in parts]
-    stages = [stage.name for stage in scene.stages] or ["run"]
-    names += [name for each in STAGE_QUANTITIES for name in (each, *(f"{each}.{stage}" for stage in stages))]
+    for each in STAGE_QUANTITIES:
+        names += [each, *(f"{each}.{stage}" for stage in scene.stage_names)]
     if (given := scene.output.residence_time) is not None:
         names += [f"{quantity}.{given.to}" for quantity in RESIDENCE_QUANTITIES]
     for name, metric in scene.output.metrics.items():

@@ -115,6 +115,17 @@ def _checked(sweep: SweepFile, point: DesignPoint, common: RunSettings, seed_off
         return str(error)
 
 
+def runs_of(points: Points) -> list[CheckedRun]:
+    """The runs of all points that are not refused."""
+    return [run for _, each in points for run in each if isinstance(run, CheckedRun)]
+
+
+def texts_of(sweep: SweepFile, points: Points) -> dict[str, str]:
+    """What identifies each run in reports, by its directory, see `run_texts`."""
+    table = table_of(tuple(sweep.content.vary), sweep.content.read, points, {})
+    return run_texts(shown(sweep.content, table))
+
+
 def run_sweep(
     sweep: SweepFile,
     out: Path,
@@ -136,12 +147,11 @@ def run_sweep(
         common = RunSettings(out / "runs", workers.threads, arch, out / STOP_FILE)
         common.stop_file.unlink(missing_ok=True)
         points = checked_points(sweep, common, stop.is_set, announce)
-        runs = [run for _, each in points for run in each if isinstance(run, CheckedRun)]
+        runs = runs_of(points)
         names = (tuple(sweep.content.vary), sweep.content.read)
         with executor_for(workers) as (executor, slots):
             updates = _Updates(out, lambda outcomes: table_of(*names, points, outcomes), report)
-            texts = run_texts(shown(sweep.content, table_of(*names, points, {})))
-            driver = Driver(executor, slots, stop, updates.report, texts)
+            driver = Driver(executor, slots, stop, updates.report, texts_of(sweep, points))
             updates.outcomes = driver.outcomes
             try:
                 driver.run(runs)
@@ -187,11 +197,9 @@ def run_part(
         common = RunSettings(out / "runs", workers.threads, arch, own / STOP_FILE)
         common.stop_file.unlink(missing_ok=True)
         points = checked_points(sweep, common, stop.is_set, announce)
-        runs = part.of([run for _, each in points for run in each if isinstance(run, CheckedRun)])
-        table = table_of(tuple(sweep.content.vary), sweep.content.read, points, {})
         with executor_for(workers) as (executor, slots):
-            driver = Driver(executor, slots, stop, report, run_texts(shown(sweep.content, table)))
-            return driver.run(runs)
+            driver = Driver(executor, slots, stop, report, texts_of(sweep, points))
+            return driver.run(part.of(runs_of(points)))
 
 
 class _Updates:

@@ -12,7 +12,6 @@ import granflow as gf
 from granflow.cli.main import main
 from granflow.contact.theory import damping_ratio_for
 from granflow.importing.convert import all_commands, all_fixes, convert
-from granflow.importing.heat import is_simulated
 from granflow.importing.insertion import pour_flows
 from granflow.importing.language import DeckError
 from granflow.importing.materials import collision, free_restitution, plastic_collision, tsuji
@@ -317,7 +316,6 @@ def test_errors(tmp_path, old, new, message):
     assert message in str(caught.value)
 
 
-@pytest.mark.skipif(not is_simulated(), reason="this version does not simulate heat")
 def test_heat(tmp_path):
     """LIGGGHTS conducts 2 k sqrt(2 pi R d) where granflow conducts 2 k a, a = sqrt(R d)."""
     properties = (

@@ -139,6 +139,11 @@ class SceneInput(Model):
         """Duration [s] if each stage takes its longest."""
         return sum(stage.longest for stage in self.schedule)
 
+    @property
+    def stage_names(self) -> list[str]:
+        """Names of the stages; a scene without stages has the single stage "run"."""
+        return [stage.name for stage in self.stages] or ["run"]
+
     def flow_meter_parts(self, name: str) -> tuple[str, ...]:
         """Names of the materials or groups with separate counts in a flow meter; empty without `group_by`.
 
