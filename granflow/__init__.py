@@ -99,6 +99,9 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.walls.revolved import Cone as Cone
     from granflow.scene.blocks.walls.revolved import Cylinder as Cylinder
     from granflow.scene.blocks.walls.revolved import Disc as Disc
+    from granflow.scene.blocks.wear import ArchardWear as ArchardWear
+    from granflow.scene.blocks.wear import FinnieWear as FinnieWear
+    from granflow.scene.blocks.wear import RelativeWear as RelativeWear
     from granflow.scene.registration import register_contact_model as register_contact_model
     from granflow.scene.registration import register_metric as register_metric
     from granflow.scene.registration import register_particle_equation as register_particle_equation
@@ -115,6 +118,7 @@ os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 os.environ.setdefault("HOME", os.path.expanduser("~"))
 
 _LOCATIONS = {
+    "ArchardWear": "granflow.scene.blocks.wear.ArchardWear",
     "Box": "granflow.scene.blocks.primitives.Box",
     "BoxOutlet": "granflow.scene.blocks.outlets.BoxOutlet",
     "BoxRegion": "granflow.scene.blocks.insertions.BoxRegion",
@@ -140,6 +144,7 @@ _LOCATIONS = {
     "FabricMetric": "granflow.scene.blocks.metrics.FabricMetric",
     "FieldGrid": "granflow.scene.blocks.output.FieldGrid",
     "FileInsertion": "granflow.scene.blocks.insertions.FileInsertion",
+    "FinnieWear": "granflow.scene.blocks.wear.FinnieWear",
     "FlowMeter": "granflow.scene.blocks.output.FlowMeter",
     "FreeWall": "granflow.scene.blocks.motions.FreeWall",
     "FunctionError": "granflow.errors.FunctionError",
@@ -169,6 +174,7 @@ _LOCATIONS = {
     "RainInsertion": "granflow.scene.blocks.insertions.RainInsertion",
     "Rectangle": "granflow.scene.blocks.walls.rectangle.Rectangle",
     "RectangleFace": "granflow.scene.blocks.insertions.RectangleFace",
+    "RelativeWear": "granflow.scene.blocks.wear.RelativeWear",
     "ReposeMetric": "granflow.scene.blocks.metrics.ReposeMetric",
     "ResidenceTime": "granflow.scene.blocks.output.ResidenceTime",
     "RestitutionFit": "granflow.scene.blocks.materials.RestitutionFit",

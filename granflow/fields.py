@@ -605,6 +605,9 @@ WALL_ARRAY_QUANTITIES = by_name(
             "velocity of a belt along the triangle, if a wall has one",
             "vector",
         ),
+        Quantity("wear_depth", "", "m", "worn volume per area since the start, if a wall has `wear`"),
+        Quantity("wear_normal_work", "", "J/m2", "work of the normal forces per area, likewise"),
+        Quantity("wear_tangential_work", "", "J/m2", "work of the friction forces per area, likewise"),
     )
 )
 """Arrays of wall files, one entry per triangle."""
@@ -803,6 +806,20 @@ WALL_QUANTITIES = by_name(
     )
 )
 """Numbers of each controlled wall."""
+WEAR_QUANTITIES = by_name(
+    (
+        Quantity("wear_volume", "", "m3", "volume worn from a wall since the start, see `wear` of walls"),
+        Quantity(
+            "wear_depth_largest",
+            "",
+            "m",
+            "largest worn volume over area of the triangles of a mesh, or that of a wall of another shape",
+        ),
+        Quantity("wear_normal_work", "", "J", "work of the normal forces on a worn wall, without its sign"),
+        Quantity("wear_tangential_work", "", "J", "work of the friction forces on a worn wall, likewise"),
+    )
+)
+"""Numbers of each wall with wear."""
 RUN_QUANTITIES = by_name(
     (
         Quantity("simulated_time", "t", "s", "simulated time at the end"),

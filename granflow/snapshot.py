@@ -13,6 +13,7 @@ from granflow.fields import (
     PARTICLE_QUANTITIES,
     TOTAL_QUANTITIES,
     WALL_FLOW_QUANTITIES,
+    WEAR_QUANTITIES,
 )
 from granflow.visible_text import html_table, numbered, readable
 
@@ -72,6 +73,8 @@ class Snapshot:
                 normal force [N s] of the particles on the wall
     collisions: numbers of collisions since the start by energy class (classes + 2,), for contacts with a
                 "particle" and a "wall"; empty without `output.collision_energies`
+    wear:       worn volume [m3], normal and tangential work [J] since the start (k, 3) of each worn wall: of
+                each triangle of a mesh; one row for a wall of another shape
 
     All arrays and mappings are read-only; an unknown name raises KeyError with those that exist.
 
@@ -89,6 +92,7 @@ class Snapshot:
     totals: Mapping[str, float]
     impulses: Mapping[str, np.ndarray] = field(default_factory=dict)
     collisions: Mapping[str, np.ndarray] = field(default_factory=dict)
+    wear: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particles", _read_only_arrays("particles", self.particles))
@@ -98,6 +102,7 @@ class Snapshot:
         object.__setattr__(self, "totals", _read_only_mapping("totals", self.totals))
         object.__setattr__(self, "impulses", _read_only_arrays("impulses", self.impulses))
         object.__setattr__(self, "collisions", _read_only_arrays("collisions", self.collisions))
+        object.__setattr__(self, "wear", _read_only_arrays("wear", self.wear))
 
     @property
     def is_finite(self) -> bool:
@@ -130,7 +135,7 @@ class Snapshot:
                     (f"{kind}[{name!r}]", f"{values.shape}{_range(values)}{f' {unit}' * (unit != '1')}")
                 )
         rows.append(("walls", ", ".join(self.walls) or "none"))
-        known = {**TOTAL_QUANTITIES, **WALL_FLOW_QUANTITIES}
+        known = {**TOTAL_QUANTITIES, **WALL_FLOW_QUANTITIES, **WEAR_QUANTITIES}
         for name, number in self.totals.items():
             quantity = known.get(name.partition(".")[0])
             unit = "1" if quantity is None else quantity.unit
@@ -141,7 +146,7 @@ class Snapshot:
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled; worker processes return snapshots with plain dictionaries.
         contacts = None if self.contacts is None else dict(self.contacts)
-        sums = dict(self.impulses), dict(self.collisions)
+        sums = dict(self.impulses), dict(self.collisions), dict(self.wear)
         plain = (dict(self.particles), contacts, dict(self.walls), dict(self.totals), *sums)
         return Snapshot, (self.time, self.step, self.stage, *plain)
 

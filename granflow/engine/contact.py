@@ -29,6 +29,7 @@ from granflow.engine.state import State
 from granflow.engine.sums import SHARES, add_energy, build_list_shares, build_to_grid, carried, exact_totals
 from granflow.engine.wall_dynamics import ForceControlledWalls, WallImpulses
 from granflow.engine.walls import Faces, WallGeometry
+from granflow.engine.wear import FaceWear
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
     LOSS_WALL_WORK,
@@ -47,7 +48,7 @@ class Contact:
              history, in_contact, neighbor lists, walls, mesh, pair_constants, law_parameters,
              liquid_film_before, collision_edges, and the properties that flows read
     Writes:  history, in_contact, losses, wall_work_ahead, boundary_work, impulses, collisions, wall_force,
-             liquid_film, sums of flows, abort, abort_particle
+             wear, liquid_film, sums of flows, abort, abort_particle
     """
 
     def __init__(self, state: State, with_wall: bool) -> None:
@@ -67,6 +68,8 @@ class Contact:
         self.films = state.built(LiquidFilms) if self.liquid else None
         self.has_flows = len(plan.laws.flows) > 0
         self.flows = state.built(Flows) if self.has_flows else None
+        self.wears = with_wall and plan.features.wear
+        self.wear = state.built(FaceWear) if self.wears else None
         self.max_overlap = state.parameter("max_overlap")
         self.longest_time_step = state.parameter("longest_time_step")
         self.keeps_bond = "cohesion" in state.neighbors.history
@@ -106,6 +109,8 @@ class Contact:
             )
             self.histories.write(list_index, found.history)
             self._account(chunk, i, j, pose, kinematics.normal, found, dt)
+            if ti.static(self.wears):
+                self.wear.add(i, j, kinematics, angular_velocities, force, dt)
             if ti.static(self.has_flows):
                 touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest))
                 self.flows.add(chunk, i, j, constants, touching, self.with_wall)

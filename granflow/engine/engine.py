@@ -52,6 +52,7 @@ from granflow.engine.totals import (
     wall_poses,
 )
 from granflow.engine.wall_dynamics import wall_impulses
+from granflow.engine.wear import wall_wear, wear_totals
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.sphere import sphere_inertia
@@ -407,7 +408,8 @@ class Engine:
         poses = wall_poses(self.state) if "walls" in quantities else {}
         if quantities <= {"walls"}:
             count = {"particle_count": float(self.particle_count)}
-            return Snapshot(self.time, self.step_count, stage, {}, None, poses, count)
+            wear = wall_wear(self.state)
+            return Snapshot(self.time, self.step_count, stage, {}, None, poses, count, wear=wear)
         pose = self.stepper.poses.index_at(self.step_count)
         measured = self.state.built(ContactStatistics).measure(pose)
         arrays, sums = self._particles_and_sums("particles" in quantities)
@@ -420,7 +422,9 @@ class Engine:
             if "contacts" in quantities
             else None
         )
-        since_start = wall_impulses(self.state), collision_counts(self.state)
+        wear = wall_wear(self.state)
+        totals |= wear_totals(self.state, wear)
+        since_start = wall_impulses(self.state), collision_counts(self.state), wear
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, *since_start)
 
     def _particles_and_sums(self, needs_arrays: bool) -> tuple[dict[str, np.ndarray], ParticleSums]:
@@ -590,8 +594,8 @@ class Engine:
 # Sums over the chunks of particles, and force-controlled walls, in checkpoints.
 
 OTHER_FEATURES = (
-    "Friction, rolling friction, the energy budget, wall forces and collision energies cannot be switched on "
-    "or off in a resumed run."
+    "Friction, rolling friction, the energy budget, wall forces, wear and collision energies cannot be "
+    "switched on or off in a resumed run."
 )
 """End of messages on arrays that do not match those of the scene."""
 

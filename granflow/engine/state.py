@@ -366,6 +366,10 @@ NOT_MEASURED = -1
 """Impulse row of walls whose forces are not measured."""
 
 
+NOT_WORN = -1
+"""Law of walls without wear."""
+
+
 class Walls:
     """Shapes at rest, materials, and poses for the next POSE_COUNT steps.
 
@@ -379,6 +383,9 @@ class Walls:
     surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane;
                        None without belts
     impulse_row:       row in `Control.impulses`, or NOT_MEASURED
+    wear_law:          index in `Plan.wear_laws`, or NOT_WORN
+    wear_row:          row in `Control.wear`; of a mesh that of triangle 0 of all meshes, which can be below 0
+    wear_coefficient:  worn volume over work [1/Pa] by material of the particle
     values:            keys that contact models read, and 1 or 0 for whether a wall gives them: two fields by
                        key
     """
@@ -398,6 +405,10 @@ class Walls:
         self.velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
         self.impulse_row = block.scalar(ti.i32, count) if plan.features.wall_forces else None
         self.angular_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
+        worn = plan.features.wear
+        self.wear_law: Any = block.scalar(ti.i32, count) if worn else None
+        self.wear_row: Any = block.scalar(ti.i32, count) if worn else None
+        self.wear_coefficient: Any = block.scalar(ti.f64, count, len(plan.materials)) if worn else None
         has_belt = plan.features.surface_velocity
         self.surface_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if has_belt else None
         self.values = {
@@ -421,7 +432,24 @@ class Walls:
                 value = plan.wall_values[key][index]
                 values[index] = value or 0.0
                 given[index] = float(value is not None)
+        self._fill_wear(plan)
         self.fill_joints(plan)
+
+    def _fill_wear(self, plan: Plan) -> None:
+        """Write laws, rows and coefficients of wear; 0 for materials that are no material of particles."""
+        if self.wear_law is None:
+            return
+        used = [group.material for group in plan.scene.particles.values()]
+        for index, wall in enumerate(plan.walls):
+            wear = wall.spec.wear
+            self.wear_law[index] = NOT_WORN if wear is None else plan.wear_laws.index(type(wear))
+            if wear is None:
+                continue
+            first, _ = plan.wear_rows[index]
+            self.wear_row[index] = first - (plan.first_triangle(index) if index in plan.meshes else 0)
+            for number, material in enumerate(plan.materials):
+                is_used = material in used
+                self.wear_coefficient[index, number] = wear.volume_per_work(material) if is_used else 0.0
 
     def fill_joints(self, plan: Plan) -> None:
         """Write which walls touch; it changes if a program changes the motion of a wall."""
@@ -577,6 +605,7 @@ class Control(Fields):
     wall_flows:                 time integrals of the flows of walls, and in the last place of the
                                 surroundings, see `engine.flows`
     wall_flows_ahead:           part of them that belongs to the next step
+    wear:                       worn volume and works of each worn face, see `engine.wear`
     collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
     wall_work_ahead:            part of the work of moving walls of each chunk that belongs to the next step,
                                 see `engine.contact`

@@ -87,6 +87,7 @@ def observers_for(
                 measured=plan.measured_areas,
                 unbounded=[wall.name for wall in plan.walls if wall.surface.area is None],
                 has_belts=plan.features.surface_velocity,
+                wear_areas=plan.wear_areas,
                 compression=output.compression,
             )
         )

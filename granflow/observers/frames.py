@@ -252,6 +252,8 @@ class WallFrames(Frames):
                 `traction` and `pressure` [Pa] are their instantaneous values
     unbounded:  names of infinite walls, whose triangles remain in the domain
     has_belts:  write the cell array `surface_velocity` [m/s], which is 0 on walls without one
+    wear_areas: areas (k,) [m2] of the rows of `Snapshot.wear` of each wall with wear, None for an infinite
+                wall; the cell arrays are those of `wear_arrays`
     """
 
     stem = "walls"
@@ -266,6 +268,7 @@ class WallFrames(Frames):
         measured: Mapping[str, float | None] | None = None,
         unbounded: Collection[str] = (),
         has_belts: bool = False,
+        wear_areas: Mapping[str, np.ndarray | None] | None = None,
         compression: Compression = "zlib",
     ) -> None:
         super().__init__(directory, interval, start, writer, compression)
@@ -273,6 +276,7 @@ class WallFrames(Frames):
         self._measured = dict(measured or {})
         self._unbounded = frozenset(unbounded)
         self._has_belts = has_belts
+        self._wear_areas = dict(wear_areas or {})
         self._areas = {name: triangle_areas(*triangles[name]) for name in self._measured}
         self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
 
@@ -288,6 +292,7 @@ class WallFrames(Frames):
         tractions = [np.zeros((0, 3))]
         pressures = [np.zeros(0)]
         belts = [np.zeros((0, 3))]
+        wear = [np.zeros((0, len(WEAR_ARRAYS)))]
         point_count = 0
         for index, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
             pose = snapshot.walls.get(name)
@@ -301,13 +306,18 @@ class WallFrames(Frames):
             tractions.append(traction)
             pressures.append(pressure)
             belts.append(_along_faces(pose.surface_velocity, moved[rest_corners]))
+            areas = self._wear_areas.get(name)
+            wear.append(wear_per_area(snapshot.wear.get(name), areas, len(rest_corners)))
             point_count += len(rest_points)
-        cell_data = {"wall": np.concatenate(walls)}
+        cell_data: dict[str, np.ndarray] = {"wall": np.concatenate(walls)}
         if self._measured:
             cell_data["traction"] = np.concatenate(tractions).astype(np.float32)
             cell_data["pressure"] = np.concatenate(pressures).astype(np.float32)
         if self._has_belts:
             cell_data["surface_velocity"] = np.concatenate(belts).astype(np.float32)
+        if self._wear_areas:
+            columns = np.concatenate(wear).astype(np.float32)
+            cell_data |= {name: columns[:, k] for k, name in enumerate(WEAR_ARRAYS)}
         return VtuMesh.of_cells(
             "triangle",
             np.concatenate(points),
@@ -324,6 +334,22 @@ class WallFrames(Frames):
         if name not in self._measured:
             return np.full((count, 3), np.nan), np.full(count, np.nan)
         return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._measured[name])
+
+
+WEAR_ARRAYS = ("wear_depth", "wear_normal_work", "wear_tangential_work")
+"""Cell arrays of walls with wear, in the order of the columns of `Snapshot.wear`, per area."""
+
+
+def wear_per_area(wear: np.ndarray | None, areas: np.ndarray | None, count: int) -> np.ndarray:
+    """Return depth [m] and works [J/m2] (count, 3) of the triangles of a wall.
+
+    `wear`: rows of the wall in `Snapshot.wear`; `areas` (k,) [m2] of the rows. For a mesh, the values are
+    those of each triangle; for another shape, the mean over the whole wall. NaN for an infinite wall, and
+    for a wall without wear.
+    """
+    if wear is None or areas is None:
+        return np.full((count, len(WEAR_ARRAYS)), np.nan)
+    return np.broadcast_to(wear / areas[:, None], (count, len(WEAR_ARRAYS))).copy()
 
 
 def traction_and_pressure(

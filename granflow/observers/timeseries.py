@@ -18,6 +18,7 @@ from granflow.fields import (
     WALL_FLOW_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
+    WEAR_QUANTITIES,
     Quantity,
 )
 from granflow.io.tables import COLLISION_COLUMNS, COLLISION_FILE, RowFile
@@ -36,7 +37,7 @@ READINGS: Mapping[str, Mapping[str, Quantity]] = {
     "metrics": METRIC_QUANTITIES,
 }
 """Quantities that the meters of each kind read, by name, in the order of the columns."""
-PARTS = {**OUTLET_QUANTITIES, **WALL_QUANTITIES}
+PARTS = {**OUTLET_QUANTITIES, **WALL_QUANTITIES, **WEAR_QUANTITIES}
 """Totals of one outlet or wall, named `NAME.PART`."""
 NO_ROWS = {"size": 0, "unwritten": ""}
 """State of the rows without a file."""

@@ -22,7 +22,15 @@ from granflow.plan.capacities import (
     rounded_capacity,
 )
 from granflow.plan.plan import Plan
-from granflow.plan.sum_units import CARRY_BITS, IMPULSE_SIZE, LOSSES, UNIT_ENERGY, UNIT_TORQUE
+from granflow.plan.sum_units import (
+    CARRY_BITS,
+    IMPULSE_SIZE,
+    LOSSES,
+    UNIT_ENERGY,
+    UNIT_TORQUE,
+    UNIT_WALL_FORCE,
+    WEAR_SIZE,
+)
 from granflow.plan.wall_control import ControlledMotion
 from granflow.scene.blocks.run import Precision
 
@@ -164,7 +172,7 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
 
 
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
-    """Sums of each chunk, for the energy budget, wall forces and collisions.
+    """Sums of each chunk, for the energy budget, wall forces and collisions, and the wear of walls.
 
     Terms of the energy budget, wall forces, work at periodic boundaries and of external forces, numbers of
     collisions. Each term has two components, see `engine.sums`.
@@ -175,6 +183,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     energy_budget = plan.features.energy_budget
     classes = 2 * plan.capacities.energy_classes
     wall_flows = len(plan.wall_flows)
+    worn = plan.capacities.wear_rows
     has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
     has_wall_work = energy_budget and plan.features.moving_walls
@@ -189,6 +198,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
         sums("boundary_work", (chunks,), 1, has_image_work),
         sums("external_work", (chunks,), 1, has_external_work),
         sums("collisions", (wall_rows, classes), 1, classes > 0),
+        sums("wear", (1, worn), WEAR_SIZE, worn > 0),
         sums("wall_flows", (wall_rows, plan.capacities.walls + 1), wall_flows, wall_flows > 0),
         sums("wall_flows_ahead", (wall_rows, plan.capacities.walls + 1), wall_flows, wall_flows > 0),
     ]
@@ -273,6 +283,9 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     yield _scalar("coordinate_limit", "position", plan.coordinate_limit)
     yield from _of_sums(plan)
     yield from _of_flows(plan)
+    if plan.features.wear:
+        high_words = 2.0**-CARRY_BITS / np.array([plan.sum_units.wear_volume, plan.sum_units.energy])
+        yield _vector("per_unit.wear", "f64", high_words)
     if plan.features.liquid_transfer:
         yield _scalar("liquid_unit", "f64", plan.liquid_unit)
     yield _vector("gravity", "f64", plan.scene.gravity)
@@ -301,7 +314,7 @@ def _of_sums(plan: Plan) -> Iterator[Parameter]:
                unit of the high word, 2^CARRY_BITS units, see `engine.sums.energy_words`
     shift:     3/2 unit / eps of forces and torques, see `engine.sums.build_to_grid`
     """
-    units = np.array(astuple(plan.sum_units))
+    units = np.array(astuple(plan.sum_units)[: UNIT_WALL_FORCE + 1])
     eps = np.finfo(np.float64 if plan.scene.run.precision == "f64" else np.float32).eps
     per_unit = 1.0 / units
     per_unit[UNIT_ENERGY] /= 2.0**CARRY_BITS
@@ -356,6 +369,7 @@ def structure_of(plan: Plan) -> Hashable:
         plan.laws.structure,
         plan.scene.equations,
         plan.wall_flows,
+        (plan.wear_laws, len(plan.materials)) if plan.wear_laws else (),
         plan.external_forces,
         plan.periodic_box.axes,
         _shear_axes(plan),

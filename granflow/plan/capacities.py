@@ -50,6 +50,7 @@ class Capacities:
     chunk_particles: particles of a chunk, whose force sums a CPU thread holds
     wall_rows:       rows of the sums of wall forces, one for each chunk or SHARED_ROWS
     energy_classes:  classes of collision energies, with those below and above the edges; 0 without
+    wear_rows:       rows of the sums of wear, one for each triangle or wall with wear; 0 without
     history_share:   share of the list entries that can be saved with a history at a rebuild; not a length
     """
 
@@ -67,6 +68,7 @@ class Capacities:
     chunk_particles: int
     wall_rows: int
     energy_classes: int
+    wear_rows: int
     history_share: float
 
     @property

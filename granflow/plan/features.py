@@ -55,6 +55,8 @@ class Features:
     """What flows through contacts and is summed for each particle; particle equations read the sums."""
     loss_heat: bool = False
     """Whether the losses of contacts become heat of the particles."""
+    wear: bool = False
+    """Whether walls wear."""
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
@@ -270,6 +272,9 @@ def _rows(
     if getattr(scene.contact.options("heat"), "from_dissipation", False):
         place = where("contact", "heat", "from_dissipation")
         yield "loss_heat", True, f"contact.heat.from_dissipation is true ({place})"
+    worn = [name for name, wall in walls.items() if wall.wear is not None]
+    if worn:
+        yield "wear", True, f"wear of {', '.join(worn)} ({where('walls', worn[0], 'wear')})"
     yield "external_forces", False, "forces are added from Python only"
 
 

@@ -60,6 +60,7 @@ from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, meshes_of
 from granflow.scene.blocks.run import Stage
 from granflow.scene.blocks.walls.wall import WallNote
+from granflow.scene.blocks.wear import WallWear
 
 # Forces on particles that a program adds with device functions.
 
@@ -299,6 +300,44 @@ class Plan:
         """Largest coordinates of the domain (3,) [m]."""
         return np.array(self.scene.domain.max)
 
+    # Wear of walls.
+
+    @property
+    def wear_laws(self) -> tuple[type[WallWear], ...]:
+        """The kinds of wear of the walls, each once; kernels select one by its index."""
+        return tuple(dict.fromkeys(type(wall.spec.wear) for wall in self.walls if wall.spec.wear is not None))
+
+    @cached_property
+    def wear_rows(self) -> dict[int, tuple[int, int]]:
+        """First row of the sums of wear, and number of rows, of each worn wall by wall index: one for each
+        triangle of a mesh, one for another wall."""
+        found = {}
+        first = 0
+        for index, wall in enumerate(self.walls):
+            if wall.spec.wear is not None:
+                count = self.meshes[index].triangle_count if index in self.meshes else 1
+                found[index] = first, count
+                first += count
+        return found
+
+    @cached_property
+    def wear_areas(self) -> dict[str, np.ndarray | None]:
+        """Areas [m2] of the rows of each worn wall by name; None for an infinite wall."""
+        found: dict[str, np.ndarray | None] = {}
+        for index in self.wear_rows:
+            wall = self.walls[index]
+            area = wall.surface.area
+            whole = None if area is None else np.array([area])
+            found[wall.name] = self.meshes[index].areas if index in self.meshes else whole
+        return found
+
+    @property
+    def largest_volume_per_work(self) -> float:
+        """Largest k / H [1/Pa] of all walls and materials of particles; 0 without wear."""
+        worn = [wall.spec.wear for wall in self.walls if wall.spec.wear is not None]
+        materials = dict.fromkeys(group.material for group in self.scene.particles.values())
+        return max((wear.volume_per_work(each) for wear in worn for each in materials), default=0.0)
+
     # Limits of displacements and coordinates.
 
     @property
@@ -355,6 +394,7 @@ class Plan:
         in_chunk = min(self.chunk_size, self.particle_capacity)
         class_cells = self.class_cell_capacity
         measured = len(self.scene.measured_walls)
+        worn = sum(count for _, count in self.wear_rows.values())
         return Capacities(
             particles=rounded_capacity(self.particle_capacity, MIN_PARTICLES),
             segments=segments,
@@ -370,6 +410,7 @@ class Plan:
             chunk_particles=rounded_capacity(in_chunk, MIN_CHUNK_PARTICLES),
             wall_rows=SHARED_ROWS if each_is_a_chunk else rounded_capacity(chunk_count, MIN_CHUNKS),
             energy_classes=len(self.collision_edges) + 1 if self.features.collision_energies else 0,
+            wear_rows=rounded_capacity(worn, MIN_WALLS) if worn else 0,
             history_share=history_share(self.particle_capacity, segments, list_entries),
         )
 
@@ -423,6 +464,7 @@ class Plan:
             time_step=self.longest_time_step,
             size=2.0 * float(np.abs([self.domain_low, self.domain_high]).max()),
             weight=self.largest_weight,
+            volume_per_work=self.largest_volume_per_work,
         )
 
     @cached_property

@@ -44,6 +44,8 @@ LOSS_WALL_WORK = LOSSES.index("wall_work")
 IMPULSE_SIZE = 7
 """Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force
 (1)."""
+WEAR_SIZE = 3
+"""Sums of each worn face: volume, normal and tangential work."""
 
 
 # The units.
@@ -76,6 +78,7 @@ class SumUnits:
     impulse:          time integral of a wall force [N s]
     angular_impulse:  time integral of a wall torque [N m s]
     wall_force:       force on a force-controlled wall [N]
+    wear_volume:      worn volume of a wall [m3]
     """
 
     force: float
@@ -84,6 +87,7 @@ class SumUnits:
     impulse: float
     angular_impulse: float
     wall_force: float
+    wear_volume: float = 1.0
 
     @property
     def largest_force(self) -> float:
@@ -100,6 +104,7 @@ def sum_units(
     time_step: float,
     size: float,
     weight: float = 0.0,
+    volume_per_work: float = 0.0,
 ) -> SumUnits:
     """Units of a scene.
 
@@ -110,6 +115,7 @@ def sum_units(
     time_step:    longest time step [s]
     size:         largest distance [m] of a particle from the pivot of a wall
     weight:       [N], of the heaviest sphere
+    volume_per_work:  largest worn volume over work of all walls [1/Pa]; 0 without wear
     """
     force = weight
     energy = 0.0
@@ -125,13 +131,15 @@ def sum_units(
     force_scale = _power_of_two(force)
     radius_scale = _power_of_two(radius)
     impulse = force_scale * _power_of_two(time_step) / 2.0**IMPULSE_BITS
+    energy_unit = _power_of_two(energy) / 2.0**ENERGY_BITS
     return SumUnits(
         force=force_scale / 2.0**FORCE_BITS,
         torque=force_scale * radius_scale / 2.0**FORCE_BITS,
-        energy=_power_of_two(energy) / 2.0**ENERGY_BITS,
+        energy=energy_unit,
         impulse=impulse,
         angular_impulse=impulse * _power_of_two(size),
         wall_force=force_scale / 2.0**WALL_BITS,
+        wear_volume=energy_unit * _power_of_two(volume_per_work) if volume_per_work > 0.0 else 1.0,
     )
 
 

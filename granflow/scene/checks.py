@@ -27,6 +27,7 @@ from granflow.fields import (
     WALL_FLOW_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
+    WEAR_QUANTITIES,
     Quantity,
 )
 from granflow.scene.blocks.contact import Contact
@@ -459,6 +460,23 @@ def wall_values(parts: PartialScene) -> Iterator[Fault]:
                 yield replace(fault, path=("walls", name, *fault.path))
 
 
+def wear_materials(parts: PartialScene) -> Iterator[Fault]:
+    """Coefficients of wear are those of materials, and each material of particles has one."""
+    scene = parts.scene
+    known = parts.names("materials")
+    used = dict.fromkeys(group.material for group in scene.particles.values())
+    for name, wall in scene.walls.items():
+        given = None if wall.wear is None else wall.wear.materials
+        if given is None:
+            continue
+        path: KeyPath = ("walls", name, "wear", "coefficient")
+        for material in given:
+            if material not in known:
+                yield unknown((*path, material), material, known, "material")
+        for material in (each for each in used if each not in given and each in scene.materials):
+            yield missing((*path, material), "coefficient for the particles of this material")
+
+
 def heat_options(parts: PartialScene) -> Iterator[Fault]:
     """The losses of contacts are known with the energy budget only; radiation requires emissivities."""
     scene = parts.scene
@@ -702,7 +720,7 @@ def _parts() -> dict[str, str]:
         **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
         **{
             name: "the name of a wall"
-            for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES, *WALL_FLOW_QUANTITIES)
+            for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES, *WALL_FLOW_QUANTITIES, *WEAR_QUANTITIES)
         },
         **{name: "the name of a metric" for name in METRIC_QUANTITIES},
         "timings": "forces or another phase",
@@ -751,6 +769,7 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     giving = [
         name for name, wall in scene.walls.items() if any(getattr(wall, key) is not None for key in read)
     ]
+    worn = [name for name, wall in scene.walls.items() if wall.wear is not None]
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
         (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
         (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
@@ -758,6 +777,7 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
         (RESIDENCE_QUANTITIES, ends, "flow meter"),
         (STAGE_QUANTITIES.keys() - METRIC_QUANTITIES, stages, "stage"),
         (WALL_FLOW_QUANTITIES, giving, "wall that gives heat to particles"),
+        (WEAR_QUANTITIES, worn, "wall with wear"),
     )
     for path, quantity, part in _expected(scene):
         for quantities, names, kind in known:
@@ -856,6 +876,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact",), liquid_content),
     (("contact", "pairs"), equation_values),
     (("contact",), wall_values),
+    (("particles", "materials"), wear_materials),
     (("contact", "output"), heat_options),
     (("contact", "pairs"), material_values),
     (("output", "stages", "domain", "contact"), field_grids),

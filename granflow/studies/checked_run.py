@@ -26,6 +26,7 @@ from granflow.fields import (
     WALL_FLOW_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
+    WEAR_QUANTITIES,
 )
 from granflow.load import identity_of
 from granflow.plan.cost import typical_run_time
@@ -194,6 +195,8 @@ def result_names(scene: Scene) -> tuple[str, ...]:
         if each.motion
     ]
     names += [f"{quantity}.{wall}" for quantity in WALL_FLOW_QUANTITIES for wall in scene.walls]
+    worn = [wall for wall, each in scene.walls.items() if each.wear is not None]
+    names += [f"{quantity}.{wall}" for quantity in WEAR_QUANTITIES for wall in worn]
     names += [f"{quantity}.{outlet}" for quantity in OUTLET_QUANTITIES for outlet in scene.outlets]
     names += [f"{quantity}.{group}" for quantity in INSERTION_QUANTITIES for group in scene.particles]
     return tuple(names)

@@ -62,7 +62,8 @@ def poured() -> Scene:
 
 
 def moved_walls() -> Scene:
-    """A bed with a coarse particle between a turning mesh, a belt, a servo lid, a free and a shaken wall."""
+    """A bed with a coarse particle between a turning mesh, a belt, a servo lid, a free and a shaken wall, which
+    wear by all laws."""
     os.chdir(FILES.name)  # where a scene without a file looks for meshes
     points, corners = cube()
     write(Path("cube.stl"), 0.02 * points + [0.011, 0.011, -0.0185], corners)
@@ -86,6 +87,13 @@ def moved_walls() -> Scene:
     walls["high_x"]["motion"] = table
     walls["high_y"]["motion"] = {"kind": "free", "mass": 0.2, "direction": [0, -1, 0]}
     walls["high_z"]["motion"] = {"kind": "servo", "force": 2.0, "velocity_max": 0.5, "direction": [0, 0, -1]}
+    walls["cube"]["wear"] = {
+        "law": "finnie",
+        "coefficient": {"glass": 0.1},
+        "hardness": "1 GPa",
+    }
+    walls["low_z"]["wear"] = {"law": "archard", "coefficient": 1e-3, "hardness": "2 GPa"}
+    walls["low_x"]["wear"] = {"law": "relative"}
     lattice = moving_lattice((6, 6, 5), largest=0.0062, speed=1.0)
     coarse = particle_group([[0.021, 0.021, 0.0365]], 0.009, velocity=[[0.0, 0.0, -1.0]])
     return build_scene(
@@ -132,7 +140,7 @@ def sheared_films() -> Scene:
 
 
 def conducting() -> Scene:
-    """The poured bed with temperatures, of which one wall has one and another one a heat flux."""
+    """The poured bed with temperatures, of which one wall has one and wears, and another one a heat flux."""
     thermal = {"thermal_conductivity": 50.0, "heat_capacity": 0.5, "emissivity": 0.9}
     contact: dict[str, Any] = {"normal": "zhou", "tangential": "mindlin", "rolling": "epsd"}
     contact["heat"] = {"law": "conduction", "from_dissipation": True, "surroundings": 280.0}
@@ -146,6 +154,7 @@ def conducting() -> Scene:
     scene["particles"]["lattice"]["temperature"] = 350.0
     scene["walls"]["floor"]["temperature"] = 400.0
     scene["walls"]["low_x"]["heat_flux"] = 1e3
+    scene["walls"]["floor"]["wear"] = {"law": "archard", "coefficient": 1e-3, "hardness": "2 GPa"}
     return Scene.from_dict(scene)
 
 
@@ -202,10 +211,22 @@ QUICK = {
             "rolling_dissipation",
         ),
     ),
-    "walls": Row(moved_walls, ("wall_displacement.high_z", "wall_displacement.high_y", "wall_work")),
+    "walls": Row(
+        moved_walls,
+        (
+            "wall_displacement.high_z",
+            "wall_displacement.high_y",
+            "wall_work",
+            "wear_volume.cube",
+            "wear_volume.low_z",
+            "wear_normal_work.low_x",
+        ),
+    ),
     "clumps": Row(wet_clumps, ("rotational_energy", "contact_count"), on_ranks=False),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
-    "heat": Row(conducting, ("friction_dissipation", "surroundings_heat", "wall_heat.floor")),
+    "heat": Row(
+        conducting, ("friction_dissipation", "surroundings_heat", "wall_heat.floor", "wear_volume.floor")
+    ),
 }
 """Scenes of the usual test run."""
 

@@ -71,6 +71,7 @@ def time_series() -> str:
         "Each wall in `output.wall_forces`": ("WALL", fields.WALL_FORCE_QUANTITIES),
         "Each servo or free wall": ("WALL", fields.WALL_QUANTITIES),
         "Each wall with a temperature or a heat flux": ("WALL", fields.WALL_FLOW_QUANTITIES),
+        "Each wall with wear": ("WALL", fields.WEAR_QUANTITIES),
     }
     sections = [CSV]
     for heading, (part, quantities) in groups.items():

@@ -23,6 +23,7 @@ from granflow.fields import (
     STAGE_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
+    WEAR_QUANTITIES,
     Quantity,
 )
 from granflow.geometry.coarse_grid import CoarseGrid
@@ -47,6 +48,7 @@ PART_QUANTITIES = {
     **RESIDENCE_QUANTITIES,
     **WALL_FORCE_QUANTITIES,
     **WALL_QUANTITIES,
+    **WEAR_QUANTITIES,
     **INSERTION_QUANTITIES,
     **OUTLET_QUANTITIES,
 }

@@ -13,6 +13,7 @@ from pydantic import Field
 from granflow.geometry.surface import Surface
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.motions import MotionSpec
+from granflow.scene.blocks.wear import WearSpec
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, redundant, whole
 from granflow.schema.model import ListOf, Model, Names, Text, optional
@@ -44,6 +45,11 @@ class Wall(Model):
         (),
         description="motion of the wall: one motion or a list of motions",
         examples=[{"kind": "vibration", "direction": [0, 0, 1], "amplitude": "1 mm", "frequency": "25 Hz"}],
+    )
+    wear: WearSpec | None = optional(
+        "law by which the particles wear the wall, whose surface does not change",
+        "no wear",
+        examples=[{"law": "archard", "coefficient": 1e-4, "hardness": "2 GPa"}],
     )
 
     def faults(self) -> Iterator[Fault]:
