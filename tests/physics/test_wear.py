@@ -52,7 +52,9 @@ def worn(tmp_path_factory):
         impacts = [[np.cos(a), 0.0, -np.sin(a)] for a in ANGLES]
         groups = {
             "glass": particle_group(slow, velocity=[[1.5, 0.0, -0.5]] * len(slow)),
-            "steel": particle_group([[0.1, -0.1, height], [-0.1, 0.1, height]], material="steel", velocity=impacts),
+            "steel": particle_group(
+                [[0.1, -0.1, height], [-0.1, 0.1, height]], material="steel", velocity=impacts
+            ),
         }
         scene = build_scene(
             groups, walls, {"friction": FRICTION}, pairs={"steel-liner": {"restitution": 0.8, "friction": 0.0}},
