@@ -769,7 +769,8 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     giving = [
         name for name, wall in scene.walls.items() if any(getattr(wall, key) is not None for key in read)
     ]
-    worn = [name for name, wall in scene.walls.items() if wall.wear is not None]
+    worn = {name: wall.wear for name, wall in scene.walls.items() if wall.wear is not None}
+    losing = [name for name, wear in worn.items() if wear.has_volume]
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
         (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
         (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
@@ -777,7 +778,8 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
         (RESIDENCE_QUANTITIES, ends, "flow meter"),
         (STAGE_QUANTITIES.keys() - METRIC_QUANTITIES, stages, "stage"),
         (WALL_FLOW_QUANTITIES, giving, "wall that gives heat to particles"),
-        (WEAR_QUANTITIES, worn, "wall with wear"),
+        (("wear_volume", "wear_depth_largest"), losing, "wall that loses volume"),
+        (("wear_normal_work", "wear_tangential_work"), worn, "worn wall"),
     )
     for path, quantity, part in _expected(scene):
         for quantities, names, kind in known:

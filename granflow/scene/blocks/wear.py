@@ -10,7 +10,7 @@ law. Every law also has the normal and the tangential work of the contacts (`eng
 change the surface of the wall.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import sqrt
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -18,13 +18,12 @@ from pydantic import Field, Tag
 
 from granflow.device_functions import ti
 from granflow.schema import quantities as q
-from granflow.schema.faults import Fault
-from granflow.schema.model import Model, Text, choose_by, choose_by_key
+from granflow.schema.model import Model, Name, choose_by, choose_by_key
 from granflow.schema.quantities import Number
 
 Coefficient = Annotated[float, Number(noun="a wear coefficient", at_least=0)]
 CoefficientOrMany = Annotated[
-    Annotated[Coefficient, Tag("<one>")] | Annotated[dict[Text, Coefficient], Tag("<materials>")],
+    Annotated[Coefficient, Tag("<one>")] | Annotated[dict[Name, Coefficient], Tag("<materials>")],
     choose_by(
         lambda value: "<materials>" if isinstance(value, dict) else "<one>",
         "a number or a mapping of materials of particles is expected, such as {sand: 1e-4}",
@@ -88,11 +87,6 @@ class VolumeWear(WallWear):
 
     coefficient: CoefficientOrMany = _COEFFICIENT
     hardness: q.Pressure = _HARDNESS
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault for an empty mapping."""
-        if isinstance(self.coefficient, Mapping) and not self.coefficient:
-            yield Fault(("coefficient",), "at least one material is required, such as {sand: 1e-4}")
 
     def volume_per_work(self, material: str) -> float:
         """See `WallWear`."""
