@@ -611,6 +611,8 @@ WALL_ARRAY_QUANTITIES = by_name(
     )
 )
 """Arrays of wall files, one entry per triangle."""
+WEAR_ARRAYS = ("wear_depth", "wear_normal_work", "wear_tangential_work")
+"""Arrays of wall files with wear, in the order of the columns of `Snapshot.wear`, per area."""
 
 
 # Numbers of a run, of its flow meters, outlets, groups and walls

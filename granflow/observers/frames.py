@@ -17,6 +17,7 @@ from granflow.fields import (
     FIELD_QUANTITIES,
     PARTICLE_QUANTITIES,
     WALL_ARRAY_QUANTITIES,
+    WEAR_ARRAYS,
     units,
 )
 from granflow.geometry.coarse_grid import CoarseGrid, GaussianKernel
@@ -253,7 +254,7 @@ class WallFrames(Frames):
     unbounded:  names of infinite walls, whose triangles remain in the domain
     has_belts:  write the cell array `surface_velocity` [m/s], which is 0 on walls without one
     wear_areas: areas (k,) [m2] of the rows of `Snapshot.wear` of each wall with wear, None for an infinite
-                wall; the cell arrays are those of `wear_arrays`
+                wall; the cell arrays are WEAR_ARRAYS
     """
 
     stem = "walls"
@@ -334,10 +335,6 @@ class WallFrames(Frames):
         if name not in self._measured:
             return np.full((count, 3), np.nan), np.full(count, np.nan)
         return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._measured[name])
-
-
-WEAR_ARRAYS = ("wear_depth", "wear_normal_work", "wear_tangential_work")
-"""Cell arrays of walls with wear, in the order of the columns of `Snapshot.wear`, per area."""
 
 
 def wear_per_area(wear: np.ndarray | None, areas: np.ndarray | None, count: int) -> np.ndarray:

@@ -771,6 +771,7 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     ]
     worn = {name: wall.wear for name, wall in scene.walls.items() if wall.wear is not None}
     losing = [name for name, wear in worn.items() if wear.has_volume]
+    with_depth = [name for name in losing if scene.walls[name].is_bounded]
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
         (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
         (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
@@ -778,7 +779,8 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
         (RESIDENCE_QUANTITIES, ends, "flow meter"),
         (STAGE_QUANTITIES.keys() - METRIC_QUANTITIES, stages, "stage"),
         (WALL_FLOW_QUANTITIES, giving, "wall that gives heat to particles"),
-        (("wear_volume", "wear_depth_largest"), losing, "wall that loses volume"),
+        (("wear_volume",), losing, "worn wall"),
+        (("wear_depth_largest",), with_depth, "worn wall"),
         (("wear_normal_work", "wear_tangential_work"), worn, "worn wall"),
     )
     for path, quantity, part in _expected(scene):

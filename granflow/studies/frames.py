@@ -8,14 +8,15 @@ points that must be visible over the whole run, so that all pictures of a run ha
 `camera_for` places the camera that just shows them.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from granflow import Scene
 from granflow.errors import GranflowError
+from granflow.fields import WEAR_ARRAYS
 from granflow.io.frames import file_at, is_empty, listed_frames, read_mesh, require_directory
 from granflow.units import UnitError, to_si
 
@@ -145,12 +146,14 @@ def read_particles(frame: Frame) -> FrameParticles:
 class FrameWalls:
     """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and wall numbers (k,).
 
-    Corners are indices of points; wall numbers are those of the scene.
+    Corners are indices of points; wall numbers are those of the scene. `wear`: per array of WEAR_ARRAYS in
+    the file and kind of polygon, its values (k,), NaN for walls without it.
     """
 
     points: np.ndarray
     polygons: tuple[np.ndarray, ...]
     walls: tuple[np.ndarray, ...]
+    wear: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
 
     @property
     def numbers(self) -> list[int]:
@@ -165,7 +168,17 @@ class FrameWalls:
         chosen = [
             (cells[is_chosen], wall[is_chosen]) for cells, wall, is_chosen in parts if np.any(is_chosen)
         ]
-        return FrameWalls(self.points, tuple(cells for cells, _ in chosen), tuple(wall for _, wall in chosen))
+        wear = {
+            name: tuple(
+                each[is_chosen]
+                for each, (*_, is_chosen) in zip(values, parts, strict=True)
+                if np.any(is_chosen)
+            )
+            for name, values in self.wear.items()
+        }
+        return FrameWalls(
+            self.points, tuple(cells for cells, _ in chosen), tuple(wall for _, wall in chosen), wear
+        )
 
     def same_as(self, other: "FrameWalls | None") -> bool:
         """Whether both contain the same walls in the same pose."""
@@ -194,8 +207,13 @@ def read_walls(frame: Frame) -> FrameWalls | None:
     mesh = read_mesh(frame.walls)
     numbers = mesh.cell_data.get("wall", [np.zeros(len(block.data), np.int32) for block in mesh.cells])
     blocks = [(block.data, wall) for block, wall in zip(mesh.cells, numbers, strict=True) if len(block.data)]
+    wear = {
+        name: tuple(np.asarray(values, float) for values in mesh.cell_data[name] if len(values))
+        for name in WEAR_ARRAYS
+        if name in mesh.cell_data
+    }
     return FrameWalls(
-        mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks)
+        mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks), wear
     )
 
 

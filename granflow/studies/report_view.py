@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from granflow import Run, Scene
+from granflow.fields import WALL_ARRAY_QUANTITIES, WEAR_ARRAYS
 from granflow.io.frames import listed_frames
 from granflow.studies.figures import COLORS
 from granflow.studies.frames import (
@@ -31,7 +32,7 @@ from granflow.studies.frames import (
     view_of,
 )
 from granflow.studies.interactive_plots import deflated
-from granflow.studies.render import CATEGORIES, SIGNED, Scale, scale_for, values_of
+from granflow.studies.render import CATEGORIES, SIGNED, Scale, prefixed, scale_for, values_of
 from granflow.visible_text import readable
 
 
@@ -75,7 +76,10 @@ def interactive_view(record: Run) -> View | None:
     outermost = np.concatenate([*map(outermost_points, particles), np.array(header["extent"])])
     points = bounding_points("all", scene, frames, domain_of(scene), outermost)
     header["extent"] = [points.min(axis=0).tolist(), points.max(axis=0).tolist()]
-    has_all_walls = _add_walls(header["frames"], frames, particles, scene, arrays)
+    walls = [read_walls(frame) for frame in frames]
+    worn = list(_wear_scales(walls))
+    header["wallQuantities"] = [_quantity_header(scale) for scale in worn]
+    has_all_walls = _add_walls(header["frames"], walls, particles, scene, worn, arrays)
     return View(header, arrays.text(), _statement(len(frames), len(filled), count, stride, has_all_walls))
 
 
@@ -285,25 +289,44 @@ MOST_WALL_POINTS = 200_000
 """Maximum number of points of the walls in all frames; walls with more are in none."""
 
 
+def _wear_scales(walls: Sequence[FrameWalls | None]) -> Iterable[Scale]:
+    """Color scales of the wear of the walls, from 0 to the largest value of all frames, if it is above 0."""
+    for name in WEAR_ARRAYS:
+        values = [each.wear[name] for each in walls if each is not None and name in each.wear]
+        largest = max(
+            (float(np.nanmax(part, initial=0.0)) for of_frame in values for part in of_frame), default=0.0
+        )
+        if largest > 0.0:
+            factor, unit = prefixed(WALL_ARRAY_QUANTITIES[name].unit, largest)
+            yield Scale(name, name.replace("_", " "), unit, factor, (0.0, largest))
+
+
 def _add_walls(
     entries: Sequence[dict[str, Any]],
-    frames: Sequence[Frame],
+    walls: Sequence[FrameWalls | None],
     particles: Sequence[FrameParticles],
     scene: Scene | None,
+    worn: Sequence[Scale],
     arrays: PackedArrays,
 ) -> bool:
-    """Add the walls of each frame to its entry; False if they have too many points for the page."""
-    walls = [read_walls(frame) for frame in frames]
+    """Add the walls of each frame to its entry; False if they have too many points for the page.
+
+    `worn`: scales of their colors by wear.
+    """
     if sum(len(each.points) for each in walls if each is not None) > MOST_WALL_POINTS:
         return False
     outermost = np.concatenate([outermost_points(each) for each in particles])
     for entry, each in zip(entries, walls, strict=True):
-        entry["walls"] = [] if each is None else _wall_headers(each, scene, outermost, arrays)
+        entry["walls"] = [] if each is None else _wall_headers(each, scene, outermost, arrays, worn)
     return True
 
 
 def _wall_headers(
-    walls: FrameWalls, scene: Scene | None, outermost: np.ndarray, arrays: PackedArrays
+    walls: FrameWalls,
+    scene: Scene | None,
+    outermost: np.ndarray,
+    arrays: PackedArrays,
+    worn: Sequence[Scale] = (),
 ) -> list[dict[str, Any]]:
     """Parts of the walls: each unbounded plane, and all others together, with the box (2, 3) [m] that is
     shown."""
@@ -316,24 +339,49 @@ def _wall_headers(
         parts.append(
             (walls.selected([number]), np.array([np.maximum(low, whole[0]), np.minimum(high, whole[1])]))
         )
-    return [_wall_header(part, box, arrays) for part, box in parts if part.polygons]
+    return [_wall_header(part, box, arrays, worn) for part, box in parts if part.polygons]
 
 
-def _wall_header(walls: FrameWalls, box: np.ndarray, arrays: PackedArrays) -> dict[str, Any]:
+def _wall_header(
+    walls: FrameWalls, box: np.ndarray, arrays: PackedArrays, worn: Sequence[Scale] = ()
+) -> dict[str, Any]:
     """Triangles and edges of walls on their own grid, and the part of the shown box that cuts them (finite
-    numbers)."""
+    numbers); with scales of wear, the worn triangles with three points each, and their levels by scale."""
     found = geometry_of(walls)
     low, high = found.points.min(axis=0), found.points.max(axis=0)
     margin = 1e-3 * float(np.max(high - low))
     shown = np.array([np.maximum(box[0], low) - margin, np.minimum(box[1], high) + margin])
     grid = Grid(low.astype(np.float64), float(np.max(high - low)) / LARGEST_INTEGER or 1.0)
-    return {
+    header = {
         "grid": grid.header(),
         "box": shown.tolist(),
         "points": arrays.add(grid.indices(found.points)),
         "triangles": arrays.add(found.triangles.astype(np.uint32)),
         "edges": arrays.add(found.edges.astype(np.uint32)),
     }
+    corners, values = _worn_triangles(walls, worn)
+    if len(corners):
+        header["worn"] = {
+            "points": arrays.add(grid.indices(walls.points[corners.ravel()].astype(np.float32))),
+            "levels": [
+                arrays.add(np.repeat(_levels(each, scale), 3))
+                for each, scale in zip(values, worn, strict=True)
+            ],
+        }
+    return header
+
+
+def _worn_triangles(walls: FrameWalls, worn: Sequence[Scale]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Corners (k, 3) of the triangles with a value of the first scale, and the values (k,) of each scale."""
+    corners = np.zeros((0, 3), np.int64)
+    values = [np.zeros(0) for _ in worn]
+    for number, polygons in enumerate(walls.polygons):
+        if worn and polygons.shape[1] == 3:
+            has_value = np.isfinite(walls.wear[worn[0].color][number])
+            corners = np.concatenate([corners, polygons[has_value]])
+            of_kind = [walls.wear[scale.color][number][has_value] for scale in worn]
+            values = [np.concatenate(both) for both in zip(values, of_kind, strict=True)]
+    return corners, values
 
 
 EDGE_ANGLE = np.radians(25.0)

@@ -118,3 +118,22 @@ def test_planes_are_cut_around_the_particles():
     low, high = np.array(floor["box"])
     np.testing.assert_allclose([low[0], high[0]], [-0.05, 1.05], atol=0.11)
     assert low[2] < 0.0 < high[2]
+
+
+def test_walls_are_colored_by_their_wear(tmp_path):
+    """Levels from 0 to the largest value of all frames; walls without a value have no colors."""
+    record = write_run(tmp_path, frame_count=1)
+    triangles = FACES[:2, :3]
+    wear = {"wear_depth": np.array([2e-6, np.nan]), "wear_normal_work": np.zeros(2)}
+    cells = {"wall": np.arange(2, dtype=np.int32)} | wear
+    write_vtu(tmp_path / "walls_0000.vtu", VtuMesh.of_cells("triangle", CUBE, triangles, cells))
+    (tmp_path / "walls.pvd").write_text(
+        (tmp_path / "particles.pvd").read_text().replace("particles_", "walls_")
+    )
+    view = interactive_view(record)
+    (quantity,) = view.header["wallQuantities"]
+    assert quantity["title"] == "wear depth (µm)" and quantity["labels"] == ["0", "2"]
+    (wall,) = view.header["frames"][0]["walls"]
+    points = wall["grid"]["low"] + wall["grid"]["step"] * array(view.data, wall["worn"]["points"], 3)
+    np.testing.assert_allclose(points, CUBE[triangles[0]], atol=1e-4)
+    assert array(view.data, wall["worn"]["levels"][0]).tolist() == [255] * 3

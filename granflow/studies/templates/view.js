@@ -117,16 +117,18 @@ async function showView(figure) {
   if (!gl) throw Error("this browser has no WebGL 2");
   const buffer = await inflated(data), orbit = new Orbit(header);
   const color = part("select"), time = part("input[type=range]"), walls = part("input[type=checkbox]");
+  const worn = part("select.worn");  // only in runs with wear
   let drawing = new Drawing(gl, header, buffer), isDue = false, player = 0;
   function draw() {
     isDue = false;
     const edge = getComputedStyle(canvas).color.match(/[\d.]+/g).slice(0, 3).map((value) => value / 255);
-    drawing.draw(orbit, +time.value, +color.value, walls.checked, edge);
+    drawing.draw(orbit, +time.value, +color.value, walls.checked, edge, worn ? +worn.value : -1);
   }
   const redraw = () => { if (!isDue) requestAnimationFrame(draw); isDue = true; };
   function update() {
     part("output").textContent = header.frames[time.value].time;
     part(".legend").replaceChildren(...legendOf(header.quantities[color.value]));
+    if (worn) part(".legend.worn").replaceChildren(...(worn.value < 0 ? [] : legendOf(header.wallQuantities[worn.value])));
     redraw();
   }
   function play() {
@@ -145,6 +147,11 @@ async function showView(figure) {
     draw();
   }).observe(canvas);
   header.quantities.forEach((each, k) => color.add(new Option(each.title, k)));
+  if (worn) {
+    header.wallQuantities.forEach((each, k) => worn.add(new Option(each.title, k)));
+    worn.add(new Option("plain", -1));
+    worn.addEventListener("input", update);
+  }
   const counts = header.frames.map((each) => each.count), most = Math.max(...counts);
   time.max = counts.length - 1;
   time.value = counts.findLastIndex((count) => 2 * count >= most);

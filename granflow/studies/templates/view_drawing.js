@@ -54,6 +54,28 @@ const WALL_VERTEX = CAMERA + `
 in vec3 position;
 out vec3 place;
 void main() { place = low + step_ * position; gl_Position = projected(seen(position)); }`;
+const WORN_VERTEX = CAMERA + `
+in vec3 position;
+in float level;
+uniform vec3 palette[9];
+out vec3 place;
+flat out vec3 color;
+void main() {
+  float along = level * 8.0 / 255.0;
+  int lower = min(int(along), 7);
+  color = mix(palette[lower], palette[lower + 1], along - float(lower));
+  place = low + step_ * position;
+  gl_Position = projected(seen(position));
+}`;
+const WORN_FRAGMENT = CAMERA + `
+in vec3 place;
+flat in vec3 color;
+uniform vec3 boxLow, boxHigh;
+out vec4 shown;
+void main() {
+  if (any(lessThan(place, boxLow)) || any(greaterThan(place, boxHigh))) discard;
+  shown = vec4(color, 1);
+}`;
 const WALL_FRAGMENT = CAMERA + `
 in vec3 place;
 uniform vec3 boxLow, boxHigh;
@@ -87,6 +109,7 @@ class Drawing {
     Object.assign(this, {gl, header, buffer, buffers: new Map()});
     this.spheres = programOf(gl, SPHERE_VERTEX, SPHERE_FRAGMENT);
     this.walls = programOf(gl, WALL_VERTEX, WALL_FRAGMENT);
+    this.worn = programOf(gl, WORN_VERTEX, WORN_FRAGMENT);
     gl.enable(gl.DEPTH_TEST);
     gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);  // premultiplied
   }
@@ -116,14 +139,16 @@ class Drawing {
     this.gl.uniform3fv(found.uniform("low"), grid.low);
     this.gl.uniform1f(found.uniform("step_"), grid.step);
   }
-  draw(orbit, frame, color, hasWalls, edgeColor) {
+  draw(orbit, frame, color, hasWalls, edgeColor, wallColor) {
     const {gl, header} = this;
     gl.viewport(0, 0, gl.drawingBufferWidth, gl.drawingBufferHeight);
     gl.clearColor(0, 0, 0, 0);
     gl.depthMask(true);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     this.drawSpheres(orbit, header.frames[frame], color);
-    if (hasWalls) for (const wall of header.frames[frame].walls) this.drawWall(orbit, wall, edgeColor);
+    const drawn = hasWalls ? header.frames[frame].walls : [];
+    if (wallColor >= 0) for (const wall of drawn) if (wall.worn) this.drawWorn(orbit, wall, wallColor);
+    for (const wall of drawn) this.drawWall(orbit, wall, edgeColor);
   }
   drawSpheres(orbit, entry, color) {
     const {gl, header, spheres} = this, quantity = header.quantities[color];
@@ -137,6 +162,18 @@ class Drawing {
     this.attribute(spheres, "radius", entry.radius, 1, gl.UNSIGNED_SHORT, 1);
     this.attribute(spheres, "level", entry.colors[color], 1, gl.UNSIGNED_BYTE, 1);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, entry.count);
+  }
+  // The worn triangles, opaque: each has three points and the same level at all of them.
+  drawWorn(orbit, wall, wallColor) {
+    const {gl, worn} = this;
+    this.use(worn, orbit, wall.grid);
+    gl.disable(gl.BLEND);
+    gl.uniform3fv(worn.uniform("boxLow"), wall.box[0]);
+    gl.uniform3fv(worn.uniform("boxHigh"), wall.box[1]);
+    gl.uniform3fv(worn.uniform("palette"), this.header.wallQuantities[wallColor].palette.flatMap(components));
+    this.attribute(worn, "position", wall.worn.points, 3, gl.UNSIGNED_SHORT, 0);
+    this.attribute(worn, "level", wall.worn.levels[wallColor], 1, gl.UNSIGNED_BYTE, 0);
+    gl.drawArrays(gl.TRIANGLES, 0, wall.worn.levels[wallColor].length);
   }
   drawWall(orbit, wall, edgeColor) {
     const {gl, walls} = this;
